@@ -1,0 +1,11 @@
+from . import imaging as imaging
+from . import inverse as inverse
+from . import psf as psf
+from . import raytrace as raytrace
+from . import scene as scene
+from . import views as views
+from .planning import Plan as Plan
+from .planning import Result as Result
+from .planning import plan as plan
+from .planning import simulate as simulate
+from .scene import Scene as Scene

@@ -1,0 +1,110 @@
+"""Checks shared by every constructor: value, limit, place and remedy in one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from .errors import MemoryLimitError, SceneError
+
+Vector = tuple[float, float, float]
+
+
+def real(name: str, value: Any) -> float:
+    """Return ``value`` as a finite float, or raise `SceneError` naming ``name``."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} = {value!r} is not a number; give a float in SI units") from None
+    if not math.isfinite(number):
+        raise SceneError(f"{name} = {number} is not finite; give a finite number in SI units")
+    return number
+
+
+def in_range(
+    name: str,
+    value: Any,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
+    unit: str = "",
+    remedy: str = "",
+) -> float:
+    """Return ``value`` as a float within [low, high], or (low, high] when ``open_low``."""
+    number = real(name, value)
+    if number < low or number > high or (open_low and number == low):
+        unit = f" {unit}" if unit else ""
+        if math.isinf(high):
+            limit = f"{'above' if open_low else 'at least'} {low:g}{unit}"
+        else:
+            limit = f"{'above' if open_low else 'from'} {low:g} to {high:g}{unit}"
+        hint = f"; {remedy}" if remedy else ""
+        raise SceneError(f"{name} = {number:g}{unit} is out of range, must be {limit}{hint}")
+    return number
+
+
+def positive(name: str, value: Any, *, unit: str = "", remedy: str = "") -> float:
+    """Return ``value`` as a finite float above zero."""
+    return in_range(name, value, 0.0, open_low=True, unit=unit, remedy=remedy)
+
+
+def whole(name: str, value: Any, low: int = 1) -> int:
+    """Return ``value`` as an int of at least ``low``; booleans and fractions are refused."""
+    if isinstance(value, bool) or int(real(name, value)) != value:
+        raise SceneError(f"{name} = {value!r} is not a whole number")
+    if value < low:
+        raise SceneError(f"{name} = {value} is out of range, must be at least {low}")
+    return int(value)
+
+
+def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
+    """Return ``value`` when it is among ``choices``."""
+    choices = tuple(choices)
+    if value not in choices:
+        raise SceneError(f"{name} = {value!r} is unknown, must be one of {', '.join(choices)}")
+    return str(value)
+
+
+def vector(name: str, value: Any) -> Vector:
+    """Return three finite floats."""
+    if not isinstance(value, Sequence) and not hasattr(value, "__array__"):
+        raise SceneError(f"{name} = {value!r} is not a vector; give three numbers in m")
+    if len(value) != 3:
+        raise SceneError(f"{name} has {len(value)} components; give three, x, y and z in m")
+    x, y, z = (real(f"{name}[{axis}]", v) for axis, v in zip("xyz", value, strict=True))
+    return (x, y, z)
+
+
+def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
+    """Return (x, y) extents above zero; one number stands for both."""
+    if isinstance(value, (int, float)):
+        value = (value, value)
+    if not isinstance(value, Sequence) and not hasattr(value, "__array__"):
+        raise SceneError(f"{name} = {value!r} is not a size; give one number or two")
+    if len(value) != 2:
+        raise SceneError(f"{name} has {len(value)} components; give one number or (x, y)")
+    x, y = (positive(f"{name}[{axis}]", v, unit=unit) for axis, v in zip("xy", value, strict=True))
+    return (x, y)
+
+
+def available_memory() -> float:
+    """Bytes that can still be allocated; infinity where the system does not say."""
+    try:
+        with open("/proc/meminfo") as lines:
+            for line in lines:
+                if line.startswith("MemAvailable:"):
+                    return float(line.split()[1]) * 1024
+    except OSError:
+        pass
+    return math.inf
+
+
+def fits_memory(what: str, n_bytes: float, remedy: str) -> None:
+    """Raise `MemoryLimitError` before an allocation that three quarters of memory cannot hold."""
+    limit = 0.75 * available_memory()
+    if n_bytes > limit:
+        raise MemoryLimitError(
+            f"{what} needs {n_bytes / 2**30:.3g} GiB, limit {limit / 2**30:.3g} GiB; {remedy}"
+        )

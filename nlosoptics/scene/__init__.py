@@ -1,0 +1,30 @@
+"""What is there: laser, relay wall, hidden object, camera, materials, and the scene file."""
+
+from .camera import Camera, pupil_frame
+from .hidden import MeshObject, PlanarObject
+from .laser import Laser
+from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial
+from .mesh import MeshWall
+from .scene import Scene
+from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+
+__all__ = [
+    "Camera",
+    "ConcaveWall",
+    "ConvexWall",
+    "FlatWall",
+    "Lambert",
+    "Laser",
+    "Material",
+    "MeshObject",
+    "MeshWall",
+    "OrenNayar",
+    "PlanarObject",
+    "Scene",
+    "SpecularMicrofacet",
+    "SumMaterial",
+    "SumWall",
+    "Wall",
+    "WavyWall",
+    "pupil_frame",
+]

@@ -1,0 +1,208 @@
+"""Hidden objects: a picture on a posed plane, or a triangle mesh."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import Vector, pair, real, vector
+from ..errors import SceneError
+from .materials import Lambert, Material
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+
+
+def rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
+    """Rotate by roll about z, then pitch about x, then yaw about y (right-handed, rad)."""
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, pitch, roll))
+    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
+    about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
+    about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
+    return np.asarray(about_y @ about_x @ about_z)
+
+
+@dataclass(frozen=True, eq=False)
+class _Posed:
+    """Position and rotation shared by hidden objects."""
+
+    _: KW_ONLY
+    position: Vector
+    yaw: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    material: Material = Lambert(0.8)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        put(self, "position", vector("hidden.position", self.position))
+        for name in ("yaw", "pitch", "roll"):
+            put(self, name, real(f"hidden.{name}", getattr(self, name)))
+        if self.position[2] <= 0:
+            raise SceneError(
+                f"hidden.position has z = {self.position[2]:g} m, behind the wall; must be above 0"
+            )
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation of the object's axes into the world's, (3, 3)."""
+        return rotation_matrix(self.yaw, self.pitch, self.roll)
+
+    def __eq__(self, other: object) -> bool:
+        if type(self) is not type(other):
+            return NotImplemented
+        return all(
+            np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
+            for a, b in ((getattr(self, f), getattr(other, f)) for f in self.__dataclass_fields__)
+            if f != "_"
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarObject(_Posed):
+    """A picture on a plane, the usual hidden letter.
+
+    Unturned it faces the wall with its top toward +y: a viewer at the wall reads it, so its right
+    points to -x and its normal to -z.
+
+    Parameters
+    ----------
+    image : str, Path or array_like (ny, nx)
+        File (PNG, TIFF, JPEG or ``.npy``) or array, row 0 on top; brightness 0 to 1 (integers: 0 to
+        the type's largest) scales the material's reflectance.
+    size : float or (float, float)
+        Width and height, m; one number is the width, and the picture's shape gives the height.
+    position : (float, float, float)
+        Centre, m, world.
+    yaw, pitch, roll : float
+        Turns about world y, x and z, rad, roll first.
+    material : Material
+        Of a white pixel.
+    """
+
+    image: Any
+    size: Any
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        put = object.__setattr__
+        if isinstance(self.image, (str, Path)):
+            put(self, "image", Path(self.image))
+        else:
+            image = np.array(self.image, dtype=np.float64)
+            image.flags.writeable = False
+            put(self, "image", image)
+        if isinstance(self.size, (int, float)):
+            ny, nx = self.reflectance.shape
+            put(self, "size", pair("hidden.size", (self.size, self.size * ny / nx)))
+        else:
+            put(self, "size", pair("hidden.size", self.size))
+
+    @cached_property
+    def reflectance(self) -> Array:
+        """Picture as relative reflectance, (ny, nx) float64, 0 to 1, row 0 on top."""
+        if isinstance(self.image, Path):
+            return read_picture(self.image)
+        return checked_picture("hidden.image", self.image)
+
+    @property
+    def axes(self) -> Array:
+        """Rows right, up and normal of the picture, world frame, (3, 3)."""
+        unturned = np.array([[-1.0, 0, 0], [0, 1, 0], [0, 0, -1]])
+        return np.asarray(unturned @ self.rotation.T)
+
+
+def checked_picture(name: str, picture: Array) -> Array:
+    """Check a reflectance picture: two-dimensional, finite, 0 to 1."""
+    if picture.ndim != 2 or picture.size == 0:
+        raise SceneError(f"{name} has shape {picture.shape}; give a grey picture (ny, nx)")
+    if not np.isfinite(picture).all():
+        raise SceneError(f"{name} holds NaN or infinity; give finite brightness")
+    low, high = float(picture.min()), float(picture.max())
+    if low < 0 or high > 1:
+        raise SceneError(f"{name} spans {low:g} to {high:g}, must be within 0 to 1; rescale it")
+    picture.flags.writeable = False
+    return picture
+
+
+def read_picture(path: Path) -> Array:
+    """Read a picture file as relative reflectance, (ny, nx), 0 to 1, row 0 on top.
+
+    Raises
+    ------
+    SceneError
+        If the file is missing, is not a picture, or is empty.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    if not path.is_file():
+        raise SceneError(f"hidden.image: there is no file {path}; give the path of a picture")
+    try:
+        if path.suffix == ".npy":
+            raw = np.load(path, allow_pickle=False)
+        else:
+            with Image.open(path) as picture:
+                if picture.mode not in ("1", "L", "I", "I;16", "F"):
+                    picture = picture.convert("L")
+                raw = np.asarray(picture)
+    except (UnidentifiedImageError, ValueError, OSError):
+        raise SceneError(
+            f"hidden.image: {path} is not a picture; give PNG, TIFF, JPEG or .npy"
+        ) from None
+    if raw.dtype == bool:
+        scale = 1.0
+    elif np.issubdtype(raw.dtype, np.integer):
+        # 16-bit PNG files arrive as 32-bit integers
+        scale = 65535.0 if raw.dtype.itemsize == 4 else float(np.iinfo(raw.dtype).max)
+    else:
+        scale = 1.0
+    return checked_picture(f"hidden.image ({path})", raw.astype(np.float64) / scale)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshObject(_Posed):
+    """A triangle mesh.
+
+    Parameters
+    ----------
+    mesh : str, Path or trimesh.Trimesh
+        File (STL, OBJ, PLY, ...) or mesh, in its own frame, m.
+    scale : float
+        Factor on the mesh's coordinates, for files in other units.
+    position : (float, float, float)
+        Where the mesh's origin goes, m, world.
+    yaw, pitch, roll : float
+        Turns about world y, x and z, rad, roll first.
+    material : Material
+    """
+
+    mesh: Any
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.mesh, str):
+            object.__setattr__(self, "mesh", Path(self.mesh))
+        real("hidden.scale", self.scale)
+
+    @cached_property
+    def surface(self) -> trimesh.Trimesh:
+        """Mesh in the world frame."""
+        from .mesh import load_mesh
+
+        mesh = load_mesh("hidden.mesh", self.mesh).copy()
+        mesh.vertices = mesh.vertices * self.scale @ self.rotation.T + np.array(self.position)
+        return mesh
+
+
+HiddenObject = PlanarObject | MeshObject
