@@ -1,0 +1,30 @@
+"""Reconstructions of the hidden object, in torch.
+
+Arrays or tensors in, the same kind out. Everything here needs torch; nothing else in the package
+does.
+"""
+
+from ..errors import MissingExtraError
+
+try:
+    import torch as _torch  # noqa: F401
+except ImportError:
+    raise MissingExtraError(
+        "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
+    ) from None
+
+from .measurements import estimate_noise
+from .reconstructions import Reconstruction
+from .registration import registered_correlation
+from .torch_model import TorchForwardModel
+from .total_variation import tv_deconvolve
+from .wiener_filter import wiener
+
+__all__ = [
+    "Reconstruction",
+    "TorchForwardModel",
+    "estimate_noise",
+    "registered_correlation",
+    "tv_deconvolve",
+    "wiener",
+]

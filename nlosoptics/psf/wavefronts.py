@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import in_range, one_of, positive, real, whole
+from ..errors import SamplingError, SceneError
+from .nodes import fitting_pitch, grid_nodes, polar_nodes
+from .spectra import PolarSpectrum
+from .zernike import ORDERINGS, Ordering, zernike, zernike_order
 
 Array = NDArray[np.float64]
 Layout = Literal["polar", "grid", "scattered"]
@@ -59,6 +66,10 @@ class Wavefront:
     layout : {"polar", "grid", "scattered"}
     removed : Removed
         What ``aberration`` no longer holds.
+
+    Notes
+    -----
+    Arrays are copied, float64 and read-only.
     """
 
     u: Array
@@ -72,3 +83,274 @@ class Wavefront:
     obscuration: float = 0.0
     layout: Layout
     removed: Removed = field(default_factory=Removed)
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        one_of("wavefront.layout", self.layout, ("polar", "grid", "scattered"))
+        hint = "give metres in vacuum"
+        in_range("wavefront.wavelength", self.wavelength, 1e-8, 1e-3, unit="m", remedy=hint)
+        positive("wavefront.pupil_radius", self.pupil_radius, unit="m")
+        in_range("wavefront.obscuration", self.obscuration, 0.0, 0.99)
+        if real("wavefront.image_distance", self.image_distance) == 0:
+            raise SceneError("wavefront.image_distance = 0 m; the pupil cannot lie in the image")
+        for name in ("wavelength", "image_distance", "pupil_radius", "obscuration"):
+            put(self, name, float(getattr(self, name)))
+        for name in ("u", "v", "aberration", "amplitude", "weights"):
+            put(self, name, _owned(name, getattr(self, name), self.layout))
+            if getattr(self, name).shape != self.u.shape:
+                raise SceneError(
+                    f"wavefront.{name} has shape {getattr(self, name).shape} and u has "
+                    f"{self.u.shape}; give one value per node"
+                )
+        for name in ("amplitude", "weights"):
+            values = getattr(self, name)
+            if np.any(values < 0):
+                where = tuple(int(i) for i in np.unravel_index(np.argmin(values), values.shape))
+                raise SceneError(
+                    f"wavefront.{name} = {values[where]:g} at {where} is below 0; a change of sign "
+                    "is half a wave of aberration"
+                )
+        if not np.any(self.amplitude * self.weights > 0):
+            raise SceneError("wavefront.amplitude is 0 everywhere; no light passes the pupil")
+        self._check_nodes()
+
+    @classmethod
+    def from_zernike(
+        cls,
+        coefficients: Mapping[int, float],
+        *,
+        wavelength: float,
+        pupil_radius: float,
+        image_distance: float,
+        ordering: Ordering = "noll",
+        nodes: Literal["polar", "grid"] = "polar",
+        samples: int | tuple[int, int] | None = None,
+        obscuration: float = 0.0,
+    ) -> Wavefront:
+        """Sample a sum of Zernike polynomials on a clear round or annular pupil.
+
+        Parameters
+        ----------
+        coefficients : mapping of int to float
+            Index to coefficient, m. For Noll and OSA it is the rms over the full disc; for Fringe
+            the value at the rim. An obscured pupil keeps the polynomials of the full disc.
+        wavelength, pupil_radius, image_distance : float
+            m.
+        ordering : {"noll", "osa", "fringe"}
+        nodes : {"polar", "grid"}
+            Polar nodes are exact and few; a grid is what the Fourier transforms take.
+        samples : int or (int, int), optional
+            Polar: radii, with four times as many angles, or (radii, angles); default at least
+            24 x 96. Grid: cells per side, default 512.
+        obscuration : float
+            Inner radius as a fraction of the outer.
+
+        Returns
+        -------
+        Wavefront
+        """
+        one_of("ordering", ordering, ORDERINGS)
+        one_of("nodes", nodes, ("polar", "grid"))
+        positive("pupil_radius", pupil_radius, unit="m")
+        orders = [zernike_order(index, ordering) for index in coefficients]
+        degree = max((n for n, _ in orders), default=0)
+        if nodes == "grid":
+            if isinstance(samples, tuple):
+                raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
+            cells = 512 if samples is None else whole("samples", samples, 2)
+            u, v, weights = grid_nodes(pupil_radius, cells, obscuration)
+        else:
+            # Enough that the tail of the spectrum is seen to vanish.
+            n_r, n_theta = max(24, degree), max(96, 4 * degree)
+            if isinstance(samples, tuple):
+                n_r, n_theta = samples
+            elif samples is not None:
+                n_r, n_theta = samples, 4 * samples
+            if n_r < degree // 2 + 1 or n_theta < 2 * degree + 1:
+                raise SamplingError(
+                    f"{n_r} x {n_theta} polar nodes cannot hold Zernike degree {degree}; use "
+                    f"{degree // 2 + 1} x {2 * degree + 1} or more"
+                )
+            u, v, weights = polar_nodes(pupil_radius, n_r, n_theta, obscuration)
+        rho, theta = np.hypot(u, v) / pupil_radius, np.arctan2(v, u)
+        aberration = np.zeros_like(u)
+        for index, value in coefficients.items():
+            height = real(f"coefficients[{index}]", value)
+            aberration += height * zernike(index, rho, theta, ordering=ordering)
+        return cls(
+            u=u,
+            v=v,
+            aberration=aberration,
+            amplitude=np.ones_like(u),
+            weights=weights,
+            wavelength=wavelength,
+            image_distance=image_distance,
+            pupil_radius=pupil_radius,
+            obscuration=obscuration,
+            layout=nodes,
+        )
+
+    @classmethod
+    def from_map(
+        cls,
+        aberration: ArrayLike,
+        amplitude: ArrayLike | None = None,
+        *,
+        wavelength: float,
+        pupil_pitch: float,
+        image_distance: float,
+        pupil_radius: float | None = None,
+    ) -> Wavefront:
+        """Take a pixel map of the pupil as it is: every sample stands for a whole cell.
+
+        Parameters
+        ----------
+        aberration : array_like
+            (n, n), m, row 0 at the lowest v, sample [n//2, n//2] on the axis.
+        amplitude : array_like, optional
+            (n, n), relative, 0 outside the pupil; an edge cell may carry the part that is inside.
+            Default 1 everywhere: a square pupil.
+        wavelength, pupil_pitch, image_distance : float
+            m.
+        pupil_radius : float, optional
+            What the F-number and the flux refer to, m; default the disc that just fits the map.
+
+        Returns
+        -------
+        Wavefront
+        """
+        positive("pupil_pitch", pupil_pitch, unit="m")
+        surface = _owned("aberration", aberration, "grid")
+        n = surface.shape[0]
+        if amplitude is None:
+            amplitude = np.ones_like(surface)
+        axis = (np.arange(n) - n // 2) * float(pupil_pitch)
+        v, u = np.meshgrid(axis, axis, indexing="ij")
+        if pupil_radius is None:
+            pupil_radius = pupil_pitch / fitting_pitch(1.0, n)
+        return cls(
+            u=u,
+            v=v,
+            aberration=surface,
+            amplitude=np.asarray(amplitude, dtype=np.float64),
+            weights=np.full_like(u, float(pupil_pitch) ** 2),
+            wavelength=wavelength,
+            image_distance=image_distance,
+            pupil_radius=pupil_radius,
+            layout="grid",
+        )
+
+    @property
+    def f_number(self) -> float:
+        """Paraxial working F-number, |image_distance|/(2 pupil_radius)."""
+        return abs(self.image_distance) / (2 * self.pupil_radius)
+
+    @property
+    def pupil_pitch(self) -> float:
+        """Spacing of a grid's samples, m."""
+        if self.layout != "grid":
+            raise SamplingError(f"a {self.layout} wavefront has no pupil pitch; sample it on a grid")
+        return float(self.u[0, 1] - self.u[0, 0])
+
+    @property
+    def flux(self) -> float:
+        """Light through the pupil over that of a clear disc of ``pupil_radius``."""
+        disc = np.pi * self.pupil_radius**2
+        return float(np.sum(self.amplitude**2 * self.weights) / disc)
+
+    def resampled(self, n_r: int, n_theta: int) -> Wavefront:
+        """The same wave on more polar nodes, by its Legendre-Fourier series.
+
+        Parameters
+        ----------
+        n_r, n_theta : int
+            Neither below the present count.
+
+        Returns
+        -------
+        Wavefront
+        """
+        self._require_polar("be resampled")
+        old_r, old_theta = self.u.shape
+        if whole("n_r", n_r) < old_r or whole("n_theta", n_theta) < old_theta:
+            raise SamplingError(
+                f"{n_r} x {n_theta} polar nodes are fewer than the present {old_r} x {old_theta}; "
+                "resampling only refines"
+            )
+        u, v, weights = polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
+        return replace(
+            self,
+            u=u,
+            v=v,
+            weights=weights,
+            aberration=self._series(self.aberration).at_nodes(n_r, n_theta),
+            amplitude=np.maximum(self._series(self.amplitude).at_nodes(n_r, n_theta), 0.0),
+        )
+
+    def truncation(self) -> tuple[float, float]:
+        """What the polar nodes may miss of the aberration, m, and of the amplitude.
+
+        The sum of the highest terms of the Legendre-Fourier series, about an eighth of them each
+        way.
+        """
+        self._require_polar("have a series")
+        return (
+            self._series(self.aberration).truncation(),
+            self._series(self.amplitude).truncation(),
+        )
+
+    def _series(self, values: Array) -> PolarSpectrum:
+        return PolarSpectrum(values, self.pupil_radius, self.obscuration)
+
+    def _require_polar(self, what: str) -> None:
+        if self.layout != "polar":
+            raise SamplingError(
+                f"only a polar wavefront can {what}, this one is {self.layout}; sample it with "
+                "nodes='polar'"
+            )
+
+    def _check_nodes(self) -> None:
+        """Refuse coordinates that are not those of the layout."""
+        if self.layout == "scattered":
+            return
+        rows, columns = self.u.shape
+        if self.layout == "polar":
+            u, v, _ = polar_nodes(self.pupil_radius, rows, columns, self.obscuration)
+            remedy = "take them from psf.polar_nodes"
+        else:
+            if rows != columns or rows < 2:
+                raise SceneError(f"a grid wavefront of shape {self.u.shape}; give a square one")
+            axis = (np.arange(rows) - rows // 2) * self.pupil_pitch
+            v, u = np.meshgrid(axis, axis, indexing="ij")
+            remedy = "use (arange(n) - n//2) * pitch, rows along v"
+        error = max(float(np.abs(self.u - u).max()), float(np.abs(self.v - v).max()))
+        if not error <= 1e-9 * self.pupil_radius:
+            raise SceneError(
+                f"wavefront.u, v are {error:.3g} m off the nodes of layout '{self.layout}', limit "
+                f"{1e-9 * self.pupil_radius:.1g} m; {remedy}"
+            )
+
+
+def _owned(name: str, values: Any, layout: Layout) -> Array:
+    """Copy to a read-only float64 array of the layout's dimension, all of it finite."""
+    try:
+        array = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        raise SceneError(f"wavefront.{name} is not an array of real numbers") from None
+    dimension = 1 if layout == "scattered" else 2
+    if array.ndim != dimension or array.size == 0:
+        raise SceneError(
+            f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs {dimension} "
+            "dimensions"
+        )
+    if name == "aberration" and layout == "grid" and array.shape[0] != array.shape[1]:
+        raise SceneError(f"wavefront.{name} has shape {array.shape}; a grid is square")
+    finite = np.isfinite(array)
+    if not finite.all():
+        where = tuple(int(i) for i in np.unravel_index(np.argmin(finite), array.shape))
+        raise SceneError(
+            f"wavefront.{name} = {array[where]} at {where}; give finite numbers, and amplitude 0 "
+            "where there is no light"
+        )
+    array.setflags(write=False)
+    return array

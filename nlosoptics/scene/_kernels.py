@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 PLANE, SPHERE, CYLINDER, WAVE, GRID = 0, 1, 2, 3, 4
 GRID_CHANNELS = 4  # value, d/dx, d/dy, d2/dxdy at every node
@@ -119,10 +119,10 @@ def surface(terms, tables, x, y):
     return h, hx, hy, hxx, hxy, hyy
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def surfaces(terms, tables, x, y, out):
     """Fill ``out`` (n, 6) with `surface` at every (x, y)."""
-    for i in prange(x.size):
+    for i in range(x.size):
         out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4], out[i, 5] = surface(
             terms, tables, x[i], y[i]
         )
@@ -174,36 +174,42 @@ def oren_nayar(mu_i, mu_o, cos_between, albedo, slope_rms, full):
 
 
 @njit(cache=True)
-def _beckmann_lambda(cosine, alpha):
-    """Smith's auxiliary function, Lambda = (erf a - 1)/2 + exp(-a^2)/(2 a sqrt(pi))."""
-    tangent = math.sqrt(max(0.0, 1.0 - cosine * cosine)) / cosine
-    if alpha * tangent < 1e-8:
-        return 0.0
-    a = 1.0 / (alpha * tangent)
-    return 0.5 * (math.exp(-a * a) / (a * math.sqrt(math.pi)) - math.erfc(a))
+def _masked_cosine(mu, alpha):
+    """Cosine over Smith's masking, mu (1 + Lambda), which stays above zero down to grazing.
+
+    ``Lambda = exp(-a^2)/(2 a sqrt(pi)) - erfc(a)/2`` with ``a = mu / (alpha sin)``.
+    """
+    spread = alpha * math.sqrt(max(0.0, 1.0 - mu * mu))
+    if spread < 0.1 * mu:  # a > 10: Lambda < 1e-45
+        return mu
+    a = mu / spread
+    return mu + 0.5 * (spread * math.exp(-a * a) / math.sqrt(math.pi) - mu * math.erfc(a))
 
 
 @njit(cache=True)
 def beckmann(mu_i, mu_o, cos_between, reflectance, slope_rms):
     """Microfacet lobe f_r in 1/sr: Beckmann normals, separable Smith shadowing, flat Fresnel."""
-    if mu_i <= 0.0 or mu_o <= 0.0 or slope_rms <= 0.0:
+    if mu_i < 0.0 or mu_o < 0.0 or slope_rms <= 0.0:
         return 0.0
-    alpha = math.sqrt(2.0) * slope_rms
-    half = math.sqrt(max(2.0 + 2.0 * cos_between, 1e-300))
-    cos_h = min(1.0, (mu_i + mu_o) / half)
-    c2 = cos_h * cos_h
-    normals = math.exp((c2 - 1.0) / (alpha * alpha * c2)) / (math.pi * alpha * alpha * c2 * c2)
-    shadow = 1.0 / (1.0 + _beckmann_lambda(mu_i, alpha)) / (1.0 + _beckmann_lambda(mu_o, alpha))
-    return reflectance * normals * shadow / (4.0 * mu_i * mu_o)
+    alpha_sq = 2.0 * slope_rms * slope_rms
+    half_sq = 2.0 + 2.0 * cos_between  # squared length of the half vector
+    if half_sq <= 0.0:
+        return 0.0
+    cos_sq = min(1.0, (mu_i + mu_o) ** 2 / half_sq)
+    if 1.0 - cos_sq > 700.0 * alpha_sq * cos_sq:
+        return 0.0  # exp(-700) against a lobe of 1/alpha^2
+    density = math.exp((cos_sq - 1.0) / (alpha_sq * cos_sq)) / (math.pi * alpha_sq * cos_sq**2)
+    alpha = math.sqrt(alpha_sq)
+    return reflectance * density / (4.0 * _masked_cosine(mu_i, alpha) * _masked_cosine(mu_o, alpha))
 
 
 LAMBERT, OREN_NAYAR, OREN_NAYAR_FULL, BECKMANN = 0, 1, 2, 3
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def evaluate(lobes, mu_i, mu_o, cos_between, out):
     """Sum of lobes, ``lobes`` (n, 4): kind, strength, slope rms, common factor; ``out`` (m,)."""
-    for i in prange(out.size):
+    for i in range(out.size):
         total = 0.0
         for j in range(lobes.shape[0]):
             kind = int(lobes[j, 0])

@@ -96,21 +96,24 @@ class Camera:
         for name in ("read_noise", "dark_current"):
             put(self, name, in_range(f"camera.{name}", getattr(self, name), 0.0))
         for name in ("quantum_efficiency", "transmission"):
-            put(self, name, in_range(f"camera.{name}", getattr(self, name), 0.0, 1.0, open_low=True))
+            value = in_range(f"camera.{name}", getattr(self, name), 0.0, 1.0, open_low=True)
+            put(self, name, value)
         put(self, "glare_fraction", in_range("camera.glare_fraction", self.glare_fraction, 0, 1))
-        if len(self.pixels) != 2:
+        if not isinstance(self.pixels, (tuple, list)) or len(self.pixels) != 2:
             raise SceneError(f"camera.pixels = {self.pixels!r}; give two whole numbers, x and y")
         put(self, "pixels", tuple(whole("camera.pixels", n) for n in self.pixels))
-        whole("camera.binning", self.binning)
-        if not 1 <= whole("camera.bit_depth", self.bit_depth) <= 32:
-            raise SceneError(f"camera.bit_depth = {self.bit_depth} is out of range, must be 1 to 32")
+        put(self, "binning", whole("camera.binning", self.binning))
+        put(self, "bit_depth", whole("camera.bit_depth", self.bit_depth))
+        if self.bit_depth > 32:
+            raise SceneError(f"camera.bit_depth = {self.bit_depth} is too many, must be 1 to 32")
         if any(n % self.binning for n in self.pixels):
             raise SceneError(
                 f"camera.binning = {self.binning} does not divide camera.pixels = {self.pixels}; "
                 "use a common divisor"
             )
         if self.focus_distance is not None:
-            positive("camera.focus_distance", self.focus_distance, unit="m")
+            focus_distance = positive("camera.focus_distance", self.focus_distance, unit="m")
+            put(self, "focus_distance", focus_distance)
             if self.focus_distance <= self.focal_length:
                 raise SceneError(
                     f"camera.focus_distance = {self.focus_distance:g} m is within the focal length "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import Vector, pair, real, vector
+from .._checks import Vector, pair, positive, real, vector
 from ..errors import SceneError
 from .materials import Lambert, Material
 
@@ -59,10 +59,10 @@ class _Posed:
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
+        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
         return all(
-            np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
-            for a, b in ((getattr(self, f), getattr(other, f)) for f in self.__dataclass_fields__)
-            if f != "_"
+            np.array_equal(a, b) if isinstance(a, np.ndarray) else type(a) is type(b) and a == b
+            for a, b in pairs
         )
 
     __hash__ = None  # type: ignore[assignment]
@@ -78,8 +78,8 @@ class PlanarObject(_Posed):
     Parameters
     ----------
     image : str, Path or array_like (ny, nx)
-        File (PNG, TIFF, JPEG or ``.npy``) or array, row 0 on top; brightness 0 to 1 (integers: 0 to
-        the type's largest) scales the material's reflectance.
+        File (PNG, TIFF, JPEG or ``.npy``) or array, row 0 on top; brightness 0 to 1 (8- and 16-bit
+        integers: 0 to the type's largest) scales the material's reflectance.
     size : float or (float, float)
         Width and height, m; one number is the width, and the picture's shape gives the height.
     position : (float, float, float)
@@ -97,23 +97,29 @@ class PlanarObject(_Posed):
         super().__post_init__()
         put = object.__setattr__
         if isinstance(self.image, (str, Path)):
-            put(self, "image", Path(self.image))
+            put(self, "image", Path(self.image).resolve())
         else:
-            image = np.array(self.image, dtype=np.float64)
-            image.flags.writeable = False
-            put(self, "image", image)
+            put(self, "image", checked_picture("hidden.image", np.array(self.image)))
         if isinstance(self.size, (int, float)):
             ny, nx = self.reflectance.shape
             put(self, "size", pair("hidden.size", (self.size, self.size * ny / nx)))
         else:
             put(self, "size", pair("hidden.size", self.size))
+        right, up, _ = self.axes
+        drop = (self.size[0] * abs(right[2]) + self.size[1] * abs(up[2])) / 2
+        if self.position[2] <= drop:
+            raise SceneError(
+                f"hidden.position has z = {self.position[2]:g} m, which puts a corner of the "
+                f"picture at z = {self.position[2] - drop:g} m, behind the wall; move it into the "
+                "room, turn it less or make hidden.size smaller"
+            )
 
     @cached_property
     def reflectance(self) -> Array:
         """Picture as relative reflectance, (ny, nx) float64, 0 to 1, row 0 on top."""
         if isinstance(self.image, Path):
             return read_picture(self.image)
-        return checked_picture("hidden.image", self.image)
+        return np.asarray(self.image)
 
     @property
     def axes(self) -> Array:
@@ -122,10 +128,15 @@ class PlanarObject(_Posed):
         return np.asarray(unturned @ self.rotation.T)
 
 
-def checked_picture(name: str, picture: Array) -> Array:
-    """Check a reflectance picture: two-dimensional, finite, 0 to 1."""
-    if picture.ndim != 2 or picture.size == 0:
-        raise SceneError(f"{name} has shape {picture.shape}; give a grey picture (ny, nx)")
+def checked_picture(name: str, raw: NDArray[Any]) -> Array:
+    """Scale brightness to 0 to 1 (8 and 16 bits: by their type's largest), check and lock it."""
+    if raw.ndim != 2 or raw.size == 0:
+        raise SceneError(f"{name} has shape {raw.shape}; give a grey picture (ny, nx)")
+    if raw.dtype.kind not in "biuf":
+        raise SceneError(f"{name} holds {raw.dtype} values; give real brightness from 0 to 1")
+    short = raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2
+    scale = float(np.iinfo(raw.dtype).max) if short else 1.0
+    picture = raw.astype(np.float64) / scale
     if not np.isfinite(picture).all():
         raise SceneError(f"{name} holds NaN or infinity; give finite brightness")
     low, high = float(picture.min()), float(picture.max())
@@ -143,30 +154,31 @@ def read_picture(path: Path) -> Array:
     SceneError
         If the file is missing, is not a picture, or is empty.
     """
-    from PIL import Image, UnidentifiedImageError
-
     if not path.is_file():
         raise SceneError(f"hidden.image: there is no file {path}; give the path of a picture")
     try:
-        if path.suffix == ".npy":
-            raw = np.load(path, allow_pickle=False)
-        else:
-            with Image.open(path) as picture:
-                if picture.mode not in ("1", "L", "I", "I;16", "F"):
-                    picture = picture.convert("L")
-                raw = np.asarray(picture)
-    except (UnidentifiedImageError, ValueError, OSError):
+        raw = np.load(path, allow_pickle=False) if path.suffix == ".npy" else _decoded(path)
+    # Pillow's decoders raise SyntaxError, and its guard against bombs an Exception of its own
+    except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} is not a picture; give PNG, TIFF, JPEG or .npy"
+            f"hidden.image: {path} is not a picture ({type(error).__name__}); give PNG, TIFF, JPEG "
+            "or .npy"
         ) from None
-    if raw.dtype == bool:
-        scale = 1.0
-    elif np.issubdtype(raw.dtype, np.integer):
-        # 16-bit PNG files arrive as 32-bit integers
-        scale = 65535.0 if raw.dtype.itemsize == 4 else float(np.iinfo(raw.dtype).max)
-    else:
-        scale = 1.0
-    return checked_picture(f"hidden.image ({path})", raw.astype(np.float64) / scale)
+    if not isinstance(raw, np.ndarray):
+        raise SceneError(f"hidden.image: {path} holds several arrays; give a .npy file of one")
+    return checked_picture(f"hidden.image ({path})", raw)
+
+
+def _decoded(path: Path) -> NDArray[Any]:
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        if picture.mode == "I":
+            # 16 bits, which Pillow widens to 32
+            return np.asarray(picture, dtype=np.float64) / 65535
+        if picture.mode not in ("1", "L", "F") and not picture.mode.startswith("I;16"):
+            return np.asarray(picture.convert("L"))
+        return np.asarray(picture)
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,9 +203,9 @@ class MeshObject(_Posed):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.mesh, str):
-            object.__setattr__(self, "mesh", Path(self.mesh))
-        real("hidden.scale", self.scale)
+        if isinstance(self.mesh, (str, Path)):
+            object.__setattr__(self, "mesh", Path(self.mesh).resolve())
+        object.__setattr__(self, "scale", positive("hidden.scale", self.scale))
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
@@ -202,6 +214,12 @@ class MeshObject(_Posed):
 
         mesh = load_mesh("hidden.mesh", self.mesh).copy()
         mesh.vertices = mesh.vertices * self.scale @ self.rotation.T + np.array(self.position)
+        lowest = float(mesh.vertices[:, 2].min())
+        if lowest <= 0:
+            raise SceneError(
+                f"hidden.mesh reaches z = {lowest:g} m, behind the wall, must be above 0; move "
+                "hidden.position into the room or make hidden.scale smaller"
+            )
         return mesh
 
 

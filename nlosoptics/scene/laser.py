@@ -53,7 +53,8 @@ class Laser:
         put(self, "position", vector("laser.position", self.position))
         put(self, "aim", vector("laser.aim", self.aim))
         if self.independent_patterns is not None:
-            whole("laser.independent_patterns", self.independent_patterns)
+            patterns = whole("laser.independent_patterns", self.independent_patterns)
+            put(self, "independent_patterns", patterns)
         if self.position[2] <= 0:
             raise SceneError(
                 f"laser.position has z = {self.position[2]:g} m, behind the wall; must be above 0"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -71,7 +72,8 @@ class Material:
         Returns
         -------
         ndarray, shape of theta
-            Closed forms where they exist, else quadrature to about 1e-9.
+            Closed forms where they exist, else quadrature to about 1e-9 (mirror-like lobes of
+            slope rms s: 1e-16/s^2 where that is more).
         """
         raise NotImplementedError
 
@@ -83,29 +85,66 @@ def _check_angle(theta: ArrayLike) -> Array:
     return theta
 
 
-def _hemisphere_integral(material: Material, theta: Array) -> Array:
-    """Int f cos dOmega by Gauss-Legendre panels about the mirror direction."""
-    nodes, weights = np.polynomial.legendre.leggauss(48)
-    result = np.empty(theta.shape)
-    for index in np.ndindex(theta.shape):
-        t = float(theta[index])
-        incident = np.array([math.sin(t), 0.0, math.cos(t)])
-        total = 0.0
-        edges = np.unique(np.clip([0, t - 0.3, t - 0.05, t, t + 0.05, t + 0.3, math.pi / 2], 0, math.pi / 2))
-        turns = np.array([0, 0.05, 0.3, math.pi / 2, math.pi - 0.3, math.pi - 0.05, math.pi])
-        for low, high in zip(edges[:-1], edges[1:], strict=True):
-            polar = (low + high) / 2 + (high - low) / 2 * nodes
-            for start, stop in zip(turns[:-1], turns[1:], strict=True):
-                azimuth = (start + stop) / 2 + (stop - start) / 2 * nodes
-                p, a = np.meshgrid(polar, azimuth, indexing="ij")
-                exitant = np.stack(
-                    [np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1
-                )
-                f = material.evaluate(incident, exitant, (0.0, 0.0, 1.0))
-                panel = weights @ (f * np.sin(p) * np.cos(p)) @ weights
-                total += 2 * panel * (high - low) / 2 * (stop - start) / 2
-        result[index] = total
-    return result
+def _panels(edges: ArrayLike) -> tuple[Array, Array]:
+    """Gauss-Legendre nodes and weights on the panels between ``edges`` (n, ...), along axis 0."""
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    edges = np.asarray(edges, dtype=np.float64)
+    middles, halves = (edges[1:] + edges[:-1]) / 2, np.diff(edges, axis=0) / 2
+    points = middles[:, None] + np.multiply.outer(nodes, halves).swapaxes(0, 1)
+    heavy = np.multiply.outer(weights, halves).swapaxes(0, 1)
+    return points.reshape(-1, *edges.shape[1:]), heavy.reshape(-1, *edges.shape[1:])
+
+
+def _directional_albedo(material: Material, theta: Array, integral: Any) -> Array:
+    """Int f cos dOmega at every theta, by ``integral(material, theta)`` for one."""
+    return np.array([integral(material, t) for t in theta.ravel().tolist()]).reshape(theta.shape)
+
+
+def _over_exitant_angles(material: Material, theta: float) -> float:
+    """Directional albedo of a wide lobe with kinks at its mirror angle and across the plane."""
+    edges = theta + 0.05 * np.array([-20.0, -8, -3, -1, 0, 1, 3, 8, 20])
+    edges = np.concatenate([[0.0], edges[(edges > 0) & (edges < math.pi / 2)], [math.pi / 2]])
+    polar, polar_weights = _panels(edges)
+    # one side of the plane of incidence, doubled
+    turn, turn_weights = _panels([0.0, 0.05, 0.15, 0.5, math.pi / 2, math.pi])
+    p, a = np.meshgrid(polar, turn, indexing="ij")
+    exitant = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1)
+    incident = (math.sin(theta), 0.0, math.cos(theta))
+    f = material.evaluate(incident, exitant, (0.0, 0.0, 1.0))
+    return 2 * float((f * np.sin(p) * np.cos(p) * polar_weights[:, None] * turn_weights).sum())
+
+
+def _over_slopes(material: SpecularMicrofacet, theta: float) -> float:
+    """Directional albedo of a mirror-like lobe, over the slopes (p, q) of its facets.
+
+    Facet (-p, -q, 1) sends the light to the exitant o, ``dOmega_o = 4 (i.h) cos^3(h) dp dq``. Those
+    that send it below the horizon lie outside a circle of radius 1/cos about (-tan, 0).
+    """
+    sine, cosine = math.sin(theta), math.cos(theta)
+    reach = 8.5 * material.slope_rms  # exp(-36) beyond
+    # q = sin(turn)/cos, which takes the root out of the circle's ends
+    turn, turn_weights = _panels(np.linspace(0.0, math.asin(min(1.0, reach * cosine)), 5))
+    q, q_weights = np.sin(turn) / cosine, np.cos(turn) / cosine * turn_weights
+    # cos(turn)/cos - tan, free of cancellation at grazing
+    top = (1 - q * q) * cosine / (np.cos(turn) + sine)
+    bottom = -(np.cos(turn) + sine) / cosine
+    limits = np.clip(bottom, -reach, reach), np.clip(top, -reach, reach)
+    p, p_weights = _panels(np.linspace(*limits, 5))
+    facet = np.stack(np.broadcast_arrays(-p, -q, 1.0), axis=-1)
+    cos_h = 1 / np.linalg.norm(facet, axis=-1)
+    half = facet * cos_h[..., None]
+    incident = np.array([sine, 0.0, cosine])
+    along = half @ incident
+    exitant = 2 * along[..., None] * half - incident
+    f = material.evaluate(incident, exitant, (0.0, 0.0, 1.0))
+    integrand = f * np.maximum(exitant[..., 2], 0.0) * 4 * along * cos_h**3
+    return 2 * float((integrand * p_weights * q_weights).sum())
+
+
+@cache
+def _largest_albedo(rho: float, slope_rms: float, model: str) -> float:
+    """Largest directional albedo of an Oren-Nayar lobe, the one at grazing incidence."""
+    return float(OrenNayar(rho, slope_rms, model=model).albedo(math.pi / 2))
 
 
 @dataclass(frozen=True, init=False)
@@ -179,14 +218,13 @@ class OrenNayar(Material):
         """Largest directional albedo, when it is to be divided out, else 1."""
         if not self.normalised:
             return 1.0
-        bare = OrenNayar(self.rho, self.slope_rms, model=self.model)
-        return max(1.0, float(bare.albedo(np.linspace(0, math.pi / 2, 33)).max()))
+        return max(1.0, _largest_albedo(self.rho, self.slope_rms, self.model))
 
     def albedo(self, theta: ArrayLike) -> Array:
         """Directional albedo at ``theta``, rad: closed form of the fit, quadrature of the full."""
         t = _check_angle(theta)
         if self.model == "full":
-            return _hemisphere_integral(self, t)
+            return _directional_albedo(self, t, _over_exitant_angles)
         s2 = self.slope_rms**2
         sine, cosine = np.sin(t), np.cos(t)
         # 1 - sin^3 = cos^2 (1 + sin + sin^2)/(1 + sin), so that tan stays finite
@@ -239,7 +277,7 @@ class SpecularMicrofacet(Material):
         t = _check_angle(theta)
         if self.slope_rms == 0.0:
             return np.full(t.shape, self.reflectance)
-        return _hemisphere_integral(self, t)
+        return _directional_albedo(self, t, _over_slopes)
 
 
 @dataclass(frozen=True, init=False)
@@ -249,7 +287,7 @@ class SumMaterial(Material):
     Parameters
     ----------
     *parts : Material
-        Summands; their albedos at normal incidence may add to at most 1.
+        Summands, those of a sum in its stead; their albedos may add to at most 1.
     """
 
     parts: tuple[Material, ...]
@@ -259,17 +297,16 @@ class SumMaterial(Material):
             parts = tuple(parts[0])
         if not parts or not all(isinstance(p, Material) for p in parts):
             raise SceneError(f"SumMaterial got {parts!r}; give at least one material")
-        object.__setattr__(self, "parts", parts)
-        total = sum(getattr(p, "rho", p.specular_reflectance) for p in self._flat())
+        flat = [q for p in parts for q in (p.parts if isinstance(p, SumMaterial) else (p,))]
+        object.__setattr__(self, "parts", tuple(flat))
+        total = sum(getattr(p, "rho", p.specular_reflectance) for p in self.parts)
         if total > 1.0 + 1e-12:
             raise SceneError(
                 f"the material's albedos add to {total:g}, limit 1; lower one of its lobes"
             )
 
     def _flat(self) -> list[Material]:
-        return [
-            q for p in self.parts for q in (p._flat() if isinstance(p, SumMaterial) else [p])
-        ]
+        return list(self.parts)
 
     def _lobes(self) -> Array:
         return np.concatenate([part._lobes() for part in self.parts])
@@ -282,7 +319,7 @@ class SumMaterial(Material):
     @property
     def diffuse(self) -> Material | None:
         """The parts that are not mirror-like."""
-        parts = [q for q in self._flat() if q.diffuse is not None]
+        parts = [part for part in self.parts if part.diffuse is not None]
         return SumMaterial(*parts) if parts else None
 
     def albedo(self, theta: ArrayLike) -> Array:

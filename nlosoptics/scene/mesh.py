@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -28,9 +29,8 @@ def load_mesh(name: str, source: Any) -> trimesh.Trimesh:
     """
     import trimesh
 
-    if isinstance(source, trimesh.Trimesh):
-        mesh = source
-    else:
+    mesh: Any = source
+    if isinstance(source, (str, Path)):
         path = Path(source)
         if not path.is_file():
             raise SceneError(f"{name}: there is no file {path}; give the path of a mesh")
@@ -40,7 +40,7 @@ def load_mesh(name: str, source: Any) -> trimesh.Trimesh:
             raise SceneError(
                 f"{name}: {path} is not a mesh ({type(error).__name__}); give STL, OBJ or PLY"
             ) from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(getattr(mesh, "faces", ())) == 0:
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise SceneError(f"{name}: {source} holds no triangles; give a surface mesh")
     if not np.isfinite(mesh.vertices).all():
         raise SceneError(f"{name}: {source} has NaN or infinite vertices; mend the mesh")
@@ -100,3 +100,111 @@ class MeshWall(Wall):
                 "it must surround the origin"
             )
         return (2 * float(reach[0]), 2 * float(reach[1]))
+
+    @cached_property
+    def _fit(self) -> tuple[Array, Array, float, float]:
+        """Term, table, residual and curvature bound of the bicubic surface."""
+        from scipy.interpolate import RectBivariateSpline
+
+        mesh = self.triangles
+        self._check_height_field(mesh)
+        points = np.unique(np.asarray(mesh.vertices, dtype=np.float64), axis=0)
+        size = self.size
+        span = max(size)
+        x, y = (_distinct(points[:, i], 1e-7 * span) for i in (0, 1))
+        if len(x) * len(y) == len(points) and min(len(x), len(y)) >= 8:
+            columns = np.searchsorted(x, points[:, 0] - 1e-7 * span)
+            rows = np.searchsorted(y, points[:, 1] - 1e-7 * span)
+            z = np.empty((len(x), len(y)))
+            z[columns, rows] = points[:, 2]
+            spline = RectBivariateSpline(x, y, z)
+            every_other = RectBivariateSpline(x[::2], y[::2], z[::2, ::2])
+            # vertices that a fit through every other one was not shown
+            end_x, end_y = x[::2][-1], y[::2][-1]
+            seen = np.ix_(x <= end_x, y <= end_y)
+            guess = every_other(x[x <= end_x], y[y <= end_y])
+            residual = float(abs(guess - z[seen]).max())
+            counts = (len(x), len(y))
+        else:
+            spline, residual, counts = _scattered_fit(points, size)
+        nodes_x = np.linspace(-size[0] / 2, size[0] / 2, max(counts[0], 8))
+        nodes_y = np.linspace(-size[1] / 2, size[1] / 2, max(counts[1], 8))
+        channels = [
+            spline(nodes_x, nodes_y, dx=dx, dy=dy).T.ravel()
+            for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1))
+        ]
+        bends = [spline(nodes_x, nodes_y, dx=dx, dy=2 - dx) for dx in (0, 1, 2)]
+        curvature = float(np.max(np.maximum(abs(bends[0]), abs(bends[2])) + abs(bends[1])))
+        term = _term(
+            GRID,
+            nodes_x[0],
+            nodes_y[0],
+            nodes_x[1] - nodes_x[0],
+            nodes_y[1] - nodes_y[0],
+            len(nodes_x),
+            len(nodes_y),
+            0,
+        )
+        return term, np.concatenate(channels), residual, curvature
+
+    @staticmethod
+    def _check_height_field(mesh: trimesh.Trimesh) -> None:
+        upward = np.asarray(mesh.face_normals)[np.asarray(mesh.area_faces) > 0][:, 2]
+        if not (np.all(upward > 0) or np.all(upward < 0)):
+            raise SceneError(
+                f"wall.mesh folds back: {int(min((upward > 0).sum(), (upward <= 0).sum()))} of "
+                f"{len(upward)} triangles face the other way in z; give a single-valued height"
+            )
+
+    def _terms(self) -> tuple[Array, Array]:
+        return self._fit[0], self._fit[1]
+
+    @property
+    def fit_residual(self) -> float:
+        """How far the smooth surface may be from the wall that the mesh samples, m.
+
+        On a regular grid of vertices: the largest misfit, at the vertices left out, of the surface
+        through every other vertex, which overstates that through all of them. Otherwise the largest
+        misfit of a least-squares bicubic spline with fewer coefficients than vertices.
+        """
+        return self._fit[2]
+
+    @property
+    def max_curvature(self) -> float:
+        """Largest curvature of the smooth surface at its nodes, 1/m."""
+        return self._fit[3]
+
+    @property
+    def finest_period(self) -> float:
+        """Eight cells of the smooth surface, m."""
+        return 8 * float(max(self._fit[0][0, 3], self._fit[0][0, 4]))
+
+
+def _distinct(values: Array, tolerance: float) -> NDArray[np.float64]:
+    """Sorted values without those closer than ``tolerance`` to the one before."""
+    ordered = np.sort(values)
+    return np.asarray(ordered[np.append(True, np.diff(ordered) > tolerance)])
+
+
+def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float, tuple[int, int]]:
+    """Least-squares bicubic spline of scattered vertices, its largest misfit and node counts."""
+    import warnings
+
+    from scipy.interpolate import LSQBivariateSpline
+
+    per_knot = 6  # vertices for every coefficient, so that the misfit means something
+    n = math.sqrt(len(points) / per_knot)
+    if n < 4:
+        raise SceneError(
+            f"wall.mesh has {len(points)} vertices, too few for a smooth surface; give at least 100"
+        )
+    ratio = math.sqrt(size[0] / size[1])
+    counts = (max(2, round(n * ratio)), max(2, round(n / ratio)))
+    low, high = points.min(axis=0), points.max(axis=0)
+    knots = [np.linspace(low[i], high[i], counts[i] + 2)[1:-1] for i in (0, 1)]
+    with warnings.catch_warnings():
+        # a rank-deficient fit shows in the misfit
+        warnings.simplefilter("ignore")
+        spline = LSQBivariateSpline(points[:, 0], points[:, 1], points[:, 2], *knots)
+    residual = float(abs(spline.ev(points[:, 0], points[:, 1]) - points[:, 2]).max())
+    return spline, residual, (4 * counts[0], 4 * counts[1])

@@ -50,6 +50,10 @@ class Wall:
         """Bound on the principal curvatures, 1/m, over the wall; 0 for a plane."""
         raise NotImplementedError
 
+    def _max_bend(self, size: tuple[float, float]) -> float:
+        """Bound on the second derivatives of the height, 1/m, over ``size``."""
+        return self.max_curvature
+
     @property
     def finest_period(self) -> float:
         """Shortest lateral scale on which the height turns around, m; inf if it never does."""
@@ -110,8 +114,9 @@ class Wall:
         Parameters
         ----------
         max_sag_error : float
-            Largest distance between the mesh and the surface, m. A cell of side c departs from a
-            surface of curvature kappa by at most kappa c^2 / 4 (its half diagonal).
+            Largest distance between the mesh and the surface, m. Half a cell of side c lies within
+            c / sqrt(2) of its longest side's middle, so that second derivatives of at most b part
+            it from the surface by at most b c^2 / 4.
 
         Returns
         -------
@@ -131,8 +136,11 @@ class Wall:
         if self.size is None:
             raise SceneError("an unbounded wall has no mesh; give the wall a size in m")
         counts = (2, 2)
-        if self.max_curvature > 0:
-            cell = min(math.sqrt(4 * max_sag_error / self.max_curvature), self.finest_period / 4)
+        bend = self._max_bend(self.size)
+        if math.isinf(bend):
+            raise SceneError(f"wall.size = {self.size} m exceeds a summand's radius; shrink it")
+        if bend > 0:
+            cell = min(math.sqrt(4 * max_sag_error / bend), self.finest_period / 4)
             counts = tuple(math.ceil(extent / cell) + 1 for extent in self.size)  # type: ignore[assignment]
         fits_memory("the wall's mesh", 200.0 * counts[0] * counts[1], "allow a larger sag error")
         x, y = (np.linspace(-s / 2, s / 2, n) for s, n in zip(self.size, counts, strict=True))
@@ -193,16 +201,15 @@ class _CurvedWall(Wall):
         one_of("wall.shape", self.shape, ("sphere", "cylinder"))
         one_of("wall.axis", self.axis, ("x", "y"))
         self._check_size()
-        if self.size is not None and self._rim_sq >= self.radius**2:
+        if self.size is not None and self._rim_sq(self.size) >= self.radius**2:
             raise SceneError(
-                f"wall.size reaches {math.sqrt(self._rim_sq):g} m from the vertex, limit "
-                f"wall.radius = {self.radius:g} m; use a smaller wall or a larger radius"
+                f"wall.size reaches {math.sqrt(self._rim_sq(self.size)):g} m from the vertex, "
+                f"limit wall.radius = {self.radius:g} m; use a smaller wall or a larger radius"
             )
 
-    @property
-    def _rim_sq(self) -> float:
+    def _rim_sq(self, size: tuple[float, float]) -> float:
         """Square of the largest distance from the vertex across the curvature, m^2."""
-        x, y = self.size or (0.0, 0.0)
+        x, y = size
         if self.shape == "sphere":
             return (x * x + y * y) / 4
         across = x if self.axis == "y" else y
@@ -219,6 +226,10 @@ class _CurvedWall(Wall):
     def max_curvature(self) -> float:
         """1/radius, the principal curvature everywhere."""
         return 1.0 / self.radius
+
+    def _max_bend(self, size: tuple[float, float]) -> float:
+        cosine_sq = 1.0 - self._rim_sq(size) / self.radius**2
+        return math.inf if cosine_sq <= 0 else 1.0 / (self.radius * cosine_sq**1.5)
 
 
 @dataclass(frozen=True)
@@ -339,6 +350,9 @@ class SumWall(Wall):
     def max_curvature(self) -> float:
         """Sum of the summands' bounds."""
         return sum(term.max_curvature for term in self.terms)
+
+    def _max_bend(self, size: tuple[float, float]) -> float:
+        return sum(term._max_bend(size) for term in self.terms)
 
     @property
     def finest_period(self) -> float:

@@ -1,0 +1,11 @@
+"""Pictures in matplotlib: axes in, axes out; nothing is computed and nothing is shown.
+
+matplotlib is the extra ``nlosoptics[views]`` and is imported by the first picture. Figures are made
+without pyplot, so they need no display and keep no global state: `save` writes them.
+"""
+
+from .canvas import save
+from .maps import image, point_spread, reconstruction, wavefront
+from .sketch import scene_sketch
+
+__all__ = ["image", "point_spread", "reconstruction", "save", "scene_sketch", "wavefront"]

@@ -1,0 +1,428 @@
+"""The command line: parse, call, write.
+
+Exit codes: 0 done, 1 failed, 2 bad input. An error is one line on stderr, without a traceback
+unless ``--debug`` asks for it. A run's output folder appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import importlib.util
+import json
+import os
+import sys
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from . import __version__
+from .errors import MissingExtraError, NlosError
+
+if TYPE_CHECKING:
+    from .planning import Result
+    from .scene import Scene
+
+DONE, FAILED, BAD_INPUT = 0, 1, 2
+
+#: Distributions whose versions decide a run's numbers.
+DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
+
+# typer has no public name for it: click's own class in old versions, its copy in new ones
+_UsageError: Any = typer.BadParameter.__base__
+
+app = typer.Typer(
+    name="nlosoptics",
+    help="The optics of seeing around corners: what a camera sees by way of a relay wall.",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TOML).")]
+Tol = Annotated[float, typer.Option(help="Wanted error of point spread and image, 1e-12 to 0.1.")]
+Size = Annotated[
+    int | None,
+    typer.Option(help="Image pixels along x, over the same field; the scene's own by default."),
+]
+Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with 0 (done), 1 (failed) or 2 (bad input).
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after the program's name; those of this process by default.
+    """
+    try:
+        code = app(args=arguments, prog_name="nlosoptics", standalone_mode=False)
+    except (Exception, KeyboardInterrupt) as error:
+        code = _tell(error)
+    sys.exit(code or DONE)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"nlosoptics {__version__}")
+        raise typer.Exit(DONE)
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command("plan")
+def plan_command(
+    scene_file: SceneFile, tol: Tol = 1e-3, size: Size = None, debug: Debug = False
+) -> None:
+    """Say what a run computes, what it skips and why, with predicted seconds and error."""
+    with _told(debug):
+        from .planning import plan
+
+        typer.echo(str(plan(_load(scene_file, size), tol, reconstruct=True)))
+
+
+@app.command("run")
+def run_command(
+    scene_file: SceneFile,
+    tol: Tol = 1e-3,
+    seed: Annotated[int, typer.Option(min=0, help="Of all random draws.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Output folder; ./<scene's name> by default.")
+    ] = None,
+    size: Size = None,
+    reconstruct: Annotated[
+        bool, typer.Option("--reconstruct/--no-reconstruct", help="Reconstruct the hidden object.")
+    ] = True,
+    debug: Debug = False,
+) -> None:
+    """Simulate a scene file; write figures, arrays and pictures into one folder."""
+    with _told(debug):
+        start = time.perf_counter()
+        folder = Path(scene_file.stem) if out is None else out
+        _require("matplotlib", "views")
+        if reconstruct:
+            _require("torch", "inverse")
+        from .planning import simulate
+        from .scene.file import format_scene
+
+        scene = _load(scene_file, size)
+        _check_target(folder)
+        with _progress() as progress:
+            result = simulate(scene, tol, seed, reconstruct, progress=progress)
+            progress("writing", 1.0)
+            report = _report(result)
+            with _whole_folder(folder) as new:
+                began = time.perf_counter()
+                _write_arrays(result, new)
+                _write_pictures(result, new)
+                (new / "scene.toml").write_text(format_scene(scene, folder), encoding="utf-8")
+                report["seconds"]["writing"] = time.perf_counter() - began
+                report["seconds"]["total"] = time.perf_counter() - start
+                report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
+                text = json.dumps(report, indent=2, allow_nan=False)
+                (new / "result.json").write_text(text + "\n")
+        _print_summary(report, folder)
+
+
+@app.command("schema")
+def schema_command(debug: Debug = False) -> None:
+    """Print the JSON schema of scene files, for editors."""
+    with _told(debug):
+        from .scene.file import scene_schema
+
+        typer.echo(json.dumps(scene_schema(), indent=2))
+
+
+def _load(path: Path, size: int | None) -> Scene:
+    from .scene import Scene
+
+    scene = Scene.load(path)
+    return scene if size is None else scene.resized(size)
+
+
+def _require(package: str, extra: str) -> None:
+    """Raise `MissingExtraError` before any work that would end at a missing package."""
+    if importlib.util.find_spec(package) is None:
+        raise MissingExtraError(
+            f"{package} is not installed; run pip install 'nlosoptics[{extra}]'"
+            + (", or pass --no-reconstruct" if extra == "inverse" else "")
+        )
+
+
+@contextmanager
+def _told(debug: bool) -> Iterator[None]:
+    """Turn an exception into one line on stderr and an exit code."""
+    try:
+        yield
+    except (Exception, KeyboardInterrupt) as error:
+        if debug:
+            traceback.print_exc()
+        raise typer.Exit(_tell(error)) from None
+
+
+def _tell(error: BaseException) -> int:
+    """Print an error as one line on stderr; return its exit code."""
+    code = FAILED
+    if isinstance(error, typer.Exit):
+        return int(error.exit_code)
+    if isinstance(error, (KeyboardInterrupt, typer.Abort)):
+        message = "interrupted; nothing was written"
+    elif isinstance(error, _UsageError):
+        message = f"{error.format_message().rstrip('.')}; nlosoptics --help shows how"
+        code = BAD_INPUT
+    elif isinstance(error, NlosError):
+        message = str(error)
+        code = FAILED if isinstance(error, MissingExtraError) else BAD_INPUT
+    else:
+        message = f"{type(error).__name__}: {error}; --debug shows where"
+    typer.echo(f"nlosoptics: {' '.join(message.split())}", err=True)
+    return code
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, float], None]]:
+    """Bar on stderr that names the stage at work; silent where stderr is no terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:17}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(
+        *columns, console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
+        task = bar.add_task("reading", total=1.0)
+        yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
+
+
+def _check_target(folder: Path) -> None:
+    """Refuse an output folder that could not be written, or whose contents are not ours."""
+
+    def bad(what: str) -> Exception:
+        return typer.BadParameter(f"{folder} {what}", param_hint="--out")
+
+    if folder.exists():
+        if not folder.is_dir():
+            raise bad("is a file; name a folder")
+        found = {p.name for p in folder.iterdir()}
+        try:
+            ours = set(json.loads((folder / "result.json").read_text())["files"])
+        except (OSError, ValueError, KeyError, TypeError):
+            ours = set()
+        if found - ours:
+            raise bad(f"holds {min(found - ours)}, which nlosoptics did not write; name another")
+    parent = folder.absolute().parent
+    if not parent.is_dir():
+        raise bad(f"is in {parent}, which is no folder; create it first")
+    if not os.access(parent, os.W_OK):
+        raise bad(f"is in {parent}, which cannot be written; name another place")
+
+
+@contextmanager
+def _whole_folder(target: Path) -> Iterator[Path]:
+    """Yield a folder that takes the place of ``target`` once the block has ended well."""
+    target = target.absolute()
+    with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as beside:
+        new, old = Path(beside) / "new", Path(beside) / "old"
+        new.mkdir()
+        yield new
+        try:
+            if target.exists():
+                target.rename(old)
+            new.rename(target)
+        except BaseException:
+            if old.exists() and not target.exists():
+                old.rename(target)
+            raise
+
+
+def _report(result: Result) -> dict[str, Any]:
+    """Machine-readable account of a run: the contents of result.json."""
+    from dataclasses import asdict
+
+    return {
+        "program": "nlosoptics",
+        "status": "done",
+        "figures": _figures(result),
+        "seed": result.seed,
+        "tol": result.plan.tol,
+        "scene_sha256": _scene_hash(result.scene),
+        "seconds": dict(result.timings),
+        "plan": {
+            "stages": [asdict(stage) for stage in result.plan.stages],
+            "skipped": [asdict(stage) for stage in result.plan.skipped],
+        },
+        "versions": _versions(),
+    }
+
+
+def _figures(result: Result) -> dict[str, Any]:
+    """Numbers that sum up a run, SI units."""
+    from . import psf
+
+    pupil, wave, spread, image = (
+        result.exit_pupil,
+        result.wavefront,
+        result.point_spread,
+        result.image,
+    )
+    found: dict[str, Any] = {
+        "exit_pupil_radius": pupil.radius,
+        "image_distance": pupil.image_distance,
+        "f_number": pupil.f_number,
+        "stop": pupil.stop,
+        "vignetting": pupil.vignetting,
+        "aberration_rms": psf.rms_aberration(wave),
+        "aberration_rms_waves": psf.rms_aberration(wave) / wave.wavelength,
+        "point_spread_method": spread.method,
+        "point_spread_error": spread.error_estimate,
+        "image_shape": list(image.electrons.shape),
+        "electrons_peak": float(image.electrons.max()),
+        "electrons_mean": float(image.electrons.mean()),
+        "signal_electrons_peak": float(image.signal.max()),
+        "noise_sigma_mean": float(image.noise_sigma.mean()),
+        "saturated_fraction": image.saturated_fraction,
+        "electrons_in_total": dict(image.ledger),
+    }
+    if result.reconstruction is not None:
+        from .inverse import registered_correlation
+
+        found["reconstruction_status"] = result.reconstruction.status
+        found["reconstruction_score"] = result.reconstruction.score
+        found["correlation_with_truth"] = registered_correlation(result.reconstruction, image.ideal)
+    found["peak_memory_bytes"] = _peak_memory()
+    return found
+
+
+def _write_arrays(result: Result, folder: Path) -> None:
+    """Write every noun's arrays and numbers, one ``.npz`` each."""
+    import numpy as np
+
+    nouns = {
+        "wavefront": result.wavefront,
+        "point_spread": result.point_spread,
+        "image": result.image,
+        "reconstruction": result.reconstruction,
+    }
+    for name, noun in nouns.items():
+        if noun is not None:
+            np.savez(folder / f"{name}.npz", **_arrays(noun))
+
+
+def _arrays(noun: Any) -> dict[str, Any]:
+    """Entries of a dataclass or mapping, nested ones too, that need no pickle in an ``.npz``."""
+    from dataclasses import fields, is_dataclass
+
+    import numpy as np
+
+    entries = (
+        {entry.name: getattr(noun, entry.name) for entry in fields(noun)}
+        if is_dataclass(noun)
+        else noun
+    )
+    found: dict[str, Any] = {}
+    for name, value in entries.items():
+        if is_dataclass(value) or isinstance(value, Mapping):
+            found |= {f"{name}_{key}": inner for key, inner in _arrays(value).items()}
+        elif not (array := np.asarray(value)).dtype.hasobject:
+            found[name] = array
+    return found
+
+
+def _write_pictures(result: Result, folder: Path) -> None:
+    """Write the pictures, one PNG each."""
+    from . import views
+
+    views.save(views.scene_sketch(result.scene), folder / "scene.png")
+    views.save(views.wavefront(result.wavefront), folder / "wavefront.png")
+    views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
+    views.save(views.image(result.image), folder / "image.png")
+    if result.reconstruction is not None:
+        truth = result.image.ideal / result.image.ideal.max()
+        axes = views.reconstruction(result.reconstruction, truth)
+        views.save(axes, folder / "reconstruction.png")
+
+
+def _print_summary(report: dict[str, Any], folder: Path) -> None:
+    """Print a run's figures as a table."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    f = report["figures"]
+    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    table.add_row("exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}")
+    table.add_row("working F-number", f"{f['f_number']:.4g}")
+    table.add_row(
+        "wave aberration",
+        f"{f['aberration_rms_waves']:.3g} waves rms ({1e9 * f['aberration_rms']:.3g} nm)",
+    )
+    table.add_row(
+        "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
+    )
+    table.add_row(
+        "electrons per pixel",
+        f"{f['electrons_peak']:.3g} at most, {f['electrons_mean']:.3g} on average, "
+        f"signal {f['signal_electrons_peak']:.3g}",
+    )
+    if "reconstruction_status" in f:
+        told = f"{f['reconstruction_status']}, correlation with truth "
+        table.add_row("reconstruction", f"{told}{f['correlation_with_truth']:.4f}")
+    for stage, seconds in report["seconds"].items():
+        table.add_row(f"  {stage}", f"{seconds:.2f} s")
+    if f["peak_memory_bytes"] is not None:
+        table.add_row("peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB")
+    table.add_row("written to", str(folder))
+    Console().print(table)
+
+
+def _scene_hash(scene: Scene) -> str:
+    """SHA-256 of the scene's own text and of the pictures and meshes that it names."""
+    import hashlib
+
+    from .scene.file import format_scene
+
+    parts = (scene.hidden, scene.wall)
+    named = [getattr(part, key, None) for part in parts for key in ("image", "mesh")]
+    files = [path for path in named if isinstance(path, Path)]
+    # named relative to one of them, the text does not depend on where the scene lies
+    digest = hashlib.sha256(format_scene(scene, files[0].parent if files else ".").encode())
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    """Versions of Python, of this package and of the packages that decide its numbers."""
+    found = {"python": ".".join(map(str, sys.version_info[:3])), "nlosoptics": __version__}
+    for name in DECIDING:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def _peak_memory() -> float | None:
+    """Largest resident memory of this process, bytes; None where the system does not say."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS counts bytes, Linux KiB
+    return float(peak) if sys.platform == "darwin" else 1024.0 * peak

@@ -1,0 +1,295 @@
+"""Where the detector's pixels look: chief rays by way of the relay wall, and picture averages.
+
+A chief ray leaves the detector at (x, y), passes the centre of the lens along (-x, -y, d) in the
+camera's frame and is mirrored by the wall, so an object point that it meets is imaged at (x, y).
+One mirror turns handedness: an image array drawn with row 0 on top shows the hidden picture
+upright and mirror-reversed when the camera stands upright.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SceneError
+from ..raytrace import intersect
+from ..scene import Camera, PlanarObject, Scene, SumWall, Wall
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ChiefRays:
+    """Chief rays followed backward from the detector to the wall and off it.
+
+    Parameters
+    ----------
+    directions : ndarray, (..., 3)
+        Unit, world, away from the lens.
+    cos_axis : ndarray, (...)
+        Cosine of the angle to the optical axis.
+    distance : ndarray, (...)
+        From the lens to the wall, m; NaN where the ray misses the wall.
+    points, normals : ndarray, (..., 3)
+        On the wall or, just beyond its edge, on its continuation; world, m; NaN where missed.
+    reflected : ndarray, (..., 3)
+        Unit directions from the wall toward the object, world; NaN where missed.
+    """
+
+    directions: Array
+    cos_axis: Array
+    distance: Array
+    points: Array
+    normals: Array
+    reflected: Array
+
+
+def pixel_centres(camera: Camera) -> tuple[Array, Array]:
+    """Detector coordinates x (nx,) and y (ny,) of the pixel centres, m."""
+    y, x = ((np.arange(n) - (n - 1) / 2) * camera.image_pitch for n in camera.shape)
+    return x, y
+
+
+def pixel_edges(camera: Camera) -> tuple[Array, Array]:
+    """Detector coordinates x (nx + 1,) and y (ny + 1,) of the pixel edges, m."""
+    y, x = ((np.arange(n + 1) - n / 2) * camera.image_pitch for n in camera.shape)
+    return x, y
+
+
+def chief_rays(scene: Scene, x: Array, y: Array) -> ChiefRays:
+    """Chief rays of the detector grid with columns at ``x`` and rows at ``y``.
+
+    Parameters
+    ----------
+    scene : Scene
+    x, y : ndarray, (nx,) and (ny,)
+        Detector coordinates, m.
+
+    Returns
+    -------
+    ChiefRays
+        Arrays of shape (ny, nx) or (ny, nx, 3).
+    """
+    distance = scene.image_distance
+    e1, e2, axis = scene.camera.frame
+    directions = distance * axis - x[None, :, None] * e1 - y[:, None, None] * e2
+    length = np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + distance**2)
+    directions /= length[..., None]
+    hits = intersect(_with_margin(scene), np.array(scene.camera.position), directions)
+    along = (directions * hits.normals).sum(axis=-1)
+    return ChiefRays(
+        directions=directions,
+        cos_axis=distance / length,
+        distance=hits.distance,
+        points=hits.points,
+        normals=hits.normals,
+        reflected=directions - 2.0 * along[..., None] * hits.normals,
+    )
+
+
+def _with_margin(scene: Scene) -> Wall:
+    """The wall, continued past its edges by more than the lens's footprint on it."""
+    wall = scene.wall
+    if wall.size is None:
+        return wall
+    margin = 2.0 * scene.camera.stop_diameter
+    size = (wall.size[0] + margin, wall.size[1] + margin)
+    try:
+        if isinstance(wall, SumWall):
+            return SumWall(*wall.terms, size=size)
+        if "size" in getattr(wall, "__dataclass_fields__", {}):
+            return replace(wall, size=size)  # type: ignore[type-var]
+    except SceneError:  # a cap that ends near its equator has no continuation
+        pass
+    return wall
+
+
+def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:
+    """Share of each pixel's cone of light that the wall's edges and the field stop let pass.
+
+    The lens's footprint on the wall is taken as the affine image of the lens's disc on the
+    tangent plane: exact at one edge or two opposite ones, a product at the corners.
+    """
+    camera = scene.camera
+    seen = np.isfinite(rays.distance)
+    if camera.field_stop is not None:
+        seen &= rays.cos_axis >= np.cos(camera.field_stop / 2)
+    visible = seen.astype(np.float64)
+    if scene.wall.size is None:
+        return visible
+    d, n = rays.directions[seen], rays.normals[seen]
+    # at this part of the way from the lens to the point in focus, the cone has shrunk as much
+    part = rays.distance[seen] * rays.cos_axis[seen] / scene.focus_distance
+    scale = camera.stop_diameter / 2 * np.abs(1.0 - part) / (d * n).sum(axis=-1)
+    for i, half in enumerate((scene.wall.size[0] / 2, scene.wall.size[1] / 2)):
+        reach = np.zeros(part.shape)
+        for e in camera.frame[:2]:
+            reach += (e[i] * (d * n).sum(axis=-1) - d[:, i] * (n * e).sum(axis=-1)) ** 2
+        reach = np.maximum(np.abs(scale) * np.sqrt(reach), 1e-15)
+        at = rays.points[seen][:, i]
+        inside = _disc_part((half - at) / reach) + _disc_part((half + at) / reach) - 1.0
+        visible[seen] *= np.maximum(inside, 0.0)
+    return visible
+
+
+def _disc_part(chord: Array) -> Array:
+    """Share of the unit disc on the near side of a chord at that signed distance."""
+    c = np.clip(chord, -1.0, 1.0)
+    return np.asarray(1.0 - (np.arccos(c) - c * np.sqrt(1.0 - c * c)) / np.pi)
+
+
+def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Array]:
+    """Where mirrored chief rays meet the front of the picture's plane.
+
+    Parameters
+    ----------
+    hidden : PlanarObject
+    rays : ChiefRays
+
+    Returns
+    -------
+    column, row : ndarray, (...)
+        In texels: texel (i, j) spans rows i to i + 1 and columns j to j + 1, row 0 on top; NaN
+        where a ray does not meet the plane's front.
+    """
+    right, up, normal = hidden.axes
+    toward = np.array(hidden.position) - rays.points
+    facing = (rays.reflected * normal).sum(axis=-1)
+    height = (toward * normal).sum(axis=-1)
+    # a NaN of a missed wall compares false
+    meets = (facing < 0.0) & (height < 0.0)
+    t = np.full(facing.shape, np.nan)
+    np.divide(height, facing, out=t, where=meets)
+    offset = t[..., None] * rays.reflected - toward
+    rows, columns = hidden.reflectance.shape
+    column = ((offset * right).sum(axis=-1) / hidden.size[0] + 0.5) * columns
+    row = (0.5 - (offset * up).sum(axis=-1) / hidden.size[1]) * rows
+    return column, row
+
+
+def area_average(picture: Array, column: Array, row: Array) -> Array:
+    """Mean of a picture of square texels over quadrilateral footprints.
+
+    Parameters
+    ----------
+    picture : ndarray, (rows, columns)
+        Zero outside.
+    column, row : ndarray, (ny + 1, nx + 1)
+        Texel coordinates of the footprints' corners; NaN where undefined.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+        Zero for footprints with an undefined corner.
+
+    Notes
+    -----
+    Green's theorem: with F(x, y) the picture summed along a row up to x, the integral over a
+    footprint is that of F dy along its outline. Cut at the texels' borders, F is linear on every
+    piece, so the midpoint rule is exact, for texels larger and smaller than footprints alike.
+    Neighbours share their outlines, so no light is lost or counted twice. A footprint that is
+    folded over or has no area is sampled at its centre.
+    """
+    ny, nx = column.shape[0] - 1, column.shape[1] - 1
+    result = np.zeros((ny, nx))
+    known = np.isfinite(column) & np.isfinite(row)
+    whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+    touched = whole & _touches(column, picture.shape[1]) & _touches(row, picture.shape[0])
+    if not touched.any():
+        return result
+    i, j = np.nonzero(touched)
+    rows, columns = slice(i.min(), i.max() + 1), slice(j.min(), j.max() + 1)
+    rows_on, columns_on = slice(i.min(), i.max() + 2), slice(j.min(), j.max() + 2)
+    touched = touched[rows, columns]
+    x, y = (np.where(known, c, 0.0)[rows_on, columns_on] for c in (column, row))
+    summed = np.zeros((picture.shape[0], picture.shape[1] + 1))
+    np.cumsum(picture, axis=1, out=summed[:, 1:])
+    across = _outline_integral(summed, x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:])
+    upward = _outline_integral(summed, x[:-1], y[:-1], x[1:], y[1:])
+    light, area = (
+        across[k][:-1] + upward[k][:, 1:] - across[k][1:] - upward[k][:, :-1] for k in (0, 1)
+    )
+    turned = _turn(x, y)
+    sound = touched & ((turned > 0).all(axis=0) | (turned < 0).all(axis=0))
+    average = np.zeros(touched.shape)
+    np.divide(light, area, out=average, where=sound)
+    folded = touched & ~sound
+    if folded.any():
+        middle = [c[:-1, :-1] + c[1:, :-1] + c[:-1, 1:] + c[1:, 1:] for c in (x, y)]
+        u, v = (np.floor(c[folded] / 4).astype(np.intp) for c in middle)
+        within = (u >= 0) & (u < picture.shape[1]) & (v >= 0) & (v < picture.shape[0])
+        average[folded] = np.where(within, picture[v * within, u * within], 0.0)
+    result[rows, columns] = average
+    return result
+
+
+def _touches(c: Array, count: int) -> NDArray[np.bool_]:
+    """Whether footprints overlap 0 to ``count`` along one coordinate."""
+    corners = (c[:-1, :-1], c[1:, :-1], c[:-1, 1:], c[1:, 1:])
+    low = np.minimum(np.minimum(*corners[:2]), np.minimum(*corners[2:]))
+    high = np.maximum(np.maximum(*corners[:2]), np.maximum(*corners[2:]))
+    return np.asarray((high > 0) & (low < count))
+
+
+def _turn(x: Array, y: Array) -> Array:
+    """Cross product of adjacent sides at the four corners of every footprint."""
+    px = (x[:-1, :-1], x[:-1, 1:], x[1:, 1:], x[1:, :-1])
+    py = (y[:-1, :-1], y[:-1, 1:], y[1:, 1:], y[1:, :-1])
+    corners = []
+    for k in range(4):
+        a, b, c = k, (k + 1) % 4, (k + 2) % 4
+        corners.append(
+            (px[b] - px[a]) * (py[c] - py[b]) - (py[b] - py[a]) * (px[c] - px[b])
+        )
+    return np.stack(corners)
+
+
+def _outline_integral(
+    summed: Array, x0: Array, y0: Array, x1: Array, y1: Array
+) -> tuple[Array, Array]:
+    """Integrals of F dy and of x dy along straight segments, of the segments' shape."""
+    rows, columns = summed.shape[0], summed.shape[1] - 1
+    shape = x0.shape
+    x0, y0, dx, dy = (a.ravel() for a in (x0, y0, x1 - x0, y1 - y0))
+    counts = _crossings(x0, dx, columns)[1] + _crossings(y0, dy, rows)[1]
+    total = np.zeros(x0.size)
+    order = np.argsort(-counts, kind="stable")  # segments of like length share a table
+    start = 0
+    while start < order.size:
+        stop = start + max(1, 2**20 // (int(counts[order[start]]) + 2))  # bounds the memory
+        part = order[start:stop]
+        cuts = _cuts(x0[part], dx[part], y0[part], dy[part], rows, columns)
+        middle, step = (cuts[:, 1:] + cuts[:, :-1]) / 2, np.diff(cuts, axis=1)
+        u = np.clip(x0[part, None] + middle * dx[part, None], 0.0, columns)
+        v = y0[part, None] + middle * dy[part, None]
+        inside = (v > 0.0) & (v < rows)
+        i = np.where(inside, v, 0.0).astype(np.intp)
+        j = np.minimum(u.astype(np.intp), columns - 1)
+        low = summed[i, j]
+        value = np.where(inside, low + (u - j) * (summed[i, j + 1] - low), 0.0)
+        total[part] = (value * step).sum(axis=1) * dy[part]
+        start = stop
+    return total.reshape(shape), ((x0 + dx / 2) * dy).reshape(shape)
+
+
+def _crossings(start: Array, change: Array, count: int) -> tuple[Array, NDArray[np.intp]]:
+    """First texel border 0..count that each segment crosses, and how many."""
+    low = np.clip(np.ceil(np.minimum(start, start + change)), 0, count + 1)
+    high = np.clip(np.floor(np.maximum(start, start + change)), -1, count)
+    return low, np.maximum(high - low + 1, 0).astype(np.intp)
+
+
+def _cuts(x0: Array, dx: Array, y0: Array, dy: Array, rows: int, columns: int) -> Array:
+    """Sorted parameters 0..1 at which segments cross texel borders, padded with 1."""
+    tables = [np.zeros((x0.size, 1)), np.ones((x0.size, 1))]
+    for start, change, count in ((x0, dx, columns), (y0, dy, rows)):
+        low, number = _crossings(start, change, count)
+        width = int(number.max(initial=0))
+        border = low[:, None] + np.arange(width)
+        crossed = (np.arange(width) < number[:, None]) & (change != 0.0)[:, None]
+        at = np.ones(border.shape)
+        np.divide(border - start[:, None], change[:, None], out=at, where=crossed)
+        tables.append(np.clip(at, 0.0, 1.0))
+    return np.sort(np.concatenate(tables, axis=1), axis=1)

@@ -1,0 +1,278 @@
+"""From a scene and a point spread function to the electrons that a camera reads."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import positive, whole
+from ..errors import SamplingError, SceneError
+from ..scene import MeshObject, PlanarObject, Scene
+from ..scene.hidden import checked_picture
+from .detector import noise_variance, read_out, speckles_per_pixel
+from .forward_model import ForwardModel
+from .geometry import (
+    ChiefRays,
+    area_average,
+    chief_rays,
+    picture_coordinates,
+    pixel_centres,
+    pixel_edges,
+    wall_visibility,
+)
+from .objects import mesh_hits, object_patches
+from .radiometry import (
+    LaserSpot,
+    background_radiance,
+    electrons_per_joule,
+    electrons_per_radiance,
+    laser_spot,
+    object_radiance,
+    spot_power_through_lens,
+)
+from .stray import spot_image
+
+if TYPE_CHECKING:
+    from ..psf import PointSpread
+
+Array = NDArray[np.float64]
+
+MESH_SAMPLES = 2  # chief rays along each side of a pixel
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpeckleImage:
+    """What the camera records, and what it is made of; arrays (ny, nx), read-only.
+
+    Rows run along the camera's e2 and columns along e1, row 0 at the lowest y of the detector;
+    drawn with row 0 on top the image stands as the camera shows it.
+
+    Parameters
+    ----------
+    electrons : ndarray
+        Reading of every image pixel, electrons, with all noise.
+    expected : ndarray
+        ``signal + background``, electrons: what many exposures average to while no pixel is full.
+    signal : ndarray
+        Expected electrons of the object's image by the wall's mirror-like lobes, blurred by the
+        point spread; zero where the wall has no such lobe.
+    ideal : ndarray
+        ``signal`` before the blur: the ground truth in the image frame.
+    background : ndarray
+        Expected electrons of the wall's diffuse light, the laser spot, glare and dark current.
+    noise_sigma : ndarray
+        Expected rms noise, electrons: photons, speckle, dark current, readout, converter.
+    saturated_fraction : float
+        Share of image pixels that are full.
+    pitch : float
+        Image pixel, m.
+    exposure : float
+        s.
+    speckle_contrast : float
+        rms over mean of the speckle that an image pixel averages, 0 without speckle.
+    seed : int
+    ledger : mapping
+        Expected electrons in total: ``ideal``; ``signal``, of that on the detector; ``beyond_window``,
+        outside the point spread's window; ``beyond_detector``, blurred past the edges; and
+        ``diffuse``, ``spot``, ``glare``, ``dark``, which make the background.
+    """
+
+    electrons: Array
+    expected: Array
+    signal: Array
+    ideal: Array
+    background: Array
+    noise_sigma: Array
+    saturated_fraction: float
+    pitch: float
+    exposure: float
+    speckle_contrast: float
+    seed: int
+    ledger: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        for name in ("electrons", "expected", "signal", "ideal", "background", "noise_sigma"):
+            getattr(self, name).flags.writeable = False
+        object.__setattr__(self, "ledger", MappingProxyType(dict(self.ledger)))
+
+
+def form_image(
+    scene: Scene,
+    point_spread: PointSpread,
+    object_image: ArrayLike | None = None,
+    *,
+    exposure: float | None = None,
+    seed: int = 0,
+) -> SpeckleImage:
+    """Image of the hidden object as one exposure of the camera.
+
+    Parameters
+    ----------
+    scene : Scene
+    point_spread : PointSpread
+        Energy per pixel (``"unit-sum"``) at the pitch of the camera's image pixels.
+    object_image : array_like, (rows, columns), optional
+        Picture 0 to 1 in place of the planar object's own, row 0 on top, at the same size.
+    exposure : float, optional
+        s, in place of the camera's.
+    seed : int, default 0
+        Of all noise; the same seed gives the same bits.
+
+    Returns
+    -------
+    SpeckleImage
+
+    Raises
+    ------
+    SamplingError
+        If the point spread's pitch or normalisation does not fit.
+    SceneError
+        If the beam misses the wall, or an argument is out of range.
+
+    Notes
+    -----
+    Every pixel holds the exact mean of the picture over its footprint, along chief rays by way of
+    the wall, times the radiance of a white object at the pixel's centre and the mirror-like
+    reflectance, which is taken as smooth. The point spread sums to the energy inside its window;
+    what it spreads beyond is lost here and stands in the ledger. Object parts outside the
+    detector's field cast no blur into it. The beam that a smooth lobe reflects is not followed.
+    """
+    whole("seed", seed, 0)
+    camera = scene.camera
+    if exposure is None:
+        exposure = camera.exposure
+    exposure = positive("exposure", exposure, unit="s")
+    _check_point_spread(point_spread, camera.image_pitch)
+    if object_image is not None:
+        scene = _with_picture(scene, object_image)
+    spot = laser_spot(scene)
+    rays = chief_rays(scene, *pixel_centres(camera))
+    visible = wall_visibility(scene, rays)
+    gain = electrons_per_radiance(scene, rays.cos_axis, exposure) * visible
+    ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
+    model = ForwardModel(point_spread, shape=camera.shape)
+    # the transform leaves rounding errors of either sign where no light is
+    signal = np.maximum(model.forward(ideal), 0.0)
+    patches = object_patches(scene.hidden)
+    diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
+    direct = spot_power_through_lens(scene, spot) * exposure * electrons_per_joule(scene)
+    glare = camera.glare_fraction * direct
+    image_of_spot = (direct - glare) * spot_image(scene, spot) if direct > glare else 0.0 * gain
+    light = signal + diffuse + image_of_spot + glare / ideal.size
+    dark = camera.dark_current * exposure * camera.binning**2
+    freedom = _speckle_freedom(scene)
+    electrons, saturated = read_out(camera, light, dark, freedom=freedom, seed=seed)
+    kept = float(point_spread.intensity.sum())
+    total = float(ideal.sum())
+    return SpeckleImage(
+        electrons=electrons,
+        expected=light + dark,
+        signal=signal,
+        ideal=ideal,
+        background=light - signal + dark,
+        noise_sigma=np.sqrt(noise_variance(camera, light, dark, freedom)),
+        saturated_fraction=saturated,
+        pitch=camera.image_pitch,
+        exposure=exposure,
+        speckle_contrast=0.0 if freedom is None else freedom**-0.5,
+        seed=seed,
+        ledger={
+            "ideal": total,
+            "signal": float(signal.sum()),
+            "beyond_window": total * (1.0 - kept),
+            "beyond_detector": total * kept - float(signal.sum()),
+            "diffuse": float(diffuse.sum()),
+            "spot": float(image_of_spot.sum()),
+            "glare": glare,
+            "dark": dark * ideal.size,
+        },
+    )
+
+
+def _check_point_spread(point_spread: PointSpread, pitch: float) -> None:
+    if abs(point_spread.pitch - pitch) > 1e-9 * pitch:
+        raise SamplingError(
+            f"point_spread.pitch = {point_spread.pitch:g} m, camera pixels are {pitch:g} m; "
+            f"compute it with psf.point_spread(..., pitch={pitch!r})"
+        )
+    if point_spread.normalisation != "unit-sum":
+        raise SamplingError(
+            f"point_spread.normalisation = {point_spread.normalisation!r}, an image needs energy "
+            "per pixel; compute it with normalisation='unit-sum'"
+        )
+    total = float(point_spread.intensity.sum())
+    if total > 1.01:
+        raise SamplingError(
+            f"point_spread sums to {total:g}, limit 1: its peak falls between samples; "
+            "compute it with pixel_integrated=True"
+        )
+
+
+def _with_picture(scene: Scene, object_image: ArrayLike) -> Scene:
+    if not isinstance(scene.hidden, PlanarObject):
+        raise SceneError(
+            "object_image is given, but scene.hidden is a mesh and carries no picture; "
+            "leave it out or use a PlanarObject"
+        )
+    picture = checked_picture("object_image", np.array(object_image, dtype=np.float64))
+    return replace(scene, hidden=replace(scene.hidden, image=picture))
+
+
+def _speckle_freedom(scene: Scene) -> float | None:
+    """Squared inverse contrast of an image pixel's speckle, two polarisations included."""
+    patterns = scene.laser.independent_patterns
+    if patterns is None:
+        return None
+    f_number = scene.image_distance / scene.camera.stop_diameter
+    pixel = scene.camera.image_pitch
+    return 2.0 * patterns * speckles_per_pixel(pixel, scene.laser.wavelength, f_number)
+
+
+def _mirrored_radiance(
+    scene: Scene, spot: LaserSpot, rays: ChiefRays, seen: NDArray[np.bool_]
+) -> Array:
+    """Mean radiance over each pixel of the object seen in the wall, W/(m^2 sr)."""
+    result = np.zeros(seen.shape)
+    reflectance = scene.wall_material.specular_reflectance
+    if reflectance == 0.0:
+        return result
+    if isinstance(scene.hidden, MeshObject):
+        return reflectance * _mesh_radiance(scene, spot, seen)
+    hidden = scene.hidden
+    corners = chief_rays(scene, *pixel_edges(scene.camera))
+    average = area_average(hidden.reflectance, *picture_coordinates(hidden, corners))
+    column, row = picture_coordinates(hidden, rays)
+    lit = seen & (average > 0.0) & np.isfinite(column)
+    right, up, normal = hidden.axes
+    rows, columns = hidden.reflectance.shape
+    across = (column[lit] / columns - 0.5) * hidden.size[0]
+    upward = (0.5 - row[lit] / rows) * hidden.size[1]
+    points = hidden.position + across[:, None] * right + upward[:, None] * up
+    white = object_radiance(scene, spot, points, normal, -rays.reflected[lit])
+    result[lit] = reflectance * white * average[lit]
+    return result
+
+
+def _mesh_radiance(scene: Scene, spot: LaserSpot, seen: NDArray[np.bool_]) -> Array:
+    """Mean over each pixel of the mesh's radiance, by a few chief rays per pixel."""
+    assert isinstance(scene.hidden, MeshObject)
+    x, y = pixel_centres(scene.camera)
+    steps = (np.arange(MESH_SAMPLES) - (MESH_SAMPLES - 1) / 2) / MESH_SAMPLES
+    total = np.zeros(seen.shape)
+    for dy in steps * scene.camera.image_pitch:
+        for dx in steps * scene.camera.image_pitch:
+            rays = chief_rays(scene, x + dx, y + dy)
+            use = seen & np.isfinite(rays.distance)
+            points, normals, lit = mesh_hits(
+                scene.hidden.surface, spot.point, rays.points[use], rays.reflected[use]
+            )
+            light = np.zeros(len(lit))
+            toward = -rays.reflected[use][lit]
+            light[lit] = object_radiance(scene, spot, points[lit], normals[lit], toward)
+            total[use] += light
+    return total / MESH_SAMPLES**2

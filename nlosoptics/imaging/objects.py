@@ -1,0 +1,178 @@
+"""The hidden object as a source: patches for its diffuse light, and views of a mesh."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..scene import MeshObject, PlanarObject
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+
+MAX_PATCHES = 4096
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Patches:
+    """A surface cut into small pieces.
+
+    Parameters
+    ----------
+    points, normals : ndarray, (n, 3)
+        World, m; unit, toward the lit front.
+    areas : ndarray, (n,)
+        Area times relative reflectance, m^2.
+    """
+
+    points: Array
+    normals: Array
+    areas: Array
+
+
+def object_patches(hidden: PlanarObject | MeshObject) -> Patches:
+    """Cut the hidden object into patches that stand for it as seen from the wall.
+
+    A picture gets about 50 patches per (its width/its distance) along a side, each placed at its
+    centre of reflectance, which leaves an error of order (patch/distance)^2: below 1e-3 of the
+    light. Dark patches are left out. A mesh gives its triangles, cut or sampled evenly; parts that
+    hide one another are not told apart.
+    """
+    if isinstance(hidden, MeshObject):
+        return _mesh_patches(hidden.surface)
+    picture = hidden.reflectance
+    right, up, normal = hidden.axes
+    drop = (hidden.size[0] * abs(right[2]) + hidden.size[1] * abs(up[2])) / 2
+    nearest = hidden.position[2] - drop  # above 0, as PlanarObject sees to
+    edges = []
+    for texels, extent in zip(picture.shape, hidden.size[::-1], strict=True):
+        count = min(max(math.ceil(50 * extent / nearest), 8), 64)
+        repeat = max(1, math.ceil(count / texels))
+        picture = np.repeat(picture, repeat, axis=len(edges))
+        edges.append(np.linspace(0, texels * repeat, count + 1).astype(np.intp))
+    light = _block_sums(picture, edges)
+    rows, columns = (np.arange(n) + 0.5 for n in picture.shape)
+    lit = light > 0.0
+    row = _block_sums(picture * rows[:, None], edges)[lit] / light[lit]
+    column = _block_sums(picture * columns, edges)[lit] / light[lit]
+    across = (column / picture.shape[1] - 0.5) * hidden.size[0]
+    upward = (0.5 - row / picture.shape[0]) * hidden.size[1]
+    points = hidden.position + across[:, None] * right + upward[:, None] * up
+    texel = hidden.size[0] * hidden.size[1] / picture.size
+    return Patches(
+        points=points, normals=np.broadcast_to(normal, points.shape), areas=light[lit] * texel
+    )
+
+
+def _block_sums(picture: Array, edges: list[NDArray[np.intp]]) -> Array:
+    sums = np.add.reduceat(picture, edges[0][:-1], axis=0)
+    return np.asarray(np.add.reduceat(sums, edges[1][:-1], axis=1))
+
+
+def _mesh_patches(mesh: trimesh.Trimesh) -> Patches:
+    area = np.asarray(mesh.area_faces, dtype=np.float64)
+    size = math.sqrt(area.sum() / 512)
+    triangles, normals = np.asarray(mesh.triangles), np.asarray(mesh.face_normals)
+    points, facing, areas = [], [], []
+    cuts = np.maximum(1, np.ceil(np.sqrt(2 * area) / size)).astype(np.intp)
+    for n in np.unique(cuts):
+        chosen = cuts == n
+        spots = np.einsum("pk,tkc->tpc", _barycentric(int(n)), triangles[chosen])
+        points.append(spots.reshape(-1, 3))
+        facing.append(np.repeat(normals[chosen], n * n, axis=0))
+        areas.append(np.repeat(area[chosen] / n**2, n * n))
+    point, normal, share = (np.concatenate(a) for a in (points, facing, areas))
+    if len(share) > MAX_PATCHES:
+        # equal steps of area along the list of triangles
+        steps = (np.arange(MAX_PATCHES) + 0.5) / MAX_PATCHES * share.sum()
+        chosen = np.searchsorted(np.cumsum(share), steps)
+        total = share.sum() / MAX_PATCHES
+        point, normal, share = point[chosen], normal[chosen], np.full(MAX_PATCHES, total)
+    return Patches(points=point, normals=normal, areas=share)
+
+
+def _barycentric(n: int) -> Array:
+    """Centroids of the n^2 equal parts of a triangle, (n^2, 3)."""
+    upright = [(3 * i + 1, 3 * j + 1) for i in range(n) for j in range(n - i)]
+    inverted = [(3 * i + 2, 3 * j + 2) for i in range(n) for j in range(n - i - 1)]
+    ab = np.array(upright + inverted, dtype=np.float64) / (3 * n)
+    return np.column_stack([ab, 1.0 - ab.sum(axis=1)])
+
+
+def mesh_hits(
+    mesh: trimesh.Trimesh, source: Array, origins: Array, directions: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """First triangles that rays meet, on sides that the source lights.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        World frame.
+    source : ndarray, (3,)
+        The laser's spot, m.
+    origins, directions : ndarray, (n, 3)
+        m; unit.
+
+    Returns
+    -------
+    points, normals : ndarray, (n, 3)
+        Zero where nothing lit is met.
+    lit : ndarray of bool, (n,)
+
+    Notes
+    -----
+    Embree is asked for the triangle only; the point is on its plane in float64. The shadow ray
+    runs from the source to the point, and the point is lit when nothing is met before it.
+    """
+    points, normals = np.zeros(origins.shape), np.zeros(origins.shape)
+    lit = np.zeros(len(origins), dtype=bool)
+    near = np.nonzero(_meets_box(mesh.bounds, origins, directions))[0]
+    faces = np.asarray(mesh.ray.intersects_first(origins[near], directions[near]))
+    near, faces = near[faces >= 0], faces[faces >= 0]
+    distance = _plane_distance(mesh, faces, origins[near], directions[near])
+    normal = np.asarray(mesh.face_normals)[faces]
+    front = ((directions[near] * normal).sum(axis=-1) < 0.0) & (distance > 0.0)
+    near, distance, normal = near[front], distance[front], normal[front]
+    point = origins[near] + distance[:, None] * directions[near]
+    beam = point - source
+    length = np.sqrt((beam * beam).sum(axis=-1))
+    beam /= length[:, None]
+    first = np.asarray(mesh.ray.intersects_first(np.broadcast_to(source, beam.shape), beam))
+    reach = np.full(len(near), np.inf)
+    met = first >= 0
+    start = np.broadcast_to(source, beam.shape)
+    reach[met] = _plane_distance(mesh, first[met], start[met], beam[met])
+    # Embree's float32 may name the neighbour of the triangle that is meant
+    free = (reach > length * (1.0 - 1e-5)) & ((beam * normal).sum(axis=-1) < 0.0)
+    chosen = near[free]
+    points[chosen], normals[chosen], lit[chosen] = point[free], normal[free], True
+    return points, normals, lit
+
+
+def _plane_distance(
+    mesh: trimesh.Trimesh, faces: NDArray[np.intp], origins: Array, directions: Array
+) -> Array:
+    """Distance along rays to the planes of triangles; infinity where parallel."""
+    normal = np.asarray(mesh.face_normals)[faces]
+    corner = np.asarray(mesh.triangles)[faces, 0]
+    along = (directions * normal).sum(axis=-1)
+    distance = np.full(along.shape, np.inf)
+    np.divide(((corner - origins) * normal).sum(axis=-1), along, out=distance, where=along != 0)
+    return distance
+
+
+def _meets_box(bounds: Array, origins: Array, directions: Array) -> NDArray[np.bool_]:
+    """Whether rays meet an axis-parallel box; the slab test."""
+    low, high = np.zeros(len(origins)), np.full(len(origins), np.inf)
+    for i in range(3):
+        d = np.where(directions[:, i] == 0.0, 1e-300, directions[:, i])
+        with np.errstate(over="ignore"):
+            t = (bounds[:, i] - origins[:, i, None]) / d[:, None]
+        low, high = np.maximum(low, t.min(axis=1)), np.minimum(high, t.max(axis=1))
+    return np.asarray(low <= high * (1.0 + 1e-6))

@@ -1,0 +1,320 @@
+"""The radiance chain: laser power to electrons, over the wall, the object and the wall again.
+
+Three reflections: the wall's spot scatters the laser (radiant intensity P f_r cos_o), the object
+scatters that (radiance f_o E_o times the picture), and the wall passes it to the camera, its
+mirror-like lobes as an image and its diffuse lobes as a background.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import constants
+
+from .._checks import positive
+from ..errors import SceneError
+from ..raytrace import intersect
+from ..scene import Camera, Material, Scene
+from ..scene.materials import LAMBERT
+from .geometry import ChiefRays, pixel_centres
+from .objects import Patches
+
+Array = NDArray[np.float64]
+
+NODES = 24  # of a Chebyshev interpolation along each side of the detector
+NODES_HEIGHT = 3  # of one over the wall's height
+GROUP = 0.12  # rad across which the light's direction counts as one, on a curved wall
+PAIRS = 400_000  # of wall point and object patch held in memory at a time
+
+
+def photon_rate(power: float, wavelength: float) -> float:
+    """Photons per second of a beam, P lambda/(h c).
+
+    Parameters
+    ----------
+    power : float
+        W.
+    wavelength : float
+        In vacuum, m.
+
+    Returns
+    -------
+    float
+        1/s.
+    """
+    return power * wavelength / (constants.h * constants.c)
+
+
+def electrons_per_joule(scene: Scene) -> float:
+    """Photoelectrons per joule of laser light that falls on the detector."""
+    return photon_rate(1.0, scene.laser.wavelength) * scene.camera.quantum_efficiency
+
+
+def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Array:
+    """Electrons of an image pixel per radiance toward the lens, electrons m^2 sr/W.
+
+    Irradiance of the detector E = pi L T cos^4/(4 N^2) with the working F-number
+    N = image distance/stop diameter, times area, exposure and electrons per joule.
+    """
+    camera: Camera = scene.camera
+    f_number = scene.image_distance / camera.stop_diameter
+    irradiance = math.pi * camera.transmission / (4.0 * f_number**2) * cos_axis**4
+    return irradiance * (camera.image_pitch**2 * exposure * electrons_per_joule(scene))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LaserSpot:
+    """Where the beam meets the wall.
+
+    Parameters
+    ----------
+    point, normal : ndarray, (3,)
+        On the wall, world, m; unit, toward the room.
+    incident : ndarray, (3,)
+        Unit vector from the spot to the laser.
+    area : float
+        Lit area of the wall, m^2.
+    """
+
+    point: Array
+    normal: Array
+    incident: Array
+    area: float
+
+
+def laser_spot(scene: Scene) -> LaserSpot:
+    """The laser's spot: where its axis meets the wall, not only the plane that it is aimed at.
+
+    Raises
+    ------
+    SceneError
+        If the beam misses the wall.
+    """
+    laser = scene.laser
+    beam = np.subtract(laser.aim, laser.position)
+    hits = intersect(scene.wall, np.array(laser.position), beam)
+    if not hits.hit:
+        raise SceneError(
+            f"laser.aim = {laser.aim}: the beam from {laser.position} misses the wall "
+            f"(size {scene.wall.size} m); aim inside its edges"
+        )
+    incident = -beam / math.sqrt(float((beam * beam).sum()))
+    cosine = float((incident * hits.normals).sum())
+    area = math.pi / 4 * laser.beam_diameter**2 / cosine
+    return LaserSpot(point=hits.points, normal=hits.normals, incident=incident, area=area)
+
+
+def radiant_intensity(scene: Scene, spot: LaserSpot, toward: Array) -> Array:
+    """Radiant intensity of the spot along unit vectors ``toward`` (..., 3), W/sr.
+
+    P f_r cos_o with every lobe of the wall but perfectly smooth ones, whose reflected beam is not
+    followed.
+    """
+    cosine = np.maximum((toward * spot.normal).sum(axis=-1), 0.0)
+    reflectance = scene.wall_material.evaluate(spot.incident, toward, spot.normal)
+    return np.asarray(scene.laser.power * reflectance * cosine)
+
+
+def spot_irradiance(
+    scene: Scene, spot: LaserSpot, points: Array, normals: Array
+) -> tuple[Array, Array]:
+    """Irradiance on surfaces at ``points``, W/m^2, and the unit vectors from them to the spot.
+
+    E = I cos'/r^2, zero on back sides. The spot counts as a point: at a distance r this errs by
+    (beam diameter/4 r)^2 or so.
+    """
+    toward = spot.point - points
+    square = (toward * toward).sum(axis=-1)
+    toward = toward / np.sqrt(square)[..., None]
+    cosine = np.maximum((toward * normals).sum(axis=-1), 0.0)
+    return radiant_intensity(scene, spot, -toward) * cosine / square, toward
+
+
+def object_radiance(
+    scene: Scene, spot: LaserSpot, points: Array, normals: Array, toward: Array
+) -> Array:
+    """Radiance of a white object at ``points`` along unit vectors ``toward``, W/(m^2 sr).
+
+    L = f_o E, zero seen from behind.
+    """
+    irradiance, incident = spot_irradiance(scene, spot, points, normals)
+    return scene.hidden.material.evaluate(incident, toward, normals) * irradiance
+
+
+def spot_power_through_lens(scene: Scene, spot: LaserSpot) -> float:
+    """Power of the spot's direct light that leaves the lens toward the detector, W.
+
+    I A_lens cos/r^2 T; zero when the field stop hides the spot.
+    """
+    camera = scene.camera
+    toward = np.array(camera.position) - spot.point
+    distance = math.sqrt(float((toward * toward).sum()))
+    cosine = -float((toward * camera.axis).sum()) / distance
+    if cosine <= 0.0:
+        return 0.0
+    if camera.field_stop is not None and cosine < math.cos(camera.field_stop / 2):
+        return 0.0
+    intensity = float(radiant_intensity(scene, spot, toward / distance))
+    lens = math.pi / 4 * camera.stop_diameter**2 * cosine / distance**2
+    return intensity * lens * camera.transmission
+
+
+def background_radiance(
+    scene: Scene, spot: LaserSpot, patches: Patches, rays: ChiefRays, seen: NDArray[np.bool_]
+) -> Array:
+    """Radiance of the wall's diffuse lobes toward the lens, lit by the object, W/(m^2 sr).
+
+    Parameters
+    ----------
+    scene : Scene
+    spot : LaserSpot
+    patches : Patches
+        The object, as points with areas.
+    rays : ChiefRays
+        Of the pixel centres, (ny, nx).
+    seen : ndarray of bool, (ny, nx)
+        Pixels that look at the wall; the others get zero.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+
+    Notes
+    -----
+    L = sum over patches of f_r L_o cos cos' dA/r^2, to better than 1e-3. On a flat wall it is
+    evaluated on Chebyshev nodes of the detector and interpolated. A curved wall may turn its
+    normal within few pixels; what stays smooth there is the light that arrives, as a vector field
+    over the detector and the height. That is interpolated, for the object in groups of some
+    degrees, and each pixel applies its own normal and lobes.
+    """
+    diffuse = scene.wall_material.diffuse
+    result = np.zeros(seen.shape)
+    if diffuse is None or not seen.any() or not len(patches.areas):
+        return result
+    rows, columns = (np.nonzero(seen.any(axis=axis))[0] for axis in (1, 0))
+    window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    inside = seen[window]
+    x, y = pixel_centres(scene.camera)
+    x, y = x[window[1]], y[window[0]]
+    heights = rays.points[window][..., 2]
+    heights = np.where(inside, heights, heights[inside].mean())
+    axes = [_Chebyshev(y, NODES), _Chebyshev(x, NODES), _Chebyshev(heights, NODES_HEIGHT)]
+    node_y, node_x, node_height = np.meshgrid(*(a.nodes for a in axes), indexing="ij")
+    shape = node_y.shape
+    nodes = _Nodes(scene, node_x.ravel(), node_y.ravel(), node_height.ravel())
+    on_y, on_x, on_height = (a.basis(v) for a, v in zip(axes, (y, x, heights), strict=True))
+
+    def interpolated(values: Array) -> Array:
+        total = np.zeros(inside.shape)
+        for k in range(shape[2]):
+            # einsum's own loops: BLAS could round otherwise on another number of threads
+            plane = np.einsum("kl,jl->kj", values.reshape(shape)[..., k], on_x)
+            total += np.einsum("ik,kj->ij", on_y, plane) * on_height[..., k]
+        return total
+
+    if scene.wall.is_flat:
+        part = interpolated(_flat_radiance(scene, spot, patches, diffuse, nodes))
+        result[window] = np.where(inside, np.maximum(part, 0.0), 0.0)
+        return result
+    normals, view = rays.normals[window][inside], -rays.directions[window][inside]
+    total = np.zeros(len(view))
+    for flux in _grouped_flux(scene, spot, patches, nodes, diffuse):
+        arriving = np.stack([interpolated(component)[inside] for component in flux.T], axis=-1)
+        strength = np.sqrt((arriving * arriving).sum(axis=-1))
+        arriving /= np.maximum(strength, 1e-300)[:, None]
+        cosine = np.maximum((arriving * normals).sum(axis=-1), 0.0)
+        total += diffuse.evaluate(arriving, view, normals) * cosine * strength
+    result[seen] = total
+    return result
+
+
+class _Nodes:
+    """Points on chief rays at given heights; those on rays that rise are left out."""
+
+    def __init__(self, scene: Scene, x: Array, y: Array, height: Array) -> None:
+        e1, e2, axis = scene.camera.frame
+        lens = np.array(scene.camera.position)
+        d = scene.image_distance * axis - x[:, None] * e1 - y[:, None] * e2
+        d /= np.sqrt((d * d).sum(axis=-1))[:, None]
+        self.count = len(x)
+        self.used = np.nonzero(d[:, 2] < 0.0)[0]
+        d, height = d[self.used], height[self.used]
+        self.directions = d
+        self.points = lens + ((height - lens[2]) / d[:, 2])[:, None] * d
+
+
+def _arrivals(
+    scene: Scene, spot: LaserSpot, patches: Patches, nodes: _Nodes
+) -> Iterator[tuple[slice, Array, Array]]:
+    """Blocks of nodes with unit vectors to all patches and the irradiance across those."""
+    step = max(1, PAIRS // len(patches.areas))
+    for start in range(0, len(nodes.used), step):
+        block = slice(start, start + step)
+        toward = patches.points - nodes.points[block][:, None]
+        square = (toward * toward).sum(axis=-1)
+        toward /= np.sqrt(square)[..., None]
+        cosine = np.maximum(-(toward * patches.normals).sum(axis=-1), 0.0)
+        light = object_radiance(scene, spot, patches.points, patches.normals, -toward)
+        yield block, toward, light * cosine * patches.areas / square
+
+
+def _flat_radiance(
+    scene: Scene, spot: LaserSpot, patches: Patches, diffuse: Material, nodes: _Nodes
+) -> Array:
+    """Radiance of a flat wall at nodes; zero, as toward the horizon, on rays that rise."""
+    result = np.zeros(nodes.count)
+    for block, toward, light in _arrivals(scene, spot, patches, nodes):
+        lobe = diffuse.evaluate(toward, -nodes.directions[block][:, None], (0.0, 0.0, 1.0))
+        light *= lobe * np.maximum(toward[..., 2], 0.0)
+        result[nodes.used[block]] = light.sum(axis=-1)
+    return result
+
+
+def _grouped_flux(
+    scene: Scene, spot: LaserSpot, patches: Patches, nodes: _Nodes, diffuse: Material
+) -> Iterator[Array]:
+    """Vector irradiance (n_nodes, 3) from each group of neighbouring patches."""
+    cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
+    if (diffuse._lobes()[:, 0] == LAMBERT).all():
+        cell = math.inf  # the lobe does not depend on where the light comes from
+    cells = np.floor((patches.points - patches.points.min(axis=0)) / cell).astype(np.intp)
+    group = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(group, kind="stable")
+    starts = np.nonzero(np.diff(group[order], prepend=-1))[0]
+    patches = Patches(
+        points=patches.points[order], normals=patches.normals[order], areas=patches.areas[order]
+    )
+    flux = np.zeros((len(starts), nodes.count, 3))
+    for block, toward, light in _arrivals(scene, spot, patches, nodes):
+        toward *= light[..., None]
+        sums = np.add.reduceat(toward, starts, axis=1)
+        flux[:, nodes.used[block]] = sums.transpose(1, 0, 2)
+    yield from flux
+
+
+class _Chebyshev:
+    """Chebyshev interpolation over the range of some values; one node if they are all equal."""
+
+    def __init__(self, values: Array, count: int) -> None:
+        low, high = float(values.min()), float(values.max())
+        self._middle, self._half = (low + high) / 2, (high - low) / 2
+        if self._half <= 1e-12 * max(abs(low), abs(high), 1e-3):
+            self._half, count = 0.0, 1
+        angles = np.pi * (np.arange(count) + 0.5) / count
+        self.nodes = self._middle + self._half * np.cos(angles)
+        self._from_nodes = np.cos(np.arange(count)[:, None] * angles) * (2.0 / count)
+        self._from_nodes[0] /= 2.0
+
+    def basis(self, values: Array) -> Array:
+        """Weights of the nodes at ``values``, shape (..., count)."""
+        if self._half == 0.0:
+            return np.ones((*values.shape, 1))
+        u = np.clip((values - self._middle) / self._half, -1.0, 1.0)
+        terms = np.cos(np.arange(self.nodes.size) * np.arccos(u)[..., None])
+        return np.asarray(np.einsum("...j,jk->...k", terms, self._from_nodes))
+
+

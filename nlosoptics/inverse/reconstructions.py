@@ -1,0 +1,128 @@
+"""What every solver returns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..imaging.forward_model import ForwardModel
+from .measurements import Measurement
+from .torch_model import TorchForwardModel, torch_model
+
+Status = Literal["converged", "unconverged", "too_few_photons"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reconstruction:
+    """An object recovered from an image.
+
+    The image is explained as ``gain * model.forward(object) + background``.
+
+    Parameters
+    ----------
+    object : ndarray or Tensor
+        (H, W), [y, x] in the image's frame; the kind, and for a tensor the dtype and device, of
+        the image that was given. Its largest value is 1 where the gain was not given.
+    physical_parameters : mapping
+        ``gain`` (image units per object unit), ``background`` (fitted uniform part, image units;
+        a known background is not in it), ``noise_sigma`` (reference noise, image units) and what
+        else the solver settled, such as ``tv_weight``.
+    status : {"converged", "unconverged", "too_few_photons"}
+        "too_few_photons": a uniform image explains the data to within three standard errors of
+        the mean squared residual, so that there is no object to recover; ``object`` is zero.
+    score : float
+        Weighted rms residual in units of the noise; 1 fits the data to their noise.
+    history : mapping of str to ndarray
+        (n_iterations,) float64, read-only: ``objective``, ``residual`` (as ``score``) and
+        ``change`` (relative, per iteration).
+    seconds : float
+        Wall-clock time spent.
+    """
+
+    object: Any
+    physical_parameters: Mapping[str, float]
+    status: Status
+    score: float
+    history: Mapping[str, NDArray[np.float64]]
+    seconds: float
+
+
+def assemble(
+    data: Measurement,
+    level: Tensor,
+    *,
+    model: ForwardModel | TorchForwardModel,
+    background: float,
+    gain: float | None,
+    status: Status,
+    history: Mapping[str, Sequence[float]],
+    started: float,
+    **parameters: float,
+) -> Reconstruction:
+    """Reconstruction from an object in image units (gain 1).
+
+    Parameters
+    ----------
+    data : Measurement
+    level : Tensor
+        (H, W), object times gain.
+    model : ForwardModel or TorchForwardModel
+    background : float
+        Fitted uniform part, image units.
+    gain : float or None
+        None: the object's largest value becomes 1.
+    status : {"converged", "unconverged", "too_few_photons"}
+    history : mapping of str to sequence of float
+    started : float
+        ``time.perf_counter()`` at the start.
+    **parameters : float
+        More physical parameters.
+    """
+    level = level.to(torch.float64)
+    explained = torch_model(model, level.device, torch.float64)(level) + background
+    if gain is None:
+        brightest = float(level.max())
+        gain = brightest if brightest > 0.0 else 1.0
+    records = {name: np.asarray(values, dtype=np.float64) for name, values in history.items()}
+    for record in records.values():
+        record.flags.writeable = False
+    return Reconstruction(
+        object=data.like_input(level / gain),
+        physical_parameters={
+            "gain": gain,
+            "background": background,
+            "noise_sigma": data.sigma,
+            **parameters,
+        },
+        status=status,
+        score=data.score(explained),
+        history=records,
+        seconds=time.perf_counter() - started,
+    )
+
+
+def without_object(
+    data: Measurement,
+    *,
+    model: ForwardModel | TorchForwardModel,
+    gain: float | None,
+    started: float,
+) -> Reconstruction:
+    """What is returned where a uniform image already explains the data."""
+    return assemble(
+        data,
+        torch.zeros_like(data.data),
+        model=model,
+        background=data.uniform_level(),
+        gain=gain,
+        status="too_few_photons",
+        history={"objective": [], "residual": [], "change": []},
+        started=started,
+    )

@@ -1,0 +1,133 @@
+"""Pupil nodes and the area that each stands for."""
+
+from __future__ import annotations
+
+import math
+
+import ducc0
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import in_range, positive, whole
+
+Array = NDArray[np.float64]
+
+
+def gauss_legendre(n: int) -> tuple[Array, Array]:
+    """Half-open fractions ``(1 + x)/2`` of the Gauss-Legendre nodes x, ascending, and weights.
+
+    The weights sum to 1. The fraction is sin^2(theta/2), which keeps its digits near 0.
+    """
+    theta = ducc0.misc.GL_thetas(n)
+    return np.sin(theta / 2) ** 2, ducc0.misc.GL_weights(n, 1) / (4 * math.pi)
+
+
+def polar_nodes(
+    radius: float, n_r: int, n_theta: int, obscuration: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Nodes of a round or annular pupil: Gauss-Legendre in r^2, equal steps in angle.
+
+    Exact for polynomials of u and v whose degree is below min(4 n_r, n_theta).
+
+    Parameters
+    ----------
+    radius : float
+        Outer radius, m.
+    n_r, n_theta : int
+        Radii and angles.
+    obscuration : float
+        Inner radius as a fraction of the outer, 0 to 1.
+
+    Returns
+    -------
+    u, v, weights : ndarray
+        (n_r, n_theta); m, m and m^2. The weights sum to the pupil's area.
+    """
+    positive("radius", radius, unit="m")
+    whole("n_r", n_r)
+    whole("n_theta", n_theta)
+    inner = _inner(obscuration) ** 2
+    fraction, weight = gauss_legendre(n_r)
+    r = radius * np.sqrt(inner + (1 - inner) * fraction)
+    angle = 2 * math.pi * np.arange(n_theta) / n_theta
+    area = math.pi * radius**2 * (1 - inner) / n_theta
+    weights = np.repeat((area * weight)[:, None], n_theta, axis=1)
+    return r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), weights
+
+
+def grid_nodes(
+    radius: float, samples: int, obscuration: float = 0.0
+) -> tuple[Array, Array, Array]:
+    """Square grid over a round or annular pupil, each cell with its exact area inside.
+
+    Parameters
+    ----------
+    radius : float
+        Outer radius, m.
+    samples : int
+        Cells per side.
+    obscuration : float
+        Inner radius as a fraction of the outer, 0 to 1.
+
+    Returns
+    -------
+    u, v, weights : ndarray
+        (samples, samples), rows are v; m, m and m^2. Coordinates are
+        ``(arange(n) - n//2) * pitch`` with the pitch at which the pupil just fits:
+        ``2 radius/n`` for odd n, ``2 radius/(n - 1)`` for even n.
+    """
+    positive("radius", radius, unit="m")
+    samples = whole("samples", samples, 2)
+    pitch = fitting_pitch(radius, samples)
+    axis = (np.arange(samples) - samples // 2) * pitch
+    v, u = np.meshgrid(axis, axis, indexing="ij")
+    return u, v, cell_areas(axis, pitch, radius, _inner(obscuration))
+
+
+def fitting_pitch(radius: float, samples: int) -> float:
+    """Pitch at which a centred disc just fits a grid whose middle sample is ``samples//2``."""
+    return 2 * radius / (samples - 1 + samples % 2)
+
+
+def cell_areas(axis: Array, pitch: float, radius: float, obscuration: float) -> Array:
+    """Area of each square cell around ``axis`` x ``axis`` inside the annulus, (n, n), m^2."""
+    edges = np.append(axis - pitch / 2, axis[-1] + pitch / 2)
+    areas = _areas_in_disc(edges, radius)
+    if obscuration > 0:
+        areas -= _areas_in_disc(edges, obscuration * radius)
+    return np.clip(areas, 0.0, pitch**2)
+
+
+def circle_shares(x: Array, y: Array, pitch: float, radius: float) -> Array:
+    """Share of each cell of the grid ``y`` by ``x`` that lies within ``radius`` of 0, (ny, nx)."""
+    edges_x = np.append(x - pitch / 2, x[-1] + pitch / 2)
+    edges_y = np.append(y - pitch / 2, y[-1] + pitch / 2)
+    corner = _corner_areas(edges_x, edges_y, radius)
+    return np.clip(np.diff(np.diff(corner, axis=0), axis=1) / pitch**2, 0.0, 1.0)
+
+
+def _areas_in_disc(edges: Array, radius: float) -> Array:
+    return np.diff(np.diff(_corner_areas(edges, edges, radius), axis=0), axis=1)
+
+
+def _corner_areas(x: Array, y: Array, radius: float) -> Array:
+    """Signed area of the disc within the rectangle from 0 to each corner, (len(y), len(x)).
+
+    Inside the circle it is x y; beyond, the part left of ``xs = sqrt(R^2 - y^2)`` is a rectangle
+    and the rest the area under the arc, ``G(x) - G(xs)``.
+    """
+
+    def under_arc(t: Array) -> Array:
+        return (t * np.sqrt(radius**2 - t**2) + radius**2 * np.arcsin(t / radius)) / 2
+
+    ax, ay = np.minimum(np.abs(x), radius), np.minimum(np.abs(y), radius)
+    xs = np.sqrt(np.maximum(radius**2 - ay**2, 0.0))
+    inside = ax <= xs[:, None]
+    bent = (ay * xs - under_arc(np.minimum(xs, radius)))[:, None] + under_arc(ax)
+    area = np.where(inside, ay[:, None] * ax, bent)
+    return np.asarray(area * np.sign(y)[:, None] * np.sign(x))
+
+
+def _inner(obscuration: float) -> float:
+    in_range("obscuration", obscuration, 0.0, 0.99)
+    return float(obscuration)

@@ -1,0 +1,204 @@
+"""A wave without its piston and tilt, and where its rays land.
+
+The tilt is an exact shift of the image; only what is left needs sampling.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SamplingError
+from .spectra import PolarSpectrum
+from .wavefronts import Wavefront
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """Slopes of the residual aberration, one ray each.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        Where the rays land in the image, m, from the point the tilt leads to.
+    energy : ndarray
+        Share of the light, sum 1; 0 on the rim.
+    slope : float
+        Largest gradient of the residual aberration.
+    """
+
+    x: Array
+    y: Array
+    energy: Array
+    slope: float
+
+    @property
+    def reach(self) -> float:
+        """Half the side of the square that holds every ray, m."""
+        return float(max(np.abs(self.x).max(), np.abs(self.y).max()))
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """Wavefront split into piston, tilt and the rest.
+
+    Parameters
+    ----------
+    wavefront : Wavefront
+        As given.
+    tilt : (float, float)
+        dW/du and dW/dv of the weighted least-squares plane.
+    aberration : ndarray
+        What is left, m, at the wavefront's nodes.
+    """
+
+    wavefront: Wavefront
+    tilt: tuple[float, float]
+    aberration: Array
+
+    @property
+    def wavenumber(self) -> float:
+        """2 pi/wavelength, 1/m."""
+        return 2 * np.pi / self.wavefront.wavelength
+
+    @property
+    def airy_unit(self) -> float:
+        """Wavelength times F-number, m."""
+        return self.wavefront.wavelength * self.wavefront.f_number
+
+    @property
+    def shift(self) -> tuple[float, float]:
+        """Where the tilt moves the image, (x, y), m."""
+        d = self.wavefront.image_distance
+        return self.tilt[0] * d, self.tilt[1] * d
+
+    @cached_property
+    def amplitude_sum(self) -> float:
+        """Integral of the amplitude over the pupil, m^2: the unaberrated field on the axis."""
+        return float(np.sum(self.wavefront.amplitude * self.wavefront.weights))
+
+    @cached_property
+    def half_width(self) -> float:
+        """Farthest light in u or v from the axis, m; it limits the image's bandwidth."""
+        wave = self.wavefront
+        if wave.layout == "polar":
+            return wave.pupil_radius
+        lit = wave.amplitude * wave.weights > 0
+        return float(max(np.abs(wave.u[lit]).max(), np.abs(wave.v[lit]).max()))
+
+    @property
+    def nyquist_pitch(self) -> float:
+        """Widest image sampling that keeps the intensity, m; lambda N/2 for a round pupil."""
+        wave = self.wavefront
+        return wave.wavelength * abs(wave.image_distance) / (4 * self.half_width)
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether the amplitude is the same at every node."""
+        return bool(np.ptp(self.wavefront.amplitude) == 0)
+
+    @cached_property
+    def series(self) -> PolarSpectrum:
+        """Legendre-Fourier series of the residual aberration of a polar wavefront."""
+        wave = self.wavefront
+        return PolarSpectrum(self.aberration, wave.pupil_radius, wave.obscuration)
+
+    @cached_property
+    def amplitude_series(self) -> PolarSpectrum:
+        """The same of the amplitude."""
+        wave = self.wavefront
+        return PolarSpectrum(wave.amplitude, wave.pupil_radius, wave.obscuration)
+
+    @cached_property
+    def truncation(self) -> float:
+        """Relative error of the pupil function for lack of polar nodes, at worst."""
+        if self.wavefront.layout != "polar":
+            return 0.0
+        amplitude = 0.0
+        if not self.is_uniform:
+            amplitude = self.amplitude_series.truncation() / float(self.wavefront.amplitude.max())
+        return self.wavenumber * self.series.truncation() + amplitude
+
+    @cached_property
+    def rays(self) -> Rays:
+        """One ray from every node, and from the rim of a polar wavefront."""
+        wave = self.wavefront
+        if wave.layout == "polar":
+            return self.traced(*wave.u.shape)
+        return self._landing(*self._grid_slopes())
+
+    def traced(self, n_r: int, n_theta: int) -> Rays:
+        """Rays of a polar wavefront from (n_r, n_theta) nodes and from the rim."""
+        n_r, n_theta = max(n_r, self.series.n_r), max(n_theta, self.series.n_theta)
+        du, dv, energy = self.series.slopes(n_r, n_theta)
+        if not self.is_uniform:
+            energy[:-1] *= self.amplitude_series.at_nodes(n_r, n_theta) ** 2
+        return self._landing(du, dv, energy)
+
+    def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
+        d = self.wavefront.image_distance
+        return Rays(du * d, dv * d, energy / energy.sum(), float(np.hypot(du, dv).max()))
+
+    def grid_jump(self) -> tuple[float, tuple[int, int]]:
+        """Largest step of the residual between lit neighbours of a grid, waves, and its pixel."""
+        wave = self.wavefront
+        lit = wave.amplitude * wave.weights > 0
+        worst, where = 0.0, (0, 0)
+        for axis in (0, 1):
+            jump = np.abs(np.diff(self.aberration, axis=axis))
+            both = lit[1:] & lit[:-1] if axis == 0 else lit[:, 1:] & lit[:, :-1]
+            jump = np.where(both, jump, 0.0)
+            if jump.size and jump.max() > worst:
+                worst = float(jump.max())
+                row, column = np.unravel_index(np.argmax(jump), jump.shape)
+                where = (int(row), int(column))
+        return worst / wave.wavelength, where
+
+    def _grid_slopes(self) -> tuple[Array, Array, Array]:
+        """Central differences, one-sided where a neighbour is dark, 0 where both are."""
+        wave = self.wavefront
+        energy = wave.amplitude**2 * wave.weights
+        lit = energy > 0
+        slopes = []
+        for axis in (1, 0):
+            surface = np.moveaxis(self.aberration, axis, 1)
+            mask = np.moveaxis(lit, axis, 1)
+            step = np.where(mask[:, 1:] & mask[:, :-1], np.diff(surface, axis=1), 0.0)
+            count = (mask[:, 1:] & mask[:, :-1]).astype(np.float64)
+            total, pairs = np.zeros_like(surface), np.zeros_like(surface)
+            total[:, 1:] += step
+            total[:, :-1] += step
+            pairs[:, 1:] += count
+            pairs[:, :-1] += count
+            slope = total / (np.maximum(pairs, 1.0) * wave.pupil_pitch)
+            slopes.append(np.moveaxis(slope, 1, axis))
+        return slopes[0], slopes[1], energy
+
+
+def split(wavefront: Wavefront) -> Residual:
+    """Take piston and tilt, the least-squares plane weighted by amplitude, out of a wavefront.
+
+    Raises
+    ------
+    SamplingError
+        If the nodes are scattered.
+    """
+    if wavefront.layout == "scattered":
+        raise SamplingError(
+            "a scattered wavefront has no Fourier transform here; sample it on polar nodes or a "
+            "grid (nodes='polar' or 'grid')"
+        )
+    weights = wavefront.amplitude * wavefront.weights
+    scale = wavefront.pupil_radius
+    plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
+    moments = np.einsum("iyx,jyx,yx->ij", plane, plane, weights)
+    right = np.einsum("iyx,yx,yx->i", plane, weights, wavefront.aberration)
+    # The pseudo-inverse holds for a slit, too, across which there is no tilt.
+    fit = np.linalg.pinv(moments, hermitian=True) @ right
+    aberration = wavefront.aberration - np.einsum("i,iyx->yx", fit, plane)
+    return Residual(wavefront, (float(fit[1] / scale), float(fit[2] / scale)), aberration)

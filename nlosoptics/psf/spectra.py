@@ -1,0 +1,184 @@
+"""Spectral interpolation on the polar nodes of a pupil.
+
+A function that is smooth on the disc has, for each angular order m, a radial part that is
+r^(m mod 2) times a smooth function of r^2. On Gauss-Legendre nodes of r^2 and equal steps in angle
+that makes a Legendre-Fourier series, which converges exponentially and is exact for polynomials.
+"""
+
+from __future__ import annotations
+
+import math
+
+import ducc0
+import numpy as np
+from numpy.typing import NDArray
+
+from .nodes import gauss_legendre
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class PolarSpectrum:
+    """Legendre-Fourier series of samples on `polar_nodes`.
+
+    Parameters
+    ----------
+    values : ndarray
+        (n_r, n_theta), real.
+    radius : float
+        Outer radius, m.
+    obscuration : float
+        Inner radius as a fraction of the outer.
+    """
+
+    def __init__(self, values: Array, radius: float, obscuration: float) -> None:
+        self.n_r, self.n_theta = values.shape
+        self.radius, self.obscuration = radius, obscuration
+        waves = np.fft.rfft(values, axis=1, norm="forward")
+        if self.n_theta % 2 == 0:
+            waves[:, -1] /= 2  # the highest order stands for both +m and -m
+        fraction, weights = gauss_legendre(self.n_r)
+        waves[:, 1::2] /= self._rho(fraction)[:, None]
+        basis = _legendre(self.n_r, fraction)
+        norms = 2 * np.arange(self.n_r) + 1
+        # einsum without BLAS: the same bits for any thread count.
+        self.coefficients = np.einsum("ki,im->km", basis * weights * norms[:, None], waves)
+
+    def truncation(self) -> float:
+        """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
+        size = np.abs(self.coefficients)
+        size[:, 1:] *= 2
+        n_k = max(1, self.n_r // 8)
+        n_m = max(1, size.shape[1] // 8)
+        return float(size[-n_k:].sum() + size[:-n_k, -n_m:].sum())
+
+    def degrees(self, threshold: float) -> tuple[int, int]:
+        """Highest Legendre degree and angular order whose coefficient passes the threshold."""
+        above = np.abs(self.coefficients) > threshold
+        radii, orders = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
+        return int(radii.max(initial=0)), int(orders.max(initial=0))
+
+    def at_nodes(self, n_r: int, n_theta: int) -> Array:
+        """Values on the polar nodes (n_r, n_theta), neither fewer than the samples given."""
+        fraction, _ = gauss_legendre(n_r)
+        return self._synthesis(self._radial(fraction)[0], n_theta)
+
+    def slopes(self, n_r: int, n_theta: int) -> tuple[Array, Array, Array]:
+        """Gradient on the polar nodes and, as the last row, on the rim.
+
+        Returns
+        -------
+        du, dv : ndarray
+            Derivatives, (n_r + 1, n_theta), 1/m times the unit of the values.
+        weights : ndarray
+            (n_r + 1, n_theta), sum 1, 0 on the rim.
+        """
+        fraction, weights = gauss_legendre(n_r)
+        fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
+        values, per_r = self._radial(fraction)
+        r = (self.radius * self._rho(fraction))[:, None]
+        order = np.arange(values.shape[1])
+        d_r = self._synthesis(per_r, n_theta)
+        d_theta = self._synthesis(1j * order * values, n_theta) / r
+        angle = 2 * math.pi * np.arange(n_theta) / n_theta
+        c, s = np.cos(angle), np.sin(angle)
+        share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
+        return c * d_r - s * d_theta, s * d_r + c * d_theta, share
+
+    def at(self, u: Array, v: Array, epsilon: float) -> Array:
+        """Values at any points; beyond the rims, continued along the radial derivative.
+
+        ``epsilon`` is the error relative to the largest value, 1e-13 at best.
+        """
+        r, angle = np.hypot(u, v), np.arctan2(v, u)
+        inner = self.obscuration * self.radius
+        within = np.clip(r, inner, self.radius)
+        # Chebyshev in r over the diameter (disc) or the ring's width; degree 2 n_r - 1 is exact.
+        low = inner if inner > 0 else -self.radius
+        middle, half = (self.radius + low) / 2, (self.radius - low) / 2
+        n = 2 * self.n_r
+        lobes = math.pi * (np.arange(n) + 0.5) / n
+        rho = (middle + half * np.cos(lobes)) / self.radius
+        radial = self._polynomial(rho)[0]
+        n_m = radial.shape[1]
+        cosines = np.cos(np.outer(np.arange(n), lobes)) * (2 / n)
+        cosines[0] /= 2
+        chebyshev = np.einsum("ji,im->jm", cosines, radial)
+        # cos(j psi) as a Fourier series in psi, both signs of both orders.
+        grid = np.zeros((2 * n, 2 * n_m), dtype=np.complex128)
+        grid[n:, n_m:] = chebyshev / 2
+        grid[n:0:-1, n_m:] += chebyshev / 2
+        grid[:, n_m - 1 : 0 : -1] = np.conj(grid[:, n_m + 1 :])
+        psi = np.arccos(np.clip((within - middle) / half, -1.0, 1.0))
+        coord = np.stack([psi.ravel(), angle.ravel()], axis=1)
+        values: Array = (
+            ducc0.nufft.u2nu(grid=grid, coord=coord, forward=False, epsilon=epsilon, nthreads=1)
+            .real.reshape(u.shape)
+            .copy()
+        )
+        for rim, outside in ((1.0, r > self.radius), (self.obscuration, r < inner)):
+            if np.any(outside):
+                values[outside] += self._rim_slope(rim, angle[outside]) * (
+                    r[outside] - rim * self.radius
+                )
+        return values
+
+    def _rim_slope(self, rho: float, angle: Array) -> Array:
+        """Radial derivative on the circle r = rho * radius, per m."""
+        waves = self._polynomial(np.array([rho]))[1][0]
+        n_m = waves.size
+        series = np.zeros(2 * n_m, dtype=np.complex128)
+        series[n_m:] = waves
+        series[n_m - 1 : 0 : -1] = np.conj(waves[1:])
+        slope: Array = ducc0.nufft.u2nu(
+            grid=series, coord=angle[:, None], forward=False, epsilon=1e-12, nthreads=1
+        ).real
+        return slope
+
+    def _rho(self, fraction: Array) -> Array:
+        inner = self.obscuration**2
+        return np.asarray(np.sqrt(inner + (1 - inner) * fraction))
+
+    def _radial(self, fraction: Array) -> tuple[ComplexArray, ComplexArray]:
+        return self._polynomial(self._rho(fraction))
+
+    def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
+        inner = self.obscuration**2
+        fraction = (rho**2 - inner) / (1 - inner)
+        value = np.einsum("ki,km->im", _legendre(self.n_r, fraction), self.coefficients)
+        slope = np.einsum("ki,km->im", _legendre_slopes(self.n_r, fraction), self.coefficients)
+        slope *= (2 * rho / (1 - inner))[:, None]
+        slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]
+        value[:, 1::2] *= rho[:, None]
+        return value, slope / self.radius
+
+    def _synthesis(self, waves: ComplexArray, n_theta: int) -> Array:
+        full = np.zeros((waves.shape[0], n_theta // 2 + 1), dtype=np.complex128)
+        full[:, : waves.shape[1]] = waves
+        if n_theta % 2 == 0 and waves.shape[1] == full.shape[1]:
+            full[:, -1] *= 2
+        return np.fft.irfft(full, n_theta, axis=1, norm="forward")
+
+
+def _legendre(n: int, fraction: Array) -> Array:
+    """P_k(2 f - 1) for k < n, (n, len(f))."""
+    x = 2 * fraction - 1
+    table = np.ones((n, x.size))
+    if n > 1:
+        table[1] = x
+    for k in range(1, n - 1):
+        table[k + 1] = ((2 * k + 1) * x * table[k] - k * table[k - 1]) / (k + 1)
+    return table
+
+
+def _legendre_slopes(n: int, fraction: Array) -> Array:
+    """d P_k(2 f - 1)/df for k < n, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
+    table = _legendre(n, fraction)
+    slopes = np.zeros_like(table)
+    if n > 1:
+        slopes[1] = 1.0
+    for k in range(1, n - 1):
+        slopes[k + 1] = slopes[k - 1] + (2 * k + 1) * table[k]
+    return 2 * slopes

@@ -1,0 +1,77 @@
+"""JSON schema of scene files, with the notes of the dataclasses' docstrings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from . import _file_tables
+from .camera import Camera
+from .hidden import MeshObject, PlanarObject
+from .laser import Laser
+from .materials import Lambert, OrenNayar, SpecularMicrofacet
+from .mesh import MeshWall
+from .walls import ConcaveWall, FlatWall, SumWall, WavyWall
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON schema of scene files, for editors that complete and check TOML."""
+    schema = _file_tables.SceneFile.model_json_schema()
+    documented = {
+        "LaserTable": Laser,
+        "FlatTable": FlatWall,
+        "SphereTable": ConcaveWall,
+        "CylinderTable": ConcaveWall,
+        "WavyTable": WavyWall,
+        "SumTable": SumWall,
+        "MeshWallTable": MeshWall,
+        "PictureTable": PlanarObject,
+        "MeshObjectTable": MeshObject,
+        "CameraTable": Camera,
+        "LambertTable": Lambert,
+        "OrenNayarTable": OrenNayar,
+        "SpecularTable": SpecularMicrofacet,
+    }
+    for name, table in schema["$defs"].items():
+        notes = _parameter_notes(documented[name].__doc__ or "")
+        for key, value in table["properties"].items():
+            _tidy(key, value, notes)
+    _tidy("", schema, {})
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "nlosoptics scene",
+        **schema,
+    }
+
+
+def _parameter_notes(docstring: str) -> dict[str, str]:
+    """First words on each parameter of a numpydoc docstring."""
+    notes: dict[str, str] = {}
+    names: list[str] = []
+    _, _, section = docstring.partition("Parameters\n    ----------\n")
+    for line in section.splitlines():
+        if line.startswith("    ---") or not section:
+            break
+        if line.startswith("    ") and not line.startswith("     "):
+            names = line.partition(" : ")[0].strip().lstrip("*").split(", ")
+        elif line.startswith("        "):
+            for name in names:
+                notes[name] = f"{notes.get(name, '')} {line.strip()}".strip()
+    return notes
+
+
+def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str]) -> None:
+    """Drop nulls, which TOML has not, and add the notes and the example of ``key``."""
+    schema.pop("title", None)
+    if "default" in schema and schema["default"] is None:
+        del schema["default"]
+    choices = [choice for choice in schema.get("anyOf", ()) if choice != {"type": "null"}]
+    if len(choices) == 1:
+        del schema["anyOf"]
+        schema.update({**choices[0], **schema})
+    elif choices:
+        schema["anyOf"] = choices
+    if key in notes:
+        form = f" ({schema['description']})" if "description" in schema else ""
+        schema["description"] = notes[key] + form
+    if key in _file_tables.EXAMPLES and not schema.keys() & {"const", "enum"}:
+        schema["examples"] = [_file_tables.EXAMPLES[key]]

@@ -1,0 +1,273 @@
+"""Scene files: TOML whose lengths, times, powers and angles carry their unit.
+
+A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``; ``[wall.material]``
+and ``[hidden.material]`` are one lobe, or with double brackets a sum of lobes. ``[camera]`` may
+name a ``file`` with a camera table, whose keys it may override. Paths are relative to the file
+that they stand in.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import tomllib
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from .._checks import in_range, positive
+from ..errors import SceneError
+from . import _file_tables
+from ._file_errors import located, missing_key, validated
+from ._file_schema import scene_schema
+from ._file_text import format_scene
+from .camera import Camera
+from .hidden import MeshObject, PlanarObject
+from .laser import Laser
+from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial
+from .mesh import MeshWall
+from .scene import Scene
+from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+
+__all__ = ["format_scene", "load_scene", "save_scene", "scene_schema"]
+
+#: Either key of a pair determines the other; an override replaces both.
+_ALTERNATIVES = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Read a scene file, and open the pictures and meshes that it names.
+
+    Parameters
+    ----------
+    path : str or Path
+        TOML file.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        In one line that names file, key, value, limit and remedy.
+    """
+    path = Path(path)
+    folder = path.parent
+    raw = _read(path)
+    with located(f"{path}: "):
+        tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, raw)
+    camera = _camera_values(path, tables.camera, (path.resolve(),))
+    with located(f"{path}: "):
+        optional: dict[str, Any] = {}
+        if tables.wall.material is not None:
+            optional["wall_material"] = _material("wall.material", tables.wall.material)
+        scene = Scene(
+            _laser(tables.laser),
+            _wall(tables.wall, folder),
+            _hidden(tables.hidden, folder),
+            _camera(camera),
+            **optional,
+        )
+        _open_files(scene)
+    return scene
+
+
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """Write a scene file that `load_scene` reads back to an equal scene.
+
+    The file appears complete or not at all. Pictures and meshes stay where they are; the file
+    names them relative to its own folder.
+
+    Parameters
+    ----------
+    scene : Scene
+    path : str or Path
+        Where to write; an existing file is replaced.
+
+    Raises
+    ------
+    SceneError
+        If the folder does not exist, or a picture or mesh is an array that no file holds.
+    """
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise SceneError(f"{path}: there is no folder {path.parent}; make it first")
+    with located(f"{path}: "):
+        text = format_scene(scene, path.parent)
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be written ({error.strerror}); choose another") from None
+    finally:
+        with suppress(OSError):
+            draft.unlink()
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        what = "a folder" if path.is_dir() else "missing"
+        raise SceneError(f"{path}: the scene file is {what}; give the path of a TOML file")
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except UnicodeDecodeError as error:
+        raise SceneError(
+            f"{path}: byte {error.start} is not UTF-8 text; give a TOML file"
+        ) from None
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{path}: not TOML: {error}; mend that line") from None
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror}); check the file") from None
+
+
+def _given(table: Any, *without: str) -> dict[str, Any]:
+    """Keys that the file sets; the dataclasses' defaults stand for the others."""
+    return {name: getattr(table, name) for name in table.model_fields_set if name not in without}
+
+
+def _laser(table: _file_tables.LaserTable) -> Laser:
+    values = _given(table, "distance", "incidence", "azimuth")
+    polar = [name for name in ("distance", "incidence") if name in table.model_fields_set]
+    if table.position is not None:
+        if polar or table.azimuth is not None:
+            raise SceneError(
+                f"laser.{(*polar, 'azimuth')[0]} stands beside laser.position; give position, or "
+                "distance and incidence"
+            )
+        return Laser(**values)
+    if table.distance is None or table.incidence is None:
+        raise SceneError(
+            'laser.position is missing; give position = ["1 m", "0 m", "1 m"], or distance = '
+            '"1.2 m" and incidence = "15 deg"'
+        )
+    distance = positive("laser.distance", table.distance, unit="m")
+    incidence = in_range("laser.incidence", table.incidence, 0, math.pi / 2, unit="rad")
+    azimuth, (x, y, z) = table.azimuth or 0.0, table.aim or (0.0, 0.0, 0.0)
+    across = distance * math.sin(incidence)
+    position = (
+        x + across * math.cos(azimuth),
+        y + across * math.sin(azimuth),
+        z + distance * math.cos(incidence),
+    )
+    return Laser(**values, position=position)
+
+
+def _wall(table: Any, folder: Path) -> Wall:
+    values = _given(table, "shape", "material")
+    if table.shape == "mesh":
+        return MeshWall(_resolved(folder, values.pop("mesh")), **values)
+    if table.shape == "flat":
+        return FlatWall(**values)
+    if table.shape == "wavy":
+        return WavyWall(**values)
+    if table.shape == "sum":
+        return SumWall(*_terms(values.pop("terms"), folder), **values)
+    bend, shape = table.shape.split("_")
+    kind = ConcaveWall if bend == "concave" else ConvexWall
+    return kind(values.pop("radius"), shape=shape, **values)
+
+
+def _terms(tables: list[Any], folder: Path) -> Iterator[Wall]:
+    for index, table in enumerate(tables):
+        if table.material is not None:
+            raise SceneError(
+                f"wall.terms[{index}].material stands in a summand; move it to wall.material"
+            )
+        with located(f"wall.terms[{index}].", "wall."):
+            yield _wall(table, folder)
+
+
+def _hidden(table: Any, folder: Path) -> PlanarObject | MeshObject:
+    values = _given(table, "material")
+    if table.material is not None:
+        values["material"] = _material("hidden.material", table.material)
+    if isinstance(table, _file_tables.MeshObjectTable):
+        return MeshObject(_resolved(folder, values.pop("mesh")), **values)
+    return PlanarObject(_resolved(folder, values.pop("image")), **values)
+
+
+def _resolved(folder: Path, name: str) -> Path:
+    return (folder / name).resolve()
+
+
+def _material(name: str, table: Any) -> Material:
+    if isinstance(table, list):
+        parts = [_lobe(f"{name}[{index}].", lobe) for index, lobe in enumerate(table)]
+        with located(f"{name}: "):
+            return SumMaterial(*parts)
+    return _lobe(f"{name}.", table)
+
+
+def _lobe(place: str, table: Any) -> Material:
+    kinds = {"lambert": Lambert, "oren_nayar": OrenNayar, "specular": SpecularMicrofacet}
+    with located(place):
+        material: Material = kinds[table.lobe](**_given(table, "lobe"))
+        return material
+
+
+def _camera_values(
+    path: Path, table: _file_tables.CameraTable, seen: tuple[Path, ...]
+) -> dict[str, Any]:
+    """Keys of a camera table over those of the file that it starts from."""
+    own = _given(table, "file")
+    for pair in _ALTERNATIVES:
+        if all(name in own for name in pair):
+            raise SceneError(
+                f"{path}: camera.{pair[1]} stands beside camera.{pair[0]}, limit is one of them; "
+                "remove the other"
+            )
+    if table.file is None:
+        return own
+    other = path.parent / table.file
+    if other.resolve() in seen:
+        raise SceneError(f"{path}: camera.file = {table.file!r} leads back to itself; remove it")
+    if not other.is_file():
+        raise SceneError(
+            f"{path}: camera.file = {table.file!r}: there is no file {other}; give the path of a "
+            "TOML file with a [camera] table"
+        )
+    raw = _read(other)
+    with located(f"{other}: "):
+        included: _file_tables.CameraFile = validated(_file_tables.CameraFile, raw)
+    values = _camera_values(other, included.camera, (*seen, other.resolve()))
+    for pair in _ALTERNATIVES:
+        if any(name in own for name in pair):
+            values = {name: value for name, value in values.items() if name not in pair}
+    return values | own
+
+
+def _camera(values: dict[str, Any]) -> Camera:
+    """Turn field of view and F-number into focal length and stop."""
+    for name in ("position", "aim"):
+        if name not in values:
+            raise SceneError(missing_key(f"camera.{name}", name))
+    for pair in _ALTERNATIVES:
+        if not any(name in values for name in pair):
+            raise SceneError(missing_key(f"camera.{pair[0]}", pair[0]))
+    values = dict(values)
+    if "pixels" in values:
+        values["pixels"] = tuple(values["pixels"])
+    width = values.pop("sensor_width", None)
+    field = values.pop("field_of_view", None)
+    f_number = values.pop("f_number", None)
+    if field is not None:
+        in_range("camera.field_of_view", field, 0, 3.0, open_low=True, unit="rad")
+        if width is None:
+            pixels = values.get("pixels", Camera.pixels)
+            width = pixels[0] * values.get("pixel_pitch", Camera.pixel_pitch)
+        width = positive("camera.sensor_width", width, unit="m")
+        values["focal_length"] = width / 2 / math.tan(field / 2)
+    if f_number is not None:
+        values["stop_diameter"] = values["focal_length"] / positive("camera.f_number", f_number)
+    return Camera(**values)
+
+
+def _open_files(scene: Scene) -> None:
+    """Meet missing and broken files now, before anything is computed."""
+    hidden, wall = scene.hidden, scene.wall
+    _ = hidden.surface if isinstance(hidden, MeshObject) else hidden.reflectance
+    if isinstance(wall, MeshWall):
+        _ = wall.size

@@ -1,0 +1,182 @@
+"""Maps: wave aberration, point spread, image, reconstruction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import one_of
+from .canvas import new_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from ..imaging import SpeckleImage
+    from ..inverse import Reconstruction
+    from ..psf import PointSpread, Wavefront
+
+Array = NDArray[np.float64]
+
+
+def wavefront(
+    wavefront: Wavefront, *, unit: Literal["waves", "nm"] = "waves", axes: Axes | None = None
+) -> Axes:
+    """Draw the wave aberration over the pupil.
+
+    Parameters
+    ----------
+    wavefront : Wavefront
+        In any layout of nodes; nodes without light are left blank.
+    unit : {"waves", "nm"}
+        Of the colour bar.
+    axes : matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Pupil coordinates in mm; red where the wave has gone the longer path.
+    """
+    one_of("unit", unit, ("waves", "nm"))
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
+    scale = wavefront.wavelength if unit == "waves" else 1e-9
+    lit = (wavefront.amplitude > 0) & (wavefront.weights > 0)
+    values = np.where(lit, wavefront.aberration / scale, np.nan)
+    largest = float(np.nanmax(abs(values), initial=0.0)) or 1.0
+    style: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -largest, "vmax": largest}
+    u, v = wavefront.u * 1e3, wavefront.v * 1e3
+    drawn: Any
+    if wavefront.layout == "grid":
+        drawn = axes.pcolormesh(u, v, values, shading="nearest", rasterized=True, **style)
+    else:
+        # triangles close the seam at angle zero and the gap at the centre
+        drawn = axes.tripcolor(u[lit], v[lit], values[lit], shading="gouraud", **style)
+    _colour_bar(axes, drawn, f"wave aberration ({unit})")
+    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title="wave aberration")
+    return axes
+
+
+def point_spread(
+    point_spread: PointSpread,
+    *,
+    scale: Literal["log", "linear"] = "log",
+    decades: float = 6.0,
+    half_width: float | None = None,
+    axes: Axes | None = None,
+) -> Axes:
+    """Draw a point spread function.
+
+    Parameters
+    ----------
+    point_spread : PointSpread
+        What to draw.
+    scale : {"log", "linear"}
+        Of the colours.
+    decades : float
+        Of the logarithmic scale, below the peak; what is fainter is drawn like the faintest.
+    half_width : float, optional
+        Half the side of the square that is shown about the centre, m; all by default.
+    axes : matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Image coordinates in um, turned as the camera shows them: y grows downward.
+    """
+    from matplotlib.colors import LogNorm, Normalize
+
+    one_of("scale", scale, ("log", "linear"))
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
+    peak = float(point_spread.intensity.max())
+    floor = peak * 10.0**-decades if scale == "log" else 0.0
+    norm = LogNorm(floor, peak) if scale == "log" else Normalize(floor, peak)
+    ny, nx = point_spread.intensity.shape
+    pixel = point_spread.pitch * 1e6
+    left, low = (-(n // 2 + 0.5) * pixel for n in (nx, ny))
+    drawn = axes.imshow(
+        np.maximum(point_spread.intensity, floor),
+        norm=norm,
+        cmap="viridis",
+        extent=(left, left + nx * pixel, low + ny * pixel, low),
+        interpolation="nearest",
+    )
+    if half_width is not None:
+        axes.set(
+            xlim=(-half_width * 1e6, half_width * 1e6), ylim=(half_width * 1e6, -half_width * 1e6)
+        )
+    _colour_bar(axes, drawn, f"intensity ({point_spread.normalisation})")
+    axes.set(xlabel="x (um)", ylabel="y (um)", title=f"point spread, {point_spread.method}")
+    return axes
+
+
+def image(speckle_image: SpeckleImage, *, axes: Axes | None = None) -> Axes:
+    """Draw a camera image as the camera shows it: upright, mirror-reversed by the wall.
+
+    Parameters
+    ----------
+    speckle_image : SpeckleImage
+        What to draw.
+    axes : matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Detector coordinates in mm, row 0 on top; colours are electrons per pixel.
+    """
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
+    ny, nx = speckle_image.electrons.shape
+    right, low = (n / 2 * speckle_image.pitch * 1e3 for n in (nx, ny))
+    drawn = axes.imshow(
+        speckle_image.electrons,
+        cmap="gray",
+        extent=(-right, right, low, -low),
+        interpolation="nearest",
+    )
+    _colour_bar(axes, drawn, "electrons per pixel")
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", title="speckle image")
+    return axes
+
+
+def reconstruction(
+    reconstruction: Reconstruction,
+    truth: ArrayLike | None = None,
+    *,
+    axes: Sequence[Axes] | None = None,
+) -> tuple[Axes, ...]:
+    """Draw a reconstruction, beside the ground truth where it is known.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction
+        What to draw.
+    truth : array_like (ny, nx), optional
+        The object in the frame of the reconstruction, its largest value 1 as there.
+    axes : sequence of matplotlib Axes, optional
+        Where to draw, one axes or, with a truth, two; a new figure by default.
+
+    Returns
+    -------
+    tuple of Axes
+        Truth, where it is given, and reconstruction. The mirror is undone: columns count from right
+        to left, so that letters read.
+    """
+    pictures = [] if truth is None else [("ground truth", np.asarray(truth))]
+    pictures.append((f"reconstruction, {reconstruction.status}", np.asarray(reconstruction.object)))
+    if axes is None:
+        axes = new_axes(len(pictures), width=0.6 + 4.8 * len(pictures), height=4.6)
+    for where, (title, picture) in zip(axes, pictures, strict=True):
+        drawn = where.imshow(picture, cmap="gray", interpolation="nearest")
+        where.invert_xaxis()
+        _colour_bar(where, drawn, "relative brightness")
+        where.set(xlabel="column (pixels)", ylabel="row (pixels)", title=title)
+    return tuple(axes)
+
+
+def _colour_bar(axes: Axes, drawn: Any, label: str) -> None:
+    figure: Any = axes.get_figure(root=True)
+    figure.colorbar(drawn, ax=axes, label=label, shrink=0.9)

@@ -1,0 +1,124 @@
+"""The scene from above and from the side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import SceneError
+from ..scene import PlanarObject, Scene
+from .canvas import new_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe and Ito's colours, distinct to every kind of colour vision
+WALL, LASER, OBJECT, MIRRORED, CAMERA, CHIEF = (
+    "#000000",
+    "#D55E00",
+    "#009E73",
+    "#8FCFBA",
+    "#0072B2",
+    "#E69F00",
+)
+
+
+def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[Axes, Axes]:
+    """Draw the scene from above (x, z) and from the side (z, y).
+
+    Parameters
+    ----------
+    scene : Scene
+        What to draw: the wall's profile through the origin, the laser beam, the hidden object and
+        its mirror image in the mean wall, the camera with its axis, and the chief path of the light
+        from the laser by way of the object to the camera, as a flat wall would send it.
+    axes : sequence of two matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    (Axes, Axes)
+        Top view and side view, m.
+    """
+    top, side = axes if axes is not None else new_axes(2, width=10.5, height=5.4)
+    outlines = _outlines(scene)
+    reach = 1.1 * max(np.abs(points[:, :2]).max() for _, points, _ in outlines)
+    for view, (across, up) in ((top, (0, 2)), (side, (2, 1))):
+        profile = _profile(scene, along=0 if view is top else 1, reach=reach)
+        view.plot(*profile[:, [across, up]].T, color=WALL, linewidth=2.5, label="relay wall")
+        for label, points, style in outlines:
+            view.plot(*points[:, [across, up]].T, label=label, **style)
+        view.set_aspect("equal", adjustable="datalim")
+        view.grid(alpha=0.25)
+    top.set(xlabel="x (m)", ylabel="z, into the room (m)", title="from above")
+    side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="from the side")
+    if axes is None:
+        figure: Any = top.get_figure(root=True)
+        figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=7)
+    else:
+        side.legend()
+    return top, side
+
+
+def _profile(scene: Scene, *, along: int, reach: float) -> Any:
+    """Points of the wall along world x or y through the origin, (n, 3), m."""
+    size = scene.wall.size
+    half = reach if size is None else size[along] / 2
+    t, zero = np.linspace(-half, half, 401), np.zeros(401)
+    x, y = (t, zero) if along == 0 else (zero, t)
+    try:
+        return np.stack([x, y, scene.wall.height(x, y)], axis=1)
+    except SceneError:
+        if size is not None:
+            raise
+        # an unbounded sphere ends at its radius
+        return _profile(scene, along=along, reach=reach / 2)
+
+
+def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
+    """Label, world points (n, 3) in m and line style of all but the wall."""
+    camera, laser = np.array(scene.camera.position), np.array(scene.laser.position)
+    spot, hidden, mirrored = (
+        np.array(scene.laser.aim),
+        scene.object_point,
+        scene.mirrored_object_point,
+    )
+    # where the straight line from the camera to the mirrored object crosses z = 0
+    crossing = camera + (mirrored - camera) * camera[2] / (camera[2] - mirrored[2])
+    lens = scene.camera.frame[:2] * scene.camera.stop_diameter / 2
+    shape = _object_outline(scene)
+    dot = {"marker": "o", "markersize": 3, "linewidth": 2.5}
+    return [
+        ("laser beam", np.stack([laser, spot]), {"color": LASER, "linewidth": 1.5}),
+        (
+            "chief path",
+            np.stack([spot, hidden, crossing, camera]),
+            {"color": CHIEF, "linewidth": 1, "linestyle": "--"},
+        ),
+        ("hidden object", shape, {"color": OBJECT, **dot}),
+        ("mirrored object", shape * (1, 1, -1), {"color": MIRRORED, **dot}),
+        (
+            "camera axis",
+            np.stack([camera, np.array(scene.camera.aim)]),
+            {"color": CAMERA, "linewidth": 1, "linestyle": ":"},
+        ),
+        (
+            "camera lens",
+            camera + np.stack([lens[0], -lens[0], 0 * lens[0], lens[1], -lens[1]]),
+            {"color": CAMERA, **dot, "marker": "s"},
+        ),
+    ]
+
+
+def _object_outline(scene: Scene) -> Any:
+    """Closed outline of a picture, or the box around a mesh, (n, 3), m, world."""
+    if isinstance(scene.hidden, PlanarObject):
+        right, up, _ = scene.hidden.axes
+        half = np.array(scene.hidden.size) / 2
+        corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
+        return scene.object_point + corners @ np.stack([right, up])
+    low, high = scene.hidden.surface.bounds
+    pick = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1), (0, 0, 1), (0, 0, 0)])
+    return np.where(pick, high, low)

@@ -1,0 +1,59 @@
+"""Fixtures shared by every test."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """Folder of the checkout, which holds the README, the examples and the package."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def examples(root: Path) -> Path:
+    """Folder of the example scenes and their pictures."""
+    return root / "examples"
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """Folder of the larger recorded data, named by NLOSOPTICS_DATA."""
+    folder = os.environ.get("NLOSOPTICS_DATA")
+    if not folder:
+        pytest.skip("NLOSOPTICS_DATA names no data folder")
+    if not Path(folder).is_dir():
+        pytest.fail(f"NLOSOPTICS_DATA = {folder} is not a folder")
+    return Path(folder)
+
+
+@pytest.fixture
+def flat_scene():
+    """Wu 2024's distances: object 1 m from wall and camera, a letter-sized bright square."""
+    import numpy as np
+
+    from nlosoptics.scene import Camera, FlatWall, Laser, PlanarObject, Scene
+
+    x = 0.3798
+    picture = np.zeros((32, 32))
+    picture[6:26, 8:24] = 1.0
+    hit = 0.8 / 1.8
+    return Scene(
+        Laser(wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.6, 0.3, 1.1)),
+        FlatWall(),
+        PlanarObject(picture, 0.3, position=(x, 0.0, 1.0)),
+        Camera(
+            position=(-0.6, 0.0, 0.8),
+            aim=(-0.6 + (x + 0.6) * hit, 0.0, 0.0),
+            focal_length=0.0506415,
+            stop_diameter=0.025,
+            pixels=(4096, 4096),
+            binning=64,
+        ),
+    )

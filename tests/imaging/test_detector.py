@@ -1,0 +1,140 @@
+"""Camera noise: means, variances, speckle, saturation and the converter."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import special
+
+from nlosoptics.errors import SceneError
+from nlosoptics.imaging import speckles_per_pixel
+from nlosoptics.imaging.detector import noise_variance, read_out
+from nlosoptics.scene import Camera
+
+SIDE = 256
+COUNT = SIDE**2
+CAMERA = Camera(
+    position=(0, 0, 1), aim=(0, 0, 0), focal_length=0.05, stop_diameter=0.025,
+    pixels=(8 * SIDE, 8 * SIDE), binning=8, read_noise=3.6, full_well=70e3, bit_depth=16,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("light", [0.0, 3.0, 50.0, 4e4])
+@pytest.mark.parametrize("freedom", [None, 90.0])
+def test_mean_and_variance_are_the_expected_ones(light, freedom):
+    dark = 2.5
+    frame = np.full((SIDE, SIDE), light)
+    electrons, saturated = read_out(CAMERA, frame, dark, freedom=freedom, seed=1)
+    step = 70e3 / 2**16
+    variance = light + dark + 64 * (3.6**2 + step**2 / 12)
+    if freedom is not None:
+        variance += light**2 / freedom
+    assert noise_variance(CAMERA, frame, dark, freedom)[0, 0] == pytest.approx(variance, rel=1e-14)
+    # five standard errors
+    assert electrons.mean() == pytest.approx(light + dark, abs=5 * np.sqrt(variance / COUNT))
+    assert electrons.var() == pytest.approx(variance, rel=5 * np.sqrt(2.2 / COUNT))
+    assert saturated == 0.0
+
+
+def test_binning_sums_the_noise_of_native_pixels():
+    single = replace(CAMERA, binning=1, pixels=(SIDE, SIDE))
+    frame = np.full((SIDE, SIDE), 10.0)
+    for camera, native in ((single, 1), (CAMERA, 64)):
+        step = camera.full_well / 2**16
+        expected = 10.0 + native * (3.6**2 + step**2 / 12)
+        electrons, _ = read_out(camera, frame, 0.0, seed=2)
+        # five standard errors
+        assert electrons.var() == pytest.approx(expected, rel=5 * np.sqrt(2 / COUNT))
+
+
+def test_speckle_contrast_is_that_of_its_freedom():
+    """Bright light: the contrast is that of the gamma variates, 1/sqrt(freedom)."""
+    quiet = replace(CAMERA, read_noise=0.0, full_well=1e9, bit_depth=32)
+    light = np.full((SIDE, SIDE), 1e8)
+    for freedom in (2.0, 90.0):
+        electrons, _ = read_out(quiet, light, 0.0, freedom=freedom, seed=3)
+        contrast = electrons.std() / electrons.mean()
+        # five standard errors of a gamma variate's deviation (kurtosis 6/freedom)
+        error = np.sqrt((2 + 6 / freedom) / COUNT) / 2
+        assert contrast == pytest.approx(freedom**-0.5, rel=5 * error)
+
+
+@pytest.mark.parametrize(("pixel", "f_number"), [(1e-7, 2.0), (1e-6, 2.0), (9e-6, 8.0), (9e-6, 2)])
+def test_speckles_per_pixel_against_the_double_integral(pixel, f_number):
+    wavelength = 632.8e-9
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    u, w = (nodes + 1) / 2, weights / 2
+    gx, gy = np.meshgrid(u, u)
+    v = np.pi * pixel / (wavelength * f_number) * np.hypot(gx, gy)
+    coherence = (2 * special.j1(v) / v) ** 2
+    mean = 4 * np.einsum("i,j,ij", w, w, (1 - gx) * (1 - gy) * coherence)
+    # rounding of the 400 x 400 nodes
+    assert speckles_per_pixel(pixel, wavelength, f_number) == pytest.approx(1 / mean, rel=1e-10)
+
+
+def test_speckles_per_pixel_limits():
+    wavelength, f_number = 632.8e-9, 2.0
+    assert speckles_per_pixel(1e-10, wavelength, f_number) == pytest.approx(1.0, abs=1e-7)
+    # a wide pixel holds its area over that of a speckle, 4 (wavelength F)^2/pi, Goodman sec. 4.4;
+    # the edge adds a part of order wavelength F/pixel
+    pixel = 1e-3
+    many = np.pi / 4 * (pixel / (wavelength * f_number)) ** 2
+    assert speckles_per_pixel(pixel, wavelength, f_number) == pytest.approx(many, rel=5e-3)
+    # a lens at F/2 focused at 2 m, 9 um pixels
+    assert speckles_per_pixel(9e-6, wavelength, 2.05) == pytest.approx(45, abs=0.5)
+
+
+def test_converter_gives_whole_steps_and_keeps_dark_noise_centred():
+    step = CAMERA.full_well / 2**CAMERA.bit_depth
+    electrons, _ = read_out(CAMERA, np.zeros((SIDE, SIDE)), 0.0, seed=4)
+    counts = electrons / step
+    # a product and a quotient of rounding
+    np.testing.assert_allclose(counts, np.rint(counts), rtol=0, atol=1e-9)
+    assert (electrons < 0).any()
+
+
+def test_coarse_converter_rounds():
+    camera = replace(CAMERA, binning=1, pixels=(SIDE, SIDE), bit_depth=4, read_noise=0.0)
+    step = 70e3 / 16
+    electrons, _ = read_out(camera, np.full((SIDE, SIDE), 3.2 * step), 0.0, seed=5)
+    assert set(np.unique(electrons / step)) == {3.0}
+
+
+def test_full_pixels_are_clipped_and_counted():
+    camera = replace(CAMERA, read_noise=0.0)
+    frame = np.zeros((SIDE, SIDE))
+    frame[: SIDE // 4] = 2 * 64 * 70e3
+    electrons, saturated = read_out(camera, frame, 0.0, seed=6)
+    assert saturated == 0.25
+    step = 70e3 / 2**16
+    # the highest code of 64 native pixels, one step below full each
+    assert electrons.max() == pytest.approx(64 * (2**16 - 1) * step, rel=1e-12)
+    assert electrons[: SIDE // 4].min() > 0.999 * 64 * 70e3
+
+
+def test_seed_decides_every_bit():
+    frame = np.full((32, 32), 20.0)
+    first, again, other = (
+        read_out(CAMERA, frame, 1.0, freedom=50.0, seed=s)[0] for s in (7, 7, 8)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).mean() > 0.9
+
+
+def test_speckle_and_photons_do_not_share_numbers():
+    """The same stream for both would correlate them."""
+    quiet = replace(CAMERA, read_noise=0.0, full_well=1e9, bit_depth=32)
+    frame = np.full((SIDE, SIDE), 1e4)
+    plain, _ = read_out(quiet, frame, 0.0, seed=9)
+    speckled, _ = read_out(quiet, frame, 0.0, freedom=1.0, seed=9)
+    together = np.corrcoef(plain.ravel(), speckled.ravel())[0, 1]
+    # five standard errors
+    assert abs(together) < 5 / SIDE
+
+
+@pytest.mark.parametrize("values", [(0.0, 6e-7, 2.0), (9e-6, -1.0, 2.0), (9e-6, 6e-7, np.nan)])
+def test_bad_pixels_are_refused(values):
+    with pytest.raises(SceneError):
+        speckles_per_pixel(*values)

@@ -1,0 +1,183 @@
+"""Exit pupil against the thin-lens closed forms, and the scene's wave front."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+
+from nlosoptics import psf
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.scene import Camera, ConcaveWall, ConvexWall, FlatWall, Laser, PlanarObject, Scene
+
+FOCAL = 0.018432 / math.tan(math.radians(20))
+
+
+def facing_scene(wall, *, d1=1.0, d2=1.0, stop=0.025, **camera):
+    """Object and camera on the wall's normal through its centre."""
+    return Scene(
+        Laser(wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.3, 0, 1.2)),
+        wall,
+        PlanarObject(np.ones((8, 8)), 0.1, position=(0, 0, d1)),
+        Camera(position=(0, 0, d2), aim=(0, 0, 0), focal_length=FOCAL, stop_diameter=stop, **camera),
+    )
+
+
+def test_focal_length_of_forty_degrees():
+    """(sensor/2)/tan(FOV/2) = 50.64150379538759784 mm for 36.864 mm."""
+    assert FOCAL == approx(0.05064150379538759784213, rel=1e-14)
+
+
+def test_lens_as_stop():
+    pupil = psf.exit_pupil(facing_scene(FlatWall(size=2.0), stop=0.025))
+    image = 2 * FOCAL / (2 - FOCAL)
+    assert pupil.stop == "lens"
+    # a few roundings of float64
+    assert pupil.radius == approx(0.0125, rel=1e-12)
+    assert pupil.image_distance == approx(image, rel=1e-12)
+    assert pupil.f_number == approx(image / 0.025, rel=1e-12)
+    assert pupil.centre == approx([0, 0, 1.0], abs=1e-15)
+
+
+def test_wall_as_stop():
+    """s' = d2 f/(d2-f), a' = a f/(d2-f), d_i negative: the pupil lies behind the image."""
+    pupil = psf.exit_pupil(facing_scene(FlatWall(size=0.01), stop=0.5))
+    assert pupil.stop == "wall"
+    assert 1.0 - pupil.centre[2] == approx(-0.0533428667861976828309, rel=1e-12)
+    assert pupil.radius == approx(2.667143339309884141545e-4, rel=1e-12)
+    assert pupil.image_distance == approx(-0.001385770239835115075287, rel=1e-12)
+    assert pupil.f_number == approx(2.59785482731812838778, rel=1e-12)
+
+
+def test_the_smaller_cone_limits():
+    """The wall's edge takes over from the lens at a = r_lens d1/(d1 + d2) = 12.5 mm."""
+    assert psf.exit_pupil(facing_scene(FlatWall(size=0.0249), stop=0.05)).stop == "wall"
+    assert psf.exit_pupil(facing_scene(FlatWall(size=0.0251), stop=0.05)).stop == "lens"
+
+
+def test_wall_stop_gives_the_same_spot_as_the_projected_lens():
+    """Same cone, same image: the inverted pupil with negative d_i is the lens seen otherwise."""
+    wall = ConcaveWall(5.0, size=0.01)
+    small_wall = psf.wavefront(facing_scene(wall, stop=0.5))
+    lens = psf.wavefront(facing_scene(ConcaveWall(5.0), stop=0.02))
+    assert small_wall.image_distance < 0
+    ratio = small_wall.u / small_wall.image_distance
+    assert ratio == approx(lens.u / lens.image_distance, rel=1e-12, abs=1e-15)
+    assert small_wall.aberration == approx(lens.aberration, abs=1e-17)
+
+
+def test_vignetting_counts_what_misses_the_wall(flat_scene):
+    # the camera looks beside the object, whose own cone then overlaps the wall's edge
+    beside = replace(flat_scene.camera, aim=(-0.1, 0.0, 0.0))
+    narrow = replace(flat_scene, wall=FlatWall(size=(0.34, 1.0)), camera=beside)
+    pupil = psf.exit_pupil(narrow)
+    assert pupil.stop == "lens"
+    assert 0.02 < pupil.vignetting < 0.5
+    wave = psf.wavefront(narrow, nodes="grid", samples=128)
+    passed = float(np.sum(wave.weights[wave.amplitude > 0]))
+    # 2048 sample points of the disc against cells of a 128^2 grid
+    assert 1 - passed / wave.weights.sum() == approx(pupil.vignetting, abs=0.02)
+    with pytest.raises(SamplingError, match="nodes='grid'"):
+        psf.wavefront(narrow)
+
+
+def test_axis_that_misses_the_wall_is_refused(flat_scene):
+    with pytest.raises(SceneError, match="outside wall.size"):
+        psf.exit_pupil(replace(flat_scene, wall=FlatWall(size=0.1)))
+
+
+def test_fast_cone_uses_the_sine(flat_scene):
+    camera = replace(flat_scene.camera, stop_diameter=0.09)
+    pupil = psf.exit_pupil(replace(flat_scene, camera=camera))
+    half = math.atan(0.045 / pupil.image_distance)
+    assert pupil.f_number == approx(0.5 / math.sin(half), rel=1e-12)
+
+
+def test_flat_wall_is_aberration_free(flat_scene):
+    wave = psf.wavefront(flat_scene)
+    assert abs(wave.aberration).max() < 1e-9 * flat_scene.laser.wavelength
+    assert wave.removed.tilt == (0.0, 0.0)
+
+
+def test_flat_wall_never_aims(flat_scene, monkeypatch):
+    from nlosoptics.psf import _kernels
+
+    calls = []
+    monkeypatch.setattr(_kernels, "aim", lambda *a: calls.append(a))
+    psf.wavefront(flat_scene)
+    assert not calls
+
+
+@pytest.mark.parametrize("wall", [ConcaveWall(5.0), ConvexWall(3.0)])
+def test_tilt_is_where_the_chief_ray_lands(flat_scene, wall):
+    """Removing the chief tilt leaves a residual with zero slope at the pupil's centre."""
+    scene = replace(flat_scene, wall=wall)
+    step = 1e-6
+    near = psf.wavefront(scene, nodes=[[step, 0.0], [0.0, step], [-step, 0.0], [0.0, -step]])
+    slopes = (near.aberration[:2] - near.aberration[2:]) / (2 * step)
+    # the third order of W over 1 um, and W's own 1e-17 m over 2 um
+    assert abs(slopes).max() < 1e-10
+    assert np.hypot(*near.removed.tilt) > 1e-3
+
+
+def test_defocus_has_the_sign_of_a_detector_short_of_focus(flat_scene):
+    """Camera focused beyond the object: detector too near, W > 0; value r^2/2 (1/s - 1/s_f)."""
+    s = flat_scene.focus_distance
+    camera = replace(flat_scene.camera, focus_distance=1.05 * s)
+    rim = psf.wavefront(replace(flat_scene, camera=camera), nodes=[[0.0125, 0.0]])
+    expected = 0.0125**2 / 2 * (1 / s - 1 / (1.05 * s))
+    # next order r^4/8 s^3, and the object is a little off the axis
+    assert rim.aberration[0] == approx(expected, rel=5e-3)
+    assert rim.aberration[0] > 0
+
+
+def test_best_focus_leaves_no_quadratic(flat_scene):
+    scene = replace(flat_scene, wall=ConvexWall(5.0))
+    chief, best = psf.wavefront(scene), psf.wavefront(scene, reference="best_focus")
+    back = (
+        best.aberration
+        + best.removed.defocus * (best.u**2 + best.v**2) / 2
+        + (best.removed.tilt[0] - chief.removed.tilt[0]) * best.u
+        + (best.removed.tilt[1] - chief.removed.tilt[1]) * best.v
+        + best.removed.piston
+        - chief.removed.piston
+    )
+    assert back == approx(chief.aberration, abs=1e-16)
+    assert np.std(best.aberration) < 0.5 * np.std(chief.aberration)
+
+
+def test_amplitude_carries_the_energy_of_ray_tubes(flat_scene):
+    """Int A^2 over the pupil is the solid angle at the object that reaches it, by tracing back."""
+    scene = replace(flat_scene, wall=ConvexWall(3.0))
+    from nlosoptics.psf.aberration import _pupil_points, aim
+
+    centre, axis = np.array(scene.camera.position), scene.camera.axis
+    u, v, weights = psf.polar_nodes(0.0125, 12, 24)
+    nodes = np.stack([u.ravel(), v.ravel()], axis=1)
+    o = scene.object_point
+    rays = aim(scene.wall, o, _pupil_points(centre, axis, nodes), axis)
+    flux = float(rays.spreading @ weights.ravel())
+    # the rim of the cone at the object: Gauss-Bonnet-free, by a fan of thin triangles
+    angles = 2 * math.pi * np.arange(720) / 720
+    rim = 0.0125 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    out = aim(scene.wall, o, _pupil_points(centre, axis, rim), axis).points - o
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    middle = out.mean(axis=0)
+    middle /= np.linalg.norm(middle)
+    after = np.roll(out, -1, axis=0)
+    solid = 0.5 * np.abs(np.cross(out - middle, after - middle) @ middle).sum()
+    # chords of 0.5 degree cut 1.3e-5 off a circle; the cone is 6 mrad wide
+    assert flux == approx(solid, rel=5e-5)
+
+
+def test_same_bits_for_any_number_of_threads(flat_scene):
+    import numba
+
+    scene = replace(flat_scene, wall=ConcaveWall(5.0))
+    numba.set_num_threads(1)
+    one = psf.wavefront(scene)
+    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
+    all_threads = psf.wavefront(scene)
+    assert np.array_equal(one.aberration, all_threads.aberration)
+    assert np.array_equal(one.amplitude, all_threads.amplitude)

@@ -1,0 +1,415 @@
+"""Every mistake in a scene file is one line that names file, key, value, limit and remedy."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from nlosoptics.errors import SceneError
+from nlosoptics.scene import Scene
+
+
+@pytest.fixture
+def folder(examples: Path, tmp_path: Path) -> Path:
+    """A writable copy of the example scenes and what they name."""
+    for part in ("scenes", "objects", "walls"):
+        shutil.copytree(examples / part, tmp_path / part)
+    return tmp_path / "scenes"
+
+
+def message(folder: Path, *changes: tuple[str, str], scene: str = "letter_flat") -> str:
+    """What loading an example says after its text is changed; the change must apply."""
+    path = folder / f"{scene}.toml"
+    text = path.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    with pytest.raises(SceneError) as caught:
+        Scene.load(path)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert line.startswith(f"{path}: ")
+    return line.removeprefix(f"{path}: ")
+
+
+def expect(line: str, *parts: str) -> None:
+    for part in parts:
+        assert part in line, line
+
+
+# key as it stands, what replaces it, and what the message must hold
+WRONG = {
+    "unit of a time for a length": (
+        'wavelength = "632.8 nm"',
+        'wavelength = "40 ms"',
+        ("laser.wavelength", '"40 ms"', "is a time", "must be a length", '"632.8 nm"'),
+    ),
+    "length for a power": (
+        'power = "5 mW"',
+        'power = "5 mm"',
+        ("laser.power", '"5 mm"', "is a length", "must be a power", '"5 mW"'),
+    ),
+    "length for an angle": (
+        'incidence = "15 deg"',
+        'incidence = "15 m"',
+        ("laser.incidence", '"15 m"', "is a length", "must be an angle", '"15 deg"'),
+    ),
+    "bare number": (
+        'beam_diameter = "3 mm"',
+        "beam_diameter = 0.003",
+        ("laser.beam_diameter", "0.003", "has no unit", "must be a length", '"3 mm"'),
+    ),
+    "number as text without unit": (
+        'beam_diameter = "3 mm"',
+        'beam_diameter = "3"',
+        ("laser.beam_diameter", '"3"', "has no unit", '"3 mm"'),
+    ),
+    "unknown unit": (
+        'distance = "1.2 m"',
+        'distance = "1.2 furlong"',
+        ("laser.distance", '"1.2 furlong"', "unknown unit 'furlong'", '"1.2 m"'),
+    ),
+    "not a quantity": (
+        'distance = "1.2 m"',
+        'distance = "far"',
+        ("laser.distance", '"far"', "is not a length", '"1.2 m"'),
+    ),
+    "NaN with a unit": (
+        'distance = "1.2 m"',
+        'distance = "nan m"',
+        ("laser.distance", '"nan m"', "is not finite", '"1.2 m"'),
+    ),
+    "infinite vector component": (
+        'aim = ["0.64 m", "0 m", "0 m"]',
+        'aim = ["inf m", "0 m", "0 m"]',
+        ("laser.aim", "inf m", "is not finite"),
+    ),
+    "NaN number": (
+        "albedo = 0.75",
+        "albedo = nan",
+        ("wall.material[0].albedo", "nan", "is not finite", "finite number"),
+    ),
+    "two components": (
+        'aim = ["0.64 m", "0 m", "0 m"]',
+        'aim = ["0.64 m", "0 m"]',
+        ("laser.aim", "has 2 components", "must have 3", '["0 m", "0 m", "0 m"]'),
+    ),
+    "component without unit": (
+        'aim = ["0.64 m", "0 m", "0 m"]',
+        "aim = [0.64, 0, 0]",
+        ("laser.aim", "0.64", "has no unit", '["0 m", "0 m", "0 m"]'),
+    ),
+    "misspelt key": (
+        "wavelength =",
+        "wavelenght =",
+        ("laser.wavelenght", '"632.8 nm"', "unknown key", "did you mean wavelength?", "1 more"),
+    ),
+    "misspelt key of a wall": (
+        "size = [",
+        "sise = [",
+        ("wall.sise", "unknown key", "did you mean size?"),
+    ),
+    "misspelt key of a lobe": (
+        "albedo = 0.75",
+        "albeto = 0.75",
+        ("wall.material[0].albeto", "0.75", "did you mean albedo?"),
+    ),
+    "key like no other": (
+        'power = "5 mW"',
+        'power = "5 mW"\nzzz = 1',
+        ("laser.zzz", "unknown key", "the keys here are wavelength, power"),
+    ),
+    "misspelt section": (
+        "[hidden]\n",
+        "[hiden]\n",
+        ("hiden", "unknown key", "did you mean hidden?"),
+    ),
+    "missing key": (
+        'wavelength = "632.8 nm"\n',
+        "",
+        ("laser.wavelength is missing", 'wavelength = "632.8 nm"'),
+    ),
+    "missing key of a hidden object": (
+        'size = "0.7 m"\n',
+        "",
+        ("hidden.size is missing", "size = ["),
+    ),
+    "missing image": (
+        'image = "../objects/F.png"\n',
+        "",
+        ("hidden.image is missing", 'image = "../objects/F.png"'),
+    ),
+    "missing laser position": (
+        'distance = "1.2 m"',
+        "",
+        ("laser.position is missing", "distance", "incidence"),
+    ),
+    "unknown shape": (
+        'shape = "flat"',
+        'shape = "convav"',
+        ("wall.shape", '"convav"', "must be one of flat, concave_sphere", "did you mean"),
+    ),
+    "missing shape": ('shape = "flat"\n', "", ("wall.shape is missing", 'shape = "flat"')),
+    "unknown lobe": (
+        'lobe = "oren_nayar"',
+        'lobe = "orennayar"',
+        ("wall.material[0].lobe", '"orennayar"', 'did you mean "oren_nayar"?'),
+    ),
+    "key of another shape": (
+        'shape = "flat"',
+        'shape = "flat"\nradius = "5 m"',
+        ("wall.radius", "unknown key", "the keys here are shape, size, material"),
+    ),
+    "image and mesh": (
+        'size = "0.7 m"\n',
+        'mesh = "x.stl"\n',
+        ("hidden.mesh stands beside hidden.image", "limit is one", "remove"),
+    ),
+    "negative size": (
+        'size = "0.7 m"\n',
+        'size = "-0.7 m"\n',
+        ("hidden.size", "-0.7 m", "must be above 0 m"),
+    ),
+    "zero size": (
+        'size = ["1.4 m", "1 m"]',
+        'size = ["1.4 m", "0 m"]',
+        ("wall.size[y]", "0 m", "must be above 0 m"),
+    ),
+    "negative exposure": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_wu2024.toml"\nexposure = "-40 ms"',
+        ("camera.exposure", "-0.04 s", "must be above 0 s"),
+    ),
+    "wavelength of no light": (
+        'wavelength = "632.8 nm"',
+        'wavelength = "632.8 m"',
+        ("laser.wavelength", "632.8 m", "1e-08 to 0.0001 m", "nanometres"),
+    ),
+    "incidence from behind": (
+        'incidence = "15 deg"',
+        'incidence = "100 deg"',
+        ("laser.incidence", "1.74533 rad", "from 0 to 1.5708 rad"),
+    ),
+    "albedo above one": (
+        "albedo = 0.75",
+        "albedo = 1.5",
+        ("wall.material[0].albedo", "1.5", "must be from 0 to 1"),
+    ),
+    "albedos above one together": (
+        "albedo = 0.75",
+        "albedo = 0.99",
+        ("wall.material: ", "1.04", "limit 1", "lower one"),
+    ),
+    "text for a number": (
+        "albedo = 0.75",
+        'albedo = "0.75"',
+        ("wall.material[0].albedo", '"0.75"', "number", "for example 0.7"),
+    ),
+    "object behind the wall": (
+        '"0 m", "1 m"]      # 1 m',
+        '"0 m", "-1 m"]      # 1 m',
+        ("hidden.position", "-1 m", "behind the wall", "must be above 0"),
+    ),
+    "object through the wall": (
+        '"0 m", "1 m"]      # 1 m',
+        '"0 m", "0.1 m"]\npitch = "90 deg"#',
+        ("hidden.position", "0.1 m", "-0.25 m", "behind the wall", "move it"),
+    ),
+    "laser aimed past the wall's plane": (
+        'aim = ["0.64 m", "0 m", "0 m"]',
+        'aim = ["0.64 m", "0 m", "0.2 m"]',
+        ("laser.aim", "0.2 m", "z = 0"),
+    ),
+    "laser position twice": (
+        'distance = "1.2 m"',
+        'position = ["1 m", "0 m", "1 m"]\ndistance = "1.2 m"',
+        ("laser.distance stands beside laser.position", "give position, or"),
+    ),
+    "camera looking away": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_wu2024.toml"\naim = ["0 m", "0 m", "2 m"]',
+        ("camera.aim", "2.0", "looks away from the wall", "must be below"),
+    ),
+    "camera behind the wall": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_wu2024.toml"\nposition = ["0 m", "0 m", "-2 m"]',
+        ("camera.position", "-2 m", "behind the wall", "must be above 0"),
+    ),
+    "both focal length and field of view": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_wu2024.toml"\nfocal_length = "50 mm"\nfield_of_view = "40 deg"',
+        ("camera.field_of_view stands beside camera.focal_length", "remove"),
+    ),
+    "no stop": (
+        'file = "camera_wu2024.toml"',
+        'position = ["0 m", "0 m", "1 m"]\naim = ["0.1 m", "0 m", "0 m"]\nfocal_length = "50 mm"',
+        ("camera.stop_diameter is missing", 'stop_diameter = "25 mm"'),
+    ),
+    "field of view of a fisheye": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_wu2024.toml"\nfield_of_view = "190 deg"',
+        ("camera.field_of_view", "3.31613 rad", "above 0 to 3 rad"),
+    ),
+    "binning that does not divide": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_wu2024.toml"\nbinning = 7',
+        ("camera.binning = 7", "does not divide", "(4096, 4096)", "common divisor"),
+    ),
+    "fraction of a pixel": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_wu2024.toml"\npixels = [512.5, 512]',
+        ("camera.pixels[0]", "512.5", "integer", "for example [4096, 4096]"),
+    ),
+    "no camera file": (
+        'file = "camera_wu2024.toml"',
+        'file = "camera_x.toml"',
+        ("camera.file", "camera_x.toml", "there is no file", "[camera] table"),
+    ),
+    "table for a value": (
+        "[wall]\nshape",
+        "[wall]\n[wall.size]\nshape",
+        ("wall", "shape is missing"),
+    ),
+    "value for a table": (
+        '[hidden.material]               # of white; chosen: foam\nlobe = "lambert"\nalbedo = 0.8\n',
+        'material = "foam"\n',
+        ("hidden.material", '"foam"', "not a table"),
+    ),
+}
+
+
+@pytest.mark.parametrize("old, new, parts", WRONG.values(), ids=WRONG.keys())
+def test_wrong_value(folder: Path, old: str, new: str, parts: tuple[str, ...]) -> None:
+    expect(message(folder, (old, new)), *parts)
+
+
+def test_several_problems_are_counted(folder: Path) -> None:
+    line = message(folder, ('power = "5 mW"', "power = 5"), ("albedo = 0.75", 'albedo = "x"'))
+    expect(line, "laser.power = 5", "(and 1 more)")
+
+
+def test_missing_table(folder: Path) -> None:
+    path = folder / "bare.toml"
+    path.write_text("")
+    with pytest.raises(SceneError, match=r"bare\.toml: the table \[laser\] is missing; add it"):
+        Scene.load(path)
+
+
+def test_missing_file(folder: Path) -> None:
+    with pytest.raises(SceneError, match=r"none\.toml: the scene file is missing; give the path"):
+        Scene.load(folder / "none.toml")
+    with pytest.raises(SceneError, match=r"the scene file is a folder; give the path"):
+        Scene.load(folder)
+
+
+def test_broken_toml_names_its_line(folder: Path) -> None:
+    line = message(folder, ('power = "5 mW"', 'power "5 mW"'))
+    expect(line, "not TOML", "line 9", "mend")
+
+
+def test_not_text(folder: Path) -> None:
+    path = folder / "binary.toml"
+    path.write_bytes(b"[laser]\npower = '\xff\xfe'\n")
+    with pytest.raises(SceneError, match=r"binary\.toml: byte 17 is not UTF-8 text; give a TOML"):
+        Scene.load(path)
+
+
+def test_mistake_in_a_camera_file_names_that_file(folder: Path) -> None:
+    path = folder / "camera_wu2024.toml"
+    path.write_text(path.read_text().replace("binning", "bining"))
+    with pytest.raises(SceneError) as caught:
+        Scene.load(folder / "letter_flat.toml")
+    assert str(caught.value).startswith(f"{path}: camera.bining = 8 is an unknown key")
+    assert "did you mean binning?" in str(caught.value)
+
+
+def test_camera_file_that_names_itself(folder: Path) -> None:
+    path = folder / "camera_wu2024.toml"
+    path.write_text('[camera]\nfile = "camera_wu2024.toml"\n')
+    with pytest.raises(SceneError, match=r"camera\.file = 'camera_wu2024\.toml' leads back"):
+        Scene.load(folder / "letter_flat.toml")
+
+
+def test_image_that_is_not_there(folder: Path) -> None:
+    line = message(folder, ("F.png", "Q.png"))
+    expect(line, "hidden.image", "there is no file", "Q.png", "give the path of a picture")
+
+
+def test_image_that_is_no_image(folder: Path) -> None:
+    (folder.parent / "objects" / "F.png").write_text("a letter")
+    line = message(folder, ("F.png", "F.png"))
+    expect(line, "hidden.image", "F.png is not a picture", "give PNG")
+
+
+def test_image_cut_short(folder: Path) -> None:
+    picture = folder.parent / "objects" / "F.png"
+    picture.write_bytes(picture.read_bytes()[:300])
+    line = message(folder, ("F.png", "F.png"))
+    expect(line, "hidden.image", "F.png is not a picture", "give PNG")
+
+
+def test_object_mesh_behind_the_wall(folder: Path) -> None:
+    trimesh.creation.box((1, 1, 4)).export(folder / "box.stl")
+    line = message(
+        folder, ('image = "../objects/F.png"', 'mesh = "box.stl"'), ('size = "0.7 m"', "")
+    )
+    expect(line, "hidden.mesh", "z = -1 m", "behind the wall", "hidden.scale smaller")
+
+
+MESHES = {
+    "missing": (None, ("there is no file", "give the path of a mesh")),
+    "empty": (b"", ("holds no triangles", "give a surface mesh")),
+    "not a mesh": (b"\x00\x01 nothing", ("holds no triangles", "give a surface mesh")),
+    "points only": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", ("holds no triangles", "give a surface mesh")),
+    "a line": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", ("has no area", "give a surface mesh")),
+    "NaN": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ("NaN or infinite", "mend the mesh")),
+    "vertex out of range": (b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", ("is not a mesh", "give STL, OBJ")),
+    "beside the origin": (
+        b"v 1 1 0\nv 2 1 0\nv 1 2 0\nf 1 2 3\n",
+        ("spans x 1 to 2 m", "must surround the origin"),
+    ),
+}
+
+
+@pytest.mark.parametrize("content, parts", MESHES.values(), ids=MESHES.keys())
+def test_bad_wall_mesh(folder: Path, content: bytes | None, parts: tuple[str, ...]) -> None:
+    path = folder.parent / "walls" / "concave_5m.obj"
+    path.unlink() if content is None else path.write_bytes(content)
+    expect(message(folder, ("[wall]", "[wall]"), scene="letter_mesh"), "wall.mesh", *parts)
+
+
+def test_summand_of_a_wall(folder: Path) -> None:
+    wave = '[[wall.terms]]\nshape = "wavy"\namplitude = "1 mm"\nperiod = '
+    line = message(
+        folder,
+        ('shape = "flat"', 'shape = "sum"'),
+        ("[[wall.material]]", wave + '"-1 m"\n[[wall.x]]'),
+    )
+    expect(line, "wall.x", "unknown key", "the keys here are shape, size, material, terms")
+    line = message(folder, ("[[wall.x]]", "[[wall.material]]"), scene="letter_flat")
+    expect(line, "wall.terms[0].period", "-1 m", "must be above 0 m")
+
+
+def test_saving_an_array_says_what_to_do(examples: Path, tmp_path: Path) -> None:
+    from dataclasses import replace
+
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml")
+    scene = replace(scene, hidden=replace(scene.hidden, image=np.ones((4, 4))))
+    with pytest.raises(SceneError, match=r"hidden\.image is ndarray in memory .* give its path"):
+        scene.save(tmp_path / "scene.toml")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_saving_nowhere(examples: Path, tmp_path: Path) -> None:
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml")
+    with pytest.raises(SceneError, match=r"there is no folder .*none; make it first"):
+        scene.save(tmp_path / "none" / "scene.toml")
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(SceneError, match=r"taken: cannot be written .*; choose another"):
+        scene.save(tmp_path / "taken")
+    assert [path.name for path in tmp_path.iterdir()] == ["taken"]

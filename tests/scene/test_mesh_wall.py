@@ -1,0 +1,92 @@
+"""Mesh walls: the smooth surface behind the triangles and what it is worth."""
+
+import numpy as np
+import pytest
+import trimesh
+from pytest import approx
+from scipy.spatial import Delaunay
+
+from nlosoptics.errors import SceneError
+from nlosoptics.scene import ConcaveWall, FlatWall, MeshWall, WavyWall
+
+
+def scattered(wall, n=4000, half=0.5, seed=0):
+    """Mesh of a wall with vertices at random places."""
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-half, half, (n, 2))
+    corners = half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    xy = np.concatenate([xy, corners])
+    faces = Delaunay(xy).simplices
+    mesh = trimesh.Trimesh(np.column_stack([xy, wall.height(*xy.T)]), faces, process=False)
+    flipped = mesh.face_normals[:, 2] < 0
+    faces[flipped] = faces[flipped][:, ::-1]
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+@pytest.mark.parametrize("wall", [ConcaveWall(2.0, size=1.0), WavyWall(1e-4, 0.4, size=1.0)])
+def test_residual_bounds_the_true_error_of_the_surface(wall):
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform(-0.45, 0.45, (2, 500))
+    for mesh in (wall.to_mesh(max_sag_error=2e-6), scattered(wall)):
+        fitted = MeshWall(mesh)
+        error = abs(fitted.height(x, y) - wall.height(x, y)).max()
+        # vertices see the misfit at most points, so twice it holds between them
+        assert error <= 2 * fitted.fit_residual + 1e-15
+        assert fitted.fit_residual < 1e-6
+
+
+def test_slopes_and_bends_are_those_of_the_sphere():
+    wall = ConcaveWall(2.0, size=1.0)
+    fitted = MeshWall(wall.to_mesh(max_sag_error=2e-6))
+    x, y = np.random.default_rng(2).uniform(-0.4, 0.4, (2, 200))
+    exact, found = wall.derivatives(x, y), fitted.derivatives(x, y)
+    # cell 4 mm: a bicubic's slope errs by h^3 f''''/12 = 1e-9, its bend by h^2 f''''/12 = 2e-6
+    assert found[:, 1:3] == approx(exact[:, 1:3], abs=1e-8)
+    assert found[:, 3:] == approx(exact[:, 3:], abs=2e-5)
+    assert fitted.max_curvature == approx(0.5, rel=0.25)
+
+
+def test_surface_is_continuous_with_its_slope():
+    fitted = MeshWall(scattered(WavyWall(1e-3, 0.3, size=1.0)))
+    term = fitted._terms()[0][0]
+    edge = term[1] + 5 * term[3]  # a border between two patches
+    below, above = fitted.derivatives([edge - 1e-12, edge + 1e-12], [0.1, 0.1])
+    # 2e-12 m apart: slope times that, and rounding
+    assert below[:3] == approx(above[:3], abs=1e-10)
+
+
+def test_files_keep_what_their_precision_holds(tmp_path):
+    """Binary STL holds float32: 1e-8 of a metre."""
+    mesh = ConcaveWall(5.0, size=1.0).to_mesh(max_sag_error=2e-5)
+    mesh.export(tmp_path / "wall.stl")
+    fitted = MeshWall(tmp_path / "wall.stl")
+    assert fitted.size == approx((1.0, 1.0), abs=1e-7)
+    assert float(fitted.height(0.2, 0.1)) == approx(float(ConcaveWall(5.0).height(0.2, 0.1)), abs=2e-8)
+    assert 1e-11 < fitted.fit_residual < 1e-8
+
+
+def test_scale_is_for_files_in_other_units():
+    mesh = ConcaveWall(5.0, size=1.0).to_mesh(max_sag_error=2e-5)
+    mesh.apply_scale(1000.0)
+    assert float(MeshWall(mesh, scale=1e-3).height(0.3, 0.0)) == approx(
+        float(ConcaveWall(5.0).height(0.3, 0.0)), abs=1e-9
+    )
+
+
+def test_flat_mesh_is_flat():
+    fitted = MeshWall(scattered(FlatWall(), n=500))
+    assert abs(fitted.height([0.1, -0.2], [0.3, 0.0])).max() < 1e-15
+    assert fitted.fit_residual < 1e-15
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [
+        (trimesh.creation.box((1, 1, 1)), "folds back"),
+        (trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]]), "must surround"),
+        (trimesh.Trimesh([[-1, -1, 0], [1, -1, 0], [0, 1, 0]], [[0, 1, 2]]), "too few"),
+    ],
+)
+def test_meshes_that_are_no_wall(mesh, message):
+    with pytest.raises(SceneError, match=message):
+        MeshWall(mesh).height(0.0, 0.0)

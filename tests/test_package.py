@@ -1,0 +1,141 @@
+"""What `import nlosoptics` brings, and that everything public is documented."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+import importlib.metadata
+import inspect
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import nlosoptics
+
+ROOT = Path(__file__).parents[1]
+STUB = ROOT / "nlosoptics" / "__init__.pyi"
+SUBPACKAGES = sorted(p.parent.name for p in (ROOT / "nlosoptics").glob("*/__init__.py"))
+
+HEAVY = {
+    "dask",
+    "ducc0",
+    "matplotlib",
+    "numba",
+    "numpy",
+    "pydantic",
+    "pyvista",
+    "rich",
+    "scipy",
+    "torch",
+    "trimesh",
+    "typer",
+    "xarray",
+    "zarr",
+}
+
+
+def loaded_by(code: str) -> set[str]:
+    """Top-level packages in memory after ``code`` ran in a fresh interpreter."""
+    code += "\nimport json, sys\nprint(json.dumps(sorted({m.split('.')[0] for m in sys.modules})))"
+    # EAGER_IMPORT, which CI sets to find broken imports, would undo what is tested here
+    program = f"import os; os.environ.pop('EAGER_IMPORT', None)\n{code}"
+    answer = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    return set(json.loads(answer.stdout))
+
+
+def test_import_is_light() -> None:
+    """A bare import loads no numerical package at all."""
+    assert loaded_by("import nlosoptics") & HEAVY == set()
+
+
+@pytest.mark.parametrize(
+    ("subpackage", "allowed"),
+    [
+        ("scene", {"numpy"}),
+        ("raytrace", {"numpy"}),
+        ("psf", {"numpy", "scipy", "ducc0"}),
+        ("imaging", {"numpy", "scipy", "ducc0"}),
+        ("views", {"numpy"}),
+        ("planning", {"numpy", "scipy", "ducc0"}),
+    ],
+)
+def test_subpackage_import_is_light(subpackage: str, allowed: set[str]) -> None:
+    """Only `inverse` may load torch on import, and only a picture loads matplotlib."""
+    assert loaded_by(f"import nlosoptics.{subpackage}") & HEAVY <= allowed
+
+
+def test_version_is_told_once() -> None:
+    """Package, metadata, change log and citation name the same version."""
+    version = nlosoptics.__version__
+    assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text()
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    try:
+        assert importlib.metadata.version("nlosoptics") == version
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("nlosoptics is on the path but not installed, so it has no metadata")
+
+
+def stub_names() -> set[str]:
+    """Names that the root's stub promises."""
+    tree = ast.parse(STUB.read_text())
+    return {a.asname or a.name for n in tree.body if isinstance(n, ast.ImportFrom) for a in n.names}
+
+
+def test_stub_matches_package() -> None:
+    """Each promised name resolves, and each subpackage is promised."""
+    names = stub_names()
+    assert set(nlosoptics.__all__) == names
+    assert set(SUBPACKAGES) <= names
+    for name in names:
+        assert getattr(nlosoptics, name) is not None
+
+
+def public_objects() -> list[Any]:
+    """(label, object) for each name in a subpackage's ``__all__`` and for the root's own."""
+    found = []
+    for subpackage in SUBPACKAGES:
+        module = importlib.import_module(f"nlosoptics.{subpackage}")
+        for name in module.__all__:
+            found.append(pytest.param(getattr(module, name), id=f"{subpackage}.{name}"))
+    for name in sorted(stub_names() - set(SUBPACKAGES)):
+        found.append(pytest.param(getattr(nlosoptics, name), id=name))
+    return found
+
+
+def missing_parameters(documented: str, parameters: list[str]) -> list[str]:
+    """Parameters that no ``name :`` or ``name, other :`` line describes."""
+    described: set[str] = set()
+    for line in documented.splitlines():
+        if match := re.match(r"^([\w*][\w*, ]*?)(?: : .*)?$", line):
+            described.update(name.strip(" *") for name in match[1].split(","))
+    return [name for name in parameters if name not in described]
+
+
+@pytest.mark.parametrize("thing", public_objects())
+def test_public_name_has_numpydoc(thing: Any) -> None:
+    """A summary line, every parameter, and what a function returns."""
+    if not (inspect.isclass(thing) or inspect.isfunction(thing)):
+        return  # constants and type aliases are described where they are defined
+    text = inspect.getdoc(thing) or ""
+    summary = text.split("\n\n")[0]
+    assert summary.rstrip().endswith((".", ":"))
+    if inspect.isclass(thing):
+        if not dataclasses.is_dataclass(thing):
+            return
+        parameters = [f.name for f in dataclasses.fields(thing) if f.init]
+        lineage = [c.__doc__ or "" for c in thing.__mro__ if dataclasses.is_dataclass(c)]
+        text = "\n".join(inspect.cleandoc(doc) for doc in lineage)
+    else:
+        parameters = list(inspect.signature(thing).parameters)
+        returns = inspect.signature(thing).return_annotation
+        if returns not in (None, "None") and parameters:
+            assert re.search(r"^Returns\n-+$", text, re.MULTILINE) or "Return" in summary
+    assert missing_parameters(text, parameters) == []

@@ -1,0 +1,190 @@
+"""The plan says what runs, and the simulation runs exactly that."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+
+import nlosoptics as nlos
+from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.scene import (
+    Camera,
+    ConcaveWall,
+    ConvexWall,
+    FlatWall,
+    Lambert,
+    MeshWall,
+    SumWall,
+    WavyWall,
+)
+
+CURVED = [
+    ConcaveWall(5.0),
+    ConvexWall(2.0),
+    WavyWall(2e-5, 0.3, 0.4),
+    SumWall(WavyWall(1e-5, 0.3), WavyWall(1e-5, 0.3, direction=np.pi / 2)),
+]
+
+
+def counted(monkeypatch, module, name):
+    """Replace a function by one that counts its calls and still does its work."""
+    calls = []
+    real = getattr(module, name)
+
+    def wrapper(*args, **kwargs):
+        calls.append(name)
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(module, name, wrapper)
+    return calls
+
+
+def test_plan_computes_nothing(flat_scene, monkeypatch):
+    from nlosoptics.psf import _kernels, aberration
+
+    shells, kernels = counted(monkeypatch, aberration, "aim"), counted(monkeypatch, _kernels, "aim")
+    for wall in CURVED:
+        nlos.plan(replace(flat_scene, wall=wall))
+    assert not shells + kernels
+
+
+def test_every_stage_runs_or_says_why_not(flat_scene):
+    plan = nlos.plan(flat_scene, reconstruct=True)
+    assert all(stage.runs and stage.reason and stage.error for stage in plan.stages)
+    assert all(not stage.runs and stage.reason for stage in plan.skipped)
+    for stage in plan.stages + plan.skipped:
+        assert stage.name in str(plan)
+        assert stage.reason in str(plan)
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), *CURVED], ids=lambda w: type(w).__name__)
+def test_simulation_runs_exactly_the_plan(flat_scene, wall):
+    result = nlos.simulate(replace(flat_scene, wall=wall))
+    assert tuple(result.timings) == tuple(stage.name for stage in result.plan.stages)
+    assert result.reconstruction is None
+
+
+def test_aiming_runs_for_curved_walls_only(flat_scene, monkeypatch):
+    from nlosoptics.psf import _kernels
+
+    calls = counted(monkeypatch, _kernels, "aim")
+    assert "aiming" in [s.name for s in nlos.plan(flat_scene).skipped]
+    nlos.simulate(flat_scene)
+    assert len(calls) == 0
+    nlos.simulate(replace(flat_scene, wall=ConvexWall(4.0)))
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("wall", CURVED[:3], ids=lambda w: type(w).__name__)
+def test_estimated_waves_are_of_the_right_size(flat_scene, wall):
+    scene = replace(flat_scene, wall=wall)
+    wave = nlos.psf.wavefront(scene)
+    true = float(np.ptp(wave.aberration)) / scene.laser.wavelength
+    # the estimate is second order, at normal incidence and for the steepest curvature
+    assert true / 4 < nlos.plan(scene).waves < 8 * true
+
+
+def test_a_mesh_wall_says_how_well_it_is_known(flat_scene):
+    wall = MeshWall(ConcaveWall(5.0, size=1.6).to_mesh(max_sag_error=2e-5))
+    plan = nlos.plan(replace(flat_scene, wall=wall))
+    (stage,) = (s for s in plan.stages if s.name == "mesh surface")
+    assert stage.error == f"{1e9 * wall.fit_residual:.2g} nm"
+
+
+def test_a_diffuse_wall_is_not_reconstructed(flat_scene):
+    scene = replace(flat_scene, wall_material=Lambert(0.8))
+    result = nlos.simulate(scene, reconstruct=True)
+    assert result.reconstruction is None
+    assert not result.image.signal.any()
+    (stage,) = (s for s in result.plan.skipped if s.name == "reconstruction")
+    assert "mirror-like lobe" in stage.reason
+
+
+def test_progress_counts_up_to_done(flat_scene):
+    heard = []
+    nlos.simulate(flat_scene, progress=lambda text, fraction: heard.append((text, fraction)))
+    fractions = [fraction for _, fraction in heard]
+    assert fractions == sorted(fractions)
+    assert heard[-1] == ("done", 1.0)
+
+
+def test_same_seed_same_bits(flat_scene):
+    one, two = (nlos.simulate(flat_scene, seed=5).image.electrons for _ in range(2))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, nlos.simulate(flat_scene, seed=6).image.electrons)
+
+
+BITS = """
+import hashlib, sys
+import numpy as np
+import nlosoptics as nlos
+from nlosoptics.scene import *
+x = 0.3798
+picture = np.zeros((32, 32)); picture[6:26, 8:24] = 1.0
+scene = Scene(
+    Laser(wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.6, 0.3, 1.1)),
+    ConcaveWall(4.0),
+    PlanarObject(picture, 0.3, position=(x, 0.0, 1.0)),
+    Camera(position=(-0.6, 0.0, 0.8), aim=(-0.6 + (x + 0.6) * 0.8 / 1.8, 0.0, 0.0),
+           focal_length=0.0506415, stop_diameter=0.025, binning=32),
+)
+r = nlos.simulate(scene, seed=1)
+for a in (r.wavefront.aberration, r.point_spread.intensity, r.image.electrons, r.image.expected):
+    print(hashlib.sha256(np.ascontiguousarray(a).tobytes()).hexdigest())
+"""
+
+
+def test_same_bits_for_any_number_of_threads():
+    def digests(threads):
+        names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        env = os.environ | dict.fromkeys(names, str(threads))
+        run = subprocess.run(
+            [sys.executable, "-c", BITS], env=env, capture_output=True, text=True, check=True
+        )
+        return run.stdout.split()
+
+    one, two = digests(1), digests(2)
+    assert len(one) == 4
+    assert one == two
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), ConcaveWall(5.0), ConvexWall(3.0)])
+def test_wave_and_rays_put_the_image_in_the_same_place(flat_scene, wall):
+    """The tilt taken out of W shifts the spot to where the reversed chief ray says it is."""
+    from nlosoptics.imaging import chief_ray_points
+
+    scene = replace(flat_scene, wall=wall)
+    e1, e2, n = scene.camera.frame
+    hidden = scene.hidden
+    target = scene.object_point + 0.05 * hidden.axes[0] - 0.03 * hidden.axes[1]
+    line = target * (1, 1, -1) - np.array(scene.camera.position)
+    d = scene.image_distance
+    pinhole = -d * np.array([line @ e1, line @ e2]) / (line @ n)
+    wave = nlos.psf.wavefront(scene, target)
+    landing = pinhole + d * np.array(wave.removed.tilt)
+    found = chief_ray_points(scene, landing[None, :])
+    # the reverse ray is exact; the tilt is too, up to rounding of 1e-16 rad over 2 m
+    assert found[0] == approx(target, abs=1e-12)
+
+
+@pytest.mark.parametrize("tol", [0.0, 1.0, float("nan")])
+def test_tolerance_out_of_range(flat_scene, tol):
+    with pytest.raises(SceneError, match="tol = "):
+        nlos.plan(flat_scene, tol)
+
+
+def test_bad_seed(flat_scene):
+    with pytest.raises(SceneError, match="seed = -1"):
+        nlos.simulate(flat_scene, seed=-1)
+
+
+def test_an_image_beyond_memory_is_refused_before_it_is_made(flat_scene):
+    camera: Camera = replace(flat_scene.camera, pixels=(2**20, 2**20), binning=1)
+    with pytest.raises(MemoryLimitError, match="GiB"):
+        nlos.plan(replace(flat_scene, camera=camera))

@@ -1,0 +1,42 @@
+"""The README's commands and example, taken from the README itself."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+
+
+def test_commands_are_whole_lines() -> None:
+    """Each command is one line that can be pasted; CI reads the second from here."""
+    lines = README.splitlines()
+    run = (
+        "pip install -c constraints.txt '.[all]' && nlosoptics run examples/scenes/letter_flat.toml"
+    )
+    develop = "pip install -c constraints.txt -e '.[all,test]' && pytest"
+    assert lines.count(run) == 1
+    assert lines.count(develop) == 1
+
+
+def test_links_lead_somewhere() -> None:
+    """Relative links and pictures exist."""
+    targets = re.findall(r"\]\((?!https?:)([^)#]+)", README)
+    assert targets
+    assert [t for t in targets if not (ROOT / t).is_file()] == []
+
+
+def test_example_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The Python example, in a folder of its own beside the examples."""
+    (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert len(example.splitlines()) <= 15
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(example, "README.md", "exec"), {})
+    assert "waves rms" in capsys.readouterr().out
+    assert (tmp_path / "letter.png").stat().st_size > 10_000

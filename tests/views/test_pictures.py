@@ -1,0 +1,227 @@
+"""Pictures: what they show, where it lies, and which units they name."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+
+from nlosoptics import views
+from nlosoptics.psf.wavefronts import Wavefront
+from nlosoptics.scene import Scene
+
+pytest.importorskip("matplotlib")
+
+WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
+
+
+def one_wave_of_tilt(nodes: Literal["polar", "grid"]) -> Wavefront:
+    """W = one wave times u/RADIUS: the long side is at positive u."""
+    # Noll's second polynomial is 2 rho cos(theta)
+    return Wavefront.from_zernike(
+        {2: WAVELENGTH / 2},
+        wavelength=WAVELENGTH,
+        pupil_radius=RADIUS,
+        image_distance=0.05,
+        nodes=nodes,
+        samples=64 if nodes == "grid" else None,
+    )
+
+
+def spread(intensity: Any) -> Any:
+    """A stand-in with the fields that the picture reads."""
+    return SimpleNamespace(
+        intensity=np.asarray(intensity),
+        pitch=2e-6,
+        method="mdft",
+        normalisation="unit-sum",
+        error_estimate=1e-4,
+    )
+
+
+def letter() -> np.ndarray:
+    """An L as the eye reads it, row 0 on top."""
+    picture = np.zeros((8, 8))
+    picture[1:7, 2] = picture[6, 2:6] = 1.0
+    return picture
+
+
+def shown(axes: Any) -> np.ndarray:
+    """The picture on axes as the eye sees it, top row first, left column first."""
+    (drawn,) = axes.images
+    picture = np.asarray(drawn.get_array())
+    left, right, bottom, top = drawn.get_extent()
+    if (bottom > top) != (drawn.origin == "upper"):
+        picture = picture[::-1]
+    if (right < left) != axes.xaxis_inverted():
+        picture = picture[:, ::-1]
+    return picture[::-1] if not axes.yaxis_inverted() else picture
+
+
+@pytest.mark.parametrize("layout", ["grid", "polar"])
+def test_wavefront_is_drawn_in_waves_and_mm(layout: Literal["polar", "grid"]) -> None:
+    """Colours are symmetric about zero, positions in mm, values in waves."""
+    axes = views.wavefront(one_wave_of_tilt(layout))
+    assert axes.get_xlabel() == "u (mm)"
+    (drawn,) = axes.collections
+    low, high = drawn.get_clim()
+    assert low == -high
+    # the outermost node lies within one node spacing of the rim
+    assert 0.95 < high < 1.05
+    assert axes.get_xlim()[1] == pytest.approx(12.5, rel=0.1)
+
+
+def test_wavefront_in_nm() -> None:
+    """One wave is 632.8 nm."""
+    wave = one_wave_of_tilt("grid")
+    (in_waves,) = views.wavefront(wave).collections
+    (in_nm,) = views.wavefront(wave, unit="nm").collections
+    assert in_nm.get_clim()[1] == pytest.approx(632.8 * in_waves.get_clim()[1])
+
+
+def test_dark_nodes_are_blank() -> None:
+    """Nodes outside the pupil carry no value, whatever their aberration says."""
+    wave = one_wave_of_tilt("grid")
+    (drawn,) = views.wavefront(wave).collections
+    blank = np.ma.getmaskarray(drawn.get_array()).reshape(wave.u.shape)
+    np.testing.assert_array_equal(blank, wave.weights == 0)
+    assert blank.any()
+
+
+def test_wavefront_without_aberration_is_drawn() -> None:
+    """A colour range of zero width would warn."""
+    wave = one_wave_of_tilt("grid")
+    flat = replace(wave, aberration=np.zeros_like(wave.u))
+    (drawn,) = views.wavefront(flat).collections
+    assert drawn.get_clim() == (-1.0, 1.0)
+
+
+def test_point_spread_centre_is_at_zero() -> None:
+    """The peak sample [ny//2, nx//2] is drawn at x = y = 0, for even and odd counts."""
+    for shape in ((6, 6), (5, 7)):
+        intensity = np.zeros(shape)
+        intensity[shape[0] // 2, shape[1] // 2] = 1.0
+        axes = views.point_spread(spread(intensity))
+        (drawn,) = axes.images
+        left, right, bottom, top = drawn.get_extent()
+        columns = np.linspace(left, right, shape[1] + 1)
+        rows = np.linspace(top, bottom, shape[0] + 1)
+        j, i = shape[1] // 2, shape[0] // 2
+        # rounding of a few um
+        assert (columns[j] + columns[j + 1]) / 2 == pytest.approx(0, abs=1e-12)
+        assert (rows[i] + rows[i + 1]) / 2 == pytest.approx(0, abs=1e-12)
+        assert top < bottom  # y grows downward
+
+
+def test_log_scale_spans_its_decades() -> None:
+    """Zero intensity is drawn like the faintest, without a warning of log(0)."""
+    axes = views.point_spread(spread([[0.0, 1e-9], [1e-3, 1.0]]), decades=4, half_width=3e-6)
+    (drawn,) = axes.images
+    assert drawn.get_clim() == (1e-4, 1.0)
+    assert drawn.get_array().min() == 1e-4
+    assert axes.get_ylim() == (3.0, -3.0)
+
+
+def test_image_has_row_zero_on_top() -> None:
+    """Drawn as the camera shows it, in mm about the axis."""
+    axes = views.image(SimpleNamespace(electrons=letter(), pitch=72e-6))  # type: ignore[arg-type]
+    np.testing.assert_array_equal(shown(axes), letter())
+    # eight pixels of 72 um straddle the axis; y grows downward
+    np.testing.assert_allclose(axes.images[0].get_extent(), (-0.288, 0.288, 0.288, -0.288))
+
+
+def test_reconstruction_reads() -> None:
+    """The wall's mirror is undone: a mirror-reversed object is drawn the right way round."""
+    seen = letter()[:, ::-1]
+    found = SimpleNamespace(object=seen, status="converged")
+    for axes in views.reconstruction(found, seen):  # type: ignore[arg-type]
+        np.testing.assert_array_equal(shown(axes), letter())
+
+
+def test_reconstruction_without_truth_is_one_picture() -> None:
+    """One axes in, one out, and the same one."""
+    (axes,) = views.reconstruction(SimpleNamespace(object=letter(), status="converged"))  # type: ignore[arg-type]
+    assert views.reconstruction(
+        SimpleNamespace(object=letter(), status="converged"),  # type: ignore[arg-type]
+        axes=[axes],
+    ) == (axes,)
+
+
+def test_sketch_shows_each_part(flat_scene: Scene) -> None:
+    """Two views in m, with wall, laser, object, its mirror image, camera and chief path."""
+    top, side = views.scene_sketch(flat_scene)
+    assert top.get_xlabel() == "x (m)"
+    assert side.get_ylabel() == "y, up (m)"
+    lines = {line.get_label(): np.array(line.get_data()) for line in top.lines}
+    assert {"relay wall", "laser beam", "hidden object", "mirrored object", "chief path"} <= set(
+        lines
+    )
+    # z of the mirrored object is that of the object, behind the wall
+    np.testing.assert_allclose(lines["mirrored object"][1], -lines["hidden object"][1])
+    # mirror law on the flat wall: equal angles before and after the third point
+    _, hidden, wall, lens = lines["chief path"].T
+    before, after = hidden - wall, lens - wall
+    # rounding of coordinates near 1 m
+    assert before[0] / before[1] == pytest.approx(-after[0] / after[1], rel=1e-9)
+
+
+def test_axes_go_in_and_come_out(flat_scene: Scene) -> None:
+    """Given axes are drawn on, and no figure is made."""
+    from matplotlib.figure import Figure
+
+    top, side, single = Figure().subplots(1, 3)
+    assert views.scene_sketch(flat_scene, axes=(top, side)) == (top, side)
+    assert views.wavefront(one_wave_of_tilt("polar"), axes=single) is single
+
+
+def test_save_writes_equal_bytes(tmp_path: Path) -> None:
+    """The same picture twice is the same file; any of figure, axes and axes' tuple will do."""
+    for name in ("a.png", "b.png"):
+        views.save((views.wavefront(one_wave_of_tilt("grid")),), tmp_path / name)
+    views.save(views.wavefront(one_wave_of_tilt("grid")).get_figure(), tmp_path / "c.png")  # type: ignore[arg-type]
+    contents = {(tmp_path / name).read_bytes() for name in ("a.png", "b.png", "c.png")}
+    assert len(contents) == 1
+    assert contents.pop().startswith(b"\x89PNG")
+
+
+def test_unknown_unit_is_refused() -> None:
+    """One line with the choices."""
+    with pytest.raises(ValueError, match="unit = 'mm' is unknown, must be one of waves, nm"):
+        views.wavefront(one_wave_of_tilt("grid"), unit="mm")  # type: ignore[arg-type]
+
+
+def test_missing_matplotlib_is_told_in_one_line() -> None:
+    """Without the extra, the first picture names it."""
+    code = (
+        "import sys; sys.modules['matplotlib'] = None\n"
+        "from nlosoptics import views\n"
+        "try: views.image(None)\n"
+        "except ImportError as error: print(type(error).__name__, error)"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert answer.stdout.startswith(
+        "MissingExtraError matplotlib is not installed; run pip install"
+    )
+
+
+def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
+    """pyplot would pick a window system and keep figures alive."""
+    code = (
+        "import sys\nfrom types import SimpleNamespace\nimport numpy as np\n"
+        "from nlosoptics import views\n"
+        "axes = views.image(SimpleNamespace(electrons=np.eye(4), pitch=1e-6))\n"
+        f"views.save(axes, {str(tmp_path / 'eye.png')!r})\n"
+        "print('matplotlib.pyplot' in sys.modules)"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert answer.stdout == "False\n"
