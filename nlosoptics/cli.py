@@ -114,14 +114,15 @@ def run_command(
     with _told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
-        _require("matplotlib", "views")
-        if reconstruct:
-            _require("torch", "inverse")
-        from .planning import simulate
+        from .planning import plan, simulate
         from .scene.file import format_scene
 
         scene = _load(scene_file, size)
+        planned = plan(scene, tol, reconstruct=reconstruct)
         _check_target(folder)
+        _require("matplotlib", "views")
+        if planned.runs("reconstruction"):
+            _require("torch", "inverse")
         with _progress() as progress:
             result = simulate(scene, tol, seed, reconstruct, progress=progress)
             progress("writing", 1.0)

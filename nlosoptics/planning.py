@@ -306,7 +306,9 @@ def simulate(
     with stage("wave aberration"):
         wave = psf.wavefront(scene, nodes="grid" if pupil.vignetting > 0 else "polar")
     with stage("point spread"):
-        spread = psf.detector_point_spread(wave, scene.camera.image_pitch, tol=tol)
+        pitch = scene.camera.image_pitch
+        shape = psf.window_shape(wave, pitch=pitch, tol=tol)
+        spread = psf.point_spread(wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
     from . import imaging
 
     with stage("image"):

@@ -157,20 +157,23 @@ def test_same_bits_for_any_number_of_threads():
 @pytest.mark.parametrize("wall", [FlatWall(), ConcaveWall(5.0), ConvexWall(3.0)])
 def test_wave_and_rays_put_the_image_in_the_same_place(flat_scene, wall):
     """The tilt taken out of W shifts the spot to where the reversed chief ray says it is."""
-    from nlosoptics.imaging import chief_ray_points
+    from nlosoptics.imaging.geometry import chief_rays
 
     scene = replace(flat_scene, wall=wall)
     e1, e2, n = scene.camera.frame
     hidden = scene.hidden
     target = scene.object_point + 0.05 * hidden.axes[0] - 0.03 * hidden.axes[1]
     line = target * (1, 1, -1) - np.array(scene.camera.position)
-    d = scene.image_distance
-    pinhole = -d * np.array([line @ e1, line @ e2]) / (line @ n)
     wave = nlos.psf.wavefront(scene, target)
-    landing = pinhole + d * np.array(wave.removed.tilt)
-    found = chief_ray_points(scene, landing[None, :])
-    # the reverse ray is exact; the tilt is too, up to rounding of 1e-16 rad over 2 m
-    assert found[0] == approx(target, abs=1e-12)
+    # W's slopes add to direction cosines, and the lens images tangents
+    sines = -np.array([line @ e1, line @ e2]) / np.linalg.norm(line) + wave.removed.tilt
+    landing = scene.image_distance * sines / np.sqrt(1 - sines @ sines)
+    rays = chief_rays(scene, landing[:1], landing[1:])
+    start, along = rays.points[0, 0], rays.reflected[0, 0]
+    normal = hidden.axes[2]
+    found = start + along * ((target - start) @ normal) / (along @ normal)
+    # both are exact; 1e-16 rad of rounding over 2 m, magnified by a curved wall
+    assert found == approx(target, abs=1e-13)
 
 
 @pytest.mark.parametrize("tol", [0.0, 1.0, float("nan")])

@@ -48,13 +48,15 @@ class ChiefRays:
 
 def pixel_centres(camera: Camera) -> tuple[Array, Array]:
     """Detector coordinates x (nx,) and y (ny,) of the pixel centres, m."""
-    y, x = ((np.arange(n) - (n - 1) / 2) * camera.image_pitch for n in camera.shape)
+    y, x = (
+        (np.arange(n, dtype=np.float64) - (n - 1) / 2) * camera.image_pitch for n in camera.shape
+    )
     return x, y
 
 
 def pixel_edges(camera: Camera) -> tuple[Array, Array]:
     """Detector coordinates x (nx + 1,) and y (ny + 1,) of the pixel edges, m."""
-    y, x = ((np.arange(n + 1) - n / 2) * camera.image_pitch for n in camera.shape)
+    y, x = ((np.arange(n + 1, dtype=np.float64) - n / 2) * camera.image_pitch for n in camera.shape)
     return x, y
 
 
@@ -240,9 +242,7 @@ def _turn(x: Array, y: Array) -> Array:
     corners = []
     for k in range(4):
         a, b, c = k, (k + 1) % 4, (k + 2) % 4
-        corners.append(
-            (px[b] - px[a]) * (py[c] - py[b]) - (py[b] - py[a]) * (px[c] - px[b])
-        )
+        corners.append((px[b] - px[a]) * (py[c] - py[b]) - (py[b] - py[a]) * (px[c] - px[b]))
     return np.stack(corners)
 
 

@@ -38,6 +38,8 @@ from .radiometry import (
 from .stray import spot_image
 
 if TYPE_CHECKING:
+    import trimesh
+
     from ..psf import PointSpread
 
 Array = NDArray[np.float64]
@@ -77,9 +79,9 @@ class SpeckleImage:
         rms over mean of the speckle that an image pixel averages, 0 without speckle.
     seed : int
     ledger : mapping
-        Expected electrons in total: ``ideal``; ``signal``, of that on the detector; ``beyond_window``,
-        outside the point spread's window; ``beyond_detector``, blurred past the edges; and
-        ``diffuse``, ``spot``, ``glare``, ``dark``, which make the background.
+        Expected electrons in total: ``ideal``; of that, ``signal`` on the detector,
+        ``beyond_window`` outside the point spread's window and ``beyond_detector`` blurred past
+        the edges; and ``diffuse``, ``spot``, ``glare``, ``dark``, which make the background.
     """
 
     electrons: Array
@@ -163,7 +165,8 @@ def form_image(
     direct = spot_power_through_lens(scene, spot) * exposure * electrons_per_joule(scene)
     glare = camera.glare_fraction * direct
     image_of_spot = (direct - glare) * spot_image(scene, spot) if direct > glare else 0.0 * gain
-    light = signal + diffuse + image_of_spot + glare / ideal.size
+    stray = diffuse + image_of_spot + glare / ideal.size
+    light = signal + stray
     dark = camera.dark_current * exposure * camera.binning**2
     freedom = _speckle_freedom(scene)
     electrons, saturated = read_out(camera, light, dark, freedom=freedom, seed=seed)
@@ -174,7 +177,7 @@ def form_image(
         expected=light + dark,
         signal=signal,
         ideal=ideal,
-        background=light - signal + dark,
+        background=stray + dark,
         noise_sigma=np.sqrt(noise_variance(camera, light, dark, freedom)),
         saturated_fraction=saturated,
         pitch=camera.image_pitch,
@@ -242,7 +245,7 @@ def _mirrored_radiance(
     if reflectance == 0.0:
         return result
     if isinstance(scene.hidden, MeshObject):
-        return reflectance * _mesh_radiance(scene, spot, seen)
+        return reflectance * _mesh_radiance(scene, scene.hidden.surface, spot, seen)
     hidden = scene.hidden
     corners = chief_rays(scene, *pixel_edges(scene.camera))
     average = area_average(hidden.reflectance, *picture_coordinates(hidden, corners))
@@ -258,9 +261,10 @@ def _mirrored_radiance(
     return result
 
 
-def _mesh_radiance(scene: Scene, spot: LaserSpot, seen: NDArray[np.bool_]) -> Array:
+def _mesh_radiance(
+    scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, seen: NDArray[np.bool_]
+) -> Array:
     """Mean over each pixel of the mesh's radiance, by a few chief rays per pixel."""
-    assert isinstance(scene.hidden, MeshObject)
     x, y = pixel_centres(scene.camera)
     steps = (np.arange(MESH_SAMPLES) - (MESH_SAMPLES - 1) / 2) / MESH_SAMPLES
     total = np.zeros(seen.shape)
@@ -269,7 +273,7 @@ def _mesh_radiance(scene: Scene, spot: LaserSpot, seen: NDArray[np.bool_]) -> Ar
             rays = chief_rays(scene, x + dx, y + dy)
             use = seen & np.isfinite(rays.distance)
             points, normals, lit = mesh_hits(
-                scene.hidden.surface, spot.point, rays.points[use], rays.reflected[use]
+                mesh, spot.point, rays.points[use], rays.reflected[use]
             )
             light = np.zeros(len(lit))
             toward = -rays.reflected[use][lit]

@@ -50,7 +50,7 @@ def object_patches(hidden: PlanarObject | MeshObject) -> Patches:
     right, up, normal = hidden.axes
     drop = (hidden.size[0] * abs(right[2]) + hidden.size[1] * abs(up[2])) / 2
     nearest = hidden.position[2] - drop  # above 0, as PlanarObject sees to
-    edges = []
+    edges: list[NDArray[np.intp]] = []
     for texels, extent in zip(picture.shape, hidden.size[::-1], strict=True):
         count = min(max(math.ceil(50 * extent / nearest), 8), 64)
         repeat = max(1, math.ceil(count / texels))

@@ -15,10 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
-from .._checks import positive
 from ..errors import SceneError
 from ..raytrace import intersect
-from ..scene import Camera, Material, Scene
+from ..scene import Material, Scene
 from ..scene.materials import LAMBERT
 from .geometry import ChiefRays, pixel_centres
 from .objects import Patches
@@ -27,7 +26,7 @@ Array = NDArray[np.float64]
 
 NODES = 24  # of a Chebyshev interpolation along each side of the detector
 NODES_HEIGHT = 3  # of one over the wall's height
-GROUP = 0.12  # rad across which the light's direction counts as one, on a curved wall
+GROUP = 0.08  # rad across which the light's direction counts as one, on a curved wall
 PAIRS = 400_000  # of wall point and object patch held in memory at a time
 
 
@@ -60,7 +59,7 @@ def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Ar
     Irradiance of the detector E = pi L T cos^4/(4 N^2) with the working F-number
     N = image distance/stop diameter, times area, exposure and electrons per joule.
     """
-    camera: Camera = scene.camera
+    camera = scene.camera
     f_number = scene.image_distance / camera.stop_diameter
     irradiance = math.pi * camera.transmission / (4.0 * f_number**2) * cos_axis**4
     return irradiance * (camera.image_pitch**2 * exposure * electrons_per_joule(scene))
@@ -316,5 +315,3 @@ class _Chebyshev:
         u = np.clip((values - self._middle) / self._half, -1.0, 1.0)
         terms = np.cos(np.arange(self.nodes.size) * np.arccos(u)[..., None])
         return np.asarray(np.einsum("...j,jk->...k", terms, self._from_nodes))
-
-

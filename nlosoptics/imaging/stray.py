@@ -82,6 +82,4 @@ def common_area(distance: Array, a: float, b: float) -> Array:
     )
     # Heron's formula for the kite of the two centres and the two crossings
     kite = (large + small - r) * (r + small - large) * (r - small + large) * (r + small + large)
-    return np.asarray(
-        small**2 * first + large**2 * second - np.sqrt(np.maximum(kite, 0.0)) / 2
-    )
+    return np.asarray(small**2 * first + large**2 * second - np.sqrt(np.maximum(kite, 0.0)) / 2)

@@ -16,6 +16,7 @@ from ..errors import SamplingError, SceneError
 
 # Standard normal quantile at 3/4: median of |x| over sigma.
 _MEDIAN_OVER_SIGMA = 0.6744897501960817
+_BLOCK = 12
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -115,7 +116,7 @@ def measurement(
 
 
 def estimate_noise(image: ArrayLike) -> float:
-    """Standard deviation of white noise in an image.
+    """Root-mean-square noise of an image, white within a dozen pixels.
 
     Parameters
     ----------
@@ -129,9 +130,11 @@ def estimate_noise(image: ArrayLike) -> float:
 
     Notes
     -----
-    Median absolute response to the second difference along both axes [1]_ [2]_: a smooth image
-    and a few edges leave it alone. Coarsely quantised images whose median response is zero give
-    the rms response, an upper bound.
+    Median absolute response to the second difference along both axes [1]_ [2]_, which a smooth
+    image and a few edges leave alone, in blocks of about 12 pixels, so that noise that follows
+    the signal is not taken at its darkest. The blocks' mean squares are averaged; one whose
+    median is zero, as in a dark part of few counts, gives its rms response. On white noise the
+    result is 2 % high, with a spread of 2/sqrt(pixels).
 
     References
     ----------
@@ -145,10 +148,16 @@ def estimate_noise(image: ArrayLike) -> float:
         )
     # The mask (1, -2, 1) x (1, -2, 1) has norm 6.
     response = np.abs(np.diff(np.diff(values, n=2, axis=0), n=2, axis=1)) / 6.0
-    median = float(np.median(response))
-    if median > 0.0:
-        return median / _MEDIAN_OVER_SIGMA
-    return math.sqrt(float(np.mean(response * response)))
+    counts = [max(1, length // _BLOCK) for length in response.shape]
+    sides = [length // count for length, count in zip(response.shape, counts, strict=True)]
+    whole_blocks = response[: counts[0] * sides[0], : counts[1] * sides[1]]
+    blocks = whole_blocks.reshape(counts[0], sides[0], counts[1], sides[1]).swapaxes(1, 2)
+    blocks = blocks.reshape(counts[0] * counts[1], -1)
+    medians = np.median(blocks, axis=1)
+    squares = np.where(
+        medians > 0.0, (medians / _MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
+    )
+    return math.sqrt(float(squares.mean()))
 
 
 def _positive_sigma(sigma: float) -> float:

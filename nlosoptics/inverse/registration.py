@@ -83,7 +83,8 @@ def _refined_peak(spectrum: Any, peak: tuple[Any, ...], upsampling: int) -> floa
     column_shifts = peak[1] + steps
     by_row = np.exp(2j * np.pi * np.outer(row_shifts, fft.fftfreq(rows)))
     by_column = np.exp(2j * np.pi * np.outer(fft.fftfreq(columns), column_shifts))
-    return float((by_row @ spectrum @ by_column).real.max()) / spectrum.size
+    size = int(spectrum.size)
+    return float((by_row @ spectrum @ by_column).real.max()) / size
 
 
 def _mean_free(name: str, image: Any) -> Array:

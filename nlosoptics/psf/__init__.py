@@ -1,5 +1,42 @@
-"""From the wave in the exit pupil to the point spread function, and its metrics."""
+"""From the wave in the exit pupil to the point spread function, and its metrics.
 
-from .point_spreads import PointSpread, point_spread
+- `pupils`, `aberration`: exit pupil and wave of a scene.
+- `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
+- `residuals`: piston and tilt taken out, and where the rays land.
+- `quadrature`, `fft`, `mdft`, `airy`: one transform each; `pupil_grids`, `rims`, `separable`,
+  `pixels` and `windows` serve them, `estimates` bounds their errors.
+- `point_spreads`: `point_spread`, which picks among them.
+- `metrics`: Strehl ratio, encircled energy, MTF, widths, Zernike fit.
+"""
+
+from .aberration import path_difference, wall_aberration, wavefront
+from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
+from .point_spreads import PointSpread, point_spread
+from .pupils import ExitPupil, exit_pupil
 from .wavefronts import Removed, Wavefront
+from .windows import window_shape
+from .zernikes import zernike, zernike_order
+
+__all__ = [
+    "ExitPupil",
+    "PointSpread",
+    "Removed",
+    "Wavefront",
+    "encircled_energy",
+    "exit_pupil",
+    "fit_zernike",
+    "fwhm",
+    "grid_nodes",
+    "mtf",
+    "path_difference",
+    "point_spread",
+    "polar_nodes",
+    "rms_aberration",
+    "strehl",
+    "wall_aberration",
+    "wavefront",
+    "window_shape",
+    "zernike",
+    "zernike_order",
+]

@@ -275,7 +275,7 @@ def wavefront(
     object_point : array_like, (3,), optional
         World, m; by default the hidden object's reference point.
     nodes : {"polar", "grid"} or array_like (n, 2)
-        Pupil nodes; an array holds (u, v) on the lens, m.
+        Pupil nodes; an array holds (u, v) in the exit pupil, m.
     samples : (int, int) or int, optional
         Radii and angles of polar nodes (default 24, 96); side of a grid (default 256).
     reference : {"mirror_image", "best_focus"}
@@ -302,9 +302,13 @@ def wavefront(
     one_of("reference", reference, ("mirror_image", "best_focus"))
     wavelength = scene.laser.wavelength
     _check_wave_grade(scene.wall, wavelength)
-    o = scene.object_point if object_point is None else np.array(vector("object_point", object_point))
+    o = (
+        scene.object_point
+        if object_point is None
+        else np.array(vector("object_point", object_point))
+    )
     pupil = exit_pupil(scene)
-    radius = pupil.entrance_radius
+    radius = pupil.radius
     layout = nodes if isinstance(nodes, str) else "scattered"
     if layout == "polar":
         u, v, weights = polar_nodes(radius, *(samples or POLAR_SAMPLES))
@@ -318,8 +322,10 @@ def wavefront(
     else:
         raise SceneError(f"nodes = {nodes!r} is unknown, must be polar, grid or an array (n, 2)")
 
+    # the lens is the exit pupil, or the cone from the image through it, inverted if behind
+    zoom = pupil.image_distance / scene.image_distance
     centre, axis = np.array(scene.camera.position), scene.camera.axis
-    flat = np.stack([np.append(0.0, u), np.append(0.0, v)], axis=1)
+    flat = np.stack([np.append(0.0, u), np.append(0.0, v)], axis=1) / zoom
     points = _pupil_points(centre, axis, flat)
     rays = aim(scene.wall, o, points, axis)
     aberration = rays.excess[1:] - rays.excess[0] + _defocus(scene, o, flat[1:])
@@ -338,14 +344,12 @@ def wavefront(
     kink = _unit(centre - rays.points[0]) - _unit(centre - mirrored)
     tilt = (float(kink @ e1), float(kink @ e2)) if not scene.wall.is_flat else (0.0, 0.0)
     aberration = aberration - tilt[0] * flat[1:, 0] - tilt[1] * flat[1:, 1]
-    # the exit pupil is the lens, or its projection through the focused image onto the wall's image
-    zoom = pupil.image_distance / scene.image_distance
     result = Wavefront(
-        u=u * zoom,
-        v=v * zoom,
+        u=u,
+        v=v,
         aberration=aberration.reshape(u.shape),
         amplitude=amplitude.reshape(u.shape),
-        weights=weights * zoom**2,
+        weights=weights,
         wavelength=wavelength,
         image_distance=pupil.image_distance,
         pupil_radius=pupil.radius,
@@ -407,7 +411,10 @@ def _best_focus(wave: Wavefront) -> Wavefront:
         aberration=wave.aberration - (basis @ fit).reshape(wave.u.shape),
         removed=Removed(
             piston=wave.removed.piston + float(fit[0]),
-            tilt=(wave.removed.tilt[0] + float(fit[1]) / r, wave.removed.tilt[1] + float(fit[2]) / r),
+            tilt=(
+                wave.removed.tilt[0] + float(fit[1]) / r,
+                wave.removed.tilt[1] + float(fit[2]) / r,
+            ),
             defocus=wave.removed.defocus + float(fit[3]) / r**2,
         ),
     )

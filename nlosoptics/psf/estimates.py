@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from . import rims
 from .pupil_grids import PupilGrid
 from .residuals import Residual
 
@@ -14,6 +15,10 @@ Array = NDArray[np.float64]
 
 #: Of any of the transforms.
 ROUNDING = 1e-13
+#: Of the pixel means, see `pixels.BETA`.
+FILTER = 4e-11
+#: Moment of a softened rim's outer part about the rim, in cells cubed, measured.
+CONTINUATION = 0.05
 
 
 def intensity_error(
@@ -47,27 +52,47 @@ def intensity_error(
         # on defocus, the aberration with the most regular beats; others stay well below.
         cross = min(1.0, 0.8 / pixel)
     difference = 2 * cross * np.sqrt(intensity * error) + error
-    return float(np.max(difference) / np.max(intensity)) + ROUNDING
+    floor = ROUNDING if pixel == 0 else FILTER
+    return float(np.max(difference) / np.max(intensity)) + floor
 
 
 def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tuple[Array, float]:
     """Field and energy error of a sampled pupil edge, for `intensity_error`.
 
-    Cells cut by the rim act from their centre. Their weights are the rim convolved with a cell, so
-    the light that the rim sends a distance s from where its rays land is damped by sinc(s/P), P the
-    period of the image, 1 - sinc <= 1.65 (s/P)^2, and its repeats come in with the same weight.
+    A rim sends light a distance s from where its rays land, in amplitude as an Airy disc's tail, or
+    as a ring's focus in the middle of a symmetric spot.
+
+    - Cells cut by the rim act from their centre, with weights that are the rim convolved with a
+      cell. What arrives at s is damped by sinc(s/P), P the period of the image,
+      1 - sinc <= 1.65 (s/P)^2, and so are its repeats.
+    - A softened rim errs by `rims.leak` twice, damping and repeat, and by the aberration's
+      curvature, which is not continued beyond the rim.
+    - A map is taken at its word: its samples are the pupil, and their sum is exact.
     """
     wave = residual.wavefront
+    unit = residual.airy_unit
     n = 2 * wave.pupil_radius / grid.pitch
-    rims = 1 / (1 - wave.obscuration)  # length of both rims over area
-    period = wave.wavelength * abs(wave.image_distance) / grid.pitch
+    edges = 1 / (1 - wave.obscuration)  # length of both rims over area
+    period = _period(residual, grid)
     shift = residual.shift
-    s = np.hypot((y - shift[1])[:, None], x - shift[0])
-    v = np.maximum(math.pi * s / residual.airy_unit, 1.0)
-    tail = np.minimum(1.0, np.sqrt(8 / (math.pi * v**3)))
+    dx, dy = np.abs(x - shift[0]), np.abs(y - shift[1])[:, None]
+    distance = np.hypot(dy, dx)
     steep = 2 * math.pi * grid.jump
-    field = rims * (1.65 * (s / period) ** 2 * tail + steep / (2 * n))
-    return field, rims * 0.02 * steep**2 / n
+    if grid.rim == "map":
+        return np.zeros_like(distance), 0.0
+    if grid.rim == "cut":
+        field = np.minimum(1.65 * (distance / period) ** 2, 2.0) * _tail(distance / unit)
+        field += _tail(np.hypot(period - dx, dy) / unit) * np.abs(np.sinc(1 - dx / period))
+        field += _tail(np.hypot(dx, period - dy) / unit) * np.abs(np.sinc(1 - dy / period))
+        field += steep / (2 * n)
+        return edges * field, edges * 0.02 * steep**2 / n
+    reach = residual.rays.reach
+    far = distance + reach
+    field = 3 * rims.leak(far / period) * _tail(far / unit)
+    focus = 2 * float(rims.leak(np.array(reach / period))) / max(math.pi * reach / unit, 1.0)
+    degree = max(residual.series.degrees(1e-3 * max(float(np.abs(residual.aberration).max()), 0.0)))
+    curvature = steep * degree * 2 / n
+    return edges * (field + focus + CONTINUATION * curvature * 2 / n), math.inf
 
 
 def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
@@ -75,6 +100,19 @@ def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
 
     The mean of ``3.3 (s/P)^2`` times the Airy tail over the pixel, over the pixel's energy.
     """
+    if grid.rim != "cut":
+        return 0.0
+    edges = 1 / (1 - residual.wavefront.obscuration)
+    return 1.34 * residual.airy_unit * pixel / _period(residual, grid) ** 2 * edges
+
+
+def _period(residual: Residual, grid: PupilGrid) -> float:
+    """Distance at which a sampled pupil repeats its image, m."""
     wave = residual.wavefront
-    period = wave.wavelength * abs(wave.image_distance) / grid.pitch
-    return 1.34 * residual.airy_unit * pixel / period**2 / (1 - wave.obscuration)
+    return wave.wavelength * abs(wave.image_distance) / grid.pitch
+
+
+def _tail(r: Array) -> Array:
+    """Upper envelope of the Airy field at ``r`` Airy units."""
+    v = np.maximum(math.pi * r, 1.0)
+    return np.asarray(np.minimum(1.0, np.sqrt(8 / (math.pi * v**3))))

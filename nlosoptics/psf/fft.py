@@ -20,8 +20,8 @@ Array = NDArray[np.float64]
 
 def default_size(residual: Residual) -> int:
     """Padded size at which the image pitch is just below Nyquist's, a fast one."""
-    width = 2 * residual.half_width + residual.wavefront.pupil_pitch
-    return int(ducc0.fft.good_size(math.ceil(2 * width / residual.wavefront.pupil_pitch)))
+    samples = 2 * residual.half_width / residual.wavefront.pupil_pitch
+    return int(ducc0.fft.good_size(math.ceil(2 * samples - 1e-9)))
 
 
 def image_pitch(residual: Residual, size: int) -> float:
@@ -36,15 +36,10 @@ def padded_size(residual: Residual, pitch: float) -> int:
     Raises
     ------
     SamplingError
-        If the size is not whole, or below twice the pupil.
+        If the size is not whole.
     """
     wave = residual.wavefront
     size = wave.wavelength * abs(wave.image_distance) / (pitch * wave.pupil_pitch)
-    if pitch > residual.nyquist_pitch * (1 + 1e-9):
-        raise SamplingError(
-            f"pitch = {pitch:.6g} m is wider than Nyquist's {residual.nyquist_pitch:.6g} m "
-            "(padding Q below 2); use a finer pitch, or pixel_integrated=True with method='mdft'"
-        )
     if abs(size - round(size)) > 1e-9 * size:
         nearest = image_pitch(residual, max(1, round(size)))
         raise SamplingError(
@@ -54,33 +49,46 @@ def padded_size(residual: Residual, pitch: float) -> int:
     return round(size)
 
 
+def check_padding(residual: Residual, pitch: float) -> None:
+    """Refuse less than twice the pupil, which an intensity needs."""
+    if pitch > residual.nyquist_pitch * (1 + 1e-9):
+        raise SamplingError(
+            f"pitch = {pitch:.6g} m is wider than Nyquist's {residual.nyquist_pitch:.6g} m "
+            "(padding Q below 2); use a finer pitch, or method='mdft'"
+        )
+
+
 def intensity_in(
     residual: Residual, grid: PupilGrid, window: Window, size: int, rule: PixelRule | None
 ) -> Array:
     """Image intensity in a window of the padded transform, 1 at the ideal peak."""
-    n = grid.values.shape[0]
-    sign = math.copysign(1.0, residual.wavefront.image_distance)
-    values = grid.values
     passes = []
     for axis, (first, count) in enumerate(zip(window.first, window.shape[::-1], strict=True)):
         # Whole samples of the shift move the window, the fraction is a ramp on the pupil.
         start = (first - residual.shift[axis]) / window.pitch
         whole = round(start)
-        ramp = np.exp(
-            -2j * math.pi * sign * (start - whole) / size * (np.arange(n) - grid.centre)
-        )
-        values = values * (ramp if axis == 0 else ramp[:, None])
-        passes.append(_padded_pass(size, (whole + np.arange(count)) % size, sign > 0))
-    return intensity(values, passes[0], passes[1], rule)
+        turns = (start - whole) / size * (np.arange(grid.values.shape[0]) - grid.centre)
+        ramp = np.exp(-2j * math.pi * math.copysign(1, residual.wavefront.image_distance) * turns)
+        passes.append(_padded_pass(size, whole, count, ramp, residual.wavefront.image_distance > 0))
+    return intensity(grid.values, passes[0], passes[1], window.shape, rule)
 
 
-def _padded_pass(size: int, wanted: NDArray[np.int64], forward: bool) -> Pass:
-    """Transform of zero-padded rows, up to a phase that the intensity does not see."""
+def _padded_pass(size: int, start: int, count: int, ramp: ComplexArray, forward: bool) -> Pass:
+    """Transform of zero-padded rows, up to a phase that the intensity does not see.
+
+    Samples from ``start`` on, the period continued where the count passes its end.
+    """
+    # Slices, since picking single columns is as slow as the transform.
+    pieces, place = [], start % size
+    while count > 0:
+        pieces.append(slice(place, min(place + count, size)))
+        count -= pieces[-1].stop - place
+        place = 0
 
     def transform(rows: ComplexArray) -> ComplexArray:
         padded = np.zeros((rows.shape[0], size), dtype=np.complex128)
-        padded[:, : rows.shape[1]] = rows
+        np.multiply(rows, ramp, out=padded[:, : rows.shape[1]])
         ducc0.fft.c2c(padded, axes=(1,), forward=forward, out=padded, nthreads=1)
-        return padded[:, wanted]
+        return np.concatenate([padded[:, piece] for piece in pieces], axis=1)
 
     return transform

@@ -41,7 +41,7 @@ def intensity_in(
             window.first, window.shape[::-1], residual.shift, strict=True
         )
     ]
-    return intensity(grid.values, passes[0], passes[1], rule)
+    return intensity(grid.values, passes[0], passes[1], window.shape, rule)
 
 
 def _chirp_pass(n: int, centre: int, count: int, step: float, offset: float) -> Pass:
@@ -71,4 +71,4 @@ def _chirp_pass(n: int, centre: int, count: int, step: float, offset: float) -> 
 def _turns(step: float, counts: NDArray[np.int64]) -> Array:
     """``step * counts`` modulo 1; the high part's product is exact for counts below 2^29."""
     high = float(np.float32(step))
-    return np.mod(high * counts, 1.0) + (step - high) * counts
+    return np.asarray(np.mod(high * counts, 1.0) + (step - high) * counts)

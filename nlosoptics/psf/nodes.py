@@ -8,7 +8,7 @@ import ducc0
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, positive, whole
+from .._checks import fits_memory, in_range, positive, whole
 
 Array = NDArray[np.float64]
 
@@ -46,6 +46,7 @@ def polar_nodes(
     positive("radius", radius, unit="m")
     whole("n_r", n_r)
     whole("n_theta", n_theta)
+    fits_memory(f"{n_r} x {n_theta} pupil nodes", 80.0 * n_r * n_theta, "use fewer")
     inner = _inner(obscuration) ** 2
     fraction, weight = gauss_legendre(n_r)
     r = radius * np.sqrt(inner + (1 - inner) * fraction)
@@ -55,9 +56,7 @@ def polar_nodes(
     return r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), weights
 
 
-def grid_nodes(
-    radius: float, samples: int, obscuration: float = 0.0
-) -> tuple[Array, Array, Array]:
+def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[Array, Array, Array]:
     """Square grid over a round or annular pupil, each cell with its exact area inside.
 
     Parameters
@@ -78,24 +77,19 @@ def grid_nodes(
     """
     positive("radius", radius, unit="m")
     samples = whole("samples", samples, 2)
+    fits_memory(f"a pupil of {samples} x {samples} samples", 80.0 * samples**2, "use fewer")
     pitch = fitting_pitch(radius, samples)
-    axis = (np.arange(samples) - samples // 2) * pitch
+    axis = (np.arange(samples, dtype=np.float64) - samples // 2) * pitch
+    share = circle_shares(axis, axis, pitch, radius)
+    if _inner(obscuration) > 0:
+        share -= circle_shares(axis, axis, pitch, obscuration * radius)
     v, u = np.meshgrid(axis, axis, indexing="ij")
-    return u, v, cell_areas(axis, pitch, radius, _inner(obscuration))
+    return u, v, np.maximum(share, 0.0) * pitch**2
 
 
 def fitting_pitch(radius: float, samples: int) -> float:
     """Pitch at which a centred disc just fits a grid whose middle sample is ``samples//2``."""
     return 2 * radius / (samples - 1 + samples % 2)
-
-
-def cell_areas(axis: Array, pitch: float, radius: float, obscuration: float) -> Array:
-    """Area of each square cell around ``axis`` x ``axis`` inside the annulus, (n, n), m^2."""
-    edges = np.append(axis - pitch / 2, axis[-1] + pitch / 2)
-    areas = _areas_in_disc(edges, radius)
-    if obscuration > 0:
-        areas -= _areas_in_disc(edges, obscuration * radius)
-    return np.clip(areas, 0.0, pitch**2)
 
 
 def circle_shares(x: Array, y: Array, pitch: float, radius: float) -> Array:
@@ -106,10 +100,6 @@ def circle_shares(x: Array, y: Array, pitch: float, radius: float) -> Array:
     return np.clip(np.diff(np.diff(corner, axis=0), axis=1) / pitch**2, 0.0, 1.0)
 
 
-def _areas_in_disc(edges: Array, radius: float) -> Array:
-    return np.diff(np.diff(_corner_areas(edges, edges, radius), axis=0), axis=1)
-
-
 def _corner_areas(x: Array, y: Array, radius: float) -> Array:
     """Signed area of the disc within the rectangle from 0 to each corner, (len(y), len(x)).
 
@@ -117,13 +107,18 @@ def _corner_areas(x: Array, y: Array, radius: float) -> Array:
     and the rest the area under the arc, ``G(x) - G(xs)``.
     """
 
+    def other_leg(t: Array) -> Array:
+        return np.sqrt((radius - t) * (radius + t))
+
     def under_arc(t: Array) -> Array:
-        return (t * np.sqrt(radius**2 - t**2) + radius**2 * np.arcsin(t / radius)) / 2
+        # An arcsine would lose half the digits at t = R; here an error of the leg cancels.
+        leg = other_leg(t)
+        return (t * leg + radius**2 * np.arctan2(t, leg)) / 2
 
     ax, ay = np.minimum(np.abs(x), radius), np.minimum(np.abs(y), radius)
-    xs = np.sqrt(np.maximum(radius**2 - ay**2, 0.0))
+    xs = other_leg(ay)
     inside = ax <= xs[:, None]
-    bent = (ay * xs - under_arc(np.minimum(xs, radius)))[:, None] + under_arc(ax)
+    bent = (ay * xs - under_arc(xs))[:, None] + under_arc(ax)
     area = np.where(inside, ay[:, None] * ax, bent)
     return np.asarray(area * np.sign(y)[:, None] * np.sign(x))
 

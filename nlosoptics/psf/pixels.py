@@ -56,22 +56,23 @@ class PixelRule:
         """Pixel means along the last axis of (rows, n factor + 2 margin)."""
         runs = np.lib.stride_tricks.sliding_window_view(fine, self.taps.size, axis=1)
         # einsum without BLAS: the same bits for any thread count.
-        return np.einsum("rpt,t->rp", runs[:, :: self.factor], self.taps)
+        return np.asarray(np.einsum("rpt,t->rp", runs[:, :: self.factor], self.taps))
 
 
 def pixel_rule(pitch: float, nyquist_pitch: float, n: int) -> PixelRule:
     """Weights for pixels of side ``pitch``, ``n`` of them across.
 
     Finer samples let the filter fall off faster; the factor is the one with the fewest samples in
-    all, at least 1.25 times Nyquist's.
+    all, at least 1.05 times Nyquist's.
     """
-    lowest = max(1, math.ceil(1.25 * pitch / nyquist_pitch))
-    factor = min(range(lowest, 3 * lowest + 8), key=lambda s: n * s + 2 * _margin(s, pitch / s, nyquist_pitch))
-    margin = _margin(factor, pitch / factor, nyquist_pitch)
+    lowest = max(1, math.ceil(1.05 * pitch / nyquist_pitch))
+    margins = {s: _margin(pitch / s, nyquist_pitch) for s in range(lowest, 3 * lowest + 8)}
+    factor = min(margins, key=lambda s: n * s + 2 * margins[s])
+    margin = margins[factor]
     return PixelRule(factor, margin, _taps(factor, margin))
 
 
-def _margin(factor: int, fine: float, nyquist_pitch: float) -> int:
+def _margin(fine: float, nyquist_pitch: float) -> int:
     """Samples over which a Kaiser window of `BETA` fits the gap from the band to its repeat."""
     gap = 0.5 - fine / (2 * nyquist_pitch)  # half of it, in cycles per sample
     return math.ceil(math.hypot(BETA, math.pi) / (2 * math.pi * gap))
@@ -88,10 +89,10 @@ def _taps(factor: int, margin: int) -> Array:
     areas = np.sum(np.sinc(t) * kaiser * weights, axis=1) * np.diff(np.append(0.0, edges))
     primitive = np.cumsum(areas)
     primitive /= 2 * primitive[-1]
-    ends = np.arange(factor + 2 * margin) - margin + 0.5
+    ends = np.arange(factor + 2 * margin, dtype=np.float64) - margin + 0.5
 
     def at(position: Array) -> Array:
         index = np.minimum(np.abs(position) - 0.5, margin).astype(np.int64)
-        return np.sign(position) * primitive[index]
+        return np.asarray(np.sign(position) * primitive[index])
 
     return (at(ends) - at(ends - factor)) / factor

@@ -17,7 +17,7 @@ from .pixels import PixelRule, pixel_rule
 from .pupil_grids import PupilGrid, grid_size, pupil_grid, pupil_grid_from_polar
 from .residuals import Residual, split
 from .wavefronts import Wavefront
-from .windows import Window, check_rays, default_shape, shape_of
+from .windows import Window, check_rays, default_shape, shape_of, window_side
 
 Array = NDArray[np.float64]
 Method = Literal["auto", "quadrature", "fft", "mdft", "airy"]
@@ -42,7 +42,8 @@ class PointSpread:
     method : str
         Transform that made it.
     error_estimate : float
-        Bound of max |dI|/max I, for the wave as sampled.
+        Bound of max |dI|/max I against the wave that the nodes sample. A pixel map
+        (`Wavefront.from_map`) is that wave itself; what its pixels miss is not known here.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         What 1 means: the energy in the whole image plane, the peak without aberration, or the
         energy that a clear disc of the pupil's radius passes.
@@ -147,17 +148,18 @@ def point_spread(
         Polar nodes or a grid. ``wavefront.removed`` is not put back.
     method : {"auto", "quadrature", "fft", "mdft", "airy"}
         ``quadrature`` sums polar nodes exactly; ``fft`` zero-pads a grid; ``mdft`` takes a grid to
-        any pitch; ``airy`` is the closed form of a wave without aberration; ``auto`` is the cheapest
-        whose estimated error is at most ``tol``. A polar wave is put on a grid where ``fft`` and
-        ``mdft`` need one; a grid is never put on polar nodes.
+        any pitch; ``airy`` is the closed form of a wave without aberration; ``auto`` is the
+        cheapest whose estimated error is at most ``tol``. A polar wave is put on a grid where
+        ``fft`` and ``mdft`` need one; a grid is never put on polar nodes.
     tol : float
         Largest max |dI|/max I that ``auto`` accepts.
     pitch : float, optional
         Image sampling or pixel side, m. Default a quarter of lambda N; for the ``fft`` of a grid
         wavefront, the nearest fast size below half of it.
     shape : int or (int, int), optional
-        (ny, nx). Default at least 256 a side with all rays and their tails inside; for the ``fft``
-        of a grid wavefront without a pitch, the full period.
+        (ny, nx). Default at least 256 a side with all rays and their tails inside; with
+        ``pixel_integrated`` that of `window_shape`; for the ``fft`` of a grid wavefront without a
+        pitch, the full period.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         ``unit-sum`` and ``flux`` are energy per pixel, with 1 or `Wavefront.flux` in the whole
         plane; ``ideal-peak`` is relative to the peak of the same pupil without aberration.
@@ -189,7 +191,7 @@ def point_spread(
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     residual = split(wavefront)
-    pitch, shape = _sampling(residual, method, pitch, shape, pixel_integrated)
+    pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
         _check_nyquist(residual, pitch, normalisation)
     check_rays(residual, pitch, shape)
@@ -222,6 +224,7 @@ def point_spread(
 def _sampling(
     residual: Residual,
     method: str,
+    tol: float,
     pitch: float | None,
     shape: int | tuple[int, int] | None,
     pixel_integrated: bool,
@@ -235,10 +238,13 @@ def _sampling(
         if shape is None:
             return pitch, (size, size)
     else:
-        pitch = residual.nyquist_pitch / 2
-    if shape is None:
-        return pitch, default_shape(residual, pitch)
-    return pitch, shape_of(shape)
+        pitch = min(residual.airy_unit / 4, residual.nyquist_pitch / 2)
+    if shape is not None:
+        return pitch, shape_of(shape)
+    if pixel_integrated:
+        n = window_side(residual, pitch, tol)
+        return pitch, (n, n)
+    return pitch, default_shape(residual, pitch)
 
 
 def _check_nyquist(residual: Residual, pitch: float, normalisation: str) -> None:
@@ -271,9 +277,8 @@ def _automatic(task: _Task) -> tuple[str, Array, float]:
         candidates.append((quadrature.seconds(task.residual, task.samples), "quadrature"))
         candidates.append((_grid_seconds(task), "fft"))
     else:
-        candidates.append((1.0, "mdft"))
-        if task.rule is None:
-            candidates.append((0.5, "fft"))
+        # The same sum; fft is the faster where the pitch fits it.
+        candidates = [(1.0, "fft"), (2.0, "mdft")] if task.rule is None else [(1.0, "mdft")]
     reached = math.inf
     refusals = []
     for _, method in sorted(candidates):
@@ -307,8 +312,8 @@ def _airy(task: _Task) -> tuple[Array, float]:
     bound = airy.error_bound(residual)
     if math.isinf(bound):
         raise SamplingError(
-            f"the residual aberration reaches {_waves(residual):.3g} waves, too much for the closed "
-            "form; use method='quadrature'"
+            f"the residual aberration reaches {_waves(residual):.3g} waves, too much for the "
+            "closed form; use method='quadrature'"
         )
     samples = task.samples
     fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
@@ -330,11 +335,17 @@ def _quadrature(task: _Task) -> tuple[Array, float]:
 
 def _fft(task: _Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
+    fft.check_padding(residual, samples.pitch)
     if residual.wavefront.layout == "polar":
         size = _polar_size(task)
         grid = pupil_grid_from_polar(residual, _period_pitch(residual, size * samples.pitch))
         _check_jump(task, grid.jump, None)
     else:
+        if task.rule is not None:
+            raise SamplingError(
+                "the fft of a grid wavefront has its own image pitch, which does not divide "
+                "pixels; use method='mdft' for pixel_integrated=True"
+            )
         size = fft.padded_size(residual, samples.pitch)
         _check_jump(task, *residual.grid_jump())
         _check_period(task)
@@ -381,9 +392,11 @@ def _polar_size(task: _Task) -> int:
     """Padded size for a polar wave: period over image samples, wide enough for window and rays."""
     residual, samples = task.residual, task.samples
     reach = max(samples.reach_from(residual.shift))
-    # Rays and window within the half period, and the rim no coarser than the least samples.
+    # The window within the half period, the spot's far rim within that of its near one (see
+    # `rims.leak`), and the rim no coarser than the least samples.
     period = max(
-        2 * max(reach, residual.rays.reach + 8 * residual.airy_unit),
+        2 * reach,
+        4.4 * residual.rays.reach + 16 * residual.airy_unit,
         LEAST_SAMPLES * residual.airy_unit,
     )
     return int(np.ceil(period / samples.pitch - 1e-9))
@@ -398,7 +411,7 @@ def _grid_seconds(task: _Task) -> float:
     residual, samples = task.residual, task.samples
     size = _polar_size(task)
     n = grid_size(residual.wavefront.pupil_radius, _period_pitch(residual, size * samples.pitch))
-    return 1e-2 + 2e-7 * n * n + 3e-8 * size * (n + samples.shape[1])
+    return 1e-2 + 1.2e-7 * n * n + 2e-8 * size * (n + samples.shape[1])
 
 
 def _check_jump(task: _Task, jump: float, pixel: tuple[int, int] | None) -> None:
@@ -413,16 +426,17 @@ def _check_jump(task: _Task, jump: float, pixel: tuple[int, int] | None) -> None
 
 
 def _check_period(task: _Task) -> None:
-    """The window, seen from the tilted spot, within half a period of the pupil's samples."""
+    """The window clear of the repeats that the pupil's samples make of the spot."""
     residual = task.residual
     wave = residual.wavefront
-    half = wave.wavelength * abs(wave.image_distance) / (2 * wave.pupil_pitch)
-    reach = max(task.pixels.reach_from(residual.shift))
-    if reach > half * (1 + 1e-9):
+    period = wave.wavelength * abs(wave.image_distance) / wave.pupil_pitch
+    need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
+    need += 16 * residual.airy_unit
+    if need > period:
         n = wave.u.shape[0]
         raise SamplingError(
-            f"the window reaches {reach:.3g} m from the spot and the pupil samples repeat it from "
-            f"{half:.3g} m; use {math.ceil(n * reach / half)} or more pupil samples (now {n}), or "
+            f"the pupil samples repeat the spot every {period:.3g} m, inside the window, which "
+            f"needs {need:.3g} m; use {math.ceil(n * need / period)} or more pupil samples (now {n}), or "
             "a smaller shape"
         )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +11,13 @@ from numpy.typing import NDArray
 from .._checks import fits_memory
 from . import rims
 from .residuals import Residual
+from .spectra import values_at
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+
+#: Nodes evaluated at a time, few enough to stay in the cache.
+BLOCK = 2**16
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,19 +32,19 @@ class PupilGrid:
         m.
     jump : float
         Largest step of the residual between neighbours, waves.
-    soft : bool
-        Whether the rim was softened, or cut into cells.
+    rim : {"soft", "cut", "map"}
+        Softened for the grid, cut into cells weighted by area, or a map taken as it is.
     """
 
     values: ComplexArray
     pitch: float
     jump: float
-    soft: bool
+    rim: Literal["soft", "cut", "map"]
 
     @property
     def centre(self) -> int:
         """Index of the axis."""
-        return self.values.shape[0] // 2
+        return int(self.values.shape[0] // 2)
 
 
 def pupil_grid(residual: Residual) -> PupilGrid:
@@ -47,7 +52,8 @@ def pupil_grid(residual: Residual) -> PupilGrid:
     wave = residual.wavefront
     size = wave.amplitude * wave.weights / residual.amplitude_sum
     values = size * np.exp(1j * residual.wavenumber * residual.aberration)
-    return PupilGrid(values, wave.pupil_pitch, residual.grid_jump()[0], soft=False)
+    rim: Literal["cut", "map"] = "cut" if np.ptp(wave.weights) > 0 else "map"
+    return PupilGrid(values, wave.pupil_pitch, residual.grid_jump()[0], rim)
 
 
 def grid_size(radius: float, pitch: float) -> int:
@@ -59,31 +65,34 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     """Evaluate a polar wavefront's series on a grid, the rims softened for it (`rims`)."""
     wave = residual.wavefront
     n = grid_size(wave.pupil_radius, pitch)
-    fits_memory(f"a pupil grid of {n} x {n} samples", 100.0 * n * n, "ask for a smaller window")
-    axis = (np.arange(n) - n // 2) * pitch
-    size = _soft_annulus(axis / pitch, wave.pupil_radius / pitch, wave.obscuration)
-    rows, columns = np.nonzero(size)
-    u, v = axis[columns], axis[rows]
-    size = size[rows, columns]
-    if not residual.is_uniform:
-        size *= residual.amplitude_series.at(u, v, 1e-10)
-    size /= np.sum(size)
+    fits_memory(f"a pupil grid of {n} x {n} samples", 20.0 * n * n, "ask for a smaller window")
+    axis = np.arange(n, dtype=np.float64) - n // 2
+    discs = [rims.SoftDisc(wave.pupil_radius / pitch)]
+    if wave.obscuration > 0:
+        discs.append(rims.SoftDisc(wave.obscuration * wave.pupil_radius / pitch))
+    flat = not np.any(residual.aberration)
+    largest = residual.wavenumber * float(np.abs(residual.aberration).max())
+    # The phase to 1e-8 rad.
+    epsilon = float(np.clip(1e-8 / max(largest, 1.0), 1e-13, 1e-8))
+    amplitude = None if residual.is_uniform else residual.amplitude_series
     values = np.zeros((n, n), dtype=np.complex128)
-    if np.any(residual.aberration):
-        largest = residual.wavenumber * float(np.abs(residual.aberration).max())
-        # The phase to 1e-8 rad.
-        epsilon = float(np.clip(1e-8 / largest, 1e-13, 1e-8))
-        phase = residual.wavenumber * residual.series.at(u, v, epsilon)
-        values[rows, columns] = size * np.exp(1j * phase)
-    else:
-        values[rows, columns] = size
-    return PupilGrid(values, pitch, residual.rays.slope * pitch / wave.wavelength, soft=True)
-
-
-def _soft_annulus(axis: Array, radius: float, obscuration: float) -> Array:
-    """Weights on the grid ``axis`` x ``axis``, in cells."""
-    r = np.hypot(axis[:, None], axis)
-    size = rims.soft_disc(r, radius)
-    if obscuration > 0:
-        size -= rims.soft_disc(r, obscuration * radius)
-    return size
+    total = 0.0
+    block = max(1, BLOCK // n)
+    for start in range(0, n, block):
+        y = axis[start : start + block, None]
+        r = np.hypot(y, axis)
+        size = discs[0](r) if len(discs) == 1 else discs[0](r) - discs[1](r)
+        rows, columns = np.nonzero(size)
+        part = size[rows, columns]
+        if flat and amplitude is None:
+            pupil = part.astype(np.complex128)
+        else:
+            u, v = axis[columns] * pitch, y[rows, 0] * pitch
+            path, transmitted = values_at(residual.series, amplitude, u, v, epsilon)
+            if transmitted is not None:
+                part = part * transmitted
+            pupil = part * np.exp(1j * residual.wavenumber * path)
+        total += float(np.sum(part))
+        values[start + rows, columns] = pupil
+    values /= total
+    return PupilGrid(values, pitch, residual.rays.slope * pitch / wave.wavelength, rim="soft")

@@ -89,7 +89,10 @@ class Residual:
         if wave.layout == "polar":
             return wave.pupil_radius
         lit = wave.amplitude * wave.weights > 0
-        return float(max(np.abs(wave.u[lit]).max(), np.abs(wave.v[lit]).max()))
+        farthest = float(max(np.abs(wave.u[lit]).max(), np.abs(wave.v[lit]).max()))
+        edge = farthest + wave.pupil_pitch / 2
+        # Cells that the rim cuts reach beyond it, those of a plain map do not.
+        return edge if np.ptp(wave.weights) == 0 else min(edge, wave.pupil_radius)
 
     @property
     def nyquist_pitch(self) -> float:

@@ -30,25 +30,31 @@ def leak(s: Array) -> Array:
     return np.asarray(erfc((0.5 - s) / STEP) / 2)
 
 
-def soft_disc(r: Array, radius: float) -> Array:
-    """Convolved unit disc at radii ``r``, all in cells.
+class SoftDisc:
+    """Convolved unit disc, by radius; all lengths in cells.
 
     Hankel transform of ``radius J1(2 pi radius q)/q`` times the kernel's spectrum; near the rim by
     a Chebyshev series of it, elsewhere 0 or 1.
     """
-    value = np.where(r < radius, 1.0, 0.0)
-    low, high = max(radius - REACH, 0.0), radius + REACH
-    near = (r > low) & (r < high)
-    # The profile has no frequency above 0.9 per cell: three nodes a cell resolve it.
-    n = math.ceil(3 * (high - low)) + 20
-    nodes = np.cos(math.pi * (np.arange(n) + 0.5) / n)
-    profile = _hankel((low + high) / 2 + (high - low) / 2 * nodes, radius)
-    series = np.empty(n)
-    for k in range(n):
-        series[k] = 2 / n * np.sum(profile * np.cos(k * math.pi * (np.arange(n) + 0.5) / n))
-    series[0] /= 2
-    value[near] = chebyshev.chebval((2 * r[near] - low - high) / (high - low), series)
-    return value
+
+    def __init__(self, radius: float) -> None:
+        self.radius = radius
+        self.low, self.high = max(radius - REACH, 0.0), radius + REACH
+        # The profile has no frequency above 1 per cell: three nodes a cell resolve it.
+        n = math.ceil(3 * (self.high - self.low)) + 20
+        angles = math.pi * (np.arange(n) + 0.5) / n
+        middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
+        profile = _hankel(middle + half * np.cos(angles), radius)
+        self.series = np.array([2 / n * np.sum(profile * np.cos(k * angles)) for k in range(n)])
+        self.series[0] /= 2
+
+    def __call__(self, r: Array) -> Array:
+        """Values at the radii ``r``."""
+        value = np.where(r < self.radius, 1.0, 0.0)
+        near = (r > self.low) & (r < self.high)
+        place = (2 * r[near] - self.low - self.high) / (self.high - self.low)
+        value[near] = chebyshev.chebval(place, self.series)
+        return value
 
 
 def _hankel(r: Array, radius: float) -> Array:

@@ -49,8 +49,9 @@ class PolarSpectrum:
         """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
         size = np.abs(self.coefficients)
         size[:, 1:] *= 2
-        n_k = max(1, self.n_r // 8)
-        n_m = max(1, size.shape[1] // 8)
+        # Four angular orders: a function of period pi/2 has only every fourth.
+        n_k = max(2, self.n_r // 8)
+        n_m = max(4, size.shape[1] // 8)
         return float(size[-n_k:].sum() + size[:-n_k, -n_m:].sum())
 
     def degrees(self, threshold: float) -> tuple[int, int]:
@@ -87,54 +88,43 @@ class PolarSpectrum:
         return c * d_r - s * d_theta, s * d_r + c * d_theta, share
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
-        """Values at any points; beyond the rims, continued along the radial derivative.
+        """Values at any points, see `values_at`."""
+        return values_at(self, None, u, v, epsilon)[0]
 
-        ``epsilon`` is the error relative to the largest value, 1e-13 at best.
+    def disc_series(self) -> ComplexArray:
+        """Fourier series in psi and angle, r = middle + half cos(psi) over the whole span.
+
+        (4 n_r, 2 n_m), orders from the most negative.
         """
-        r, angle = np.hypot(u, v), np.arctan2(v, u)
-        inner = self.obscuration * self.radius
-        within = np.clip(r, inner, self.radius)
-        # Chebyshev in r over the diameter (disc) or the ring's width; degree 2 n_r - 1 is exact.
-        low = inner if inner > 0 else -self.radius
-        middle, half = (self.radius + low) / 2, (self.radius - low) / 2
         n = 2 * self.n_r
+        middle, half = self.span()
         lobes = math.pi * (np.arange(n) + 0.5) / n
-        rho = (middle + half * np.cos(lobes)) / self.radius
-        radial = self._polynomial(rho)[0]
+        # Chebyshev in r over the diameter (disc) or the ring's width; degree 2 n_r - 1 is exact.
+        radial = self._polynomial((middle + half * np.cos(lobes)) / self.radius)[0]
         n_m = radial.shape[1]
         cosines = np.cos(np.outer(np.arange(n), lobes)) * (2 / n)
         cosines[0] /= 2
         chebyshev = np.einsum("ji,im->jm", cosines, radial)
-        # cos(j psi) as a Fourier series in psi, both signs of both orders.
+        # cos(j psi) has both signs of j, a real function both signs of m.
         grid = np.zeros((2 * n, 2 * n_m), dtype=np.complex128)
         grid[n:, n_m:] = chebyshev / 2
         grid[n:0:-1, n_m:] += chebyshev / 2
         grid[:, n_m - 1 : 0 : -1] = np.conj(grid[:, n_m + 1 :])
-        psi = np.arccos(np.clip((within - middle) / half, -1.0, 1.0))
-        coord = np.stack([psi.ravel(), angle.ravel()], axis=1)
-        values: Array = (
-            ducc0.nufft.u2nu(grid=grid, coord=coord, forward=False, epsilon=epsilon, nthreads=1)
-            .real.reshape(u.shape)
-            .copy()
-        )
-        for rim, outside in ((1.0, r > self.radius), (self.obscuration, r < inner)):
-            if np.any(outside):
-                values[outside] += self._rim_slope(rim, angle[outside]) * (
-                    r[outside] - rim * self.radius
-                )
-        return values
+        return grid
 
-    def _rim_slope(self, rho: float, angle: Array) -> Array:
-        """Radial derivative on the circle r = rho * radius, per m."""
+    def span(self) -> tuple[float, float]:
+        """Middle and half width of r: over the diameter of a disc, the width of a ring."""
+        low = self.obscuration * self.radius if self.obscuration > 0 else -self.radius
+        return (self.radius + low) / 2, (self.radius - low) / 2
+
+    def rim_series(self, rho: float) -> ComplexArray:
+        """Fourier series in angle of the derivative with r at r = rho * radius, (2 n_m,)."""
         waves = self._polynomial(np.array([rho]))[1][0]
         n_m = waves.size
         series = np.zeros(2 * n_m, dtype=np.complex128)
         series[n_m:] = waves
         series[n_m - 1 : 0 : -1] = np.conj(waves[1:])
-        slope: Array = ducc0.nufft.u2nu(
-            grid=series, coord=angle[:, None], forward=False, epsilon=1e-12, nthreads=1
-        ).real
-        return slope
+        return series
 
     def _rho(self, fraction: Array) -> Array:
         inner = self.obscuration**2
@@ -162,6 +152,38 @@ class PolarSpectrum:
         return np.fft.irfft(full, n_theta, axis=1, norm="forward")
 
 
+def values_at(
+    first: PolarSpectrum, second: PolarSpectrum | None, u: Array, v: Array, epsilon: float
+) -> tuple[Array, Array | None]:
+    """One or two functions of the same pupil at any points, in one non-uniform transform.
+
+    Beyond the rims they are continued along the radial derivative. ``epsilon`` is the error
+    relative to the largest value, 1e-13 at best.
+    """
+    r, angle = np.hypot(u, v), np.arctan2(v, u)
+    radius, inner = first.radius, first.obscuration * first.radius
+    middle, half = first.span()
+    coord = np.empty((*u.shape, 2))
+    np.arccos(np.clip((np.clip(r, inner, radius) - middle) / half, -1.0, 1.0), out=coord[..., 0])
+    coord[..., 1] = angle
+
+    def transform(series: list[ComplexArray], points: Array) -> ComplexArray:
+        # Both functions are real: one is carried as the imaginary part of the other.
+        grid = series[0] if len(series) == 1 else series[0] + 1j * series[1]
+        image: ComplexArray = ducc0.nufft.u2nu(
+            grid=grid, coord=points, forward=False, epsilon=epsilon, nthreads=1
+        )
+        return image
+
+    pair = [first] if second is None else [first, second]
+    values = transform([s.disc_series() for s in pair], coord.reshape(-1, 2)).reshape(u.shape)
+    for rim, outside in ((1.0, r > radius), (first.obscuration, r < inner)):
+        if np.any(outside):
+            slope = transform([s.rim_series(rim) for s in pair], angle[outside][:, None])
+            values[outside] += slope * (r[outside] - rim * radius)
+    return values.real, None if second is None else values.imag
+
+
 def _legendre(n: int, fraction: Array) -> Array:
     """P_k(2 f - 1) for k < n, (n, len(f))."""
     x = 2 * fraction - 1
@@ -174,7 +196,7 @@ def _legendre(n: int, fraction: Array) -> Array:
 
 
 def _legendre_slopes(n: int, fraction: Array) -> Array:
-    """d P_k(2 f - 1)/df for k < n, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
+    """Slopes d P_k(2 f - 1)/df for k < n, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
     table = _legendre(n, fraction)
     slopes = np.zeros_like(table)
     if n > 1:

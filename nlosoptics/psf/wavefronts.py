@@ -13,7 +13,7 @@ from .._checks import in_range, one_of, positive, real, whole
 from ..errors import SamplingError, SceneError
 from .nodes import fitting_pitch, grid_nodes, polar_nodes
 from .spectra import PolarSpectrum
-from .zernike import ORDERINGS, Ordering, zernike, zernike_order
+from .zernikes import ORDERINGS, Ordering, zernike, zernike_order
 
 Array = NDArray[np.float64]
 Layout = Literal["polar", "grid", "scattered"]
@@ -249,7 +249,9 @@ class Wavefront:
     def pupil_pitch(self) -> float:
         """Spacing of a grid's samples, m."""
         if self.layout != "grid":
-            raise SamplingError(f"a {self.layout} wavefront has no pupil pitch; sample it on a grid")
+            raise SamplingError(
+                f"a {self.layout} wavefront has no pupil pitch; sample it on a grid"
+            )
         return float(self.u[0, 1] - self.u[0, 0])
 
     @property

@@ -48,12 +48,12 @@ class Window:
     @property
     def x(self) -> Array:
         """Coordinates along a row, m."""
-        return self.first[0] + np.arange(self.shape[1]) * self.pitch
+        return self.first[0] + np.arange(self.shape[1], dtype=np.float64) * self.pitch
 
     @property
     def y(self) -> Array:
         """Coordinates along a column, m."""
-        return self.first[1] + np.arange(self.shape[0]) * self.pitch
+        return self.first[1] + np.arange(self.shape[0], dtype=np.float64) * self.pitch
 
     def reach_from(self, point: tuple[float, float]) -> tuple[float, float]:
         """Largest |x - point| and |y - point| over the window, m."""
@@ -112,7 +112,7 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     """Odd side of a window outside which a point spread stays below ``tol`` of its peak.
 
     Rays are binned into pixels, and beyond the last of them the diffraction tail of a round pupil,
-    at most 2 lambda N/(pi^3 r^3) per area, is followed until a pixel of it is below tol of the peak.
+    at most 2 lambda N/(pi^3 r^3) per area, is followed until a pixel of it is below ``tol``.
 
     Parameters
     ----------
@@ -130,13 +130,16 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     """
     positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
-    residual = split(wavefront)
-    unit = residual.airy_unit
+    return window_side(split(wavefront), pitch, tol)
+
+
+def window_side(residual: Residual, pitch: float, tol: float) -> int:
+    """The same of a residual."""
     peak = _peak_pixel(residual, pitch)
     # Energy per pixel at the distance r from the last ray, and solved for r.
-    tail = (2 * unit * pitch**2 / (math.pi**3 * tol * peak)) ** (1 / 3)
+    tail = (2 * residual.airy_unit * pitch**2 / (math.pi**3 * tol * peak)) ** (1 / 3)
     half = _ray_reach(residual) + tail
-    return 2 * math.ceil(max(half / pitch - 0.5, 0.0)) + 1
+    return int(2 * math.ceil(max(half / pitch - 0.5, 0.0)) + 1)
 
 
 def _peak_pixel(residual: Residual, pitch: float) -> float:

@@ -164,7 +164,18 @@ def _march(terms, tables, grid_bounds, box, slab, rim, o, d):
 
 @njit(cache=True, parallel=True)
 def intersect(
-    terms, tables, grid_bounds, box, slab, rim, origins, directions, distance, points, normals, status
+    terms,
+    tables,
+    grid_bounds,
+    box,
+    slab,
+    rim,
+    origins,
+    directions,
+    distance,
+    points,
+    normals,
+    status,
 ):
     """Fill distance (n,), points and normals (n, 3) and status (n,) for unit directions."""
     closed = terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -94,10 +94,14 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     distance = np.full(count, np.nan)
     points, normals = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
     status = np.empty(count, dtype=np.int8)
+    curvature, box, slab, rim = _bounds(wall, terms, tables)
     _kernels.intersect(
         terms,
         tables,
-        *_bounds(wall, terms, tables),
+        curvature,
+        box,
+        slab,
+        rim,
         o.reshape(-1, 3),
         d.reshape(-1, 3),
         distance,
@@ -134,7 +138,8 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
         raise SceneError(
             f"origins {o.shape} and directions {d.shape} do not broadcast; give equal shapes"
         ) from None
-    return np.ascontiguousarray(o), np.ascontiguousarray(d)
+    # copies: a broadcast of one ray is contiguous and yet not its own
+    return np.array(o, order="C"), np.array(d, order="C")
 
 
 def _plane(wall: Wall, o: Array, d: Array) -> Hits:
@@ -155,7 +160,7 @@ def _plane(wall: Wall, o: Array, d: Array) -> Hits:
     return Hits(distance, points, normals, status)
 
 
-def _bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Any, ...]:
+def _bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
     """Limits of a search: curvature of gridded terms, box, height slab and rim."""
     margin = 0.999  # of a radius: at the rim itself the slope is infinite
     size = wall.size
@@ -181,7 +186,9 @@ def _bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Any, ...]:
             low, high, curvature[i] = _grid_limits(row, tables)
             slab += (low, high)
     pad = 1e-9 + 1e-12 * np.abs(slab).max()  # rounding must not cut a crest
-    return curvature, box, slab + (-pad, pad), rim
+    slab[0] -= pad
+    slab[1] += pad
+    return curvature, box, slab, rim
 
 
 def _grid_limits(row: Array, tables: Array) -> tuple[float, float, float]:
@@ -200,7 +207,9 @@ def _grid_limits(row: Array, tables: Array) -> tuple[float, float, float]:
     def second(values: Array, slopes: Array, step: float) -> float:
         quotient = 6 * np.diff(values) / step
         start, stop = slopes[:, :-1], slopes[:, 1:]
-        return max(top(quotient - 4 * start - 2 * stop), top(quotient - 2 * start - 4 * stop)) / step
+        return (
+            max(top(quotient - 4 * start - 2 * stop), top(quotient - 2 * start - 4 * stop)) / step
+        )
 
     swing = (sx * top(vx) + sy * top(vy)) / 4 + sx * sy * top(vxy) / 16
     hxx = second(v, vx, sx) + sy / 4 * second(vy, vxy, sx)

@@ -173,10 +173,7 @@ def _decoded(path: Path) -> NDArray[Any]:
     from PIL import Image
 
     with Image.open(path) as picture:
-        if picture.mode == "I":
-            # 16 bits, which Pillow widens to 32
-            return np.asarray(picture, dtype=np.float64) / 65535
-        if picture.mode not in ("1", "L", "F") and not picture.mode.startswith("I;16"):
+        if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
             return np.asarray(picture.convert("L"))
         return np.asarray(picture)
 

@@ -73,7 +73,7 @@ class Material:
         -------
         ndarray, shape of theta
             Closed forms where they exist, else quadrature to about 1e-9 (mirror-like lobes of
-            slope rms s: 1e-16/s^2 where that is more).
+            slope rms s: 1e-16/(s cos theta)^2 where that is more).
         """
         raise NotImplementedError
 

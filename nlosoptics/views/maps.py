@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from .._checks import one_of
 from .canvas import new_axes
@@ -18,7 +18,13 @@ if TYPE_CHECKING:
     from ..inverse import Reconstruction
     from ..psf import PointSpread, Wavefront
 
-Array = NDArray[np.float64]
+
+#: What the value 1 of a point spread stands for.
+MEANING = {
+    "unit-sum": "energy per sample, whole image plane 1",
+    "flux": "energy per sample, clear pupil 1",
+    "ideal-peak": "intensity, peak without aberration 1",
+}
 
 
 def wavefront(
@@ -108,7 +114,7 @@ def point_spread(
         axes.set(
             xlim=(-half_width * 1e6, half_width * 1e6), ylim=(half_width * 1e6, -half_width * 1e6)
         )
-    _colour_bar(axes, drawn, f"intensity ({point_spread.normalisation})")
+    _colour_bar(axes, drawn, MEANING[point_spread.normalisation])
     axes.set(xlabel="x (um)", ylabel="y (um)", title=f"point spread, {point_spread.method}")
     return axes
 

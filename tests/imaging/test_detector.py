@@ -10,7 +10,7 @@ from scipy import special
 
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging import speckles_per_pixel
-from nlosoptics.imaging.detector import noise_variance, read_out
+from nlosoptics.imaging.detector import PHOTONS, READOUT, SPECKLE, noise_variance, read_out
 from nlosoptics.scene import Camera
 
 SIDE = 256
@@ -116,22 +116,37 @@ def test_full_pixels_are_clipped_and_counted():
 
 def test_seed_decides_every_bit():
     frame = np.full((32, 32), 20.0)
-    first, again, other = (
-        read_out(CAMERA, frame, 1.0, freedom=50.0, seed=s)[0] for s in (7, 7, 8)
-    )
+    first, again, other = (read_out(CAMERA, frame, 1.0, freedom=50.0, seed=s)[0] for s in (7, 7, 8))
     np.testing.assert_array_equal(first, again)
     assert (first != other).mean() > 0.9
 
 
-def test_speckle_and_photons_do_not_share_numbers():
-    """The same stream for both would correlate them."""
+def test_noise_sources_do_not_share_numbers():
+    """Without readout noise the variances of speckle and photons add; a covariance would show."""
     quiet = replace(CAMERA, read_noise=0.0, full_well=1e9, bit_depth=32)
-    frame = np.full((SIDE, SIDE), 1e4)
-    plain, _ = read_out(quiet, frame, 0.0, seed=9)
-    speckled, _ = read_out(quiet, frame, 0.0, freedom=1.0, seed=9)
-    together = np.corrcoef(plain.ravel(), speckled.ravel())[0, 1]
+    electrons, _ = read_out(quiet, np.full((SIDE, SIDE), 90.0), 0.0, freedom=90.0, seed=9)
     # five standard errors
-    assert abs(together) < 5 / SIDE
+    assert electrons.var() == pytest.approx(90 + 90, rel=5 * np.sqrt(2.2 / COUNT))
+    assert len({SPECKLE, PHOTONS, READOUT}) == 3
+
+
+def test_coarse_converter_adds_the_noise_of_every_native_pixel():
+    camera = replace(CAMERA, bit_depth=10)
+    step = 70e3 / 2**10
+    electrons, _ = read_out(camera, np.full((SIDE, SIDE), 1e4), 0.0, seed=10)
+    variance = 1e4 + 64 * (3.6**2 + step**2 / 12)
+    # five standard errors
+    assert electrons.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / COUNT))
+
+
+def test_full_pixels_still_show_readout_noise():
+    camera = replace(CAMERA, binning=1, pixels=(SIDE, SIDE), read_noise=100.0)
+    electrons, saturated = read_out(camera, np.full((SIDE, SIDE), 1e6), 0.0, seed=11)
+    assert saturated == 1.0
+    # half of a normal deviate is cut off at the converter's top: mean deficit sigma/sqrt(2 pi),
+    # shifted by half a step of 1 electron; five standard errors
+    deficit = 70e3 - electrons.mean()
+    assert deficit == pytest.approx(100 / np.sqrt(2 * np.pi), abs=1 + 5 * 100 * 0.6 / SIDE)
 
 
 @pytest.mark.parametrize("values", [(0.0, 6e-7, 2.0), (9e-6, -1.0, 2.0), (9e-6, 6e-7, np.nan)])

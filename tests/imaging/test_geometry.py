@@ -121,9 +121,7 @@ def test_reflection_point_has_a_stationary_path(flat_scene, wall):
         def slope(xy, target=target):
             h, hx, hy, *_ = wall.derivatives(*xy)
             point = np.array([*xy, h])
-            pull = sum(
-                (point - end) / np.linalg.norm(point - end) for end in (lens, target)
-            )
+            pull = sum((point - end) / np.linalg.norm(point - end) for end in (lens, target))
             return [pull[0] + hx * pull[2], pull[1] + hy * pull[2]]
 
         start = rays.points[index][:2] + 1e-3
@@ -141,9 +139,7 @@ def test_convex_path_is_the_shortest(flat_scene):
 
     def path(xy):
         point = np.array([*xy, wall.height(*xy)])
-        return sum(
-            np.linalg.norm(point - end) for end in (np.array(scene.camera.position), target)
-        )
+        return sum(np.linalg.norm(point - end) for end in (np.array(scene.camera.position), target))
 
     found = optimize.minimize(path, rays.points[0, 0, :2] + 0.01, tol=1e-14)
     # a minimum is flat: rounding of 2 m leaves sqrt(1e-16) or so in the place
@@ -196,12 +192,9 @@ def test_area_average_of_a_brute_force_sum(scale, mirrored):
     u, v = np.meshgrid(*[(np.arange(n) + 0.5) / n] * 2)
     draw = np.random.default_rng(2)
     for i, j in draw.integers(0, x.shape[0] - 1, (25, 2)):
-        corners = [
-            (c[i, j], c[i, j + 1], c[i + 1, j], c[i + 1, j + 1]) for c in (x, y)
-        ]
+        corners = [(c[i, j], c[i, j + 1], c[i + 1, j], c[i + 1, j + 1]) for c in (x, y)]
         p, q = (
-            (1 - v) * ((1 - u) * c[0] + u * c[1]) + v * ((1 - u) * c[2] + u * c[3])
-            for c in corners
+            (1 - v) * ((1 - u) * c[0] + u * c[1]) + v * ((1 - u) * c[2] + u * c[3]) for c in corners
         )
         pu, qu = ((1 - v) * (c[1] - c[0]) + v * (c[3] - c[2]) for c in corners)
         pv, qv = ((1 - u) * (c[2] - c[0]) + u * (c[3] - c[1]) for c in corners)

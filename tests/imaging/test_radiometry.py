@@ -46,9 +46,7 @@ def test_photon_rate():
 
 def lambert_scene(flat_scene, **changes):
     hidden = replace(flat_scene.hidden, material=Lambert(1.0))
-    return replace(
-        flat_scene, **{"wall_material": Lambert(1.0), "hidden": hidden, **changes}
-    )
+    return replace(flat_scene, **{"wall_material": Lambert(1.0), "hidden": hidden, **changes})
 
 
 def test_spot_is_a_lambert_source(flat_scene):
@@ -206,11 +204,7 @@ def test_patches_hold_the_area_and_centre_of_the_picture():
     column = (picture.sum(0) * columns).sum() / picture.sum()
     row = (picture.sum(1) * rows).sum() / picture.sum()
     right, up, normal = hidden.axes
-    centre = (
-        hidden.position
-        + (column / 53 - 0.5) * 0.5 * right
-        + (0.5 - row / 37) * 0.3 * up
-    )
+    centre = hidden.position + (column / 53 - 0.5) * 0.5 * right + (0.5 - row / 37) * 0.3 * up
     mean = (patches.points * patches.areas[:, None]).sum(0) / patches.areas.sum()
     np.testing.assert_allclose(mean, centre, rtol=0, atol=1e-13)
     np.testing.assert_array_equal(patches.normals[0], normal)
@@ -274,7 +268,7 @@ def test_spot_image_has_its_place_size_and_energy(flat_scene):
     facing = toward[2] / np.linalg.norm(toward)
     disc_sq = spot.area * facing / np.pi * (d / depth) ** 2
     # variances of uniform discs add: R^2/4 each; plus the pixels', and half of a subsample
-    spread = ((shares.sum(0) * x**2).sum() - (shares.sum(0) * x).sum() ** 2)
+    spread = (shares.sum(0) * x**2).sum() - (shares.sum(0) * x).sum() ** 2
     assert spread == pytest.approx((blur**2 + disc_sq) / 4 + camera.image_pitch**2 / 12, rel=0.01)
 
 

@@ -306,3 +306,10 @@ def test_bits_do_not_depend_on_the_number_of_threads():
         "print(hashlib.sha256(hits.distance.tobytes() + hits.normals.tobytes()).hexdigest())"
     )
     assert run(code, NUMBA_NUM_THREADS="1") == run(code, NUMBA_NUM_THREADS="2")
+
+
+def test_one_ray_from_a_shared_origin():
+    """A single broadcast ray is like any other."""
+    one = raytrace.intersect(ConcaveWall(3.0), np.array([0.1, 0.0, 1.0]), [[[0.0, 0.1, -1.0]]])
+    many = raytrace.intersect(ConcaveWall(3.0), [[0.1, 0.0, 1.0]] * 2, [[0.0, 0.1, -1.0]] * 2)
+    assert one.distance[0, 0] == many.distance[0]

@@ -276,14 +276,15 @@ WRONG = {
         ("wall", "shape is missing"),
     ),
     "value for a table": (
-        '[hidden.material]               # of white; chosen: foam\nlobe = "lambert"\nalbedo = 0.8\n',
+        "[hidden.material]               # of white; chosen: foam\n"
+        'lobe = "lambert"\nalbedo = 0.8\n',
         'material = "foam"\n',
         ("hidden.material", '"foam"', "not a table"),
     ),
 }
 
 
-@pytest.mark.parametrize("old, new, parts", WRONG.values(), ids=WRONG.keys())
+@pytest.mark.parametrize(("old", "new", "parts"), WRONG.values(), ids=WRONG.keys())
 def test_wrong_value(folder: Path, old: str, new: str, parts: tuple[str, ...]) -> None:
     expect(message(folder, (old, new)), *parts)
 
@@ -376,7 +377,7 @@ MESHES = {
 }
 
 
-@pytest.mark.parametrize("content, parts", MESHES.values(), ids=MESHES.keys())
+@pytest.mark.parametrize(("content", "parts"), MESHES.values(), ids=MESHES.keys())
 def test_bad_wall_mesh(folder: Path, content: bytes | None, parts: tuple[str, ...]) -> None:
     path = folder.parent / "walls" / "concave_5m.obj"
     path.unlink() if content is None else path.write_bytes(content)

@@ -61,7 +61,9 @@ def test_files_keep_what_their_precision_holds(tmp_path):
     mesh.export(tmp_path / "wall.stl")
     fitted = MeshWall(tmp_path / "wall.stl")
     assert fitted.size == approx((1.0, 1.0), abs=1e-7)
-    assert float(fitted.height(0.2, 0.1)) == approx(float(ConcaveWall(5.0).height(0.2, 0.1)), abs=2e-8)
+    assert float(fitted.height(0.2, 0.1)) == approx(
+        float(ConcaveWall(5.0).height(0.2, 0.1)), abs=2e-8
+    )
     assert 1e-11 < fitted.fit_residual < 1e-8
 
 

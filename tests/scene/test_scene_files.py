@@ -167,6 +167,16 @@ def test_a_failed_save_leaves_the_old_file(flat: Scene, tmp_path: Path, monkeypa
     assert [entry.name for entry in tmp_path.iterdir()] == ["scene.toml"]
 
 
+def test_saving_replaces_the_file_at_once(flat: Scene, tmp_path: Path) -> None:
+    """A reader who has the old file open keeps it whole: the new one is moved into its place."""
+    path, held = tmp_path / "scene.toml", tmp_path / "held.toml"
+    flat.save(path)
+    before = path.read_text()
+    held.hardlink_to(path)
+    replace(flat, wall=FlatWall()).save(path)
+    assert held.read_text() == before != path.read_text()
+
+
 def test_units_are_exact(flat: Scene) -> None:
     """Decimal arithmetic: the float nearest to the written number, not a product of floats."""
     assert flat.laser.wavelength == 632.8e-9
@@ -255,7 +265,7 @@ def test_defaults_are_those_of_the_dataclasses(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("path", SCENES, ids=NAMES)
 def test_examples_have_wu_2024s_geometry(path: Path) -> None:
-    """Section 3: 632.8 nm, 3 mm, 1.2 m at 15 deg; object 1 m from wall and camera; 36.9 mm, 40 deg."""
+    """Section 3: 632.8 nm, 3 mm, 1.2 m at 15 deg; 1 m to wall and camera; 36.9 mm, 40 deg."""
     scene = Scene.load(path)
     laser, camera = scene.laser, scene.camera
     start = np.subtract(laser.position, laser.aim)
@@ -328,8 +338,10 @@ def test_mesh_example_is_what_its_readme_says(tmp_path: Path, monkeypatch) -> No
     code = re.search(r"```python\n(.*?)```", (walls / "README.md").read_text(), re.DOTALL)[1]
     monkeypatch.chdir(tmp_path)
     exec(code, {})
-    ours = [line.split() for line in (tmp_path / "concave_5m.obj").read_text().splitlines()[1:]]
-    shipped = [line.split() for line in (walls / "concave_5m.obj").read_text().splitlines()[1:]]
+    ours, shipped = (
+        [line.split() for line in (folder / "concave_5m.obj").read_text().splitlines() if line]
+        for folder in (tmp_path, walls)
+    )
     assert [line[0] for line in ours] == [line[0] for line in shipped]
     vertices = [np.array([v[1:] for v in f if v[0] == "v"], float) for f in (ours, shipped)]
     # written to 1 pm

@@ -75,9 +75,7 @@ def radial(n: int, m: int, rho: ArrayLike) -> Array:
     return np.asarray(rho**m * now)
 
 
-def zernike(
-    index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering = "noll"
-) -> Array:
+def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering = "noll") -> Array:
     """Zernike polynomial at polar points of the unit disc.
 
     Parameters

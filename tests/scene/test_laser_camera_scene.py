@@ -1,0 +1,151 @@
+"""Laser, camera and scene: derived quantities and what they refuse."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.testing import assert_array_equal
+from pytest import approx
+
+from nlosoptics.errors import SceneError
+from nlosoptics.scene import (
+    Camera,
+    FlatWall,
+    Lambert,
+    Laser,
+    MeshObject,
+    PlanarObject,
+    Scene,
+    pupil_frame,
+)
+
+LASER = Laser(
+    wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(1.0, 0.0, 1.2), aim=(0.6, 0, 0)
+)
+CAMERA = Camera(
+    position=(-0.6, 0.0, 0.8), aim=(-0.1645, 0.0, 0.0), focal_length=0.0506, stop_diameter=0.025
+)
+HIDDEN = PlanarObject(np.eye(8), 0.3, position=(0.3798, 0.0, 1.0))
+SCENE = Scene(LASER, FlatWall(), HIDDEN, CAMERA)
+
+
+@pytest.mark.parametrize("axis", [(0, 0, -1), (0.5, 0, -0.8), (0.3, -0.6, -0.2), (0, 1, 0)])
+def test_pupil_frame(axis) -> None:
+    """Rows e1 = unit(Y x n), e2 = n x e1, n: right-handed, e1 level unless the axis is vertical."""
+    n = np.array(axis) / np.linalg.norm(axis)
+    e1, e2, last = pupil_frame(n)
+    frame = np.stack([e1, e2, last])
+    assert frame @ frame.T == approx(np.eye(3), abs=1e-15)
+    assert np.linalg.det(frame) == approx(1.0)
+    assert_array_equal(last, n)
+    assert e1[1] == approx(0.0, abs=1e-15)
+    if abs(n[1]) < 1:
+        assert e2[1] > 0
+
+
+def test_camera_at_the_wall_sees_left_as_its_e1() -> None:
+    """Looking along -z with y up: Y x n = (-1, 0, 0)."""
+    camera = replace(CAMERA, position=(0, 0, 1), aim=(0, 0, 0))
+    assert_array_equal(camera.frame, [[-1, 0, 0], [0, 1, 0], [0, 0, -1]])
+
+
+def test_camera_pixels() -> None:
+    assert CAMERA.shape == (512, 512)
+    assert CAMERA.image_pitch == 72e-6
+    wide = replace(CAMERA, pixels=(640, 480), binning=4)
+    assert wide.shape == (120, 160)
+    assert wide.resized(80).shape == (60, 80)
+    assert wide.resized(80).image_pitch * 80 == approx(wide.image_pitch * 160)  # the same field
+
+
+def test_resizing_names_the_nearest_size() -> None:
+    with pytest.raises(SceneError, match=r"size = 500 does not divide .*\(4096, 4096\); .* 512"):
+        SCENE.resized(500)
+
+
+def test_thin_lens() -> None:
+    """1/f = 1/s + 1/d, s along the axis to the mirrored object."""
+    s = SCENE.focus_distance
+    mirrored = np.array([0.3798, 0.0, -1.0])
+    assert_array_equal(SCENE.mirrored_object_point, mirrored)
+    assert s == approx((mirrored - CAMERA.position) @ CAMERA.axis, rel=1e-15)
+    assert 1 / s + 1 / SCENE.image_distance == approx(1 / 0.0506, rel=1e-14)
+    assert replace(SCENE, camera=replace(CAMERA, focus_distance=1.5)).focus_distance == 1.5
+
+
+def test_object_point_of_a_mesh_is_its_centroid() -> None:
+    hidden = MeshObject(trimesh.creation.box((0.2, 0.2, 0.2)), position=(0.3, 0.1, 1.0))
+    assert replace(SCENE, hidden=hidden).object_point == approx([0.3, 0.1, 1.0], abs=1e-15)
+
+
+def test_numbers_are_kept_as_floats_and_ints() -> None:
+    """So that a scene file writes what was given."""
+    laser = replace(LASER, power=np.float32(1), position=np.array([1, 0, 1]))
+    assert type(laser.power) is float
+    assert [type(x) for x in laser.position] == [float] * 3
+    camera = replace(CAMERA, focus_distance=2, binning=np.int64(8), pixels=[512, 512])
+    assert type(camera.focus_distance) is float
+    assert type(camera.binning) is int
+    assert camera.pixels == (512, 512)
+
+
+BAD = [
+    (LASER, "wavelength", 632.8, r"laser.wavelength = 632.8 m .* 1e-08 to 0.0001 m; .*nanometres"),
+    (LASER, "wavelength", math.nan, "laser.wavelength = nan is not finite"),
+    (LASER, "power", 0, "laser.power = 0 W .* must be above 0 W"),
+    (LASER, "beam_diameter", -3e-3, "laser.beam_diameter = -0.003 m .* must be above 0 m"),
+    (LASER, "position", (0, 0, -1.2), "laser.position has z = -1.2 m, behind the wall"),
+    (LASER, "aim", (0, 0), "laser.aim has 2 components; give three"),
+    (LASER, "independent_patterns", 0, "laser.independent_patterns = 0 .* must be at least 1"),
+    (LASER, "independent_patterns", 1.5, "laser.independent_patterns = 1.5 is not a whole number"),
+    (
+        CAMERA,
+        "position",
+        (0, 0, -1),
+        "camera.position has z = -1 m, behind the wall; must be above",
+    ),
+    (CAMERA, "aim", (0, 0, 2), "camera.aim = .* looks away from the wall, its z must be below"),
+    (CAMERA, "aim", (-0.6, 0.0, 0.8), "camera.aim equals camera.position; aim at a point"),
+    (CAMERA, "aim", (-0.6, 1.0, 0.8), "camera.aim = .* looks away from the wall"),
+    (CAMERA, "focal_length", 0, "camera.focal_length = 0 m .* must be above 0 m"),
+    (CAMERA, "stop_diameter", -1, "camera.stop_diameter = -1 m .* must be above 0 m"),
+    (CAMERA, "pixel_pitch", math.inf, "camera.pixel_pitch = inf is not finite"),
+    (CAMERA, "pixels", 512, "camera.pixels = 512; give two whole numbers, x and y"),
+    (CAMERA, "pixels", (512, 511.5), "camera.pixels = 511.5 is not a whole number"),
+    (CAMERA, "binning", 3, r"camera.binning = 3 does not divide .*\(4096, 4096\); use a common"),
+    (CAMERA, "binning", True, "camera.binning = True is not a whole number"),
+    (CAMERA, "exposure", -0.04, "camera.exposure = -0.04 s .* must be above 0 s"),
+    (CAMERA, "quantum_efficiency", 1.2, "camera.quantum_efficiency = 1.2 .* above 0 to 1"),
+    (CAMERA, "transmission", 0, "camera.transmission = 0 .* above 0 to 1"),
+    (CAMERA, "full_well", 0, "camera.full_well = 0 electrons .* above 0"),
+    (CAMERA, "read_noise", -1, "camera.read_noise = -1 .* at least 0"),
+    (CAMERA, "dark_current", math.nan, "camera.dark_current = nan is not finite"),
+    (CAMERA, "bit_depth", 33, "camera.bit_depth = 33 is too many, must be 1 to 32"),
+    (CAMERA, "glare_fraction", 1.1, "camera.glare_fraction = 1.1 .* from 0 to 1"),
+    (CAMERA, "focus_distance", 0.05, "camera.focus_distance = 0.05 m is within the focal length"),
+    (CAMERA, "field_stop", 0, "camera.field_stop = 0 .* must be above 0"),
+    (SCENE, "laser", CAMERA, "scene.laser is a Camera, which it cannot be"),
+    (SCENE, "wall", Lambert(0.5), "scene.wall is a Lambert, which it cannot be"),
+    (SCENE, "wall_material", 0.7, "scene.wall_material is a float, which it cannot be"),
+    (SCENE, "laser", replace(LASER, aim=(0.6, 0, 0.1)), "laser.aim has z = 0.1 m; give a point"),
+    (SCENE, "occluders", (1,), "scene.occluders are not traced yet; leave them out"),
+]
+
+
+@pytest.mark.parametrize(
+    ("noun", "name", "value", "message"), BAD, ids=[f"{name}={value}" for _, name, value, _ in BAD]
+)
+def test_bad_values(noun, name: str, value, message: str) -> None:
+    with pytest.raises(SceneError, match=message) as caught:
+        replace(noun, **{name: value})
+    assert "\n" not in str(caught.value)
+
+
+def test_object_within_the_focal_length() -> None:
+    scene = replace(SCENE, camera=replace(CAMERA, focal_length=5.0))
+    with pytest.raises(SceneError, match=r"within its focal length 5 m; turn the camera"):
+        _ = scene.image_distance
