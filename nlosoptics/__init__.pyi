@@ -1,3 +1,5 @@
+__version__: str
+
 from . import imaging as imaging
 from . import inverse as inverse
 from . import psf as psf

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 from .errors import MemoryLimitError, SceneError
@@ -92,7 +93,7 @@ def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
 def available_memory() -> float:
     """Bytes that can still be allocated; infinity where the system does not say."""
     try:
-        with open("/proc/meminfo") as lines:
+        with Path("/proc/meminfo").open() as lines:
             for line in lines:
                 if line.startswith("MemAvailable:"):
                     return float(line.split()[1]) * 1024

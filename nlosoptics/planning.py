@@ -13,7 +13,15 @@ import numpy as np
 
 from ._checks import fits_memory, in_range, whole
 from .psf.pupils import ExitPupil, exit_pupil
-from .scene import ConcaveWall, MeshWall, Scene, SumWall, WavyWall
+from .scene import (
+    ConcaveWall,
+    MeshWall,
+    Scene,
+    SpecularMicrofacet,
+    SumMaterial,
+    SumWall,
+    WavyWall,
+)
 
 if TYPE_CHECKING:
     from .imaging import SpeckleImage
@@ -152,7 +160,9 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     camera = scene.camera
     ny, nx = camera.shape
     fits_memory(
-        f"an image of {nx} x {ny} pixels", BYTES_PER_PIXEL * nx * ny, "read fewer pixels or bin more"
+        f"an image of {nx} x {ny} pixels",
+        BYTES_PER_PIXEL * nx * ny,
+        "read fewer pixels or bin more",
     )
     pupil = exit_pupil(scene)
     waves = _estimated_waves(scene, pupil)
@@ -215,7 +225,7 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
         False,
         "the mirror-like lobe is smooth"
         if slope == 0
-        else f"the lobe's slope of {slope:g} rad is taken as smooth; its diffuse part is background",
+        else f"the lobe's slope of {slope:g} rad is taken as smooth; diffuse light is background",
     )
     hollow = _sees_itself(scene)
     add(
@@ -344,15 +354,14 @@ def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:
     """Second-order peak-to-valley estimate of the residual aberration, waves."""
     kappa = scene.wall.max_curvature
     position = np.array(scene.camera.position)
-    d2 = float(np.linalg.norm(position - np.array(scene.camera.aim)))
-    d2 = min(d2, -position[2] / scene.camera.axis[2])
+    d2 = -float(position[2] / scene.camera.axis[2])
     d1 = max(float(np.linalg.norm(scene.mirrored_object_point - position)) - d2, 1e-9)
     m, d_eff = d1 / (d1 + d2), d1 * d2 / (d1 + d2)
     sign = -1.0 if isinstance(scene.wall, ConcaveWall | WavyWall | SumWall | MeshWall) else 1.0
     curved = kappa * m**2 / max(abs(1 + sign * 2 * kappa * d_eff), 1e-3)
     depth = float((scene.mirrored_object_point - position) @ scene.camera.axis)
     focus = 0.5 * abs(1 / depth - 1 / scene.focus_distance) if depth > 0 else math.inf
-    return (curved + focus) * pupil.entrance_radius**2 / scene.laser.wavelength
+    return float((curved + focus) * pupil.entrance_radius**2 / scene.laser.wavelength)
 
 
 def _point_spread_seconds(scene: Scene, pupil: ExitPupil, waves: float) -> float:
@@ -365,8 +374,9 @@ def _point_spread_seconds(scene: Scene, pupil: ExitPupil, waves: float) -> float
 def _lobe_slope(scene: Scene) -> float:
     """Largest slope rms among the wall's mirror-like lobes, rad."""
     material = scene.wall_material
-    parts = material._flat() if hasattr(material, "_flat") else [material]
-    return max((p.slope_rms for p in parts if p.specular_reflectance > 0), default=0.0)
+    parts = material.parts if isinstance(material, SumMaterial) else (material,)
+    slopes = [p.slope_rms for p in parts if isinstance(p, SpecularMicrofacet)]
+    return max(slopes, default=0.0)
 
 
 def _sees_itself(scene: Scene) -> bool:
@@ -374,4 +384,3 @@ def _sees_itself(scene: Scene) -> bool:
     return isinstance(scene.wall, ConcaveWall | WavyWall | SumWall | MeshWall) and not (
         scene.wall.is_flat
     )
-

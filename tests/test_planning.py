@@ -160,7 +160,7 @@ def test_wave_and_rays_put_the_image_in_the_same_place(flat_scene, wall):
     from nlosoptics.imaging.geometry import chief_rays
 
     scene = replace(flat_scene, wall=wall)
-    e1, e2, n = scene.camera.frame
+    e1, e2, _ = scene.camera.frame
     hidden = scene.hidden
     target = scene.object_point + 0.05 * hidden.axes[0] - 0.03 * hidden.axes[1]
     line = target * (1, 1, -1) - np.array(scene.camera.position)

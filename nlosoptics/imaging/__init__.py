@@ -2,7 +2,14 @@
 
 from .detector import speckles_per_pixel
 from .forward_model import ForwardModel
-from .images import SpeckleImage, form_image
+from .images import SpeckleImage, diffuse_background, form_image
 from .radiometry import photon_rate
 
-__all__ = ["ForwardModel", "SpeckleImage", "form_image", "photon_rate", "speckles_per_pixel"]
+__all__ = [
+    "ForwardModel",
+    "SpeckleImage",
+    "diffuse_background",
+    "form_image",
+    "photon_rate",
+    "speckles_per_pixel",
+]

@@ -152,10 +152,7 @@ def form_image(
     _check_point_spread(point_spread, camera.image_pitch)
     if object_image is not None:
         scene = _with_picture(scene, object_image)
-    spot = laser_spot(scene)
-    rays = chief_rays(scene, *pixel_centres(camera))
-    visible = wall_visibility(scene, rays)
-    gain = electrons_per_radiance(scene, rays.cos_axis, exposure) * visible
+    spot, rays, visible, gain = _view(scene, exposure)
     ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
     model = ForwardModel(point_spread, shape=camera.shape)
     # the transform leaves rounding errors of either sign where no light is
@@ -195,6 +192,42 @@ def form_image(
             "dark": dark * ideal.size,
         },
     )
+
+
+def diffuse_background(
+    scene: Scene, object_image: ArrayLike | None = None, *, exposure: float | None = None
+) -> Array:
+    """Expected electrons of the wall's diffuse light alone.
+
+    Its shape hardly depends on what the picture shows, so that of a white object stands for it
+    where the picture is unknown.
+
+    Parameters
+    ----------
+    scene : Scene
+    object_image : array_like, (rows, columns), optional
+        Picture 0 to 1 in place of the planar object's own, row 0 on top.
+    exposure : float, optional
+        s, in place of the camera's.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+    """
+    exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
+    if object_image is not None:
+        scene = _with_picture(scene, object_image)
+    spot, rays, visible, gain = _view(scene, exposure)
+    patches = object_patches(scene.hidden)
+    return np.asarray(gain * background_radiance(scene, spot, patches, rays, visible > 0))
+
+
+def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, Array]:
+    """Laser spot, chief rays, share of the wall seen, and electrons per radiance."""
+    rays = chief_rays(scene, *pixel_centres(scene.camera))
+    visible = wall_visibility(scene, rays)
+    gain = electrons_per_radiance(scene, rays.cos_axis, exposure) * visible
+    return laser_spot(scene), rays, visible, gain
 
 
 def _check_point_spread(point_spread: PointSpread, pitch: float) -> None:

@@ -151,8 +151,8 @@ def estimate_noise(image: ArrayLike) -> float:
     counts = [max(1, length // _BLOCK) for length in response.shape]
     sides = [length // count for length, count in zip(response.shape, counts, strict=True)]
     whole_blocks = response[: counts[0] * sides[0], : counts[1] * sides[1]]
-    blocks = whole_blocks.reshape(counts[0], sides[0], counts[1], sides[1]).swapaxes(1, 2)
-    blocks = blocks.reshape(counts[0] * counts[1], -1)
+    tiles = whole_blocks.reshape(counts[0], sides[0], counts[1], sides[1]).swapaxes(1, 2)
+    blocks = tiles.reshape(counts[0] * counts[1], -1)
     medians = np.median(blocks, axis=1)
     squares = np.where(
         medians > 0.0, (medians / _MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)

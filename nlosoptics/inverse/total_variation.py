@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .._checks import positive, whole
+from .._checks import in_range, positive, whole
 from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, without_object
@@ -111,7 +111,7 @@ def tv_deconvolve(
     started = time.perf_counter()
     whole("seed", seed, 0)
     max_iterations = whole("max_iterations", max_iterations)
-    tolerance = positive("tolerance", tolerance)
+    tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
     gain = None if gain is None else positive("gain", gain)
     data = measurement(

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from .._checks import positive, whole
+from .._checks import in_range, positive, whole
 from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, Status, assemble, without_object
@@ -86,7 +86,7 @@ def wiener(
     started = time.perf_counter()
     whole("seed", seed, 0)
     max_iterations = whole("max_iterations", max_iterations)
-    tolerance = positive("tolerance", tolerance)
+    tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
@@ -148,9 +148,9 @@ class _NormalEquations:
             image = image - self.data.weighted(image).mean()
         return self.data.weighted(image)
 
-    def normal(self, level: Tensor) -> Tensor:
-        """Left side for an object in image units."""
-        return self.model.adjoint(self.cleaned(self.model(level))) + self.penalised(level)
+    def normal(self, seen: Tensor, penalised: Tensor) -> Tensor:
+        """Left side for an object with its image and what `penalised` makes of it."""
+        return self.model.adjoint(self.cleaned(seen)) + penalised
 
     def penalised(self, level: Tensor) -> Tensor:
         """Noise over prior, applied to an object."""
@@ -174,6 +174,8 @@ def _conjugate_gradients(
     history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
     data = problem.data
     level = torch.zeros_like(data.data)
+    misfit = data.data.clone()
+    level_penalised = torch.zeros_like(level)
     residual = problem.right_side
     start = float(residual.norm())
     direction = torch.zeros_like(residual)
@@ -182,31 +184,27 @@ def _conjugate_gradients(
         step = problem.preconditioned(residual)
         product = float((residual * step).sum())
         direction = step + (product / last) * direction
-        image = problem.normal(direction)
+        seen = problem.model(direction)
+        penalised = problem.penalised(direction)
+        image = problem.normal(seen, penalised)
         length = product / float((direction * image).sum())
-        level = level + length * direction
-        residual = residual - length * image
         last = product
-        _record(history, problem, level, length * direction)
+        level += length * direction
+        misfit -= length * seen
+        level_penalised += length * penalised
+        residual = residual - length * image
+        squared = max(float((problem.cleaned(misfit) * misfit).sum()), 0.0)
+        prior = float((level * level_penalised).sum())
+        history["objective"].append(0.5 * (squared + prior) / data.sigma**2)
+        history["residual"].append(math.sqrt(squared / misfit.numel()) / data.sigma)
+        history["change"].append(abs(length) * float(direction.norm() / level.norm()))
         left = float(residual.norm()) / start
         if progress is not None:
-            done = math.log(max(left, tolerance)) / math.log(tolerance) if left < 1.0 else 0.0
+            done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
             progress(
-                min(1.0, max(done, (iteration + 1) / max_iterations)),
+                min(max(done, (iteration + 1) / max_iterations), 1.0),
                 f"Wiener filter: residual {left:.1e} after {iteration + 1} iterations",
             )
         if left <= tolerance:
             return level, history, True
     return level, history, False
-
-
-def _record(
-    history: dict[str, list[float]], problem: _NormalEquations, level: Tensor, change: Tensor
-) -> None:
-    data = problem.data
-    misfit = data.data - problem.model(level)
-    squared = float((problem.cleaned(misfit) * misfit).sum())
-    prior = float((level * problem.penalised(level)).sum())
-    history["objective"].append(0.5 * (squared + prior) / data.sigma**2)
-    history["residual"].append(math.sqrt(max(squared, 0.0) / misfit.numel()) / data.sigma)
-    history["change"].append(float(change.norm()) / max(float(level.norm()), 1e-300))

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import one_of, real, vector
 from ..errors import CausticError, NotWaveGradeError, SamplingError, SceneError
 from ..scene import MeshWall, Scene, Wall, pupil_frame
-from .pupils import exit_pupil
 from .nodes import grid_nodes, polar_nodes
-from .wavefronts import Removed, Wavefront
+from .pupils import exit_pupil
+from .wavefronts import Layout, Removed, Wavefront
 
 Array = NDArray[np.float64]
 POLAR_SAMPLES = (24, 96)
@@ -309,18 +309,20 @@ def wavefront(
     )
     pupil = exit_pupil(scene)
     radius = pupil.radius
-    layout = nodes if isinstance(nodes, str) else "scattered"
+    layout: Layout = "scattered"
+    if isinstance(nodes, str):
+        if nodes not in ("polar", "grid"):
+            raise SceneError(f"nodes = {nodes!r} is unknown, must be polar, grid or (n, 2) numbers")
+        layout = "polar" if nodes == "polar" else "grid"
     if layout == "polar":
         u, v, weights = polar_nodes(radius, *(samples or POLAR_SAMPLES))
     elif layout == "grid":
         u, v, weights = grid_nodes(radius, samples or GRID_SAMPLES)
-    elif layout == "scattered":
+    else:
         points = np.asarray(nodes, dtype=np.float64)
         _check_nodes(points)
         u, v = points[:, 0].copy(), points[:, 1].copy()
         weights = np.full(len(u), math.pi * radius**2 / len(u))
-    else:
-        raise SceneError(f"nodes = {nodes!r} is unknown, must be polar, grid or an array (n, 2)")
 
     # the lens is the exit pupil, or the cone from the image through it, inverted if behind
     zoom = pupil.image_distance / scene.image_distance

@@ -51,10 +51,10 @@ def _chirp_pass(n: int, centre: int, count: int, step: float, offset: float) -> 
     """
     size = int(ducc0.fft.good_size(n + count - 1))
     j = np.arange(n) - centre
-    before = np.exp(-2j * math.pi * (_turns(offset, j) + _turns(step / 2, j * j)))
+    before = np.exp(-2j * math.pi * (offset * j + step / 2 * j**2))
     lag = np.arange(1 - n, count)
     chirp = np.zeros(size, dtype=np.complex128)
-    chirp[lag] = np.exp(2j * math.pi * _turns(step / 2, (lag + centre - count // 2) ** 2))
+    chirp[lag] = np.exp(1j * math.pi * step * (lag + centre - count // 2) ** 2)
     kernel = ducc0.fft.c2c(chirp, nthreads=1) / size
 
     def transform(rows: ComplexArray) -> ComplexArray:
@@ -66,9 +66,3 @@ def _chirp_pass(n: int, centre: int, count: int, step: float, offset: float) -> 
         return padded[:, :count]
 
     return transform
-
-
-def _turns(step: float, counts: NDArray[np.int64]) -> Array:
-    """``step * counts`` modulo 1; the high part's product is exact for counts below 2^29."""
-    high = float(np.float32(step))
-    return np.asarray(np.mod(high * counts, 1.0) + (step - high) * counts)

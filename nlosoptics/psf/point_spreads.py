@@ -327,9 +327,10 @@ def _quadrature(task: _Task) -> tuple[Array, float]:
             "quadrature needs a polar wavefront and this one is a grid, which has lost its rim; "
             "sample it with nodes='polar', or use method='mdft'"
         )
-    mean = task.means(quadrature.field(residual, task.samples))
+    epsilon = quadrature.epsilon(residual, task.samples, task.tol)
+    mean = task.means(quadrature.field(residual, task.samples, epsilon))
     lost = residual.truncation
-    rounding = 20 * quadrature.epsilon(residual, task.samples)
+    rounding = 20 * epsilon
     return mean, task.bound(mean, lost, lost**2) + rounding
 
 
@@ -431,13 +432,12 @@ def _check_period(task: _Task) -> None:
     wave = residual.wavefront
     period = wave.wavelength * abs(wave.image_distance) / wave.pupil_pitch
     need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
-    need += 16 * residual.airy_unit
-    if need > period:
+    if need > period * (1 + 1e-9):
         n = wave.u.shape[0]
         raise SamplingError(
             f"the pupil samples repeat the spot every {period:.3g} m, inside the window, which "
-            f"needs {need:.3g} m; use {math.ceil(n * need / period)} or more pupil samples (now {n}), or "
-            "a smaller shape"
+            f"needs {need:.3g} m; use {math.ceil(n * need / period)} or more pupil samples (now "
+            f"{n}), or a smaller shape"
         )
 
 

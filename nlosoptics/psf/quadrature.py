@@ -15,7 +15,7 @@ from .windows import Window
 
 ComplexArray = NDArray[np.complex128]
 
-#: Largest sum that is worth all digits; bigger ones are run to `FAST`.
+#: Nodes and points up to which all digits are worth their time; beyond, `FAST` at most.
 SMALL = 200_000
 BEST, FAST = 2e-13, 1e-8
 
@@ -42,10 +42,12 @@ def node_counts(residual: Residual, window: Window) -> tuple[int, int]:
     )
 
 
-def is_small(residual: Residual, window: Window) -> bool:
-    """Whether the sum is run to all digits."""
+def epsilon(residual: Residual, window: Window, tol: float) -> float:
+    """Relative accuracy to ask of the transform: all digits where they cost little."""
     n_r, n_theta = node_counts(residual, window)
-    return n_r * n_theta + window.shape[0] * window.shape[1] <= SMALL
+    if n_r * n_theta + window.shape[0] * window.shape[1] <= SMALL:
+        return BEST
+    return max(min(FAST, tol / 100), BEST)
 
 
 def n_bytes(residual: Residual, window: Window) -> float:
@@ -60,10 +62,11 @@ def seconds(residual: Residual, window: Window) -> float:
     return 1e-3 + 2e-7 * n_r * n_theta + 6e-8 * window.shape[0] * window.shape[1]
 
 
-def field(residual: Residual, window: Window) -> ComplexArray:
+def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexArray:
     """Image field, 1 at the axis without aberration.
 
-    ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, the tilt's part of W taken as a shift of x.
+    ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, the tilt's part of W taken as a shift of x;
+    ``epsilon`` is the error of the transform, rms relative to the field's.
     """
     wave = residual.wavefront
     n_r, n_theta = node_counts(residual, window)
@@ -95,13 +98,8 @@ def field(residual: Residual, window: Window) -> ComplexArray:
         points=points.ravel(),
         coord=coord,
         forward=True,
-        epsilon=epsilon(residual, window),
+        epsilon=epsilon,
         nthreads=1,
         out=image,
     )
     return image
-
-
-def epsilon(residual: Residual, window: Window) -> float:
-    """Relative accuracy asked of the non-uniform transform."""
-    return BEST if is_small(residual, window) else FAST

@@ -305,9 +305,6 @@ class SumMaterial(Material):
                 f"the material's albedos add to {total:g}, limit 1; lower one of its lobes"
             )
 
-    def _flat(self) -> list[Material]:
-        return list(self.parts)
-
     def _lobes(self) -> Array:
         return np.concatenate([part._lobes() for part in self.parts])
 

@@ -69,8 +69,8 @@ class MeshWall(Wall):
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.mesh, str):
-            object.__setattr__(self, "mesh", Path(self.mesh))
+        if isinstance(self.mesh, (str, Path)):
+            object.__setattr__(self, "mesh", Path(self.mesh).resolve())
         positive("wall.scale", self.scale)
 
     def __eq__(self, other: object) -> bool:
@@ -201,10 +201,10 @@ def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float
     ratio = math.sqrt(size[0] / size[1])
     counts = (max(2, round(n * ratio)), max(2, round(n / ratio)))
     low, high = points.min(axis=0), points.max(axis=0)
-    knots = [np.linspace(low[i], high[i], counts[i] + 2)[1:-1] for i in (0, 1)]
+    knots_x, knots_y = (np.linspace(low[i], high[i], counts[i] + 2)[1:-1] for i in (0, 1))
     with warnings.catch_warnings():
         # a rank-deficient fit shows in the misfit
         warnings.simplefilter("ignore")
-        spline = LSQBivariateSpline(points[:, 0], points[:, 1], points[:, 2], *knots)
+        spline = LSQBivariateSpline(points[:, 0], points[:, 1], points[:, 2], knots_x, knots_y)
     residual = float(abs(spline.ev(points[:, 0], points[:, 1]) - points[:, 2]).max())
     return spline, residual, (4 * counts[0], 4 * counts[1])

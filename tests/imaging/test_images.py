@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.imaging import form_image, photon_rate, speckles_per_pixel
+from nlosoptics.imaging import diffuse_background, form_image, photon_rate, speckles_per_pixel
 from nlosoptics.scene import (
     ConcaveWall,
     FlatWall,
@@ -365,3 +365,15 @@ def test_bits_do_not_depend_on_the_number_of_threads():
         )
         digests.add(done.stdout)
     assert len(digests) == 1
+
+
+def test_diffuse_background_hardly_depends_on_the_picture(flat_scene):
+    """A white plate's veil has the shape of a letter's, scaled by their light."""
+    veil = diffuse_background(flat_scene)
+    white = diffuse_background(flat_scene, np.ones((4, 4)))
+    seen = veil > 0
+    ratio = veil[seen] / white[seen]
+    # the object subtends 0.3 rad from the wall, and its light's centre moves by a tenth of that
+    assert np.ptp(ratio) / ratio.mean() < 0.1
+    longer = diffuse_background(flat_scene, exposure=2 * flat_scene.camera.exposure)
+    assert longer == pytest.approx(2 * veil, rel=1e-12)

@@ -21,9 +21,9 @@ from nlosoptics.scene import (
 )
 
 WAVELENGTH = 632.8e-9
-TRUTHS = json.loads(
-    (Path(__file__).parents[1] / "truths" / "wall_aberrations.json").read_text()
-)["cases"]
+TRUTHS = json.loads((Path(__file__).parents[1] / "truths" / "wall_aberrations.json").read_text())[
+    "cases"
+]
 OBJECT, PUPIL, AIM = (0.1, 0.05, 1.0), (-0.6, 0.0, 0.8), (0.0, 0.0, 0.0)
 WALLS = [
     FlatWall(),
@@ -97,7 +97,9 @@ def test_stationary_path_is_what_minimisation_finds(wall):
             h = np.array([x[0], x[1], float(wall.height(*x))])
             return np.linalg.norm(o - h) + np.linalg.norm(h - p)
 
-        best = minimize(path, (-0.28, 0.02), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-16})
+        best = minimize(
+            path, (-0.28, 0.02), method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-16}
+        )
         return best.fun - np.linalg.norm(p - o * (1, 1, -1))
 
     node = (0.009, -0.006)
@@ -194,7 +196,9 @@ def test_sphere_in_collimated_light(height, expected):
     wall = ConcaveWall(2.0)
     z = float(wall.height(height, 0.0))
     # the leg from the plane z = 0 counts -z and the wave front there is flat
-    leg = psf.path_difference(wall, (height, 0.0, z), (0.0, 0.0, 1.0), 1.0, wall_point=(height, 0.0))
+    leg = psf.path_difference(
+        wall, (height, 0.0, z), (0.0, 0.0, 1.0), 1.0, wall_point=(height, 0.0)
+    )
     assert leg - z == approx(expected, rel=1e-12, abs=1e-15)
 
 

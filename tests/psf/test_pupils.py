@@ -20,7 +20,9 @@ def facing_scene(wall, *, d1=1.0, d2=1.0, stop=0.025, **camera):
         Laser(wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.3, 0, 1.2)),
         wall,
         PlanarObject(np.ones((8, 8)), 0.1, position=(0, 0, d1)),
-        Camera(position=(0, 0, d2), aim=(0, 0, 0), focal_length=FOCAL, stop_diameter=stop, **camera),
+        Camera(
+            position=(0, 0, d2), aim=(0, 0, 0), focal_length=FOCAL, stop_diameter=stop, **camera
+        ),
     )
 
 

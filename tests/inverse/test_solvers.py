@@ -1,0 +1,159 @@
+"""What every solver promises: kinds, statuses, progress, one-line errors."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from nlosoptics import inverse
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.imaging import ForwardModel
+
+SOLVERS = [inverse.wiener, inverse.tv_deconvolve]
+
+
+@pytest.fixture(params=SOLVERS, ids=lambda solver: solver.__name__)
+def solver(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def small():
+    rng = np.random.default_rng(0)
+    truth = np.zeros((32, 40))
+    truth[8:20, 12:26] = 1.0
+    model = ForwardModel(np.full((5, 5), 0.04), shape=truth.shape)
+    return model.forward(truth) + 0.02 * rng.normal(size=truth.shape), model
+
+
+def test_array_gives_array_and_tensor_gives_tensor(solver, small):
+    image, model = small
+    found = solver(image, model, noise_sigma=0.02)
+    assert isinstance(found.object, np.ndarray)
+    assert found.object.dtype == np.float64
+    assert found.object.max() == 1.0
+    assert found.seconds > 0.0
+    for dtype in (torch.float32, torch.float64):
+        tensor = solver(torch.from_numpy(image).to(dtype), model, noise_sigma=0.02)
+        assert tensor.object.dtype == dtype
+        # the image was rounded to single precision
+        np.testing.assert_allclose(tensor.object.numpy(), found.object, atol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_torch_model_serves_as_well(solver, small, dtype):
+    image, model = small
+    twin = inverse.TorchForwardModel.from_numpy(model, "cpu", dtype)
+    found = solver(image, twin, noise_sigma=0.02)
+    expected = solver(image, model, noise_sigma=0.02)
+    # a transfer function in single precision
+    np.testing.assert_allclose(found.object, expected.object, atol=1e-4)
+
+
+def test_seed_changes_no_bit(solver, small):
+    image, model = small
+    first = solver(image, model, seed=0).object
+    assert solver(image, model, seed=7).object.tobytes() == first.tobytes()
+
+
+def test_reconstruction_is_read_only(solver, small):
+    found = solver(*small, noise_sigma=0.02)
+    with pytest.raises(ValueError, match="read-only"):
+        found.history["residual"][0] = 0.0
+    with pytest.raises(AttributeError):
+        found.status = "converged"
+
+
+def test_progress_ends_at_one_when_converged(solver, small):
+    calls = []
+    found = solver(*small, noise_sigma=0.02, progress=lambda *call: calls.append(call))
+    assert found.status == "converged"
+    assert calls[-1][0] == 1.0
+    assert all(0.0 <= done <= 1.0 and text for done, text in calls)
+
+
+@pytest.mark.parametrize("noise_sigma", [None, 1.0, "map"])
+def test_noise_alone_is_too_few_photons(solver, small, noise_sigma):
+    _, model = small
+    image = 100.0 + np.random.default_rng(3).normal(size=model.shape)
+    sigma = np.full(model.shape, 1.0) if noise_sigma == "map" else noise_sigma
+    found = solver(image, model, noise_sigma=sigma)
+    assert found.status == "too_few_photons"
+    assert not found.object.any()
+    # mean of 1280 unit normals
+    assert found.physical_parameters["background"] == pytest.approx(100.0, abs=0.1)
+    assert found.history["residual"].size == 0
+
+
+@pytest.mark.parametrize("level", [0.0, 5.0])
+@pytest.mark.parametrize("noise_sigma", [None, 0.1])
+def test_uniform_image_is_too_few_photons(solver, small, level, noise_sigma):
+    _, model = small
+    found = solver(np.full(model.shape, level), model, noise_sigma=noise_sigma)
+    assert found.status == "too_few_photons"
+    assert not found.object.any()
+    assert found.score == 0.0
+    assert found.physical_parameters["background"] == level
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "words"),
+    [
+        ({"image": np.full((32, 40), np.nan)}, SceneError, "image has 1280 of 1280 values"),
+        ({"image": np.zeros((40, 32))}, SamplingError, r"image has shape \(40, 32\), must be"),
+        ({"image": "F.png"}, SceneError, "image of type str is not an array"),
+        ({"model": np.ones((5, 5))}, SceneError, "model of type ndarray is not an image model"),
+        ({"noise_sigma": -1.0}, SceneError, "noise_sigma = -1 is out of range"),
+        ({"noise_sigma": 0.0}, SceneError, "noise_sigma = 0 is out of range"),
+        ({"noise_sigma": np.zeros((32, 40))}, SceneError, "noise_sigma = 0 is out of range"),
+        ({"noise_sigma": np.ones((3, 3))}, SamplingError, r"noise_sigma has shape \(3, 3\)"),
+        ({"noise_sigma": np.inf}, SceneError, "noise_sigma = inf is not finite"),
+        ({"background": np.ones((3, 3))}, SamplingError, r"background has shape \(3, 3\)"),
+        ({"background": np.nan}, SceneError, "background = nan is not finite"),
+        ({"gain": 0.0}, SceneError, "gain = 0 is out of range"),
+        ({"max_iterations": 0}, SceneError, "max_iterations = 0 is out of range"),
+        ({"tolerance": -1e-3}, SceneError, "tolerance = -0.001 is out of range"),
+        ({"tolerance": 1.0}, SceneError, "tolerance = 1 is out of range"),
+        ({"seed": 0.5}, SceneError, "seed = 0.5 is not a whole number"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(solver, small, change, kind, words):
+    image, model = small
+    options = {"image": image, "model": model, **change}
+    with pytest.raises(kind, match=words) as caught:
+        solver(options.pop("image"), options.pop("model"), **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_bad_weight_is_refused(small):
+    with pytest.raises(SceneError, match="tv_weight = 0 is out of range"):
+        inverse.tv_deconvolve(*small, tv_weight=0.0)
+
+
+def test_without_torch_the_remedy_is_one_line():
+    code = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import nlosoptics, nlosoptics.imaging\n"
+        "from nlosoptics.errors import MissingExtraError\n"
+        "try:\n    nlosoptics.inverse\n"
+        "except MissingExtraError as error:\n    print(error)\n"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert run.stdout.strip() == (
+        "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
+    )
+
+
+def test_no_other_part_loads_torch():
+    code = (
+        "import sys, nlosoptics\n"
+        "from nlosoptics import imaging, psf, raytrace, scene\n"
+        "sys.exit('torch' in sys.modules)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
