@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ._checks import fits_memory, in_range, whole
+from .errors import SamplingError, SceneError
 from .psf.pupils import ExitPupil, exit_pupil
 from .scene import (
     ConcaveWall,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
+MOST_SAMPLES = 8192  # across a point spread at Nyquist's pitch: 10 s and 2 GiB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,6 +166,7 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
         BYTES_PER_PIXEL * nx * ny,
         "read fewer pixels or bin more",
     )
+    _check_laser(scene)
     pupil = exit_pupil(scene)
     waves = _estimated_waves(scene, pupil)
     stages: list[Stage] = []
@@ -314,10 +317,14 @@ def simulate(
     with stage("exit pupil"):
         pupil = exit_pupil(scene)
     with stage("wave aberration"):
-        wave = psf.wavefront(scene, nodes="grid" if pupil.vignetting > 0 else "polar")
+        try:
+            wave = psf.wavefront(scene)
+        except SamplingError:  # the wall's edge cuts the pupil
+            wave = psf.wavefront(scene, nodes="grid", samples=512)
     with stage("point spread"):
         pitch = scene.camera.image_pitch
         shape = psf.window_shape(wave, pitch=pitch, tol=tol)
+        _check_samples(shape, pitch, scene.laser.wavelength * wave.f_number / 2)
         spread = psf.point_spread(wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
     from . import imaging
 
@@ -348,6 +355,25 @@ def _reconstruct(image: SpeckleImage, spread: PointSpread) -> Reconstruction:
 
     model = ForwardModel(spread, shape=image.electrons.shape)
     return inverse.tv_deconvolve(image.electrons, model, noise_sigma=image.noise_sigma)
+
+
+def _check_laser(scene: Scene) -> None:
+    x, y, _ = scene.laser.aim
+    if not scene.wall.contains(x, y):
+        raise SceneError(
+            f"laser.aim = {scene.laser.aim} m is off the wall, wall.size = {scene.wall.size} m; "
+            "aim inside its edges"
+        )
+
+
+def _check_samples(shape: int, pitch: float, nyquist: float) -> None:
+    needed = math.ceil(shape * pitch / nyquist)
+    if needed > MOST_SAMPLES:
+        raise SamplingError(
+            f"the point spread covers {shape} pixels and needs {needed} samples across, limit "
+            f"{MOST_SAMPLES}: the wall is near its caustic or far out of focus; stop the lens down "
+            f"{math.sqrt(needed / MOST_SAMPLES):.2g} times, use a flatter wall, or focus closer"
+        )
 
 
 def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:

@@ -191,3 +191,28 @@ def test_an_image_beyond_memory_is_refused_before_it_is_made(flat_scene):
     camera: Camera = replace(flat_scene.camera, pixels=(2**20, 2**20), binning=1)
     with pytest.raises(MemoryLimitError, match="GiB"):
         nlos.plan(replace(flat_scene, camera=camera))
+
+
+def test_near_the_caustic_the_remedy_is_named(flat_scene):
+    """R = 2 d_eff is the focus of the wall; short of it the spot outgrows what can be sampled."""
+    from nlosoptics.errors import CausticError, SamplingError
+
+    wide = replace(flat_scene.camera, stop_diameter=0.05)
+    with pytest.raises(SamplingError, match=r"limit 8192.*stop the lens down"):
+        nlos.simulate(replace(flat_scene, wall=ConcaveWall(1.3), camera=wide))
+    with pytest.raises(CausticError, match="flatter wall"):
+        nlos.simulate(replace(flat_scene, wall=ConcaveWall(1.05)))
+
+
+def test_a_laser_off_the_wall_is_found_before_anything_is_computed(flat_scene):
+    laser = replace(flat_scene.laser, aim=(0.7, 0.0, 0.0))
+    with pytest.raises(SceneError, match=r"laser\.aim = .*off the wall"):
+        nlos.plan(replace(flat_scene, wall=FlatWall(size=1.2), laser=laser))
+
+
+def test_a_wall_whose_edge_cuts_the_pupil_is_put_on_a_grid(flat_scene):
+    beside = replace(flat_scene.camera, aim=(-0.1, 0.0, 0.0))
+    narrow = replace(flat_scene, wall=FlatWall(size=(0.34, 1.0)), camera=beside)
+    result = nlos.simulate(narrow, tol=1e-2)
+    assert result.wavefront.layout == "grid"
+    assert result.point_spread.method == "mdft"

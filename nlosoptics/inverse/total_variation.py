@@ -12,7 +12,7 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from ..imaging.forward_model import ForwardModel
-from .measurements import Measurement, measurement
+from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
 
@@ -141,7 +141,7 @@ def tv_deconvolve(
         data,
         splitting.level(),
         model=model,
-        background=splitting.background * splitting.scale,
+        background=splitting.background(),
         gain=gain,
         status="converged" if converged else "unconverged",
         history=splitting.history,
@@ -164,12 +164,15 @@ class _Splitting:
         tv_weight: float | None,
     ) -> None:
         low, high = float(data.data.min()), float(data.data.max())
-        self.scale = max(high - low, data.sigma)
-        self.sigma = data.sigma / self.scale
-        single = self.sigma > _FLOAT32_NOISE
+        self._scale = max(high - low, data.sigma)
+        self._sigma = data.sigma / self._scale
+        single = self._sigma > _FLOAT32_NOISE
         dtype = torch.float32 if single else torch.float64
         self._fit_background = data.fit_background
-        self._image = (data.data / self.scale).to(dtype)
+        # A background far above the noise would use up single precision.
+        self._level = float(_border(data.data).median()) if self._fit_background else 0.0
+        self._background = 0.0
+        self._image = ((data.data - self._level) / self._scale).to(dtype)
         self._weights = None if data.weights is None else data.weights.to(dtype)
         self._grid = model.grid
         self._frame = tuple(slice(None, length) for length in model.shape)
@@ -179,17 +182,16 @@ class _Splitting:
         self._transfer = transfer.to(torch.complex64 if single else torch.complex128)
         self._power = (transfer.real**2 + transfer.imag**2).to(dtype)
         self._laplacian = _laplacian(self._grid, data.data.device).to(dtype)
-        self.background = float(_border(self._image).median()) if self._fit_background else 0.0
         self._start()
         self._sought = tv_weight is None
         outline = 2 * sum(model.shape)
         freedom = max(data.data.numel() - outline, data.data.numel() / 2)
-        self._target = self.sigma * math.sqrt(freedom)
+        self._target = self._sigma * math.sqrt(freedom)
         if tv_weight is None:
-            self._data_penalty = 1.0 / (self.sigma * self._brightness)
+            self._data_penalty = 1.0 / (self._sigma * self._brightness)
             self._multiplier = self._data_penalty / _DATA_SHARE
         else:
-            self._multiplier = self._response / (self.sigma * tv_weight)
+            self._multiplier = self._response / (self._sigma * tv_weight)
             self._data_penalty = _DATA_SHARE * self._multiplier
         self._factorise()
         self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
@@ -199,7 +201,7 @@ class _Splitting:
         self._predicted = torch.zeros(
             self._grid, dtype=self._image.dtype, device=self._image.device
         )
-        self._predicted[self._frame] = self._image - self.background
+        self._predicted[self._frame] = self._image
         spectrum = self._transfer.conj() * torch.fft.rfft2(self._predicted)
         spectrum /= self._power + 1e-2
         self._signed = self._allowed(torch.fft.irfft2(spectrum, s=self._grid))
@@ -235,25 +237,25 @@ class _Splitting:
         change, distance = self._sign_step(free)
         chi_square = self.history["residual"][-1] ** 2 * self._image.numel()
         self.history["objective"].append(
-            0.5 * chi_square + self.tv_weight() * variation / (self._response * self.sigma)
+            0.5 * chi_square + self.tv_weight() * variation / (self._response * self._sigma)
         )
         self.history["change"].append(change)
         if not self._sought:
             return max(change, distance)
-        expected = self._target / (self.sigma * math.sqrt(self._image.numel()))
+        expected = self._target / (self._sigma * math.sqrt(self._image.numel()))
         return max(change, distance, _RESIDUAL_SHARE * abs(self.history["residual"][-1] - expected))
 
     def _data_step(self, predicted: Tensor) -> None:
         """Move the prediction toward the image until the residual is the noise."""
-        residual = predicted[self._frame] + self.background - self._image
-        squared = _total(self._weighted(residual * residual))
-        self.history["residual"].append(math.sqrt(squared / residual.numel()) / self.sigma)
+        residual = predicted[self._frame] + self._background - self._image
+        squared = total(self._weighted(residual * residual))
+        self.history["residual"].append(math.sqrt(squared / residual.numel()) / self._sigma)
         relaxed = _relaxed(predicted, self._predicted)
         relaxed[self._frame] += self._data_dual
         misfit = relaxed[self._frame] - self._image
         if self._fit_background:
-            self.background = -self._mean(misfit)
-            misfit += self.background
+            self._background = -self._mean(misfit)
+            misfit += self._background
         if self._sought:
             self._seek_multiplier(misfit)
         self._data_dual = misfit - misfit * self._shrinkage()
@@ -269,23 +271,23 @@ class _Splitting:
     def _mean(self, misfit: Tensor) -> float:
         """Mean of a misfit as the data step with a free background weighs it."""
         if self._weights is None:
-            return _total(misfit) / misfit.numel()
+            return total(misfit) / misfit.numel()
         weights = self._weights * self._shrinkage()
-        return _total(weights * misfit) / _total(weights)
+        return total(weights * misfit) / total(weights)
 
     def _seek_multiplier(self, misfit: Tensor) -> None:
         """Multiplier at which what is left of a misfit has the rms of the noise."""
         target = self._target
         if self._weights is None:
-            norm = math.sqrt(_total(misfit * misfit))
+            norm = math.sqrt(total(misfit * misfit))
             self._multiplier = self._data_penalty * max(norm / target - 1.0, 0.0)
             return
         squares = self._weights * misfit * misfit
         # One over the norm is nearly linear in the multiplier, exactly so for even noise.
         for _ in range(2):
             kept = self._data_penalty / (self._data_penalty + self._multiplier * self._weights)
-            square = _total(squares * kept**2)
-            slope = _total(squares * self._weights * kept**3) / self._data_penalty
+            square = total(squares * kept**2)
+            slope = total(squares * self._weights * kept**3) / self._data_penalty
             if slope <= 0.0:
                 return
             step = (1.0 / target - square**-0.5) * square**1.5 / slope
@@ -299,7 +301,7 @@ class _Splitting:
         left = (length - 1.0 / self._edge_penalty).clamp_min_(0.0)
         self._edges = relaxed * (left / length.clamp_min_(torch.finfo(length.dtype).tiny))
         self._edge_dual = relaxed - self._edges
-        return _total(left)
+        return total(left)
 
     def _sign_step(self, free: Tensor) -> tuple[float, float]:
         """Non-negative copy; its change, and its distance from the object, both relative."""
@@ -319,11 +321,15 @@ class _Splitting:
 
     def level(self) -> Tensor:
         """Object in image units."""
-        return self._signed[self._frame].double() * (self.scale / self._response)
+        return self._signed[self._frame].double() * (self._scale / self._response)
+
+    def background(self) -> float:
+        """Uniform background in image units."""
+        return self._level + self._background * self._scale
 
     def tv_weight(self) -> float:
         """Dimensionless weight that the multiplier stands for."""
-        return self._response / (self.sigma * max(self._multiplier, 1e-30))
+        return self._response / (self._sigma * max(self._multiplier, 1e-30))
 
     def _allowed(self, picture: Tensor) -> Tensor:
         allowed = torch.zeros_like(picture)
@@ -338,12 +344,8 @@ def _relaxed(new: Tensor, old: Tensor) -> Tensor:
     return torch.lerp(old, new, _RELAXATION)
 
 
-def _total(values: Tensor) -> float:
-    return float(values.sum(dtype=torch.float64))
-
-
 def _norm(values: Tensor) -> float:
-    return math.sqrt(_total(values * values))
+    return math.sqrt(total(values * values))
 
 
 def _border(picture: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from ..imaging.forward_model import ForwardModel
-from .measurements import Measurement, measurement
+from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, Status, assemble, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
 
@@ -105,7 +105,7 @@ def wiener(
         data,
         level,
         model=model,
-        background=float(data.weighted(residual).mean()) if fit_background else 0.0,
+        background=data.weighted_mean(residual) if fit_background else 0.0,
         gain=gain,
         status=status,
         history=history,
@@ -133,8 +133,8 @@ class _NormalEquations:
         twice[0] = 1.0
         if columns % 2 == 0:
             twice[-1] = 1.0
-        passed = float((power * prior * twice).sum() - power[0, 0] * prior[0, 0])
-        excess = data.score(float(data.weighted(data.data).mean())) ** 2 - 1.0
+        passed = total(power * prior * twice) - float(power[0, 0] * prior[0, 0])
+        excess = data.score(data.weighted_mean(data.data)) ** 2 - 1.0
         # Parseval: sum |H|^2 S = samples * (summed variance of the image); S = strength * prior.
         samples = rows * columns
         strength = samples * data.data.numel() * data.sigma**2 * excess / passed
@@ -145,7 +145,7 @@ class _NormalEquations:
     def cleaned(self, image: Tensor) -> Tensor:
         """Weighted image without the uniform background that fits it."""
         if self.data.fit_background:
-            image = image - self.data.weighted(image).mean()
+            image = image - self.data.weighted_mean(image)
         return self.data.weighted(image)
 
     def normal(self, seen: Tensor, penalised: Tensor) -> Tensor:
@@ -177,28 +177,28 @@ def _conjugate_gradients(
     misfit = data.data.clone()
     level_penalised = torch.zeros_like(level)
     residual = problem.right_side
-    start = float(residual.norm())
+    start = math.sqrt(total(residual * residual))
     direction = torch.zeros_like(residual)
     last = math.inf
     for iteration in range(max_iterations):
         step = problem.preconditioned(residual)
-        product = float((residual * step).sum())
+        product = total(residual * step)
         direction = step + (product / last) * direction
         seen = problem.model(direction)
         penalised = problem.penalised(direction)
         image = problem.normal(seen, penalised)
-        length = product / float((direction * image).sum())
+        length = product / total(direction * image)
         last = product
         level += length * direction
         misfit -= length * seen
         level_penalised += length * penalised
         residual = residual - length * image
-        squared = max(float((problem.cleaned(misfit) * misfit).sum()), 0.0)
-        prior = float((level * level_penalised).sum())
+        squared = max(total(problem.cleaned(misfit) * misfit), 0.0)
+        prior = total(level * level_penalised)
         history["objective"].append(0.5 * (squared + prior) / data.sigma**2)
         history["residual"].append(math.sqrt(squared / misfit.numel()) / data.sigma)
         history["change"].append(abs(length) * float(direction.norm() / level.norm()))
-        left = float(residual.norm()) / start
+        left = math.sqrt(total(residual * residual)) / start
         if progress is not None:
             done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
             progress(

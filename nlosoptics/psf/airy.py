@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # loads scipy.special on first use, a tenth of a second
 from numpy.typing import NDArray
-from scipy.special import j1
 
 from .estimates import ROUNDING
 from .residuals import Residual
@@ -19,7 +19,7 @@ def disc_field(v: Array) -> Array:
     """2 J1(v)/v, 1 at v = 0 (Born & Wolf, sec. 8.5.2)."""
     small = np.abs(v) < 1e-8  # there it is 1 to the last bit
     safe = np.where(small, 1.0, v)
-    return np.where(small, 1.0, 2 * j1(safe) / safe)
+    return np.where(small, 1.0, 2 * scipy.special.j1(safe) / safe)
 
 
 def annulus_field(v: Array, obscuration: float = 0.0) -> Array:

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
+import scipy  # loads scipy.special on first use, a tenth of a second
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import jv
 
 from .._checks import fits_memory, one_of, whole
 from ..errors import SamplingError, SceneError
@@ -206,6 +206,15 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
 
     Samples are interpolated by tenth-degree polynomials: 1e-5 of the width at a quarter of
     lambda N, 1e-9 at a tenth.
+
+    Parameters
+    ----------
+    point_spread : PointSpread
+
+    Returns
+    -------
+    (float, float)
+        m.
     """
     row, column = np.unravel_index(
         int(np.argmax(point_spread.intensity)), point_spread.intensity.shape
@@ -268,7 +277,7 @@ def _energy_within(residual: Residual, radius: float) -> float:
     n_theta = pupil.shape[1]
     for m in np.nonzero(strength > 1e-32 * strength.max())[0]:
         order = min(int(m), n_theta - int(m))
-        field = np.einsum("ri,i->r", jv(order, argument), waves[:, m])
+        field = np.einsum("ri,i->r", scipy.special.jv(order, argument), waves[:, m])
         total += float(np.sum(image_weights * np.abs(field) ** 2))
     energy = float(np.sum(np.abs(pupil) ** 2 * weights))
     disc = math.pi * radius**2

@@ -83,6 +83,8 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
         r = np.hypot(y, axis)
         size = discs[0](r) if len(discs) == 1 else discs[0](r) - discs[1](r)
         rows, columns = np.nonzero(size)
+        if not rows.size:
+            continue  # above or below the disc; an empty transform is refused
         part = size[rows, columns]
         if flat and amplitude is None:
             pupil = part.astype(np.complex128)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import scipy  # loads scipy.special on first use, a tenth of a second
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
-from scipy.special import erfc, j0, j1
 
 from .nodes import gauss_legendre
 
@@ -27,7 +27,7 @@ REACH = 17
 
 def leak(s: Array) -> Array:
     """What the kernel's spectrum lacks at a distance ``s``, in periods, or keeps at 1 - s."""
-    return np.asarray(erfc((0.5 - s) / STEP) / 2)
+    return np.asarray(scipy.special.erfc((0.5 - s) / STEP) / 2)
 
 
 class SoftDisc:
@@ -62,8 +62,14 @@ def _hankel(r: Array, radius: float) -> Array:
     turns = top * (2 * radius + REACH)
     fraction, weights = gauss_legendre(math.ceil(4 * turns) + 60)
     q = top * fraction
-    spectrum = erfc((q - 0.5) / STEP) / 2 * j1(2 * math.pi * radius * q) * weights * top
+    spectrum = (
+        scipy.special.erfc((q - 0.5) / STEP)
+        / 2
+        * scipy.special.j1(2 * math.pi * radius * q)
+        * weights
+        * top
+    )
     total = np.empty_like(r)
     for i, at in enumerate(r):
-        total[i] = 2 * math.pi * radius * np.sum(spectrum * j0(2 * math.pi * at * q))
+        total[i] = 2 * math.pi * radius * np.sum(spectrum * scipy.special.j0(2 * math.pi * at * q))
     return total

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
@@ -110,6 +109,15 @@ def test_units_background_and_gain_change_nothing_but_their_parameters(case):
     assert known.object.max() * 2.0 == pytest.approx(first["gain"], rel=1e-9)
 
 
+def test_background_far_above_the_noise_costs_nothing(case):
+    data, model = case("R", "smooth")
+    level = 1e6 * data.noise_sigma
+    found = inverse.tv_deconvolve(data.image + level, model, noise_sigma=data.noise_sigma)
+    plain = inverse.tv_deconvolve(data.image, model, noise_sigma=data.noise_sigma)
+    # single precision of the image without its background, amplified by the iterations
+    np.testing.assert_allclose(found.object, plain.object, atol=2e-3)
+
+
 def test_known_background_is_not_fitted_twice(case):
     data, model = case("R", "smooth")
     found = inverse.tv_deconvolve(
@@ -150,25 +158,6 @@ def test_periodic_and_oblong_frames():
         found = inverse.tv_deconvolve(image, model, noise_sigma=0.01)
         assert inverse.registered_correlation(found, truth) > 0.99
         assert found.physical_parameters["background"] == pytest.approx(2.0, abs=0.02)
-
-
-def test_same_bits_again_and_the_same_object_on_any_number_of_threads(case):
-    data, model = case("F", "speckle")
-    before = torch.get_num_threads()
-    results = []
-    try:
-        for threads in (1, 1, 2):
-            torch.set_num_threads(threads)
-            results.append(
-                inverse.tv_deconvolve(
-                    data.image, model, noise_sigma=data.noise_sigma, seed=threads
-                ).object
-            )
-    finally:
-        torch.set_num_threads(before)
-    first, again, two = results
-    assert first.tobytes() == again.tobytes()
-    np.testing.assert_allclose(two, first, rtol=0, atol=1e-6 * first.max())
 
 
 def test_low_noise_runs_in_double_precision(case):
