@@ -17,6 +17,7 @@ from .psf.pupils import ExitPupil, exit_pupil
 from .scene import (
     ConcaveWall,
     MeshWall,
+    PlanarObject,
     Scene,
     SpecularMicrofacet,
     SumMaterial,
@@ -333,7 +334,7 @@ def simulate(
     reconstruction = None
     if todo.runs("reconstruction"):
         with stage("reconstruction"):
-            reconstruction = _reconstruct(image, spread)
+            reconstruction = _reconstruct(scene, image, spread)
     if progress is not None:
         progress("done", 1.0)
     return Result(
@@ -349,12 +350,22 @@ def simulate(
     )
 
 
-def _reconstruct(image: SpeckleImage, spread: PointSpread) -> Reconstruction:
+def _reconstruct(scene: Scene, image: SpeckleImage, spread: PointSpread) -> Reconstruction:
+    """Object from the reading alone: the veil's shape is known, its strength is not."""
     from . import inverse
-    from .imaging import ForwardModel
+    from .imaging import ForwardModel, diffuse_background
 
+    # a white object stands for the unknown picture
+    white = np.ones((2, 2)) if isinstance(scene.hidden, PlanarObject) else None
+    veil = diffuse_background(scene, white)
     model = ForwardModel(spread, shape=image.electrons.shape)
-    return inverse.tv_deconvolve(image.electrons, model, noise_sigma=image.noise_sigma)
+    return inverse.tv_deconvolve(
+        image.electrons,
+        model,
+        noise_sigma=image.noise_sigma,
+        background=image.ledger["dark"] / image.electrons.size,
+        background_shape=veil if veil.any() else None,
+    )
 
 
 def _check_laser(scene: Scene) -> None:
