@@ -355,9 +355,12 @@ def _reconstruct(scene: Scene, image: SpeckleImage, spread: PointSpread) -> Reco
     from . import inverse
     from .imaging import ForwardModel, diffuse_background
 
-    # a white object stands for the unknown picture
-    white = np.ones((2, 2)) if isinstance(scene.hidden, PlanarObject) else None
-    veil = diffuse_background(scene, white)
+    stand_in = None
+    if isinstance(scene.hidden, PlanarObject):
+        # a white plate for the unknown picture, by its four Gauss points
+        stand_in = np.zeros((7, 7))
+        stand_in[1::4, 1::4] = 1.0
+    veil = diffuse_background(scene, stand_in)
     model = ForwardModel(spread, shape=image.electrons.shape)
     return inverse.tv_deconvolve(
         image.electrons,
