@@ -25,7 +25,7 @@ from . import __version__
 from .errors import MissingExtraError, NlosError
 
 if TYPE_CHECKING:
-    from .planning import Result
+    from .simulation import Result
     from .scene import Scene
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
@@ -114,7 +114,8 @@ def run_command(
     with _told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
-        from .planning import plan, simulate
+        from .planning import plan
+        from .simulation import simulate
         from .scene.file import format_scene
 
         scene = _load(scene_file, size)
