@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,15 @@ Vector = tuple[float, float, float]
 
 def real(name: str, value: Any) -> float:
     """Return ``value`` as a finite float, or raise `SceneError` naming ``name``."""
+    kind = getattr(getattr(value, "dtype", None), "kind", "f")
     try:
+        if isinstance(value, (str, bytes, bytearray, bool)) or kind not in "iuf":
+            raise TypeError
         number = float(value)
     except (TypeError, ValueError):
         raise SceneError(f"{name} = {value!r} is not a number; give a float in SI units") from None
+    except OverflowError:
+        raise SceneError(f"{name} is beyond the range of a float; give a smaller number") from None
     if not math.isfinite(number):
         raise SceneError(f"{name} = {number} is not finite; give a finite number in SI units")
     return number
@@ -51,13 +57,20 @@ def positive(name: str, value: Any, *, unit: str = "", remedy: str = "") -> floa
     return in_range(name, value, 0.0, open_low=True, unit=unit, remedy=remedy)
 
 
-def whole(name: str, value: Any, low: int = 1) -> int:
-    """Return ``value`` as an int of at least ``low``; booleans and fractions are refused."""
-    if isinstance(value, bool) or int(real(name, value)) != value:
+def whole(name: str, value: Any, low: int = 1, high: int | None = None) -> int:
+    """Return ``value`` as an int from ``low`` to ``high``; booleans and fractions are refused."""
+    # an int may hold more digits than a float
+    if not isinstance(value, Integral) and not real(name, value).is_integer():
         raise SceneError(f"{name} = {value!r} is not a whole number")
-    if value < low:
-        raise SceneError(f"{name} = {value} is out of range, must be at least {low}")
-    return int(value)
+    if isinstance(value, bool):
+        raise SceneError(f"{name} = {value!r} is not a whole number")
+    number = int(value)
+    if number < low or (high is not None and number > high):
+        limit = f"at least {low}" if high is None else f"from {low} to {high}"
+        # Python refuses to write out ints of thousands of digits
+        shown = number if number.bit_length() < 128 else f"an int of {number.bit_length()} bits"
+        raise SceneError(f"{name} = {shown} is out of range, must be {limit}")
+    return number
 
 
 def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
@@ -70,7 +83,7 @@ def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
 
 def vector(name: str, value: Any) -> Vector:
     """Return three finite floats."""
-    if not isinstance(value, Sequence) and not hasattr(value, "__array__"):
+    if is_single(value) or not (isinstance(value, Sequence) or hasattr(value, "__array__")):
         raise SceneError(f"{name} = {value!r} is not a vector; give three numbers in m")
     if len(value) != 3:
         raise SceneError(f"{name} has {len(value)} components; give three, x, y and z in m")
@@ -78,9 +91,14 @@ def vector(name: str, value: Any) -> Vector:
     return (x, y, z)
 
 
+def is_single(value: Any) -> bool:
+    """Whether ``value`` is one number, be it of Python or of numpy."""
+    return isinstance(value, Real) or getattr(value, "ndim", None) == 0
+
+
 def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
     """Return (x, y) extents above zero; one number stands for both."""
-    if isinstance(value, (int, float)):
+    if is_single(value):
         value = (value, value)
     if not isinstance(value, Sequence) and not hasattr(value, "__array__"):
         raise SceneError(f"{name} = {value!r} is not a size; give one number or two")

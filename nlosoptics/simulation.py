@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ._checks import whole
+from ._random import checked_seed
 from .errors import NotWaveGradeError, SamplingError
 from .planning import Plan, plan, wave_refusal
 from .psf.pupils import ExitPupil, exit_pupil
@@ -73,7 +73,7 @@ def simulate(
     tol : float, default 1e-3
         Wanted error, as for `plan`.
     seed : int, default 0
-        Of all random draws, at least 0; the same seed gives the same bits.
+        Of all random draws, 0 to 2^64 - 1; the same seed gives the same bits.
     reconstruct : bool, default False
         Also reconstruct the object; loads torch.
     progress : callable(str, float), optional
@@ -89,7 +89,7 @@ def simulate(
         Of the kind that fits; see `plan`, `psf.wavefront`, `psf.point_spread` and
         `imaging.form_image`.
     """
-    seed = whole("seed", seed, 0)
+    seed = checked_seed(seed)
     todo = plan(scene, tol, reconstruct=reconstruct)
     if not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import nlosoptics
-from nlosoptics import cli
+from nlosoptics import _random, cli
 from nlosoptics.scene import Scene
 
 
@@ -146,6 +146,7 @@ def test_bad_scene_is_one_line_and_writes_nothing(case: str, scene_file: Path, r
         (["run", "letter.toml", "--tol", "2"], ["tol = 2", "0.1"]),
         (["run", "letter.toml", "--seed", "-1"], ["--seed"]),
         (["run", "letter.toml", "--seed", "0.5"], ["--seed"]),
+        (["run", "letter.toml", "--seed", str(2**64)], ["--seed", str(2**64 - 1)]),
         (["run", "letter.toml", "--size", "100"], ["size = 100", "nearest is 128"]),
         (["run", "letter.toml", "--size", "0"], ["size = 0"]),
         (["run", "letter.toml", "--sise", "64"], ["--sise"]),
@@ -239,6 +240,38 @@ def test_run_writes_the_whole_result(examples: Path, scene_file: Path, run: Run)
     second = json.loads((scene_file.parent / "again" / "result.json").read_text())
     assert second["scene_sha256"] == report["scene_sha256"]
     assert "reconstruction.npz" not in second["files"]
+
+
+def test_seed_limit_is_the_generators() -> None:
+    """Written twice, because the command line's help loads no numpy."""
+    assert cli.MOST_SEED == _random.MOST_SEED
+
+
+def test_help_of_tol_claims_no_more_than_it_does(run: Run) -> None:
+    """It bounds the point spread; the image's own error is fixed."""
+    text = " ".join(run("run", "--help").out.replace("\u2502", " ").split())
+    assert "Wanted error of the point spread" in text
+    assert "point spread and image" not in text
+
+
+@pytest.mark.parametrize("dark", ["black picture", "turned away"])
+def test_object_that_sends_no_light(dark: str, examples: Path, scene_file: Path, run: Run) -> None:
+    """No truth to compare with or to draw, and no NaN; warnings are errors here."""
+    scene = nlosoptics.Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+    if dark == "black picture":
+        Image.fromarray(np.zeros((8, 8), np.uint8)).save(scene_file.with_name("black.png"))
+        hidden = replace(scene.hidden, image=scene_file.with_name("black.png"))
+    else:
+        hidden = replace(scene.hidden, yaw=np.pi)
+    replace(scene, hidden=hidden).save(scene_file)
+    answer = run("run", scene_file)
+    assert answer.code == 0, answer.err
+    assert "no light from the object reaches the camera" in " ".join(answer.out.split())
+    assert "correlation" not in answer.out
+    report = json.loads((scene_file.parent / "letter" / "result.json").read_text())
+    assert "correlation_with_truth" not in report["figures"]
+    assert report["figures"]["reconstruction_status"] == "too_few_photons"
+    assert "reconstruction.png" in report["files"]
 
 
 def test_hash_follows_scene_and_picture(scene_file: Path) -> None:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import positive, whole
+from .._checks import fits_memory, positive
+from .._random import checked_seed
 from ..errors import SamplingError, SceneError
+from ..psf.pupils import working_f_number
 from ..scene import MeshObject, PlanarObject, Scene
 from ..scene.hidden import checked_picture
 from .detector import noise_variance, read_out, speckles_per_pixel
@@ -44,6 +46,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+BYTES_PER_PIXEL = 450  # at the peak, measured on a curved wall
+ROUNDING = 1e-9  # of a point spread's peak: what the filter over pixels leaves below zero
 MESH_SAMPLES = 2  # chief rays along each side of a pixel
 
 
@@ -132,9 +136,12 @@ def form_image(
     Raises
     ------
     SamplingError
-        If the point spread's pitch or normalisation does not fit.
+        If the point spread's pitch or normalisation does not fit, or it is negative somewhere.
     SceneError
-        If the beam misses the wall, or an argument is out of range.
+        If the beam misses the wall or grazes it, laser, camera or object are behind the wall, or an
+        argument is out of range.
+    MemoryLimitError
+        If the image would not fit in memory.
 
     Notes
     -----
@@ -144,7 +151,7 @@ def form_image(
     what it spreads beyond is lost here and stands in the ledger. Object parts outside the
     detector's field cast no blur into it. The beam that a smooth lobe reflects is not followed.
     """
-    whole("seed", seed, 0)
+    seed = checked_seed(seed)
     camera = scene.camera
     if exposure is None:
         exposure = camera.exposure
@@ -224,10 +231,18 @@ def diffuse_background(
 
 def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, Array]:
     """Laser spot, chief rays, share of the wall seen, and electrons per radiance."""
+    ny, nx = scene.camera.shape
+    fits_memory(
+        f"an image of {nx} x {ny} pixels (camera.pixels, camera.binning)",
+        BYTES_PER_PIXEL * nx * ny,
+        "read fewer pixels or bin more",
+    )
+    scene._check_in_front()
+    spot = laser_spot(scene)
     rays = chief_rays(scene, *pixel_centres(scene.camera))
     visible = wall_visibility(scene, rays)
     gain = electrons_per_radiance(scene, rays.cos_axis, exposure) * visible
-    return laser_spot(scene), rays, visible, gain
+    return spot, rays, visible, gain
 
 
 def _check_point_spread(point_spread: PointSpread, pitch: float) -> None:
@@ -240,6 +255,12 @@ def _check_point_spread(point_spread: PointSpread, pitch: float) -> None:
         raise SamplingError(
             f"point_spread.normalisation = {point_spread.normalisation!r}, an image needs energy "
             "per pixel; compute it with normalisation='unit-sum'"
+        )
+    lowest, highest = float(point_spread.intensity.min()), float(point_spread.intensity.max())
+    if lowest < -ROUNDING * highest:
+        raise SamplingError(
+            f"point_spread is negative, down to {lowest:g} with a peak of {highest:g}; give energy "
+            "per pixel, at least 0"
         )
     total = float(point_spread.intensity.sum())
     if total > 1.01:
@@ -255,7 +276,9 @@ def _with_picture(scene: Scene, object_image: ArrayLike) -> Scene:
             "object_image is given, but scene.hidden is a mesh and carries no picture; "
             "leave it out or use a PlanarObject"
         )
-    picture = checked_picture("object_image", np.array(object_image, dtype=np.float64))
+    if getattr(getattr(object_image, "dtype", None), "kind", None) in ("i", "u"):
+        object_image = np.asarray(object_image, dtype=np.float64)  # 1 is white, not 255
+    picture = checked_picture("object_image", object_image)
     return replace(scene, hidden=replace(scene.hidden, image=picture))
 
 
@@ -264,7 +287,7 @@ def _speckle_freedom(scene: Scene) -> float | None:
     patterns = scene.laser.independent_patterns
     if patterns is None:
         return None
-    f_number = scene.image_distance / scene.camera.stop_diameter
+    f_number = working_f_number(scene.camera.stop_diameter / 2, scene.image_distance)
     pixel = scene.camera.image_pitch
     return 2.0 * patterns * speckles_per_pixel(pixel, scene.laser.wavelength, f_number)
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import constants
 
 from ..errors import SceneError
+from ..psf.pupils import working_f_number
 from ..raytrace import intersect
 from ..scene import Material, Scene
 from ..scene.materials import LAMBERT
@@ -24,6 +25,7 @@ from .objects import Patches
 
 Array = NDArray[np.float64]
 
+GRAZING = math.radians(89.0)  # incidence beyond which a spot is a smear
 NODES = 24  # of a Chebyshev interpolation along each side of the detector
 NODES_HEIGHT = 3  # of one over the wall's height
 GROUP = 0.08  # rad across which the light's direction counts as one, on a curved wall
@@ -56,11 +58,12 @@ def electrons_per_joule(scene: Scene) -> float:
 def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Array:
     """Electrons of an image pixel per radiance toward the lens, electrons m^2 sr/W.
 
-    Irradiance of the detector E = pi L T cos^4/(4 N^2) with the working F-number
-    N = image distance/stop diameter, times area, exposure and electrons per joule.
+    Irradiance of the detector E = pi L T cos^4/(4 N^2) times area, exposure and electrons per
+    joule. The working F-number N goes by the sine of the cone beyond F/1, so that E never exceeds
+    pi L T.
     """
     camera = scene.camera
-    f_number = scene.image_distance / camera.stop_diameter
+    f_number = working_f_number(camera.stop_diameter / 2, scene.image_distance)
     irradiance = math.pi * camera.transmission / (4.0 * f_number**2) * cos_axis**4
     return irradiance * (camera.image_pitch**2 * exposure * electrons_per_joule(scene))
 
@@ -91,7 +94,8 @@ def laser_spot(scene: Scene) -> LaserSpot:
     Raises
     ------
     SceneError
-        If the beam misses the wall.
+        If the beam misses the wall or passes its edge, or grazes it so that the spot is no point
+        as seen from the object.
     """
     laser = scene.laser
     beam = np.subtract(laser.aim, laser.position)
@@ -103,8 +107,40 @@ def laser_spot(scene: Scene) -> LaserSpot:
         )
     incident = -beam / math.sqrt(float((beam * beam).sum()))
     cosine = float((incident * hits.normals).sum())
+    _check_footprint(scene, hits.points, hits.normals, incident, cosine)
     area = math.pi / 4 * laser.beam_diameter**2 / cosine
     return LaserSpot(point=hits.points, normal=hits.normals, incident=incident, area=area)
+
+
+def _check_footprint(
+    scene: Scene, point: Array, normal: Array, incident: Array, cosine: float
+) -> None:
+    """Refuse a spot drawn out by grazing incidence, or cut off by the wall's edge."""
+    width = scene.laser.beam_diameter
+    remedy = "raise laser.position or make laser.beam_diameter smaller"
+    if cosine < math.cos(GRAZING):
+        raise SceneError(
+            f"laser.position = {scene.laser.position} m: the beam meets the wall at "
+            f"{math.degrees(math.acos(cosine)):.4g} deg from its normal, limit "
+            f"{math.degrees(GRAZING):g} deg; raise laser.position"
+        )
+    distance = math.dist(point, scene.object_point)
+    if width / cosine > distance:
+        raise SceneError(
+            f"laser.beam_diameter = {width:g} m lights {width / cosine:g} m of the wall, longer "
+            f"than the {distance:.4g} m to the object; {remedy}"
+        )
+    if scene.wall.size is None:
+        return
+    for i, name in enumerate("xy"):
+        # extent of the disc across the beam, thrown along the beam onto the tangent plane
+        axis = np.eye(3)[i] - normal * (incident[i] / cosine)
+        reach = abs(float(point[i])) + width / 2 * math.sqrt(float((axis * axis).sum()))
+        if reach > scene.wall.size[i] / 2:
+            raise SceneError(
+                f"laser.aim = {scene.laser.aim} m: the spot reaches |{name}| = {reach:.6g} m, past "
+                f"the wall's edge at {scene.wall.size[i] / 2:g} m; aim further inside or {remedy}"
+            )
 
 
 def radiant_intensity(scene: Scene, spot: LaserSpot, toward: Array) -> Array:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from .._checks import in_range, positive, whole
+from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .measurements import Measurement, measurement, total
@@ -114,7 +115,7 @@ def tv_deconvolve(
     .. [2] Wen and Chan, IEEE Trans. Image Process. 21 (2012) 1770.
     """
     started = time.perf_counter()
-    whole("seed", seed, 0)
+    checked_seed(seed)
     max_iterations = whole("max_iterations", max_iterations)
     tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)

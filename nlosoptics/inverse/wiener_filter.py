@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from .._checks import in_range, positive, whole
+from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .measurements import Measurement, measurement, total
@@ -89,7 +90,7 @@ def wiener(
     .. [1] Field, J. Opt. Soc. Am. A 4 (1987) 2379.
     """
     started = time.perf_counter()
-    whole("seed", seed, 0)
+    checked_seed(seed)
     max_iterations = whole("max_iterations", max_iterations)
     tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
     gain = None if gain is None else positive("gain", gain)

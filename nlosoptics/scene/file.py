@@ -144,7 +144,14 @@ def _laser(table: _file_tables.LaserTable) -> Laser:
             '"1.2 m" and incidence = "15 deg"'
         )
     distance = positive("laser.distance", table.distance, unit="m")
-    incidence = in_range("laser.incidence", table.incidence, 0, math.pi / 2, unit="rad")
+    incidence = in_range(
+        "laser.incidence",
+        table.incidence,
+        0,
+        math.radians(89),
+        unit="rad",
+        remedy="from 0 deg to 89 deg, beyond which the beam grazes the wall",
+    )
     azimuth, (x, y, z) = table.azimuth or 0.0, table.aim or (0.0, 0.0, 0.0)
     across = distance * math.sin(incidence)
     position = (

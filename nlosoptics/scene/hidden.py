@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import Vector, pair, positive, real, vector
+from .._checks import Vector, is_single, pair, positive, real, vector
 from ..errors import SceneError
 from .materials import Lambert, Material
 
@@ -46,6 +46,11 @@ class _Posed:
         put(self, "position", vector("hidden.position", self.position))
         for name in ("yaw", "pitch", "roll"):
             put(self, name, real(f"hidden.{name}", getattr(self, name)))
+        if not isinstance(self.material, Material):
+            raise SceneError(
+                f"hidden.material = {self.material!r} is a {type(self.material).__name__}; give a "
+                "Material, such as Lambert(0.8)"
+            )
         if self.position[2] <= 0:
             raise SceneError(
                 f"hidden.position has z = {self.position[2]:g} m, behind the wall; must be above 0"
@@ -99,14 +104,14 @@ class PlanarObject(_Posed):
         if isinstance(self.image, (str, Path)):
             put(self, "image", Path(self.image).resolve())
         else:
-            put(self, "image", checked_picture("hidden.image", np.array(self.image)))
-        if isinstance(self.size, (int, float)):
+            put(self, "image", checked_picture("hidden.image", self.image))
+        if is_single(self.size):
             ny, nx = self.reflectance.shape
-            put(self, "size", pair("hidden.size", (self.size, self.size * ny / nx)))
+            width = real("hidden.size[x]", self.size)
+            put(self, "size", pair("hidden.size", (width, width * ny / nx)))
         else:
             put(self, "size", pair("hidden.size", self.size))
-        right, up, _ = self.axes
-        drop = (self.size[0] * abs(right[2]) + self.size[1] * abs(up[2])) / 2
+        drop = self.position[2] - float(self.corners[:, 2].min())
         if self.position[2] <= drop:
             raise SceneError(
                 f"hidden.position has z = {self.position[2]:g} m, which puts a corner of the "
@@ -127,9 +132,22 @@ class PlanarObject(_Posed):
         unturned = np.array([[-1.0, 0, 0], [0, 1, 0], [0, 0, -1]])
         return np.asarray(unturned @ self.rotation.T)
 
+    @property
+    def corners(self) -> Array:
+        """Corners of the picture, m, world frame, (4, 3)."""
+        right, up, _ = self.axes
+        sides = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2 * self.size
+        return np.asarray(self.position + sides[:, :1] * right + sides[:, 1:] * up)
 
-def checked_picture(name: str, raw: NDArray[Any]) -> Array:
+
+def checked_picture(name: str, values: Any) -> Array:
     """Scale brightness to 0 to 1 (8 and 16 bits: by their type's largest), check and lock it."""
+    try:
+        raw = np.asarray(values)
+    except ValueError:
+        raise SceneError(
+            f"{name} has rows of unlike length; give a grey picture (ny, nx)"
+        ) from None
     if raw.ndim != 2 or raw.size == 0:
         raise SceneError(f"{name} has shape {raw.shape}; give a grey picture (ny, nx)")
     if raw.dtype.kind not in "biuf":

@@ -7,13 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import SceneError
 from .camera import Camera
 from .hidden import HiddenObject, MeshObject, PlanarObject
 from .laser import Laser
 from .materials import Lambert, Material, SpecularMicrofacet, SumMaterial
-from .walls import Wall
+from .mesh import MeshWall
+from .walls import WAVE, SumWall, Wall
 
 #: Matt white paint with a faint gloss; without a mirror-like lobe no wall passes a letter.
 PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
@@ -24,7 +26,9 @@ class Scene:
     """Laser, relay wall, hidden object and camera in one world frame.
 
     The origin is the wall's centre, the mean wall plane is z = 0 with its normal +z into the room,
-    and y is up; object, laser and camera have z > 0.
+    and y is up; object, laser and camera have z > 0, and are in front of a curved wall too.
+    A picture is checked at its corners and centre. What takes a file to be read or a surface to be
+    fitted, a `MeshWall` or a `MeshObject`, is left to `imaging.form_image`.
 
     Parameters
     ----------
@@ -65,6 +69,8 @@ class Scene:
             raise SceneError(
                 f"laser.aim has z = {self.laser.aim[2]:g} m; give a point of the plane z = 0"
             )
+        if not _holds_mesh(self.wall):
+            self._check_in_front(meshes=False)
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
@@ -88,6 +94,28 @@ class Scene:
     def resized(self, size: int) -> Scene:
         """The same scene with an image of ``size`` pixels across the same field."""
         return replace(self, camera=self.camera.resized(size))
+
+    def _check_in_front(self, *, meshes: bool = True) -> None:
+        """Refuse a laser, camera or object behind the wall, wherever the wall has a height.
+
+        Parameters
+        ----------
+        meshes : bool
+            Whether to read the vertices of a `MeshObject`.
+        """
+        if self.wall.is_flat:
+            return  # each of them checks its own z > 0
+        places: list[tuple[str, ArrayLike]] = [
+            ("laser.position", self.laser.position),
+            ("camera.position", self.camera.position),
+        ]
+        if isinstance(self.hidden, PlanarObject):
+            places.append(("hidden.position", self.hidden.position))
+            places.append(("hidden.size", self.hidden.corners))
+        elif meshes:
+            places.append(("hidden.mesh", self.hidden.surface.vertices))
+        for name, points in places:
+            _refuse_behind(self.wall, name, np.array(points, dtype=np.float64).reshape(-1, 3))
 
     @property
     def object_point(self) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -120,3 +148,38 @@ class Scene:
                 f"{f:g} m; turn the camera to the wall or move it back"
             )
         return f * s / (s - f)
+
+
+def _holds_mesh(wall: Wall) -> bool:
+    """Whether the wall's height takes the fit of a mesh."""
+    if isinstance(wall, SumWall):
+        return any(_holds_mesh(term) for term in wall.terms)
+    return isinstance(wall, MeshWall)
+
+
+def _refuse_behind(wall: Wall, name: str, points: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+    """Raise `SceneError` if a point, (n, 3), lies behind the wall."""
+    terms, tables = wall._terms()
+    points = points[wall.contains(points[:, 0], points[:, 1])]
+    if not _holds_mesh(wall):
+        # a sag is at most its curvature times the distance squared: most points need no compiler
+        highest = np.abs(terms[terms[:, 0] == WAVE, 1]).sum()
+        bend = np.maximum(terms[terms[:, 0] != WAVE, 1], 0.0).sum()
+        reach = highest + bend * (points[:, 0] ** 2 + points[:, 1] ** 2)
+        points = points[points[:, 2] <= reach]
+    if not len(points):
+        return
+    from . import _kernels
+
+    surface = np.empty((len(points), 6))
+    x, y, z = np.ascontiguousarray(points.T)
+    _kernels.surfaces(terms, tables, x, y, surface)
+    # NaN where the wall has no height compares false
+    behind = np.nonzero(z <= surface[:, 0])[0]
+    if len(behind):
+        i = behind[0]
+        what = {"hidden.size": " puts a corner", "hidden.mesh": " puts a vertex"}.get(name, " is")
+        raise SceneError(
+            f"{name}{what} at x = {x[i]:g} m, y = {y[i]:g} m, z = {z[i]:g} m, behind the wall, "
+            f"whose height there is {surface[i, 0]:g} m; move it further into the room"
+        )

@@ -15,6 +15,7 @@ from nlosoptics.imaging.geometry import chief_rays, pixel_centres
 from nlosoptics.imaging.objects import object_patches
 from nlosoptics.imaging.radiometry import (
     background_radiance,
+    electrons_per_joule,
     electrons_per_radiance,
     laser_spot,
     object_radiance,
@@ -83,6 +84,45 @@ def test_beam_beside_the_wall_is_refused(flat_scene):
     with pytest.raises(SceneError, match="misses the wall") as caught:
         laser_spot(replace(flat_scene, wall=FlatWall(size=1.0), laser=laser))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"position": (1e6, 0.0, 1e-10)},
+            r"meets the wall at 90 deg from its normal, limit 89 deg",
+        ),
+        ({"position": (1.2 * 60, 0.0, 1.2)}, r"at 89.05 deg from its normal, limit 89 deg"),
+        # 3 mm/cos(60 deg) = 6 mm is fine, 0.6 m/cos(60 deg) = 1.2 m is longer than 1.07 m
+        (
+            {"position": (math.sqrt(3), 0, 1), "beam_diameter": 0.6},
+            "beam_diameter = 0.6 m lights 1.2 m of the wall, longer than the 1.07 m to the object",
+        ),
+    ],
+)
+def test_grazing_beam_is_refused(flat_scene, changes, message):
+    laser_spot(replace(flat_scene, laser=replace(flat_scene.laser, position=(math.sqrt(3), 0, 1))))
+    with pytest.raises(SceneError, match=message) as caught:
+        laser_spot(replace(flat_scene, laser=replace(flat_scene.laser, **changes)))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("azimuth", "across"), [(0.0, 2.0), (math.pi / 2, 1.0), (math.pi / 4, math.sqrt(2.5))]
+)
+def test_spot_that_passes_the_edge_is_refused(flat_scene, azimuth, across):
+    """At 60 degrees the disc is drawn out twofold, along the beam alone."""
+    start = np.array([math.sqrt(3) * math.cos(azimuth), math.sqrt(3) * math.sin(azimuth), 1.0])
+    for spare, fits in ((1e-9, True), (-1e-9, False)):
+        aim = np.array([0.5 - 1.5e-3 * across - spare, 0.0, 0.0])
+        laser = replace(flat_scene.laser, position=start + aim, aim=aim)
+        scene = replace(flat_scene, wall=FlatWall(size=1.0), laser=laser)
+        if fits:
+            laser_spot(scene)
+            continue
+        with pytest.raises(SceneError, match=r"reaches \|x\| = 0.5 m, past the wall's edge at 0.5"):
+            laser_spot(scene)
 
 
 def one_pixel_background(scene, target):
@@ -232,6 +272,20 @@ def test_sensor_gain_follows_the_camera_equation(flat_scene):
     expected = photon_rate(electrons, flat_scene.laser.wavelength)
     gain = electrons_per_radiance(flat_scene, np.array([1.0, 0.9]), 0.02)
     np.testing.assert_allclose(gain, expected * np.array([1.0, 0.9**4]), rtol=1e-14)
+
+
+@pytest.mark.parametrize("stop", [0.025, 0.1, 0.2])
+def test_no_cone_gathers_more_than_a_half_space(flat_scene, stop):
+    """E/L = pi sin^2 of the cone beyond F/1, at most pi (paraxially 2.9 and 12 for the two)."""
+    camera = replace(flat_scene.camera, focal_length=0.05, stop_diameter=stop)
+    scene = replace(flat_scene, camera=camera)
+    gain = float(electrons_per_radiance(scene, np.array(1.0), 1.0))
+    ratio = gain / camera.image_pitch**2 / camera.transmission / electrons_per_joule(scene)
+    tangent = stop / 2 / scene.image_distance
+    sine = math.sin(math.atan(tangent))
+    expected = math.pi * (sine if tangent > 0.5 else tangent) ** 2
+    assert ratio == pytest.approx(expected, rel=1e-13)
+    assert ratio <= math.pi
 
 
 # --- the laser's spot seen directly

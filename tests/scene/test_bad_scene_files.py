@@ -190,10 +190,15 @@ WRONG = {
         'wavelength = "632.8 m"',
         ("laser.wavelength", "632.8 m", "1e-08 to 0.0001 m", "nanometres"),
     ),
+    "grazing incidence": (
+        'incidence = "15 deg"',
+        'incidence = "90 deg"',
+        ("laser.incidence", "1.5708 rad", "from 0 to 1.55334 rad", "0 deg to 89 deg"),
+    ),
     "incidence from behind": (
         'incidence = "15 deg"',
         'incidence = "100 deg"',
-        ("laser.incidence", "1.74533 rad", "from 0 to 1.5708 rad"),
+        ("laser.incidence", "1.74533 rad", "from 0 to 1.55334 rad", "89 deg"),
     ),
     "albedo above one": (
         "albedo = 0.75",
@@ -414,3 +419,12 @@ def test_saving_nowhere(examples: Path, tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"taken: cannot be written .*; choose another"):
         scene.save(tmp_path / "taken")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+def test_object_behind_a_hollow_wall(folder: Path) -> None:
+    line = message(
+        folder,
+        ('shape = "flat"', 'shape = "concave_sphere"\nradius = "1 m"'),
+        ('"0.54433 m", "0 m", "1 m"', '"0.54433 m", "0 m", "0.1 m"'),
+    )
+    expect(line, "hidden.position", "z = 0.1 m, behind the wall", "there is 0.161", "; move it")

@@ -73,8 +73,18 @@ def test_mesh_is_scaled_turned_and_moved() -> None:
     assert tetrahedron.vertices.max() == 1.0  # the caller's mesh is left alone
 
 
+def test_corners_are_half_a_size_from_the_centre() -> None:
+    hidden = planar(size=(0.2, 0.4), roll=math.pi / 2)
+    # cos(pi/2) is 6e-17
+    expected = {(0.5 + dx, dy, 1.0) for dx in (-0.2, 0.2) for dy in (-0.1, 0.1)}
+    assert {tuple(np.round(corner, 12)) for corner in hidden.corners} == expected
+
+
 def test_one_size_is_the_width() -> None:
     assert planar(size=0.3).size == approx((0.3, 0.4), rel=1e-15)
+    for kind in (np.float64, np.float32, np.array):
+        assert planar(size=kind(0.5)).size == approx((0.5, 2 / 3), rel=1e-15)
+    assert planar(size=np.int64(2), position=(0, 0, 3)).size == approx((2, 8 / 3), rel=1e-15)
     assert planar(size=(0.3, 0.5)).size == (0.3, 0.5)
 
 
@@ -193,6 +203,16 @@ def test_bad_npy_files(tmp_path: Path) -> None:
     [
         (lambda: planar(size=-0.3), r"hidden.size\[x\] = -0.3 m .* must be above 0 m"),
         (lambda: planar(size=(0.3, 0.0)), r"hidden.size\[y\] = 0 m .* must be above 0 m"),
+        (lambda: planar(size=True), r"hidden.size\[x\] = True is not a number"),
+        (lambda: planar(size="1"), r"hidden.size has 1 components; give one number"),
+        (lambda: planar(size="12"), r"hidden.size\[x\] = '1' is not a number"),
+        (lambda: planar(position=np.array(1.0)), "hidden.position = .* is not a vector"),
+        (lambda: planar(material="foam"), "hidden.material = 'foam' is a str; give a Material"),
+        (
+            lambda: MeshObject("x.stl", position=PLACE, material=0.8),
+            "hidden.material = 0.8 is a float; give a Material, such as Lambert",
+        ),
+        (lambda: planar([[1, 0], [1]]), "hidden.image has rows of unlike length; give a grey"),
         (lambda: planar(size=math.nan), r"hidden.size\[x\] = nan is not finite"),
         (lambda: planar(position=(0, 0, -1)), "hidden.position has z = -1 m, behind the wall"),
         (lambda: planar(position=(0, 0)), "hidden.position has 2 components; give three"),

@@ -14,12 +14,16 @@ from pytest import approx
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import (
     Camera,
+    ConcaveWall,
     FlatWall,
     Lambert,
     Laser,
     MeshObject,
+    MeshWall,
     PlanarObject,
     Scene,
+    SumWall,
+    WavyWall,
     pupil_frame,
 )
 
@@ -97,6 +101,9 @@ BAD = [
     (LASER, "wavelength", 632.8, r"laser.wavelength = 632.8 m .* 1e-08 to 0.0001 m; .*nanometres"),
     (LASER, "wavelength", math.nan, "laser.wavelength = nan is not finite"),
     (LASER, "power", 0, "laser.power = 0 W .* must be above 0 W"),
+    (LASER, "beam_diameter", True, "laser.beam_diameter = True is not a number"),
+    (LASER, "beam_diameter", "1", "laser.beam_diameter = '1' is not a number; give a float"),
+    (LASER, "power", 10**400, "laser.power is beyond the range of a float"),
     (LASER, "beam_diameter", -3e-3, "laser.beam_diameter = -0.003 m .* must be above 0 m"),
     (LASER, "position", (0, 0, -1.2), "laser.position has z = -1.2 m, behind the wall"),
     (LASER, "aim", (0, 0), "laser.aim has 2 components; give three"),
@@ -149,3 +156,57 @@ def test_object_within_the_focal_length() -> None:
     scene = replace(SCENE, camera=replace(CAMERA, focal_length=5.0))
     with pytest.raises(SceneError, match=r"within its focal length 5 m; turn the camera"):
         _ = scene.image_distance
+
+
+# In front of a curved wall: all of them at z > 0, so behind only what the wall raises
+
+
+def behind(wall, name: str, **changes) -> str:
+    """What a scene with that wall says; the same scene with the wall's plane is accepted."""
+    replace(SCENE, **changes)
+    with pytest.raises(SceneError, match=f"^{name}.*; move it further into the room$") as caught:
+        replace(SCENE, wall=wall, **changes)
+    return str(caught.value)
+
+
+def test_object_behind_a_hollow_wall() -> None:
+    """Sag of a sphere: 1 - sqrt(1 - 0.6^2) = 0.2 m."""
+    hidden = replace(HIDDEN, position=(0.6, 0, 0.05))
+    said = behind(ConcaveWall(1.0), "hidden.position", hidden=hidden)
+    assert "at x = 0.6 m, y = 0 m, z = 0.05 m, behind" in said
+    assert "whose height there is 0.2 m" in said
+
+
+def test_corner_of_the_picture_behind_a_hollow_wall() -> None:
+    """The centre at 0.2 m + 1 mm is in front, and the corner at x = 0.75 m is not."""
+    hidden = replace(HIDDEN, position=(0.6, 0, 0.201))
+    said = behind(ConcaveWall(1.0), "hidden.size", hidden=hidden)
+    assert "puts a corner at x = 0.45 m, y = 0.15 m" not in said  # 0.12 m high there
+    assert "puts a corner at x = 0.75 m, y = " in said
+    height = 1 - math.sqrt(1 - 0.75**2 - 0.15**2)
+    assert f"whose height there is {height:g} m" in said
+
+
+def test_laser_and_camera_behind_a_wave() -> None:
+    """The crest of two waves, 20 mm, at the origin, and 20 mm cos(45 deg) beside it."""
+    wall = SumWall(WavyWall(15e-3, 0.8), WavyWall(5e-3, 0.8), size=3.0)
+    said = behind(wall, "laser.position", laser=replace(LASER, position=(0.0, 0.5, 0.0199)))
+    assert "height there is 0.02 m" in said
+    camera = replace(CAMERA, position=(0.1, 0.0, 0.0141), aim=(0, 0, 0))
+    assert "height there is 0.0141421 m" in behind(wall, "camera.position", camera=camera)
+    replace(SCENE, wall=wall, laser=replace(LASER, position=(0.0, 0.5, 0.0201)))
+    replace(SCENE, wall=wall, camera=replace(camera, position=(0.1, 0.0, 0.0142)))
+
+
+def test_no_height_beyond_the_walls_edge_and_rim() -> None:
+    """Nothing is behind a wall that is not there: past its size, or past the sphere's equator."""
+    replace(SCENE, wall=ConcaveWall(1.0, size=0.8), hidden=replace(HIDDEN, position=(0.6, 0, 0.05)))
+    replace(SCENE, wall=ConcaveWall(0.4), hidden=replace(HIDDEN, position=(0.6, 0, 0.05)))
+
+
+def test_meshes_are_not_read_by_the_constructor() -> None:
+    """`form_image` checks them; a scene may name files that it does not open."""
+    near = LASER, (0.6, 0.0, 0.05)
+    for wall in (MeshWall("none.stl"), SumWall(MeshWall("none.stl"), FlatWall())):
+        replace(SCENE, wall=wall, laser=replace(near[0], position=near[1]))
+    replace(SCENE, wall=ConcaveWall(1.0), hidden=MeshObject("none.stl", position=near[1]))

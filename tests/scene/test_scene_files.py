@@ -370,11 +370,12 @@ def test_schema_knows_every_key_that_is_written(flat: Scene) -> None:
             assert tables[table]["properties"][key]["description"]
 
 
-def test_loading_is_light() -> None:
+@pytest.mark.parametrize("name", ["letter_flat", "letter_concave", "letter_wavy"])
+def test_loading_is_light(name: str) -> None:
     """A picture scene loads without torch, matplotlib, trimesh and numba."""
     code = (
         "import sys; from nlosoptics.scene import Scene; "
-        f"Scene.load({str(FOLDER / 'letter_flat.toml')!r}); "
+        f"Scene.load({str(FOLDER / f'{name}.toml')!r}); "
         "print([m for m in ('torch', 'matplotlib', 'trimesh', 'numba') if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
