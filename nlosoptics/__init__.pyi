@@ -7,7 +7,7 @@ from . import raytrace as raytrace
 from . import scene as scene
 from . import views as views
 from .planning import Plan as Plan
-from .planning import Result as Result
 from .planning import plan as plan
-from .planning import simulate as simulate
 from .scene import Scene as Scene
+from .simulation import Result as Result
+from .simulation import simulate as simulate

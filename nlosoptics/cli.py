@@ -25,8 +25,8 @@ from . import __version__
 from .errors import MissingExtraError, NlosError
 
 if TYPE_CHECKING:
-    from .planning import Result
     from .scene import Scene
+    from .simulation import Result
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 
@@ -114,8 +114,9 @@ def run_command(
     with _told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
-        from .planning import plan, simulate
+        from .planning import plan
         from .scene.file import format_scene
+        from .simulation import simulate
 
         scene = _load(scene_file, size)
         planned = plan(scene, tol, reconstruct=reconstruct)

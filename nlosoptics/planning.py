@@ -1,37 +1,29 @@
-"""What a scene needs, before anything is computed; and the run that does exactly that."""
+"""What a scene needs, what it does not and why, before anything is computed."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
-from ._checks import fits_memory, in_range, whole
-from .errors import SamplingError, SceneError
+from ._checks import fits_memory, in_range
+from .errors import NotWaveGradeError, SceneError
+from .psf.aberration import check_wave_grade
 from .psf.pupils import ExitPupil, exit_pupil
 from .scene import (
-    ConcaveWall,
+    ConvexWall,
     MeshWall,
+    PlanarObject,
     Scene,
     SpecularMicrofacet,
     SumMaterial,
-    SumWall,
-    WavyWall,
+    Ward,
 )
 
-if TYPE_CHECKING:
-    from .imaging import SpeckleImage
-    from .inverse import Reconstruction
-    from .psf import PointSpread, Wavefront
-
-Progress = Callable[[str, float], None]
 BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
-MOST_SAMPLES = 8192  # across a point spread at Nyquist's pitch: 10 s and 2 GiB
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,16 +61,18 @@ class Plan:
     skipped : tuple of Stage
         Those that do not, each with its reason.
     tol : float
-        Wanted error: of the point spread max |dI|/max I, of the image the relative rms of expected
-        electrons.
+        Wanted error of the point spread, max |dI|/max I; the other stages state their own.
     waves : float
         Estimated peak-to-valley aberration left after tilt, waves.
+    layout : {"polar", "grid"}
+        Pupil nodes: a grid where the wall's edge cuts the cone of light.
     """
 
     stages: tuple[Stage, ...]
     skipped: tuple[Stage, ...]
     tol: float
     waves: float
+    layout: Literal["polar", "grid"]
 
     @property
     def seconds(self) -> float:
@@ -106,36 +100,6 @@ class Plan:
         return "\n".join(line.rstrip() for line in lines)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Result:
-    """What a simulation found.
-
-    Parameters
-    ----------
-    scene : Scene
-    plan : Plan
-    exit_pupil : ExitPupil
-    wavefront : Wavefront
-    point_spread : PointSpread
-    image : SpeckleImage
-    reconstruction : Reconstruction or None
-        None unless it was asked for.
-    timings : dict of str to float
-        Seconds of each stage that ran.
-    seed : int
-    """
-
-    scene: Scene
-    plan: Plan
-    exit_pupil: ExitPupil
-    wavefront: Wavefront
-    point_spread: PointSpread
-    image: SpeckleImage
-    reconstruction: Reconstruction | None
-    timings: dict[str, float]
-    seed: int
-
-
 def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     """Say what a scene needs, what it does not, and why.
 
@@ -143,7 +107,7 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     ----------
     scene : Scene
     tol : float, default 1e-3
-        Wanted error, 1e-12 to 0.1.
+        Wanted error of the point spread, 1e-12 to 0.1.
     reconstruct : bool, default False
         Whether the known-PSF reconstruction is wanted.
 
@@ -154,207 +118,200 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     Raises
     ------
     SceneError
-        If the camera cannot see the object by the wall, or ``tol`` is out of range.
+        If the laser misses the wall, the camera cannot see the object by the wall, or ``tol`` is
+        out of range.
     MemoryLimitError
         If the image would not fit in memory.
     """
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     in_range("tol", tol, 1e-12, 0.1)
-    camera = scene.camera
-    ny, nx = camera.shape
+    ny, nx = scene.camera.shape
     fits_memory(
-        f"an image of {nx} x {ny} pixels",
+        f"an image of {nx} x {ny} pixels (camera.pixels, camera.binning)",
         BYTES_PER_PIXEL * nx * ny,
         "read fewer pixels or bin more",
     )
     _check_laser(scene)
     pupil = exit_pupil(scene)
+    _check_sight(scene, pupil)
     waves = _estimated_waves(scene, pupil)
-    stages: list[Stage] = []
-    skipped: list[Stage] = []
-
-    def add(name: str, runs: bool, reason: str, seconds: float = 0.0, error: str = "") -> None:
-        stage = Stage(
-            name=name,
-            runs=runs,
-            reason=reason,
-            seconds=seconds if runs else 0.0,
-            error=error if runs else "",
-        )
-        (stages if runs else skipped).append(stage)
-
-    mesh = isinstance(scene.wall, MeshWall)
-    add(
-        "mesh surface",
-        mesh,
-        "a smooth bicubic surface through the mesh" if mesh else "the wall is analytic",
-        0.5,
-        f"{1e9 * scene.wall.fit_residual:.2g} nm" if isinstance(scene.wall, MeshWall) else "",
+    layout: Literal["polar", "grid"] = "polar"
+    if pupil.stop == "wall" or pupil.vignetting > 0:
+        layout = "grid"
+    refusal = wave_refusal(scene)
+    stages = [
+        _mesh_stage(scene),
+        Stage(
+            name="exit pupil",
+            runs=True,
+            reason=f"the {pupil.stop} limits: radius {1e3 * pupil.radius:.3g} mm, "
+            f"F/{pupil.f_number:.3g}",
+            seconds=0.001,
+            error="exact for a thin lens",
+        ),
+        *_wave_stages(scene, pupil, waves, layout),
+        _point_spread_stage(scene, pupil, waves, tol),
+        *_left_out(scene),
+        _image_stage(scene),
+        _reconstruction_stage(scene, reconstruct),
+    ]
+    if refusal:
+        keep = ("mesh surface", "exit pupil")
+        stages = [
+            s if s.name in keep or not s.runs else Stage(name=s.name, runs=False, reason=refusal)
+            for s in stages
+        ]
+    return Plan(
+        stages=tuple(s for s in stages if s.runs),
+        skipped=tuple(s for s in stages if not s.runs),
+        tol=tol,
+        waves=waves,
+        layout=layout,
     )
-    add(
-        "exit pupil",
-        True,
-        f"the {pupil.stop} limits: radius {1e3 * pupil.radius:.3g} mm, F/{pupil.f_number:.3g}",
-        0.001,
-        "exact for a thin lens",
+
+
+def _skipped(name: str, reason: str) -> Stage:
+    return Stage(name=name, runs=False, reason=reason)
+
+
+def _mesh_stage(scene: Scene) -> Stage:
+    if not isinstance(scene.wall, MeshWall):
+        return _skipped("mesh surface", "the wall is analytic")
+    return Stage(
+        name="mesh surface",
+        runs=True,
+        reason="a smooth bicubic surface through the mesh",
+        seconds=0.5,
+        error=f"{1e9 * scene.wall.fit_residual:.2g} nm",
     )
+
+
+def _wave_stages(scene: Scene, pupil: ExitPupil, waves: float, layout: str) -> Iterator[Stage]:
     flat = scene.wall.is_flat
     if flat:
-        add("aiming", False, "flat wall: hits in closed form")
-    add(
-        "wave aberration",
-        True,
-        "zero but for focus" if flat else f"rays aimed by Newton; about {waves:.2g} waves",
-        0.005 if flat else 0.02,
-        "the mesh surface's" if mesh else "1e-9 wave",
+        yield _skipped("aiming", "flat wall: hits in closed form")
+    reason = "zero but for focus" if flat else f"rays aimed by Newton; about {waves:.2g} waves"
+    if layout == "grid":
+        cut = "the wall's outline is the stop"
+        if pupil.stop == "lens":
+            cut = f"the wall's edge cuts {100 * pupil.vignetting:.2g} % of the cone"
+        reason += f"; on a grid, because {cut}"
+    yield Stage(
+        name="wave aberration",
+        runs=True,
+        reason=reason,
+        seconds=(0.005 if flat else 0.02) if layout == "polar" else 0.5,
+        error="the mesh surface's" if isinstance(scene.wall, MeshWall) else "1e-9 wave",
     )
-    core = scene.laser.wavelength * pupil.f_number
-    add(
-        "point spread",
-        True,
-        f"one at the object's centre; a pixel is {camera.image_pitch / core:.3g} lambda N wide",
-        _point_spread_seconds(scene, pupil, waves),
-        f"{tol:g} of the peak",
+
+
+def _point_spread_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float) -> Stage:
+    core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
+    seconds = 0.02
+    if waves > 0:
+        # rays of a defocus, and the diffraction tail until a pixel of it is below tol
+        reach = 4 * waves * core + (2 * core * pitch**2 / (math.pi**3 * tol)) ** (1 / 3)
+        seconds += 1.6e-7 * (4 * reach / core) ** 2
+    return Stage(
+        name="point spread",
+        runs=True,
+        reason=f"one at the object's centre; a pixel is {pitch / core:.3g} lambda N wide",
+        seconds=seconds,
+        error=f"{tol:g} of the peak",
     )
-    add(
+
+
+def _left_out(scene: Scene) -> Iterator[Stage]:
+    """What this scene could ask for and is not computed."""
+    yield _skipped(
         "field of point spreads",
-        False,
         "flat wall: the same everywhere but for focus"
-        if flat
+        if scene.wall.is_flat
         else "one point spread stands for the whole object; positions follow the exact chief rays",
     )
     slope = _lobe_slope(scene)
-    add(
+    yield _skipped(
         "rough wall",
-        False,
         "the mirror-like lobe is smooth"
         if slope == 0
         else f"the lobe's slope of {slope:g} rad is taken as smooth; diffuse light is background",
     )
-    hollow = _sees_itself(scene)
-    add(
+    yield _skipped(
         "interreflection",
-        False,
         "light from wall to wall is left out: a hollow wall adds a little background"
-        if hollow
+        if _sees_itself(scene)
         else "no part of the wall sees another",
     )
-    add("shadow rays", False, "no occluders")
-    specular = scene.wall_material.specular_reflectance
-    add(
-        "image",
-        True,
-        f"{nx} x {ny} pixels by reverse chief rays"
-        + ("" if specular > 0 else "; no mirror-like lobe, so background only"),
-        0.1 + 3e-6 * nx * ny,
-        "1e-3 of the background",
+    yield _skipped("shadow rays", "no occluders")
+
+
+def _image_stage(scene: Scene) -> Stage:
+    ny, nx = scene.camera.shape
+    reason = f"{nx} x {ny} pixels by reverse chief rays"
+    if scene.wall_material.specular_reflectance == 0:
+        reason += "; no mirror-like lobe, so background only"
+    return Stage(
+        name="image",
+        runs=True,
+        reason=reason,
+        seconds=0.3 + 2e-6 * nx * ny,
+        error="1e-3 of the background",
     )
-    if not reconstruct:
-        add("reconstruction", False, "not asked for; torch is not loaded")
-    elif specular == 0:
-        add("reconstruction", False, "a diffuse wall without a mirror-like lobe passes no picture")
-    else:
-        add(
-            "reconstruction",
-            True,
-            "total variation with the point spread known",
-            1.5 + 1.2e-5 * nx * ny,
-            "status and score are reported",
+
+
+def _reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
+    if not wanted:
+        return _skipped("reconstruction", "not asked for; torch is not loaded")
+    if scene.wall_material.specular_reflectance == 0:
+        return _skipped(
+            "reconstruction", "a diffuse wall without a mirror-like lobe passes no picture"
         )
-    return Plan(stages=tuple(stages), skipped=tuple(skipped), tol=tol, waves=waves)
-
-
-def simulate(
-    scene: Scene,
-    tol: float = 1e-3,
-    seed: int = 0,
-    reconstruct: bool = False,
-    *,
-    progress: Progress | None = None,
-) -> Result:
-    """Run exactly what `plan` says.
-
-    Parameters
-    ----------
-    scene : Scene
-    tol : float, default 1e-3
-        Wanted error, as for `plan`.
-    seed : int, default 0
-        Of all random draws, at least 0; the same seed gives the same bits.
-    reconstruct : bool, default False
-        Also reconstruct the object; loads torch.
-    progress : callable(str, float), optional
-        Told the stage that begins and the fraction done.
-
-    Returns
-    -------
-    Result
-
-    Raises
-    ------
-    NlosError
-        Of the kind that fits; see `plan`, `psf.wavefront`, `psf.point_spread` and
-        `imaging.form_image`.
-    """
-    seed = whole("seed", seed, 0)
-    todo = plan(scene, tol, reconstruct=reconstruct)
-    timings: dict[str, float] = {}
-    total = todo.seconds
-
-    @contextmanager
-    def stage(name: str) -> Iterator[None]:
-        if progress is not None:
-            done = sum(s.seconds for s in todo.stages if s.name in timings)
-            progress(name, min(1.0, done / total))
-        start = time.perf_counter()
-        yield
-        timings[name] = time.perf_counter() - start
-
-    from . import psf
-
-    if isinstance(scene.wall, MeshWall):
-        with stage("mesh surface"):
-            scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
-    with stage("exit pupil"):
-        pupil = exit_pupil(scene)
-    with stage("wave aberration"):
-        try:
-            wave = psf.wavefront(scene)
-        except SamplingError:  # the wall's edge cuts the pupil
-            wave = psf.wavefront(scene, nodes="grid", samples=512)
-    with stage("point spread"):
-        pitch = scene.camera.image_pitch
-        shape = psf.window_shape(wave, pitch=pitch, tol=tol)
-        _check_samples(shape, pitch, scene.laser.wavelength * wave.f_number / 2)
-        spread = psf.point_spread(wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
-    from . import imaging
-
-    with stage("image"):
-        image = imaging.form_image(scene, spread, seed=seed)
-    reconstruction = None
-    if todo.runs("reconstruction"):
-        with stage("reconstruction"):
-            reconstruction = _reconstruct(image, spread)
-    if progress is not None:
-        progress("done", 1.0)
-    return Result(
-        scene=scene,
-        plan=todo,
-        exit_pupil=pupil,
-        wavefront=wave,
-        point_spread=spread,
-        image=image,
-        reconstruction=reconstruction,
-        timings=timings,
-        seed=seed,
+    ny, nx = scene.camera.shape
+    return Stage(
+        name="reconstruction",
+        runs=True,
+        reason="total variation with pose and point spread known",
+        seconds=1.3 + 3e-6 * nx * ny,
+        error="status and score are reported",
     )
 
 
-def _reconstruct(image: SpeckleImage, spread: PointSpread) -> Reconstruction:
-    from . import inverse
-    from .imaging import ForwardModel
+def wave_refusal(scene: Scene) -> str:
+    """Why waves cannot be computed for this wall; empty when they can."""
+    try:
+        check_wave_grade(scene.wall, scene.laser.wavelength)
+    except NotWaveGradeError as refusal:
+        return f"{refusal}; the geometric branch that could do without is not built"
+    return ""
 
-    model = ForwardModel(spread, shape=image.electrons.shape)
-    return inverse.tv_deconvolve(image.electrons, model, noise_sigma=image.noise_sigma)
+
+def _check_sight(scene: Scene, pupil: ExitPupil) -> None:
+    """Refuse an object that the wall or the detector does not show, as far as a flat wall tells."""
+    camera, position = scene.camera, tuple(float(c) for c in scene.object_point)
+    if pupil.vignetting == 1.0:
+        raise SceneError(
+            f"hidden.position = {position} m is mirrored by no part of the wall, wall.size = "
+            f"{scene.wall.size} m; enlarge the wall, or move object or camera"
+        )
+    line = scene.mirrored_object_point - np.array(camera.position)
+    x, y, depth = (float(line @ axis) for axis in camera.frame)
+    if depth <= 0:
+        raise SceneError(
+            f"camera.aim = {camera.aim} m looks away from the mirrored object; aim at the wall "
+            "point where it appears"
+        )
+    # a curved wall may magnify
+    extent = _half_extent(scene) * (1.0 if scene.wall.is_flat else 3.0)
+    reach = np.array(camera.shape[::-1]) * camera.image_pitch / 2
+    image = np.array([abs(x), abs(y)]) * scene.image_distance / depth
+    outside = image - extent * scene.image_distance / depth - reach
+    if outside.max() > 0:
+        raise SceneError(
+            f"hidden.position = {position} m is imaged at ({1e3 * image[0]:.3g}, "
+            f"{1e3 * image[1]:.3g}) mm from the axis, off the detector of "
+            f"+-({1e3 * reach[0]:.3g}, {1e3 * reach[1]:.3g}) mm; change camera.aim"
+        )
 
 
 def _check_laser(scene: Scene) -> None:
@@ -366,14 +323,12 @@ def _check_laser(scene: Scene) -> None:
         )
 
 
-def _check_samples(shape: int, pitch: float, nyquist: float) -> None:
-    needed = math.ceil(shape * pitch / nyquist)
-    if needed > MOST_SAMPLES:
-        raise SamplingError(
-            f"the point spread covers {shape} pixels and needs {needed} samples across, limit "
-            f"{MOST_SAMPLES}: the wall is near its caustic or far out of focus; stop the lens down "
-            f"{math.sqrt(needed / MOST_SAMPLES):.2g} times, use a flatter wall, or focus closer"
-        )
+def _half_extent(scene: Scene) -> float:
+    """Largest distance of the object's parts from its reference point, m."""
+    hidden = scene.hidden
+    if isinstance(hidden, PlanarObject):
+        return math.hypot(*hidden.size) / 2
+    return float(np.linalg.norm(hidden.surface.vertices - scene.object_point, axis=1).max())
 
 
 def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:
@@ -383,30 +338,25 @@ def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:
     d2 = -float(position[2] / scene.camera.axis[2])
     d1 = max(float(np.linalg.norm(scene.mirrored_object_point - position)) - d2, 1e-9)
     m, d_eff = d1 / (d1 + d2), d1 * d2 / (d1 + d2)
-    sign = -1.0 if isinstance(scene.wall, ConcaveWall | WavyWall | SumWall | MeshWall) else 1.0
+    sign = 1.0 if isinstance(scene.wall, ConvexWall) else -1.0
     curved = kappa * m**2 / max(abs(1 + sign * 2 * kappa * d_eff), 1e-3)
     depth = float((scene.mirrored_object_point - position) @ scene.camera.axis)
     focus = 0.5 * abs(1 / depth - 1 / scene.focus_distance) if depth > 0 else math.inf
     return float((curved + focus) * pupil.entrance_radius**2 / scene.laser.wavelength)
 
 
-def _point_spread_seconds(scene: Scene, pupil: ExitPupil, waves: float) -> float:
-    core = scene.laser.wavelength * pupil.f_number
-    blur = 4 * waves * core  # radius of the geometric spot of a defocus
-    side = 2 * (blur + 5 * max(scene.camera.image_pitch, core)) / (core / 2)
-    return 0.01 + 3e-7 * side**2
-
-
 def _lobe_slope(scene: Scene) -> float:
     """Largest slope rms among the wall's mirror-like lobes, rad."""
     material = scene.wall_material
     parts = material.parts if isinstance(material, SumMaterial) else (material,)
-    slopes = [p.slope_rms for p in parts if isinstance(p, SpecularMicrofacet)]
+    slopes = [
+        p.slope_rms
+        for p in parts
+        if isinstance(p, SpecularMicrofacet | Ward) and p.specular_reflectance > 0
+    ]
     return max(slopes, default=0.0)
 
 
 def _sees_itself(scene: Scene) -> bool:
     """Whether straight lines can join two points of the wall in front of it."""
-    return isinstance(scene.wall, ConcaveWall | WavyWall | SumWall | MeshWall) and not (
-        scene.wall.is_flat
-    )
+    return not (scene.wall.is_flat or isinstance(scene.wall, ConvexWall))

@@ -26,10 +26,11 @@ MAY_IMPORT = {
     "imaging": BASE | {"scene", "raytrace", "psf"},
     "inverse": BASE | {"scene", "raytrace", "psf", "imaging"},
     "planning": BASE | OPTICS,
-    "study": BASE | OPTICS | {"planning"},
-    "views": BASE | OPTICS | {"planning"},
-    "report": BASE | OPTICS | {"planning", "study", "views"},
-    "cli": BASE | OPTICS | {"planning", "study", "views", "report"},
+    "simulation": BASE | OPTICS | {"planning"},
+    "study": BASE | OPTICS | {"planning", "simulation"},
+    "views": BASE | OPTICS | {"planning", "simulation"},
+    "report": BASE | OPTICS | {"planning", "simulation", "study", "views"},
+    "cli": BASE | OPTICS | {"planning", "simulation", "study", "views", "report"},
 }
 
 #: The only places that may import a heavy or optional package, relative to the package.

@@ -86,8 +86,9 @@ def test_estimated_waves_are_of_the_right_size(flat_scene, wall):
     scene = replace(flat_scene, wall=wall)
     wave = nlos.psf.wavefront(scene)
     true = float(np.ptp(wave.aberration)) / scene.laser.wavelength
-    # the estimate is second order, at normal incidence and for the steepest curvature
-    assert true / 4 < nlos.plan(scene).waves < 8 * true
+    # second order at normal incidence: 28 degrees cost a quarter; a wave has its steepest crest's
+    limits = (0.6, 1.4) if wall.finest_period == np.inf else (0.2, 8)
+    assert limits[0] * true < nlos.plan(scene).waves < limits[1] * true
 
 
 def test_a_mesh_wall_says_how_well_it_is_known(flat_scene):
@@ -198,8 +199,15 @@ def test_near_the_caustic_the_remedy_is_named(flat_scene):
     from nlosoptics.errors import CausticError, SamplingError
 
     wide = replace(flat_scene.camera, stop_diameter=0.05)
-    with pytest.raises(SamplingError, match=r"limit 8192.*stop the lens down"):
-        nlos.simulate(replace(flat_scene, wall=ConcaveWall(1.3), camera=wide))
+    scene = replace(flat_scene, wall=ConcaveWall(1.3), camera=wide)
+    with pytest.raises(SamplingError, match=r"limit 8192.*stop the lens down") as refusal:
+        nlos.simulate(scene)
+    # what the message advises is enough
+    down = float(str(refusal.value).split("stop the lens down ")[1].split()[0])
+    camera = replace(wide, stop_diameter=0.05 / down)
+    nlos.simulate(replace(scene, camera=camera))
+    with pytest.raises(SamplingError, match="larger tol"):
+        nlos.simulate(replace(flat_scene, camera=replace(wide, focus_distance=2.0)), tol=1e-9)
     with pytest.raises(CausticError, match="flatter wall"):
         nlos.simulate(replace(flat_scene, wall=ConcaveWall(1.05)))
 
@@ -213,6 +221,39 @@ def test_a_laser_off_the_wall_is_found_before_anything_is_computed(flat_scene):
 def test_a_wall_whose_edge_cuts_the_pupil_is_put_on_a_grid(flat_scene):
     beside = replace(flat_scene.camera, aim=(-0.1, 0.0, 0.0))
     narrow = replace(flat_scene, wall=FlatWall(size=(0.34, 1.0)), camera=beside)
-    result = nlos.simulate(narrow, tol=1e-2)
+    plan = nlos.plan(narrow)
+    assert plan.layout == "grid"
+    assert "edge cuts" in str(plan)
+    result = nlos.simulate(narrow)
     assert result.wavefront.layout == "grid"
-    assert result.point_spread.method == "mdft"
+    assert result.point_spread.error_estimate <= 1e-3
+
+
+def test_a_wall_that_is_the_stop_is_put_on_a_grid(flat_scene):
+    slit = replace(flat_scene, wall=FlatWall(size=(0.34, 0.01)))
+    assert "outline is the stop" in str(nlos.plan(slit))
+    result = nlos.simulate(slit)
+    # the slit is 10 mm high and the lens 25 mm wide: the spot is longer along y
+    inner = result.point_spread.intensity
+    middle = inner.shape[0] // 2
+    assert inner[middle + 1, middle] > inner[middle, middle + 1]
+
+
+def test_an_object_that_cannot_be_seen_is_found_by_the_plan(flat_scene):
+    aside = replace(flat_scene.hidden, position=(1.4, 0.0, 1.0))
+    with pytest.raises(SceneError, match="mirrored by no part of the wall"):
+        nlos.plan(replace(flat_scene, wall=FlatWall(size=0.5), hidden=aside))
+    with pytest.raises(SceneError, match="off the detector"):
+        nlos.plan(replace(flat_scene, hidden=replace(aside, position=(2.5, 0.0, 1.0))))
+
+
+def test_a_coarse_mesh_leaves_the_waves_out(flat_scene):
+    from nlosoptics.errors import NotWaveGradeError
+
+    wall = MeshWall(WavyWall(2e-3, 0.2, size=2.0).to_mesh(max_sag_error=1e-4))
+    scene = replace(flat_scene, wall=wall)
+    plan = nlos.plan(scene)
+    assert [s.name for s in plan.stages] == ["mesh surface", "exit pupil"]
+    assert "geometric branch" in str(plan)
+    with pytest.raises(NotWaveGradeError, match="lambda/20"):
+        nlos.simulate(scene)

@@ -33,7 +33,9 @@ class Measurement:
         (sigma/noise_sigma)^2, mean 1; None where the noise is the same everywhere.
     sigma_estimated : bool
     fit_background : bool
-        Whether a uniform background is unknown.
+        Whether the strength of a further background is unknown.
+    background_shape : Tensor or None
+        (H, W) float64, mean 1, shape of that background; None where it is uniform.
     template : Tensor or None
         The tensor that was given; None for an array.
     """
@@ -43,6 +45,7 @@ class Measurement:
     weights: Tensor | None
     sigma_estimated: bool
     fit_background: bool
+    background_shape: Tensor | None
     template: Tensor | None
 
     def weighted(self, values: Tensor) -> Tensor:
@@ -53,9 +56,18 @@ class Measurement:
         """Mean of values with the pixel weights, whose own mean is 1."""
         return total(self.weighted(values)) / values.numel()
 
-    def uniform_level(self) -> float:
-        """Uniform background of an image without an object."""
-        return self.weighted_mean(self.data) if self.fit_background else 0.0
+    def background_strength(self, values: Tensor) -> float:
+        """Strength of the unknown background that fits values best; 0 if all of it is known."""
+        if not self.fit_background:
+            return 0.0
+        shape = self.background_shape
+        if shape is None:
+            return self.weighted_mean(values)
+        return total(self.weighted(shape * values)) / total(self.weighted(shape * shape))
+
+    def background(self, strength: float) -> Tensor | float:
+        """The unknown background at a given strength, which is its mean."""
+        return strength if self.background_shape is None else strength * self.background_shape
 
     def score(self, explained: Tensor | float) -> float:
         """Weighted rms of data minus ``explained``, over the noise."""
@@ -63,8 +75,8 @@ class Measurement:
         rms = math.sqrt(self.weighted_mean(residual * residual))
         return rms / self.sigma if self.sigma > 0.0 else rms
 
-    def is_uniform(self) -> bool:
-        """Whether a uniform image explains the data to within three standard errors.
+    def is_background(self) -> bool:
+        """Whether the background alone explains the data to within three standard errors.
 
         The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the
         measured spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
@@ -72,7 +84,8 @@ class Measurement:
         if self.sigma == 0.0:
             return True
         variance = (18.0 if self.sigma_estimated else 2.0) / self.data.numel()
-        return self.score(self.uniform_level()) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
+        explained = self.background(self.background_strength(self.data))
+        return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
     def like_input(self, values: Tensor) -> Any:
         """A result as the kind of thing the image was."""
@@ -94,6 +107,7 @@ def measurement(
     noise_sigma: Any,
     background: Any,
     fit_background: bool,
+    background_shape: Any,
 ) -> Measurement:
     """Check an image against a model's shape and gather its noise."""
     template = image if isinstance(image, Tensor) else None
@@ -120,6 +134,7 @@ def measurement(
         weights=weights,
         sigma_estimated=noise_sigma is None,
         fit_background=fit_background,
+        background_shape=_background_shape(background_shape, shape, device),
         template=template,
     )
 
@@ -167,6 +182,19 @@ def estimate_noise(image: ArrayLike) -> float:
         medians > 0.0, (medians / _MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
     )
     return math.sqrt(float(squares.mean()))
+
+
+def _background_shape(value: Any, shape: tuple[int, int], device: torch.device) -> Tensor | None:
+    if value is None:
+        return None
+    picture = _picture("background_shape", value, shape, device)
+    mean = total(picture) / picture.numel()
+    if float(picture.min()) < 0.0 or mean <= 0.0:
+        raise SceneError(
+            f"background_shape spans {float(picture.min()):g} to {float(picture.max()):g}, must be "
+            "non-negative with some light; leave it out for a uniform background"
+        )
+    return picture / mean
 
 
 def _positive_sigma(sigma: float) -> float:

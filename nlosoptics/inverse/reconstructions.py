@@ -31,11 +31,11 @@ class Reconstruction:
         (H, W), [y, x] in the image's frame; the kind, and for a tensor the dtype and device, of
         the image that was given. Its largest value is 1 where the gain was not given.
     physical_parameters : mapping
-        ``gain`` (image units per object unit), ``background`` (fitted uniform part, image units;
-        a known background is not in it), ``noise_sigma`` (reference noise, image units) and what
-        else the solver settled, such as ``tv_weight``.
+        ``gain`` (image units per object unit), ``background`` (mean of the fitted background,
+        image units; a known one is not in it), ``noise_sigma`` (reference noise, image units) and
+        what else the solver settled, such as ``tv_weight``.
     status : {"converged", "unconverged", "too_few_photons"}
-        "too_few_photons": a uniform image explains the data to within three standard errors of
+        "too_few_photons": the background alone explains the data to within three standard errors of
         the mean squared residual, so that there is no object to recover; ``object`` is zero.
     score : float
         Weighted rms residual in units of the noise; 1 fits the data to their noise.
@@ -75,7 +75,7 @@ def assemble(
         (H, W), object times gain.
     model : ForwardModel or TorchForwardModel
     background : float
-        Fitted uniform part, image units.
+        Fitted strength of the unknown background, image units.
     gain : float or None
         None: the object's largest value becomes 1.
     status : {"converged", "unconverged", "too_few_photons"}
@@ -86,7 +86,8 @@ def assemble(
         More physical parameters.
     """
     level = level.to(torch.float64)
-    explained = torch_model(model, level.device, torch.float64)(level) + background
+    explained = torch_model(model, level.device, torch.float64)(level)
+    explained = explained + data.background(background)
     if gain is None:
         brightest = float(level.max())
         gain = brightest if brightest > 0.0 else 1.0
@@ -115,12 +116,12 @@ def without_object(
     gain: float | None,
     started: float,
 ) -> Reconstruction:
-    """What is returned where a uniform image already explains the data."""
+    """What is returned where the background already explains the data."""
     return assemble(
         data,
         torch.zeros_like(data.data),
         model=model,
-        background=data.uniform_level(),
+        background=data.background_strength(data.data),
         gain=gain,
         status="too_few_photons",
         history={"objective": [], "residual": [], "change": []},

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from ..imaging.forward_model import ForwardModel
+from ._threads import single_thread
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
@@ -34,6 +35,7 @@ _RESIDUAL_SHARE = 0.05
 _FLOAT32_NOISE = 1e-4
 
 
+@single_thread()
 def tv_deconvolve(
     image: Any,
     model: ForwardModel | TorchForwardModel,
@@ -42,6 +44,7 @@ def tv_deconvolve(
     tv_weight: float | None = None,
     background: Any = 0.0,
     fit_background: bool = True,
+    background_shape: Any = None,
     gain: float | None = None,
     max_iterations: int = 700,
     tolerance: float = 5e-4,
@@ -65,7 +68,9 @@ def tv_deconvolve(
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
-        Whether a uniform background is unknown and fitted besides.
+        Whether the strength of a further background is unknown and fitted besides.
+    background_shape : array_like or None
+        (H, W), non-negative, shape of that further background; None: uniform.
     gain : float or None
         Known image units per object unit; None: the object's largest value becomes 1.
     max_iterations : int
@@ -120,8 +125,9 @@ def tv_deconvolve(
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
+        background_shape=background_shape,
     )
-    if data.is_uniform():
+    if data.is_background():
         return without_object(data, model=model, gain=gain, started=started)
     splitting = _Splitting(data, model, tv_weight)
     converged = False
@@ -170,9 +176,11 @@ class _Splitting:
         dtype = torch.float32 if single else torch.float64
         self._fit_background = data.fit_background
         # A background far above the noise would use up single precision.
-        self._level = float(_border(data.data).median()) if self._fit_background else 0.0
+        self._level = _first_level(data)
         self._background = 0.0
-        self._image = ((data.data - self._level) / self._scale).to(dtype)
+        shape = data.background_shape
+        self._shape = None if shape is None else shape.to(dtype)
+        self._image = ((data.data - data.background(self._level)) / self._scale).to(dtype)
         self._weights = None if data.weights is None else data.weights.to(dtype)
         self._grid = model.grid
         self._frame = tuple(slice(None, length) for length in model.shape)
@@ -247,15 +255,15 @@ class _Splitting:
 
     def _data_step(self, predicted: Tensor) -> None:
         """Move the prediction toward the image until the residual is the noise."""
-        residual = predicted[self._frame] + self._background - self._image
+        residual = predicted[self._frame] - self._image + self._shaped(self._background)
         squared = total(self._weighted(residual * residual))
         self.history["residual"].append(math.sqrt(squared / residual.numel()) / self._sigma)
         relaxed = _relaxed(predicted, self._predicted)
         relaxed[self._frame] += self._data_dual
         misfit = relaxed[self._frame] - self._image
         if self._fit_background:
-            self._background = -self._mean(misfit)
-            misfit += self._background
+            self._background = -self._strength(misfit)
+            misfit += self._shaped(self._background)
         if self._sought:
             self._seek_multiplier(misfit)
         self._data_dual = misfit - misfit * self._shrinkage()
@@ -268,12 +276,21 @@ class _Splitting:
             return self._data_penalty / (self._data_penalty + self._multiplier)
         return self._data_penalty / (self._data_penalty + self._multiplier * self._weights)
 
-    def _mean(self, misfit: Tensor) -> float:
-        """Mean of a misfit as the data step with a free background weighs it."""
-        if self._weights is None:
+    def _shaped(self, strength: float) -> Tensor | float:
+        """Background of a given strength."""
+        return strength if self._shape is None else strength * self._shape
+
+    def _strength(self, misfit: Tensor) -> float:
+        """Strength of the background in a misfit as the data step weighs it."""
+        if self._weights is not None:
+            weights = self._weights * self._shrinkage()
+            if self._shape is None:
+                return total(weights * misfit) / total(weights)
+            weights = weights * self._shape
+            return total(weights * misfit) / total(weights * self._shape)
+        if self._shape is None:
             return total(misfit) / misfit.numel()
-        weights = self._weights * self._shrinkage()
-        return total(weights * misfit) / total(weights)
+        return total(self._shape * misfit) / total(self._shape * self._shape)
 
     def _seek_multiplier(self, misfit: Tensor) -> None:
         """Multiplier at which what is left of a misfit has the rms of the noise."""
@@ -324,7 +341,7 @@ class _Splitting:
         return self._signed[self._frame].double() * (self._scale / self._response)
 
     def background(self) -> float:
-        """Uniform background in image units."""
+        """Mean of the fitted background in image units."""
         return self._level + self._background * self._scale
 
     def tv_weight(self) -> float:
@@ -346,6 +363,18 @@ def _relaxed(new: Tensor, old: Tensor) -> Tensor:
 
 def _norm(values: Tensor) -> float:
     return math.sqrt(total(values * values))
+
+
+def _first_level(data: Measurement) -> float:
+    """Strength of the unknown background, from the frame's border."""
+    if not data.fit_background:
+        return 0.0
+    values = _border(data.data)
+    if data.background_shape is None:
+        return float(values.median())
+    shape = _border(data.background_shape)
+    lit = shape > 0.5
+    return float((values[lit] / shape[lit]).median()) if bool(lit.any()) else 0.0
 
 
 def _border(picture: Tensor) -> Tensor:

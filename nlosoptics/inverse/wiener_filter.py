@@ -12,6 +12,7 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from ..imaging.forward_model import ForwardModel
+from ._threads import single_thread
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, Status, assemble, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
@@ -19,6 +20,7 @@ from .torch_model import TorchForwardModel, model_shape, torch_model
 Progress = Callable[[float, str], None]
 
 
+@single_thread()
 def wiener(
     image: Any,
     model: ForwardModel | TorchForwardModel,
@@ -26,6 +28,7 @@ def wiener(
     noise_sigma: Any = None,
     background: Any = 0.0,
     fit_background: bool = True,
+    background_shape: Any = None,
     gain: float | None = None,
     max_iterations: int = 300,
     tolerance: float = 1e-6,
@@ -46,7 +49,9 @@ def wiener(
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
-        Whether a uniform background is unknown and fitted besides.
+        Whether the strength of a further background is unknown and fitted besides.
+    background_shape : array_like or None
+        (H, W), non-negative, shape of that further background; None: uniform.
     gain : float or None
         Known image units per object unit; None: the object's largest value becomes 1.
     max_iterations : int
@@ -94,8 +99,9 @@ def wiener(
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
+        background_shape=background_shape,
     )
-    if data.is_uniform():
+    if data.is_background():
         return without_object(data, model=model, gain=gain, started=started)
     problem = _NormalEquations(data, torch_model(model, data.data.device, torch.float64))
     level, history, converged = _conjugate_gradients(problem, max_iterations, tolerance, progress)
@@ -105,7 +111,7 @@ def wiener(
         data,
         level,
         model=model,
-        background=data.weighted_mean(residual) if fit_background else 0.0,
+        background=data.background_strength(residual),
         gain=gain,
         status=status,
         history=history,
@@ -134,7 +140,11 @@ class _NormalEquations:
         if columns % 2 == 0:
             twice[-1] = 1.0
         passed = total(power * prior * twice) - float(power[0, 0] * prior[0, 0])
-        excess = data.score(data.weighted_mean(data.data)) ** 2 - 1.0
+        # The object's mean is no part of the prior's variance, whoever explains it.
+        steady: Tensor | float = data.weighted_mean(data.data)
+        if data.fit_background:
+            steady = data.background(data.background_strength(data.data))
+        excess = data.score(steady) ** 2 - 1.0
         # Parseval: sum |H|^2 S = samples * (summed variance of the image); S = strength * prior.
         samples = rows * columns
         strength = samples * data.data.numel() * data.sigma**2 * excess / passed
@@ -143,9 +153,8 @@ class _NormalEquations:
         self.right_side = model.adjoint(self.cleaned(data.data))
 
     def cleaned(self, image: Tensor) -> Tensor:
-        """Weighted image without the uniform background that fits it."""
-        if self.data.fit_background:
-            image = image - self.data.weighted_mean(image)
+        """Weighted image without the background that fits it."""
+        image = image - self.data.background(self.data.background_strength(image))
         return self.data.weighted(image)
 
     def normal(self, seen: Tensor, penalised: Tensor) -> Tensor:

@@ -1,8 +1,8 @@
 """From the wave in the exit pupil to the point spread function, and its metrics.
 
-- `pupils`, `aberration`: exit pupil and wave of a scene.
+- `pupils`, `aiming`, `aberration`: exit pupil, rays by the wall and wave of a scene.
 - `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
-- `residuals`: piston and tilt taken out, and where the rays land.
+- `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
 - `quadrature`, `fft`, `mdft`, `airy`: one transform each; `pupil_grids`, `rims`, `separable`,
   `pixels` and `windows` serve them, `estimates` bounds their errors.
 - `point_spreads`: `point_spread`, which picks among them.

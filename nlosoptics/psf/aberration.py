@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, real, vector
 from ..errors import CausticError, NotWaveGradeError, SamplingError, SceneError
-from ..scene import MeshWall, Scene, Wall, pupil_frame
-from ..scene.height_maps import CallableWall
+from ..scene import MeshWall, Scene, Wall
+from .aiming import aim, pupil_points, stationary_points
+from .fits import fitted_terms
 from .nodes import grid_nodes, polar_nodes
-from .pupils import exit_pupil
+from .pupils import ExitPupil, exit_pupil
 from .wavefronts import Layout, Removed, Wavefront
 
 Array = NDArray[np.float64]
@@ -23,151 +22,11 @@ POLAR_SAMPLES = (24, 96)
 GRID_SAMPLES = 256
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class AimedRays:
-    """Stationary paths from an object point by the wall to pupil points.
-
-    Parameters
-    ----------
-    points : ndarray, (n, 3)
-        Where the paths meet the wall, world, m.
-    excess : ndarray, (n,)
-        Path length over the distance from the mirrored object point, m.
-    spreading : ndarray, (n,)
-        Flux on the pupil plane per unit radiant intensity, 1/m^2.
-    determinant : ndarray, (n,)
-        Of the path's Hessian over (x, y), 1/m^2; it vanishes on a caustic.
-    """
-
-    points: Array
-    excess: Array
-    spreading: Array
-    determinant: Array
-
-
-def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:
-    """Find the path from an object point by the wall to each pupil node.
-
-    Parameters
-    ----------
-    wall : Wall
-    object_point : array_like, (3,)
-        World, m, in front of the wall.
-    nodes : ndarray, (n, 3)
-        Pupil points, world, m, in front of the wall.
-    axis : ndarray, (3,)
-        Unit normal of the pupil plane.
-
-    Returns
-    -------
-    AimedRays
-
-    Raises
-    ------
-    CausticError
-        If a node is reached by several rays or by none, or the rays of the pupil have crossed.
-    """
-    o = np.array(vector("object_point", object_point))
-    for name, height in (("object_point", o[2]), ("pupil", float(nodes[:, 2].min()))):
-        if height <= 0:
-            raise SceneError(f"{name} has z = {height:g} m, behind the wall; must be above 0")
-    share = o[2] / (o[2] + nodes[:, 2])
-    mirror_hits = o + share[:, None] * (nodes - o)
-    if wall.is_flat:
-        legs = np.linalg.norm(nodes - o * (1, 1, -1), axis=1)
-        cosine = abs((nodes - o * (1, 1, -1)) @ axis) / legs
-        mirror_hits[:, 2] = 0.0
-        return AimedRays(
-            points=mirror_hits,
-            excess=np.zeros(len(nodes)),
-            spreading=cosine / legs**2,
-            determinant=np.ones(len(nodes)),
-        )
-    from . import _kernels, callable_aiming
-
-    out = np.empty((len(nodes), _kernels.N_COLUMNS))
-    nodes, starts = np.ascontiguousarray(nodes), mirror_hits[:, :2].copy()
-    if isinstance(wall, CallableWall):
-        callable_aiming.aim(wall, o, nodes, starts, axis, out)
-    else:
-        _kernels.aim(*wall._terms(), o, nodes, starts, axis, out)
-    lost = out[:, 7] != _kernels.FOUND
-    if lost.any():
-        raise CausticError(
-            f"{int(lost.sum())} of {len(nodes)} pupil nodes are reached by no single ray by the "
-            f"wall, first node {int(np.argmax(lost))}; use a flatter wall or other distances"
-        )
-    curvature = out[:, 6]
-    if out[:, 5].min() < 0 < out[:, 5].max() or curvature.min() < 0 < curvature.max():
-        raise CausticError(
-            f"the rays of the pupil cross on a caustic (the path's smaller curvature runs from "
-            f"{curvature.min():.3g} to {curvature.max():.3g} 1/m); use a flatter wall, a smaller "
-            "stop, or distances away from its focus"
-        )
-    _refuse_several_paths(wall, o, nodes, out)
-    return AimedRays(
-        points=out[:, :3], excess=out[:, 3], spreading=out[:, 4], determinant=out[:, 5]
-    )
-
-
-def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> None:
-    """Search for further stationary points where the wall bends enough to have them."""
-    first = aimed[0]
-    d1 = float(np.linalg.norm(first[:3] - o))
-    d2 = float(np.linalg.norm(first[:3] - nodes[0]))
-    cosines = (o[2] / d1, float(nodes[0, 2]) / d2)
-    # a wall flatter than this leaves the path convex, and a convex path has one minimum
-    least = cosines[0] ** 2 / d1 + cosines[1] ** 2 / d2
-    if sum(cosines) * wall.max_curvature < 0.8 * least:
-        return
-    from . import _kernels
-
-    reach = 2 * math.hypot(o[0] - nodes[0, 0], o[1] - nodes[0, 1]) + o[2] + float(nodes[0, 2])
-    if math.isfinite(wall.finest_period):
-        slope = wall.max_curvature * wall.finest_period / (2 * math.pi)
-        reach = min(reach, 4 * slope * d1 * d2 / (d1 + d2) + 2 * wall.finest_period)
-    n_starts = int(min(129, max(9, 2 * math.ceil(4 * reach / wall.finest_period) + 1)))
-    offsets = np.linspace(-reach, reach, n_starts)
-    for node in (0, len(nodes) - 1):
-        centre = aimed[node, :2]
-        around = centre + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
-        for x, y, status in _stationary_points(wall, o, nodes[node], around, 1.0):
-            apart = math.hypot(x - centre[0], y - centre[1])
-            if status == _kernels.FOUND and apart > 1e-6 and bool(wall.contains(x, y)):
-                raise CausticError(
-                    f"the wall shows the object more than once: light also arrives from "
-                    f"x = {x:.4g} m, y = {y:.4g} m beside x = {centre[0]:.4g} m, "
-                    f"y = {centre[1]:.4g} m; use a flatter wall or rays instead of waves"
-                )
-
-
-def _stationary_points(
-    wall: Wall, o: Array, p: Array, starts: Array, side: float
-) -> Iterator[tuple[float, float, int]]:
-    """Stationary wall points (x, y, status) of the path from O to p, from several starts."""
-    from . import _kernels, callable_aiming
-
-    if isinstance(wall, CallableWall):
-        targets = np.broadcast_to(p, (len(starts), 3)).copy()
-        points, status = callable_aiming.stationary_points(wall, o, targets, starts, side)
-        yield from zip(points[:, 0].tolist(), points[:, 1].tolist(), status.tolist(), strict=True)
-        return
-    terms, tables = wall._terms()
-    for x, y in starts:
-        yield _kernels.stationary_point(terms, tables, o, p, x, y, side)
-
-
 def _check_nodes(nodes: Array) -> None:
     if nodes.ndim != 2 or nodes.shape[1] != 2:
         raise SceneError(f"nodes have shape {nodes.shape}; give (n, 2), u and v in m")
     if not np.isfinite(nodes).all():
         raise SceneError("nodes hold NaN or infinity; give finite pupil coordinates in m")
-
-
-def _pupil_points(centre: ArrayLike, axis: Array, nodes: Array) -> Array:
-    """World coordinates of pupil nodes (n, 2) in the plane through ``centre`` across ``axis``."""
-    e1, e2, _ = pupil_frame(axis)
-    return np.asarray(np.asarray(centre) + nodes[:, :1] * e1 + nodes[:, 1:] * e2)
 
 
 def wall_aberration(
@@ -215,7 +74,7 @@ def wall_aberration(
     flat_nodes = np.asarray(nodes, dtype=np.float64)
     _check_nodes(flat_nodes)
     with_centre = np.concatenate([np.zeros((1, 2)), flat_nodes])
-    rays = aim(wall, object_point, _pupil_points(centre, axis, with_centre), axis)
+    rays = aim(wall, object_point, pupil_points(centre, axis, with_centre), axis)
     return np.asarray(rays.excess[1:] - rays.excess[0])
 
 
@@ -262,7 +121,7 @@ def path_difference(
             raise CausticError("a virtual target of a flat wall has no single stationary path")
         if not wall.is_flat:
             start = np.array([[x, y]])
-            x, y, status = next(_stationary_points(wall, o, p, start, side))
+            x, y, status = next(stationary_points(wall, o, p, start, side))
             if status != _kernels.FOUND:
                 raise CausticError(
                     f"no stationary path from {source!r} by the wall to {target!r}; "
@@ -281,7 +140,7 @@ def wavefront(
     object_point: ArrayLike | None = None,
     nodes: str | ArrayLike = "polar",
     *,
-    samples: Any = None,
+    samples: int | tuple[int, int] | None = None,
     reference: str = "mirror_image",
 ) -> Wavefront:
     """Wave at the exit pupil from one object point by the relay wall.
@@ -293,8 +152,9 @@ def wavefront(
         World, m; by default the hidden object's reference point.
     nodes : {"polar", "grid"} or array_like (n, 2)
         Pupil nodes; an array holds (u, v) in the exit pupil, m.
-    samples : (int, int) or int, optional
-        Radii and angles of polar nodes (default 24, 96); side of a grid (default 256).
+    samples : int or (int, int), optional
+        Polar: radii, with four times as many angles, or (radii, angles), default (24, 96). Grid:
+        cells per side, default 256.
     reference : {"mirror_image", "best_focus"}
         Remove the chief ray's piston and tilt, which shift the image exactly; or fit and remove
         defocus as well. ``removed`` reports them.
@@ -302,89 +162,141 @@ def wavefront(
     Returns
     -------
     Wavefront
-        In exit-pupil coordinates, parallel to the image's axes.
+        In exit-pupil coordinates, parallel to the image's axes. Where the wall is the stop, its
+        pupil radius is that of the circle about the wall's outline.
 
     Raises
     ------
     CausticError, NotWaveGradeError
         Where W is undefined or the wall is not known well enough.
     SamplingError
-        If the wall's edge cuts the pupil and polar nodes are asked for.
+        If the wall's edge cuts the cone and polar nodes are asked for.
 
     Notes
     -----
     The amplitude follows the spreading of ray tubes, 1/sqrt(J), from the van Vleck determinant of
-    the path. A camera focused elsewhere than on the mirrored object adds its defocus.
+    the path. A camera focused elsewhere than on the mirrored object adds its defocus. Cells of a
+    grid that the wall's edge cuts count with the part that lies inside.
     """
     one_of("reference", reference, ("mirror_image", "best_focus"))
-    wavelength = scene.laser.wavelength
-    _check_wave_grade(scene.wall, wavelength)
-    o = (
-        scene.object_point
-        if object_point is None
-        else np.array(vector("object_point", object_point))
-    )
-    pupil = exit_pupil(scene)
-    radius = pupil.radius
-    layout: Layout = "scattered"
-    if isinstance(nodes, str):
-        if nodes not in ("polar", "grid"):
-            raise SceneError(f"nodes = {nodes!r} is unknown, must be polar, grid or (n, 2) numbers")
-        layout = "polar" if nodes == "polar" else "grid"
-    if layout == "polar":
-        u, v, weights = polar_nodes(radius, *(samples or POLAR_SAMPLES))
-    elif layout == "grid":
-        u, v, weights = grid_nodes(radius, samples or GRID_SAMPLES)
+    check_wave_grade(scene.wall, scene.laser.wavelength)
+    if object_point is None:
+        o = scene.object_point
     else:
-        points = np.asarray(nodes, dtype=np.float64)
-        _check_nodes(points)
-        u, v = points[:, 0].copy(), points[:, 1].copy()
-        weights = np.full(len(u), math.pi * radius**2 / len(u))
-
+        o = np.array(vector("object_point", object_point))
+    pupil = exit_pupil(scene)
     # the lens is the exit pupil, or the cone from the image through it, inverted if behind
     zoom = pupil.image_distance / scene.image_distance
+    radius = _reach(scene, pupil, o) * abs(zoom)
+    layout, u, v, weights = _pupil_nodes(nodes, samples, radius)
+    if layout == "polar" and pupil.stop == "wall":
+        raise SamplingError(
+            "the wall is the stop and its outline is a rectangle, which polar nodes cannot follow; "
+            "use nodes='grid'"
+        )
+    lit = weights > 0
+    on_lens = np.stack([u[lit], v[lit]], axis=1) / zoom
     centre, axis = np.array(scene.camera.position), scene.camera.axis
-    flat = np.stack([np.append(0.0, u), np.append(0.0, v)], axis=1) / zoom
-    points = _pupil_points(centre, axis, flat)
-    rays = aim(scene.wall, o, points, axis)
-    aberration = rays.excess[1:] - rays.excess[0] + _defocus(scene, o, flat[1:])
-    amplitude = np.sqrt(rays.spreading[1:] / rays.spreading[0])
-    if pupil.stop == "lens":
-        inside = scene.wall.contains(rays.points[1:, 0], rays.points[1:, 1])
-        if layout == "polar" and not inside.all():
-            raise SamplingError(
-                f"the wall's edge cuts {100 * (1 - inside.mean()):.1f} % of the pupil, which polar "
-                "nodes cannot follow; use nodes='grid'"
-            )
-        amplitude = np.where(inside, amplitude, 0.0)
-
-    e1, e2, _ = scene.camera.frame
-    mirrored = o * (1.0, 1.0, -1.0)
-    kink = _unit(centre - rays.points[0]) - _unit(centre - mirrored)
-    tilt = (float(kink @ e1), float(kink @ e2)) if not scene.wall.is_flat else (0.0, 0.0)
-    aberration = aberration - tilt[0] * flat[1:, 0] - tilt[1] * flat[1:, 1]
+    with_centre = np.concatenate([np.zeros((1, 2)), on_lens])
+    rays = aim(scene.wall, o, pupil_points(centre, axis, with_centre), axis)
+    tilt = _chief_tilt(scene, o, rays.points[0])
+    aberration, amplitude = np.zeros(u.shape), np.zeros(u.shape)
+    aberration[lit] = rays.excess[1:] - rays.excess[0] + _defocus(scene, o, on_lens)
+    aberration[lit] -= on_lens @ np.array(tilt)
+    amplitude[lit] = np.sqrt(rays.spreading[1:] / rays.spreading[0])
+    weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
     result = Wavefront(
         u=u,
         v=v,
-        aberration=aberration.reshape(u.shape),
-        amplitude=amplitude.reshape(u.shape),
+        aberration=aberration,
+        amplitude=amplitude,
         weights=weights,
-        wavelength=wavelength,
+        wavelength=scene.laser.wavelength,
         image_distance=pupil.image_distance,
-        pupil_radius=pupil.radius,
+        pupil_radius=radius,
         layout=layout,
-        removed=Removed(
-            piston=float(rays.excess[0]), tilt=(tilt[0] / zoom, tilt[1] / zoom), defocus=0.0
-        ),
+        removed=Removed(piston=float(rays.excess[0]), tilt=(tilt[0] / zoom, tilt[1] / zoom)),
     )
     return _best_focus(result) if reference == "best_focus" else result
+
+
+def _reach(scene: Scene, pupil: ExitPupil, o: Array) -> float:
+    """Radius of the circle on the lens that holds all light from O by the wall, m."""
+    lens_radius = scene.camera.stop_diameter / 2
+    if pupil.stop == "lens" or scene.wall.size is None:
+        return lens_radius
+    half_x, half_y = (side / 2 for side in scene.wall.size)
+    corners = np.array([[x, y, 0.0] for x in (-half_x, half_x) for y in (-half_y, half_y)])
+    centre, axis = np.array(scene.camera.position), scene.camera.axis
+    mirrored = o * (1.0, 1.0, -1.0)
+    lines = corners - mirrored
+    on_lens = mirrored + ((centre - mirrored) @ axis / (lines @ axis))[:, None] * lines
+    # curved walls send their corners a little elsewhere
+    return min(lens_radius, 1.1 * float(np.linalg.norm(on_lens - centre, axis=1).max()))
+
+
+def _pupil_nodes(
+    nodes: str | ArrayLike, samples: int | tuple[int, int] | None, radius: float
+) -> tuple[Layout, Array, Array, Array]:
+    """Layout, coordinates and areas of the pupil nodes asked for."""
+    if not isinstance(nodes, str):
+        points = np.asarray(nodes, dtype=np.float64)
+        _check_nodes(points)
+        if samples is not None:
+            raise SceneError(f"samples = {samples} with nodes given as an array; leave it out")
+        u, v = points[:, 0].copy(), points[:, 1].copy()
+        area = math.pi * radius**2 / len(u)
+        return "scattered", u, v, np.where(np.hypot(u, v) <= radius * (1 + 1e-9), area, 0.0)
+    one_of("nodes", nodes, ("polar", "grid"))
+    if nodes == "grid":
+        if isinstance(samples, tuple):
+            raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
+        return "grid", *grid_nodes(radius, GRID_SAMPLES if samples is None else samples)
+    if samples is None:
+        samples = POLAR_SAMPLES
+    n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
+    return "polar", *polar_nodes(radius, n_r, n_theta)
+
+
+def _share_on_wall(wall: Wall, hits: Array, lit: NDArray[np.bool_], layout: Layout) -> Array:
+    """Part of every node's area whose light meets the wall."""
+    share = np.zeros(lit.shape)
+    share[lit] = wall.contains(hits[:, 0], hits[:, 1])
+    if layout == "polar" and not share.all():
+        raise SamplingError(
+            f"the wall's edge cuts {100 * (1 - share.mean()):.1f} % of the pupil, which polar "
+            "nodes cannot follow; use nodes='grid'"
+        )
+    if layout == "grid" and wall.size is not None:
+        index = np.cumsum(lit).reshape(lit.shape) - 1
+        middle = lit.shape[0] // 2
+        here, right, above = (
+            hits[index[middle + i, middle + j]] for i, j in ((0, 0), (0, 1), (1, 0))
+        )
+        share[lit] = 1.0
+        for i, side in enumerate(wall.size):
+            # a cell's footprint across the edge, as at the pupil's centre
+            step = abs(right[i] - here[i]) + abs(above[i] - here[i])
+            share[lit] *= np.clip(0.5 + (side / 2 - abs(hits[:, i])) / step, 0.0, 1.0)
+    return share
+
+
+def _chief_tilt(scene: Scene, o: Array, hit: Array) -> tuple[float, float]:
+    """Slopes of W over the lens at its centre: what the wall's bend adds to the chief direction."""
+    if scene.wall.is_flat:
+        return 0.0, 0.0
+    centre = np.array(scene.camera.position)
+    kink = _unit(centre - hit) - _unit(centre - o * (1.0, 1.0, -1.0))
+    e1, e2, _ = scene.camera.frame
+    return float(kink @ e1), float(kink @ e2)
 
 
 def _unit(a: Array) -> Array:
     return np.asarray(a / np.linalg.norm(a))
 
 
-def _check_wave_grade(wall: Wall, wavelength: float) -> None:
+def check_wave_grade(wall: Wall, wavelength: float) -> None:
+    """Raise `NotWaveGradeError` for a mesh that is not known to lambda/20."""
     if isinstance(wall, MeshWall) and wall.fit_residual > wavelength / 20:
         raise NotWaveGradeError(
             f"wall.mesh follows a smooth surface to {1e9 * wall.fit_residual:.3g} nm only, limit "
@@ -418,16 +330,13 @@ def _defocus(scene: Scene, o: Array, nodes: Array) -> Array:
 
 def _best_focus(wave: Wavefront) -> Wavefront:
     """Take the least-squares piston, tilt and defocus out of an aberration."""
-    weights = np.sqrt(wave.weights * wave.amplitude**2).ravel()
-    u, v = wave.u.ravel(), wave.v.ravel()
     r = wave.pupil_radius
-    basis = np.stack([np.ones(u.size), u / r, v / r, (u * u + v * v) / (2 * r * r)], axis=1)
-    fit, *_ = np.linalg.lstsq(
-        basis * weights[:, None], wave.aberration.ravel() * weights, rcond=None
-    )
+    u, v = wave.u / r, wave.v / r
+    terms = np.stack([np.ones_like(u), u, v, (u * u + v * v) / 2])
+    fit = fitted_terms(wave, terms)
     return replace(
         wave,
-        aberration=wave.aberration - (basis @ fit).reshape(wave.u.shape),
+        aberration=wave.aberration - np.tensordot(fit, terms, 1),
         removed=Removed(
             piston=wave.removed.piston + float(fit[0]),
             tilt=(

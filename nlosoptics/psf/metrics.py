@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import fits_memory, one_of, whole
 from ..errors import SamplingError, SceneError
 from . import quadrature
+from .fits import fitted_terms
 from .nodes import circle_shares, gauss_legendre, polar_nodes
 from .point_spreads import PointSpread
 from .residuals import Residual, split
@@ -235,10 +236,7 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     if not terms:
         return wavefront
     basis = np.stack(terms)
-    weights = wavefront.amplitude * wavefront.weights
-    moments = np.stack([[np.sum(a * b * weights) for b in basis] for a in basis])
-    right = np.stack([np.sum(a * weights * wavefront.aberration) for a in basis])
-    fit = np.linalg.pinv(moments, hermitian=True) @ right
+    fit = fitted_terms(wavefront, basis)
     return replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1))
 
 

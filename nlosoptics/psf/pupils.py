@@ -23,7 +23,7 @@ class ExitPupil:
     centre : ndarray, (3,)
         World, m; behind the lens when the wall is the stop.
     radius : float
-        m.
+        m; of the inscribed circle when the wall, a rectangle, is the stop.
     image_distance : float
         From pupil to detector, m, signed: negative when the pupil lies behind the detector.
     f_number : float
@@ -33,7 +33,8 @@ class ExitPupil:
     entrance_radius : float
         Radius of the cone on the lens, m.
     vignetting : float
-        Share of the cone from the object's reference point that misses the wall, 0 to 1.
+        Share of that cone, drawn to the object's reference point by a flat wall of this size, that
+        misses the wall, 0 to 1.
     """
 
     centre: Array
@@ -66,7 +67,7 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     Thin lens of focal length f, in-focus plane d1 + d2 in front of it, wall at d2: the lens limits
     unless the wall's edge, at a from the axis, is within ``r_lens d1/(d1 + d2)``. The wall's image
     then lies ``d2 f/(d2 - f)`` behind the lens, magnified by ``f/(d2 - f)``; it is the inscribed
-    circle that is reported.
+    circle that is reported, while `wavefront` follows the wall's true outline.
     """
     camera, image_distance = scene.camera, scene.image_distance
     position, axis = np.array(camera.position), camera.axis
@@ -77,9 +78,10 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     if scene.wall.size is not None:
         hit = position + d2 * axis
         # distance from the axis to the nearest edge, seen across the axis
+        # common perpendicular of the axis and each edge's line
         gaps = [
-            (half / 2 - abs(float(hit[i]))) * math.sqrt(1 - float(axis[i]) ** 2)
-            for i, half in enumerate(scene.wall.size)
+            (side / 2 - abs(float(hit[i]))) * abs(float(axis[2])) / math.hypot(axis[i], axis[2])
+            for i, side in enumerate(scene.wall.size)
         ]
         edge = min(gaps)
         if edge <= 0:
@@ -101,23 +103,24 @@ def exit_pupil(scene: Scene) -> ExitPupil:
             centre=position - behind * axis,
             radius=radius,
             image_distance=distance,
-            f_number=_f_number(radius, distance),
+            f_number=working_f_number(radius, distance),
             stop="wall",
             entrance_radius=edge * (d1 + d2) / d1,
-            vignetting=0.0,
+            vignetting=_vignetting(scene, edge * (d1 + d2) / d1),
         )
     return ExitPupil(
         centre=position,
         radius=lens_radius,
         image_distance=image_distance,
-        f_number=_f_number(lens_radius, image_distance),
+        f_number=working_f_number(lens_radius, image_distance),
         stop="lens",
         entrance_radius=lens_radius,
         vignetting=_vignetting(scene, lens_radius),
     )
 
 
-def _f_number(radius: float, distance: float) -> float:
+def working_f_number(radius: float, distance: float) -> float:
+    """F-number of a cone: |distance|/(2 radius), beyond F/1 by the sine of its half angle."""
     paraxial = abs(distance) / (2 * radius)
     if paraxial >= 1:
         return paraxial

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SamplingError
+from .fits import fitted_terms
 from .spectra import PolarSpectrum
 from .wavefronts import Wavefront
 
@@ -196,12 +197,8 @@ def split(wavefront: Wavefront) -> Residual:
             "a scattered wavefront has no Fourier transform here; sample it on polar nodes or a "
             "grid (nodes='polar' or 'grid')"
         )
-    weights = wavefront.amplitude * wavefront.weights
     scale = wavefront.pupil_radius
     plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
-    moments = np.einsum("iyx,jyx,yx->ij", plane, plane, weights)
-    right = np.einsum("iyx,yx,yx->i", plane, weights, wavefront.aberration)
-    # The pseudo-inverse holds for a slit, too, across which there is no tilt.
-    fit = np.linalg.pinv(moments, hermitian=True) @ right
+    fit = fitted_terms(wavefront, plane)
     aberration = wavefront.aberration - np.einsum("i,iyx->yx", fit, plane)
     return Residual(wavefront, (float(fit[1] / scale), float(fit[2] / scale)), aberration)

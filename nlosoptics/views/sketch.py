@@ -80,11 +80,9 @@ def _profile(scene: Scene, *, along: int, reach: float) -> Any:
 def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
     """Label, world points (n, 3) in m and line style of all but the wall."""
     camera, laser = np.array(scene.camera.position), np.array(scene.laser.position)
-    spot, hidden, mirrored = (
-        np.array(scene.laser.aim),
-        scene.object_point,
-        scene.mirrored_object_point,
-    )
+    x, y, _ = scene.laser.aim
+    spot = np.array([x, y, float(scene.wall.height(x, y))])
+    hidden, mirrored = scene.object_point, scene.mirrored_object_point
     # where the straight line from the camera to the mirrored object crosses z = 0
     crossing = camera + (mirrored - camera) * camera[2] / (camera[2] - mirrored[2])
     lens = scene.camera.frame[:2] * scene.camera.stop_diameter / 2

@@ -173,3 +173,48 @@ def test_no_other_part_loads_torch():
         "sys.exit('torch' in sys.modules)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
+def test_background_of_known_shape_and_unknown_strength_is_taken_out(solver, small):
+    """A sloping veil is recovered with its strength; a uniform one in its place is not enough."""
+    image, model = small
+    veil = np.linspace(0.2, 1.8, image.shape[1]) * np.ones(image.shape)
+    veiled = image + 3.0 * veil
+    clean = solver(image, model, noise_sigma=0.02, fit_background=False)
+    shaped = solver(veiled, model, noise_sigma=0.02, background_shape=veil, gain=1.0)
+    flat = solver(veiled, model, noise_sigma=0.02, gain=1.0)
+    truth = clean.object * clean.physical_parameters["gain"]
+
+    def error(found):
+        return np.abs(found.object - truth).mean()
+
+    # 0.02 of noise over 1280 pixels fixes the strength to 1e-3; edges share it with the object
+    assert shaped.physical_parameters["background"] == pytest.approx(3.0, abs=0.02)
+    assert error(shaped) < 0.02
+    assert error(flat) > 10 * error(shaped)
+
+
+def test_uniform_shape_is_the_default(solver, small):
+    image, model = small
+    plain = solver(image, model, noise_sigma=0.02).object
+    shaped = solver(image, model, noise_sigma=0.02, background_shape=np.full(image.shape, 7.0))
+    # the same sums in another order, in single precision
+    np.testing.assert_allclose(shaped.object, plain, atol=1e-4)
+
+
+@pytest.mark.parametrize("shape", [np.zeros((32, 40)), np.full((32, 40), -1.0)])
+def test_background_shape_without_light_is_refused(solver, small, shape):
+    image, model = small
+    with pytest.raises(SceneError, match="background_shape spans"):
+        solver(image, model, background_shape=shape)
+
+
+def test_threads_are_given_back(solver, small):
+    image, model = small
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        solver(image, model, noise_sigma=0.02)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
