@@ -14,14 +14,13 @@ from .errors import NotWaveGradeError, SceneError
 from .psf.aberration import check_wave_grade
 from .psf.pupils import ExitPupil, exit_pupil
 from .scene import (
-    ConcaveWall,
+    ConvexWall,
     MeshWall,
     PlanarObject,
     Scene,
     SpecularMicrofacet,
     SumMaterial,
-    SumWall,
-    WavyWall,
+    Ward,
 )
 
 BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
@@ -339,7 +338,7 @@ def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:
     d2 = -float(position[2] / scene.camera.axis[2])
     d1 = max(float(np.linalg.norm(scene.mirrored_object_point - position)) - d2, 1e-9)
     m, d_eff = d1 / (d1 + d2), d1 * d2 / (d1 + d2)
-    sign = -1.0 if isinstance(scene.wall, ConcaveWall | WavyWall | SumWall | MeshWall) else 1.0
+    sign = 1.0 if isinstance(scene.wall, ConvexWall) else -1.0
     curved = kappa * m**2 / max(abs(1 + sign * 2 * kappa * d_eff), 1e-3)
     depth = float((scene.mirrored_object_point - position) @ scene.camera.axis)
     focus = 0.5 * abs(1 / depth - 1 / scene.focus_distance) if depth > 0 else math.inf
@@ -350,12 +349,14 @@ def _lobe_slope(scene: Scene) -> float:
     """Largest slope rms among the wall's mirror-like lobes, rad."""
     material = scene.wall_material
     parts = material.parts if isinstance(material, SumMaterial) else (material,)
-    slopes = [p.slope_rms for p in parts if isinstance(p, SpecularMicrofacet)]
+    slopes = [
+        p.slope_rms
+        for p in parts
+        if isinstance(p, SpecularMicrofacet | Ward) and p.specular_reflectance > 0
+    ]
     return max(slopes, default=0.0)
 
 
 def _sees_itself(scene: Scene) -> bool:
     """Whether straight lines can join two points of the wall in front of it."""
-    return isinstance(scene.wall, ConcaveWall | WavyWall | SumWall | MeshWall) and not (
-        scene.wall.is_flat
-    )
+    return not (scene.wall.is_flat or isinstance(scene.wall, ConvexWall))

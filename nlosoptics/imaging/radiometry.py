@@ -19,7 +19,7 @@ from ..errors import SceneError
 from ..psf.pupils import working_f_number
 from ..raytrace import intersect
 from ..scene import Material, Scene
-from ..scene.materials import LAMBERT
+from ..scene._material import BECKMANN, LAMBERT
 from .geometry import ChiefRays, pixel_centres
 from .objects import Patches
 
@@ -316,6 +316,11 @@ def _grouped_flux(
     cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
     if (diffuse._lobes()[:, 0] == LAMBERT).all():
         cell = math.inf  # the lobe does not depend on where the light comes from
+    else:
+        # gloss varies over half its slope
+        glossy = diffuse._lobes()
+        slopes = glossy[glossy[:, 0] >= BECKMANN, 2]
+        cell *= min(1.0, 0.5 * float(slopes.min(initial=1.0)))
     cells = np.floor((patches.points - patches.points.min(axis=0)) / cell).astype(np.intp)
     group = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(group, kind="stable")

@@ -72,6 +72,31 @@ def stationary_point(terms, tables, o, p, x, y, side):
     return x, y, FOUND if norm < 1e-11 else NOT_FOUND
 
 
+@njit(cache=True)
+def _describe(o, p, x, y, s, axis, row):
+    """Fill a row of `aim`, its status apart, at the stationary point (x, y)."""
+    row[0], row[1], row[2] = x, y, s[0]
+    _, _, hxx, hxy, hyy = _stationarity(o, p, x, y, s, 1.0)
+    det = hxx * hyy - hxy * hxy
+    row[5] = det
+    row[6] = 0.5 * (hxx + hyy - math.hypot(hxx - hyy, 2.0 * hxy))
+    # A = H - O', B = p - H; |A| + |B| - |A + B| without cancellation
+    ax, ay, az = x - o[0], y - o[1], s[0] + o[2]
+    bx, by, bz = p[0] - x, p[1] - y, p[2] - s[0]
+    a, b = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    dot = ax * bx + ay * by + az * bz
+    c = math.sqrt((ax + bx) ** 2 + (ay + by) ** 2 + (az + bz) ** 2)
+    bend = 2.0 * (cx * cx + cy * cy + cz * cz) / ((a * b + dot) * (a + b + c))
+    a_true = math.sqrt(ax * ax + ay * ay + (s[0] - o[2]) ** 2)
+    row[3] = bend - 4.0 * o[2] * s[0] / (a_true + a)
+    # van Vleck determinant of the reduced path gives the spreading of a ray tube
+    along_1 = abs(-s[1] * ax - s[2] * ay + (s[0] - o[2])) / a_true
+    along_2 = abs(-s[1] * bx - s[2] * by + bz) / b
+    cos_pupil = abs(bx * axis[0] + by * axis[1] + bz * axis[2]) / b
+    row[4] = along_1 * along_2 * cos_pupil / (a_true * a_true * b * b * abs(det))
+
+
 @njit(cache=True, parallel=True)
 def aim(terms, tables, o, nodes, starts, axis, out):
     """Fill ``out`` (n, 8) for the stationary paths from O by the wall to each node (n, 3).
@@ -84,29 +109,27 @@ def aim(terms, tables, o, nodes, starts, axis, out):
         p = nodes[i]
         x, y, status = stationary_point(terms, tables, o, p, starts[i, 0], starts[i, 1], 1.0)
         s = surface(terms, tables, x, y)
-        out[i, 7] = status
         out[i, 0], out[i, 1], out[i, 2] = x, y, s[0]
-        if status != FOUND:
-            continue
-        _, _, hxx, hxy, hyy = _stationarity(o, p, x, y, s, 1.0)
-        det = hxx * hyy - hxy * hxy
-        out[i, 5] = det
-        out[i, 6] = 0.5 * (hxx + hyy - math.hypot(hxx - hyy, 2.0 * hxy))
-        # A = H - O', B = p - H; |A| + |B| - |A + B| without cancellation
-        ax, ay, az = x - o[0], y - o[1], s[0] + o[2]
-        bx, by, bz = p[0] - x, p[1] - y, p[2] - s[0]
-        a, b = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
-        cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        dot = ax * bx + ay * by + az * bz
-        c = math.sqrt((ax + bx) ** 2 + (ay + by) ** 2 + (az + bz) ** 2)
-        bend = 2.0 * (cx * cx + cy * cy + cz * cz) / ((a * b + dot) * (a + b + c))
-        a_true = math.sqrt(ax * ax + ay * ay + (s[0] - o[2]) ** 2)
-        out[i, 3] = bend - 4.0 * o[2] * s[0] / (a_true + a)
-        # van Vleck determinant of the reduced path gives the spreading of a ray tube
-        along_1 = abs(-s[1] * ax - s[2] * ay + (s[0] - o[2])) / a_true
-        along_2 = abs(-s[1] * bx - s[2] * by + bz) / b
-        cos_pupil = abs(bx * axis[0] + by * axis[1] + bz * axis[2]) / b
-        out[i, 4] = along_1 * along_2 * cos_pupil / (a_true * a_true * b * b * abs(det))
+        if status == FOUND:
+            _describe(o, p, x, y, s, axis, out[i])
+        out[i, 7] = status
+
+
+@njit(cache=True)
+def stationarities(o, nodes, points, surfaces, side, out):
+    """Fill ``out`` (n, 5) with the path's gradient and Hessian at points (n, 2) of a surface."""
+    for i in range(nodes.shape[0]):
+        s = surfaces[i]
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = _stationarity(
+            o, nodes[i], points[i, 0], points[i, 1], s, side
+        )
+
+
+@njit(cache=True)
+def describe(o, nodes, points, surfaces, axis, out):
+    """Fill rows (n, 8) of `aim`, their status apart, at stationary points (n, 2)."""
+    for i in range(nodes.shape[0]):
+        _describe(o, nodes[i], points[i, 0], points[i, 1], surfaces[i], axis, out[i])
 
 
 @njit(cache=True)

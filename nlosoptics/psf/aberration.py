@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import one_of, real, vector
 from ..errors import CausticError, NotWaveGradeError, SamplingError, SceneError
 from ..scene import MeshWall, Scene, Wall
-from .aiming import aim, pupil_points
+from .aiming import aim, pupil_points, stationary_points
 from .fits import fitted_terms
 from .nodes import grid_nodes, polar_nodes
 from .pupils import ExitPupil, exit_pupil
@@ -120,7 +120,8 @@ def path_difference(
         if wall.is_flat and side < 0:
             raise CausticError("a virtual target of a flat wall has no single stationary path")
         if not wall.is_flat:
-            x, y, status = _kernels.stationary_point(*wall._terms(), o, p, x, y, side)
+            start = np.array([[x, y]])
+            x, y, status = next(stationary_points(wall, o, p, start, side))
             if status != _kernels.FOUND:
                 raise CausticError(
                     f"no stationary path from {source!r} by the wall to {target!r}; "

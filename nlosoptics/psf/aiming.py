@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import vector
 from ..errors import CausticError, SceneError
-from ..scene import Wall, pupil_frame
+from ..scene import CallableWall, Wall, pupil_frame
 
 Array = NDArray[np.float64]
 
@@ -75,12 +76,14 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
             spreading=cosine / legs**2,
             determinant=np.ones(len(nodes)),
         )
-    from . import _kernels
+    from . import _kernels, callable_aiming
 
     out = np.empty((len(nodes), _kernels.N_COLUMNS))
-    terms, tables = wall._terms()
-    nodes = np.ascontiguousarray(nodes)
-    _kernels.aim(terms, tables, o, nodes, mirror_hits[:, :2].copy(), axis, out)
+    nodes, starts = np.ascontiguousarray(nodes), mirror_hits[:, :2].copy()
+    if isinstance(wall, CallableWall):
+        callable_aiming.aim(wall, o, nodes, starts, axis, out)
+    else:
+        _kernels.aim(*wall._terms(), o, nodes, starts, axis, out)
     lost = out[:, 7] != _kernels.FOUND
     if lost.any():
         raise CausticError(
@@ -118,21 +121,33 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
         reach = min(reach, 4 * slope * d1 * d2 / (d1 + d2) + 2 * wall.finest_period)
     n_starts = int(min(129, max(9, 2 * math.ceil(4 * reach / wall.finest_period) + 1)))
     offsets = np.linspace(-reach, reach, n_starts)
-    terms, tables = wall._terms()
     for node in (0, len(nodes) - 1):
         centre = aimed[node, :2]
-        for dx in offsets:
-            for dy in offsets:
-                x, y, status = _kernels.stationary_point(
-                    terms, tables, o, nodes[node], centre[0] + dx, centre[1] + dy, 1.0
+        around = centre + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+        for x, y, status in stationary_points(wall, o, nodes[node], around, 1.0):
+            apart = math.hypot(x - centre[0], y - centre[1])
+            if status == _kernels.FOUND and apart > 1e-6 and bool(wall.contains(x, y)):
+                raise CausticError(
+                    f"the wall shows the object more than once: light also arrives from "
+                    f"x = {x:.4g} m, y = {y:.4g} m beside x = {centre[0]:.4g} m, "
+                    f"y = {centre[1]:.4g} m; use a flatter wall or rays instead of waves"
                 )
-                apart = math.hypot(x - centre[0], y - centre[1])
-                if status == _kernels.FOUND and apart > 1e-6 and bool(wall.contains(x, y)):
-                    raise CausticError(
-                        f"the wall shows the object more than once: light also arrives from "
-                        f"x = {x:.4g} m, y = {y:.4g} m beside x = {centre[0]:.4g} m, "
-                        f"y = {centre[1]:.4g} m; use a flatter wall or rays instead of waves"
-                    )
+
+
+def stationary_points(
+    wall: Wall, o: Array, p: Array, starts: Array, side: float
+) -> Iterator[tuple[float, float, int]]:
+    """Stationary wall points (x, y, status) of the path from O to p, from several starts."""
+    from . import _kernels, callable_aiming
+
+    if isinstance(wall, CallableWall):
+        targets = np.broadcast_to(p, (len(starts), 3)).copy()
+        points, status = callable_aiming.stationary_points(wall, o, targets, starts, side)
+        yield from zip(points[:, 0].tolist(), points[:, 1].tolist(), status.tolist(), strict=True)
+        return
+    terms, tables = wall._terms()
+    for x, y in starts:
+        yield _kernels.stationary_point(terms, tables, o, p, x, y, side)
 
 
 def pupil_points(centre: ArrayLike, axis: Array, nodes: Array) -> Array:

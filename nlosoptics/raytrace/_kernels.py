@@ -1,4 +1,4 @@
-"""Where rays meet curved relay walls, compiled.
+"""Where rays meet curved relay walls and triangles, compiled.
 
 Every ray is o + t d with unit d and t in m. ``box`` holds the half sizes in x and y that bound a
 search, inf where there is no bound.
@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit, prange
 
 from ..scene._kernels import CYLINDER, GRID, SPHERE, WAVE, surface
 
 HIT, MISS, OUTSIDE, UNRESOLVED, BEHIND = 0, 1, 2, 3, 4
 MAX_STEPS = 500
+BLOCK = 64  # rays at a time
+OX, OY, OZ, DX, DY, DZ, T, HX, HY, MIDDLE, REACH, ERROR, SINE, P, Q = range(0, 15 * BLOCK, BLOCK)
+ROWS = 15
 TOLERANCE = 1e-13  # of the height above the wall, relative to the ray's scale
 
 
@@ -162,7 +166,96 @@ def _march(terms, tables, grid_bounds, box, slab, rim, o, d):
     return math.nan, UNRESOLVED
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, inline="always")
+def _sin_cos(x):
+    """Sine and cosine by one reduction and no jump, to an ulp or so; |x| <= 1e5."""
+    turns = math.floor(x * 0.6366197723675814 + 0.5)
+    # pi/2 in three parts, of which the products with a whole number are exact (fdlibm)
+    r = x - turns * 1.57079632673412561417e00
+    r -= turns * 6.07710050630396597660e-11
+    r -= turns * 2.02226624879595063154e-21
+    z = r * r
+    s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    s = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * s)
+    s = r + r * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * s))
+    c = 2.08757232129817482790e-09 - z * 1.13596475577881948265e-11
+    c = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * c)
+    c = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * c)
+    c = 1.0 - 0.5 * z + z * z * c
+    quarter = turns - 4.0 * math.floor(0.25 * turns)
+    odd = quarter == 1.0 or quarter == 3.0
+    sine = c if odd else s
+    cosine = s if odd else c
+    sine = -sine if quarter >= 2.0 else sine
+    cosine = -cosine if (quarter == 1.0 or quarter == 2.0) else cosine
+    return sine, cosine
+
+
+@njit(cache=True, inline="always")
+def _unit(d):
+    """Unit vector along d, of any finite length; NaN where there is none."""
+    largest = max(abs(d[0]), abs(d[1]), abs(d[2]))
+    # first, so that squares neither overflow nor vanish
+    x, y, z = d[0] / largest, d[1] / largest, d[2] / largest
+    norm = math.sqrt(x * x + y * y + z * z)
+    return x / norm, y / norm, z / norm
+
+
+@njit(cache=True, error_model="numpy")
+def _wave(row, box, w, state):
+    """Distance, slopes and status of a block of rays at a single wave; status -1: to be marched.
+
+    ``w`` holds the rays' numbers in rows of BLOCK, OX to Q. Rows of one array at fixed distances
+    and loops without jumps let the compiler work on several rays at once.
+
+    Along a ray f = z + t dz - a cos(p + t q). With |a q| < |dz| it falls all the way, so that its
+    only zero is within |a / dz| of the mean plane's.
+    """
+    a, kx, ky, phase = row[1], row[2], row[3], row[4]
+    for i in range(BLOCK):
+        q = kx * w[DX + i] + ky * w[DY + i]
+        p = kx * w[OX + i] + ky * w[OY + i] + phase
+        t, reach = -w[OZ + i] / w[DZ + i], abs(a / w[DZ + i])
+        # half of |dz| keeps Halley's step, f f'' < f'^2, of one sign with Newton's
+        good = (w[DZ + i] < 0.0) & (abs(a * q) < -0.5 * w[DZ + i]) & (w[OZ + i] > abs(a))
+        good &= abs(p) + abs(q * (t + reach)) < 1e5
+        w[P + i], w[Q + i], w[T + i], w[MIDDLE + i], w[REACH + i] = p, q, t, t, reach
+        w[ERROR + i] = math.inf if good else -1.0
+    for _ in range(12):
+        for i in range(BLOCK):
+            t, q, middle, error = w[T + i], w[Q + i], w[MIDDLE + i], w[ERROR + i]
+            sine, cosine = _sin_cos(w[P + i] + t * q)
+            f = w[OZ + i] + t * w[DZ + i] - a * cosine
+            slope, bend = w[DZ + i] + a * q * sine, a * q * q * cosine
+            aim = t - 2.0 * f * slope / (2.0 * slope * slope - f * bend)
+            low, high = middle - w[REACH + i], middle + w[REACH + i]
+            aim = low if aim < low else aim
+            aim = high if aim > high else aim
+            turn, curved = (aim - t) * q, (aim - t) * bend / slope
+            t2 = turn * turn
+            moved = sine * (1.0 - t2 * (0.5 - t2 / 24.0)) + cosine * turn * (1.0 - t2 / 6.0)
+            # a ray stays where it has converged, whatever the others of its block need
+            busy = error > 1e-16 * (middle if middle > 1e-3 else 1e-3)
+            w[T + i] = aim if busy else t
+            w[SINE + i] = moved if busy else w[SINE + i]
+            # Halley's step leaves less than this, the cube of the step over lengths squared
+            w[ERROR + i] = abs(aim - t) * (t2 + curved * curved) if busy else error
+        left = 0
+        for i in range(BLOCK):
+            middle = w[MIDDLE + i]
+            left += int(w[ERROR + i] > 1e-16 * (middle if middle > 1e-3 else 1e-3))
+        if left == 0:
+            break
+    for i in range(BLOCK):
+        t, sine = w[T + i], w[SINE + i]
+        w[HX + i], w[HY + i] = -a * kx * sine, -a * ky * sine
+        x, y = w[OX + i] + t * w[DX + i], w[OY + i] + t * w[DY + i]
+        state[i] = HIT if abs(x) <= box[0] and abs(y) <= box[1] else OUTSIDE
+        if not 0.0 <= w[ERROR + i] <= 1e-16 * max(w[MIDDLE + i], 1e-3):
+            state[i] = -1
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
 def intersect(
     terms,
     tables,
@@ -177,22 +270,258 @@ def intersect(
     normals,
     status,
 ):
-    """Fill distance (n,), points and normals (n, 3) and status (n,) for unit directions."""
-    closed = terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)
-    for i in prange(distance.size):
-        o, d = origins[i], directions[i]
-        if closed:
-            t, state = _conic(terms[0], box, o, d)
+    """Fill distance (n,), points and normals (n, 3) and status (n,); return the bad rays' number.
+
+    Directions have any length; a ray is bad with NaN, infinity or no direction.
+    """
+    single = terms.shape[0] == 1
+    closed = single and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)
+    count = distance.size
+    bad = 0
+    for block in prange((count + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        n = min(BLOCK, count - start)
+        w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
+        for i in range(n):
+            j = start + i
+            x, y, z = origins[j, 0], origins[j, 1], origins[j, 2]
+            dx, dy, dz = _unit((directions[j, 0], directions[j, 1], directions[j, 2]))
+            bad += 0 if math.isfinite(x + y + z + dx + dy + dz) else 1
+            w[OX + i], w[OY + i], w[OZ + i] = x, y, z
+            w[DX + i], w[DY + i], w[DZ + i] = dx, dy, dz
+        if single and terms[0, 0] == WAVE:
+            _wave(terms[0], box, w, state)
+        for i in range(n):
+            o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
+            t, condition, hx, hy = w[T + i], state[i], w[HX + i], w[HY + i]
+            if condition < 0:
+                if closed:
+                    t, condition = _conic(terms[0], box, o, d)
+                else:
+                    t, condition = _march(terms, tables, grid_bounds, box, slab, rim, o, d)
+                if condition == HIT:
+                    _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+                    if not math.isfinite(hx):
+                        condition = UNRESOLVED
+            norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
+            if condition != HIT:
+                t = norm = math.nan
+            j = start + i
+            distance[j], status[j] = t, condition
+            for k in range(3):
+                points[j, k] = o[k] + t * d[k]
+            normals[j, 0], normals[j, 1], normals[j, 2] = -hx * norm, -hy * norm, norm
+    return bad
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def enter(origins, directions, limits, centre, scale, aside, units, starts, heads, index):
+    """Unit directions, and what Embree gets of the rays that meet the box ``limits`` (2, 3).
+
+    Starts and heads are float32, in units of ``scale`` about ``centre``, from where a ray enters
+    the box. They stand ``aside`` of the ray, so that one aimed at a vertex passes beside it, and as
+    far back eightfold, so that what the ray starts in front of is still in front of it. Returns the
+    number kept, or -1 where a ray holds NaN, infinity or no direction.
+    """
+    kept = 0
+    for i in range(origins.shape[0]):
+        o = (origins[i, 0], origins[i, 1], origins[i, 2])
+        d = _unit((directions[i, 0], directions[i, 1], directions[i, 2]))
+        if not math.isfinite(o[0] + o[1] + o[2] + d[0] + d[1] + d[2]):
+            return -1
+        units[i, 0], units[i, 1], units[i, 2] = d
+        low, high = 0.0, math.inf
+        for k in range(3):
+            middle = 0.5 * (limits[0, k] + limits[1, k])
+            low, high = _span(limits[1, k] - middle, o[k] - middle, d[k], low, high)
+        if not low <= high:
+            continue
+        low -= 8.0 * aside
+        # across d: the axis of its least component, crossed with it
+        if abs(d[0]) <= abs(d[1]) and abs(d[0]) <= abs(d[2]):
+            e = (0.0, -d[2], d[1])
+        elif abs(d[1]) <= abs(d[2]):
+            e = (d[2], 0.0, -d[0])
         else:
-            t, state = _march(terms, tables, grid_bounds, box, slab, rim, o, d)
-        if state == HIT:
-            x, y = o[0] + t * d[0], o[1] + t * d[1]
-            _, hx, hy, _, _, _ = surface(terms, tables, x, y)
-            if math.isfinite(hx):
-                norm = math.sqrt(1.0 + hx * hx + hy * hy)
-                distance[i] = t
-                points[i, 0], points[i, 1], points[i, 2] = x, y, o[2] + t * d[2]
-                normals[i, 0], normals[i, 1], normals[i, 2] = -hx / norm, -hy / norm, 1.0 / norm
-            else:
-                state = UNRESOLVED
-        status[i] = state
+            e = (-d[1], d[0], 0.0)
+        for k in range(3):
+            starts[kept, k] = (o[k] + low * d[k] - centre[k] + aside * e[k]) / scale
+            heads[kept, k] = d[k]
+        index[kept] = i
+        kept += 1
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def gather(starts, heads, index):
+    """Sort rays so that those alike follow each other, for the processor's caches; stable.
+
+    A ray's bin is where it points seen from the mesh's centre: the cell of a cube map that its
+    middle within the unit ball, pushed out along it, falls into.
+    """
+    n = index.size
+    side = 64
+    bins = np.empty(n, dtype=np.int32)
+    counts = np.zeros(6 * side * side + 1, dtype=np.int64)
+    for j in range(n):
+        b = c = 0.0
+        for k in range(3):
+            b += starts[j, k] * heads[j, k]
+            c += starts[j, k] * starts[j, k]
+        t = -b + math.sqrt(max(b * b - c + 1.5, 0.0))
+        x, y, z = (
+            starts[j, 0] + t * heads[j, 0],
+            starts[j, 1] + t * heads[j, 1],
+            starts[j, 2] + t * heads[j, 2],
+        )
+        if abs(x) >= abs(y) and abs(x) >= abs(z):
+            face, m, u, v = 0 if x < 0.0 else 1, abs(x), y, z
+        elif abs(y) >= abs(z):
+            face, m, u, v = 2 if y < 0.0 else 3, abs(y), x, z
+        else:
+            face, m, u, v = 4 if z < 0.0 else 5, abs(z), x, y
+        m += 1e-30
+        iu = min(side - 1, int((u / m + 1.0) * (0.5 * side)))
+        iv = min(side - 1, int((v / m + 1.0) * (0.5 * side)))
+        bins[j] = (face * side + iu) * side + iv
+        counts[bins[j] + 1] += 1
+    for k in range(1, counts.size):
+        counts[k] += counts[k - 1]
+    sorted_starts, sorted_heads = np.empty_like(starts), np.empty_like(heads)
+    sorted_index = np.empty_like(index)
+    for j in range(n):
+        to = counts[bins[j]]
+        counts[bins[j]] += 1
+        sorted_index[to] = index[j]
+        for k in range(3):
+            sorted_starts[to, k], sorted_heads[to, k] = starts[j, k], heads[j, k]
+    return sorted_starts, sorted_heads, sorted_index
+
+
+@njit(cache=True, inline="always")
+def _facet(row, o, d):
+    """Signed volumes (u, v, w), their sum and the distance of a triangle (a, b - a, c - a)."""
+    sx, sy, sz = o[0] - row[0], o[1] - row[1], o[2] - row[2]
+    ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
+    px, py, pz = d[1] * bz - d[2] * by, d[2] * bx - d[0] * bz, d[0] * by - d[1] * bx
+    qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
+    det = ax * px + ay * py + az * pz
+    u = sx * px + sy * py + sz * pz
+    v = d[0] * qx + d[1] * qy + d[2] * qz
+    t = (bx * qx + by * qy + bz * qz) / det
+    if det < 0.0:
+        return -u, -v, u + v - det, -det, t
+    return u, v, det - u - v, det, t
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place(facets, edges, origins, units, index, ids, margin, nearest, farthest, found, distance):
+    """Accept Embree's triangles where float64 agrees beyond doubt; return the others' number.
+
+    ``edges`` are the longest of each triangle, ``margin`` how far aside Embree may be, m. Rays in
+    doubt, those without a triangle included, move to the front of ``index`` and ``ids``.
+    """
+    doubtful = 0
+    for j in range(index.size):
+        i, k = index[j], ids[j]
+        if k >= 0:
+            o = (origins[i, 0], origins[i, 1], origins[i, 2])
+            d = (units[i, 0], units[i, 1], units[i, 2])
+            u, v, w, _, t = _facet(facets[k], o, d)
+            # volumes over det are barycentric; margin * edge is the volume of a strip
+            if min(u, v, w) > margin * edges[k] and t >= nearest:
+                if t <= farthest[i]:
+                    found[i], distance[i] = k, t
+                continue
+        index[doubtful], ids[doubtful] = i, k
+        doubtful += 1
+    return doubtful
+
+
+@njit(cache=True, nogil=True)
+def aside(starts, heads, count, shift, turn, out):
+    """Copies of rays ``shift`` away from where they are, in the direction ``turn`` around them."""
+    cosine, sine = math.cos(turn), math.sin(turn)
+    for j in range(count):
+        d = (heads[j, 0], heads[j, 1], heads[j, 2])
+        if abs(d[0]) <= abs(d[1]) and abs(d[0]) <= abs(d[2]):
+            e = (0.0, -d[2], d[1])
+        elif abs(d[1]) <= abs(d[2]):
+            e = (d[2], 0.0, -d[0])
+        else:
+            e = (-d[1], d[0], 0.0)
+        f = (d[1] * e[2] - d[2] * e[1], d[2] * e[0] - d[0] * e[2], d[0] * e[1] - d[1] * e[0])
+        norm = shift / math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+        for k in range(3):
+            out[j, k] = starts[j, k] + norm * (cosine * e[k] + sine * f[k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def search(facets, edges, boxes, origins, units, index, nearest, farthest, found, distance):
+    """First triangle of every ray of ``index`` between its limits, in float64 throughout.
+
+    ``boxes`` (n, 6) is a complete binary tree, low and high corners; its leaves hold four
+    triangles each, in the order of ``facets``. Edges and vertices belong to their triangles.
+    """
+    first_leaf = boxes.shape[0] // 2
+    stack = np.empty(128, dtype=np.int64)
+    for j in range(index.size):
+        i = index[j]
+        o = (origins[i, 0], origins[i, 1], origins[i, 2])
+        d = (units[i, 0], units[i, 1], units[i, 2])
+        best, chosen = farthest[i], -1
+        stack[0], top = 0, 1
+        while top > 0:
+            top -= 1
+            node = stack[top]
+            low, high = nearest, best
+            for k in range(3):
+                corner, other = boxes[node, k] - o[k], boxes[node, k + 3] - o[k]
+                if d[k] == 0.0:
+                    if corner > 0.0 or other < 0.0:
+                        low = math.inf
+                else:
+                    p, q = corner / d[k], other / d[k]
+                    low, high = max(low, min(p, q)), min(high, max(p, q))
+            if not low <= high + 1e-15 * (abs(low) + abs(high)):
+                continue
+            if node < first_leaf:
+                stack[top], stack[top + 1] = 2 * node + 2, 2 * node + 1
+                top += 2
+                continue
+            start = 4 * (node - first_leaf)
+            for m in range(start, min(start + 4, facets.shape[0])):
+                row = facets[m]
+                u, v, w, det, t = _facet(row, o, d)
+                away = abs(o[0] - row[0]) + abs(o[1] - row[1]) + abs(o[2] - row[2])
+                # rounding of the volumes, so that no ray slips between two triangles
+                slack = 4e-16 * (away + edges[m]) * edges[m]
+                inside = det > 0.0 and min(u, v, w) >= -slack and nearest <= t <= best
+                if inside and (t < best or chosen < 0 or m < chosen):
+                    best, chosen = t, m
+        if chosen >= 0:
+            found[i], distance[i] = chosen, best
+
+
+@njit(cache=True, nogil=True)
+def finish(facets, origins, units, names, found, distance, points, normals, triangles, status):
+    """Points on the planes of the triangles found, normals against the rays, names and status."""
+    for i in range(found.size):
+        k = found[i]
+        if k < 0:
+            distance[i] = math.nan
+            points[i, 0] = points[i, 1] = points[i, 2] = math.nan
+            normals[i, 0] = normals[i, 1] = normals[i, 2] = math.nan
+            triangles[i], status[i] = -1, MISS
+            continue
+        row, t = facets[k], distance[i]
+        nx = row[4] * row[8] - row[5] * row[7]
+        ny = row[5] * row[6] - row[3] * row[8]
+        nz = row[3] * row[7] - row[4] * row[6]
+        norm = math.sqrt(nx * nx + ny * ny + nz * nz)
+        if nx * units[i, 0] + ny * units[i, 1] + nz * units[i, 2] > 0.0:
+            norm = -norm
+        for m in range(3):
+            points[i, m] = origins[i, m] + t * units[i, m]
+        normals[i, 0], normals[i, 1], normals[i, 2] = nx / norm, ny / norm, nz / norm
+        triangles[i], status[i] = names[k], HIT

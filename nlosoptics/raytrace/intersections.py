@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SceneError
+from ..scene.height_maps import CallableWall, grid_limits
 from ..scene.walls import CYLINDER, GRID, SPHERE, WAVE, Wall
 
 Array = NDArray[np.float64]
@@ -83,38 +84,51 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
 
     A sum of walls that has a curved term and no size is searched to 0.999 of its radius.
     """
-    o, d = _rays(origins, directions)
     if wall.is_flat:
-        return _plane(wall, o, d)
+        return _plane(wall, *_rays(origins, directions))
+    if isinstance(wall, CallableWall):
+        return _callable(wall, *_rays(origins, directions))
     from . import _kernels
 
-    shape = o.shape[:-1]
+    o, d, shape = flat_rays(origins, directions)
     terms, tables = wall._terms()
     count = math.prod(shape)
-    distance = np.full(count, np.nan)
-    points, normals = np.full((count, 3), np.nan), np.full((count, 3), np.nan)
-    status = np.empty(count, dtype=np.int8)
+    distance, status = np.empty(count), np.empty(count, dtype=np.int8)
+    points, normals = np.empty((count, 3)), np.empty((count, 3))
     curvature, box, slab, rim = _bounds(wall, terms, tables)
-    _kernels.intersect(
+    bad = _kernels.intersect(
         terms,
         tables,
         curvature,
         box,
         slab,
         rim,
-        o.reshape(-1, 3),
-        d.reshape(-1, 3),
+        o,
+        d,
         distance,
         points,
         normals,
         status,
     )
+    if bad:
+        _rays(origins, directions)  # names the first one
     return Hits(
         distance.reshape(shape),
         points.reshape(*shape, 3),
         normals.reshape(*shape, 3),
         status.reshape(shape),
     )
+
+
+def flat_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
+    """Origins and directions as (n, 3) of values not yet checked, and the shape of the rays."""
+    o, d = (np.asarray(v, dtype=np.float64) for v in (origins, directions))
+    if min(o.ndim, d.ndim) == 0 or (o.shape[-1], d.shape[-1]) != (3, 3) or o.shape != d.shape:
+        o, d = _rays(o, d)
+    shape = o.shape[:-1]
+    # compiled code knows one layout only: writeable and contiguous
+    o, d = (np.require(v.reshape(-1, 3), requirements=("C", "W")) for v in (o, d))
+    return o, d, shape
 
 
 def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
@@ -160,6 +174,72 @@ def _plane(wall: Wall, o: Array, d: Array) -> Hits:
     return Hits(distance, points, normals, status)
 
 
+def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
+    """Hits on a wall of Python functions: the compiled march, for all rays at once."""
+    shape = origins.shape[:-1]
+    o, d = origins.reshape(-1, 3), directions.reshape(-1, 3)
+    half = (math.inf, math.inf) if wall.size is None else (wall.size[0] / 2, wall.size[1] / 2)
+    top = wall.max_height + 1e-9  # rounding must not cut a crest
+    low, high = np.zeros(len(o)), np.full(len(o), math.inf)
+    for axis, reach in enumerate((*half, top)):
+        if reach == math.inf:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = (np.array([[-reach], [reach]]) - o[:, axis]) / d[:, axis]
+        level, inside = d[:, axis] == 0, np.abs(o[:, axis]) <= reach
+        low = np.where(level, np.where(inside, low, math.inf), np.maximum(low, ends.min(axis=0)))
+        high = np.where(level, high, np.minimum(high, ends.max(axis=0)))
+    over = (np.abs(o[:, :2]) <= half).all(axis=1)
+    missed = np.where(d[:, 2] < 0, OUTSIDE, MISS)
+    status = np.where(over & (o[:, 2] < -top), BEHIND, missed)
+    scale = 1e-13 * np.maximum(np.sqrt((o * o).sum(axis=1)), 1e-3)
+    bound = wall.max_curvature * (d[:, 0] ** 2 + d[:, 1] ** 2)
+    t, distance = low.copy(), np.full(len(o), np.nan)
+    active = np.flatnonzero(low <= high)
+    status[active] = UNRESOLVED
+    for step in range(500):
+        if not len(active):
+            break
+        x, y, z = (o[active] + t[active, None] * d[active]).T
+        surface = wall.derivatives(x, y)
+        f = z - surface[:, 0]
+        slope = d[active, 2] - (surface[:, 1:3] * d[active, :2]).sum(axis=1)
+        touching = f <= scale[active]
+        going = np.ones(len(active), dtype=bool)
+        if step == 0:
+            under = f < -scale[active]
+            back = under & ((low[active] == 0) | (o[active, 2] < -top))
+            status[active[under]] = np.where(back, BEHIND, missed[active])[under]
+            going &= ~under
+        landed = going & touching & (slope < 0)
+        rows = active[landed]
+        distance[rows] = np.maximum(t[rows] - f[landed] / slope[landed], 0.0)
+        status[rows] = HIT
+        going &= ~landed & ~(touching & (t[active] > 0))  # or touches, without going through
+        f = np.where(touching, 0.0, f)
+        gone = going & (t[active] >= high[active])
+        m = bound[active]
+        root = np.sqrt(slope * slope + 2.0 * m * f)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ahead = np.where(slope < 0, 2.0 * f / (root - slope), (slope + root) / m)
+        gone |= going & (slope >= 0) & (m == 0)
+        status[active[gone]] = missed[active[gone]]
+        nearer = np.minimum(t[active] + ahead, high[active])
+        going &= ~gone & (nearer > t[active])
+        active, nearer = active[going], nearer[going]
+        t[active] = nearer
+    points = o + distance[:, None] * d
+    normals = np.full_like(points, np.nan)
+    hit = status == HIT
+    normals[hit] = wall.normal(points[hit, 0], points[hit, 1])
+    return Hits(
+        distance.reshape(shape),
+        points.reshape(*shape, 3),
+        normals.reshape(*shape, 3),
+        status.astype(np.int8).reshape(shape),
+    )
+
+
 def _bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
     """Limits of a search: curvature of gridded terms, box, height slab and rim."""
     margin = 0.999  # of a radius: at the rim itself the slope is infinite
@@ -183,38 +263,9 @@ def _bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Arra
         elif row[0] in (SPHERE, CYLINDER):
             slab += (min(0.0, 1 / row[1]), max(0.0, 1 / row[1]))
         elif row[0] == GRID:
-            low, high, curvature[i] = _grid_limits(row, tables)
+            low, high, curvature[i] = grid_limits(row, tables)
             slab += (low, high)
     pad = 1e-9 + 1e-12 * np.abs(slab).max()  # rounding must not cut a crest
     slab[0] -= pad
     slab[1] += pad
     return curvature, box, slab, rim
-
-
-def _grid_limits(row: Array, tables: Array) -> tuple[float, float, float]:
-    """Lowest and highest height of a bicubic Hermite surface and a bound on its curvature.
-
-    From the Hermite basis on [0, 1]: values mix convexly, slopes add at most step/4 of their
-    size; a first derivative is at most 3/2 of the difference quotient plus the largest slope; a
-    second derivative is linear between nodes.
-    """
-    sx, sy, nx, ny, offset = row[3], row[4], int(row[5]), int(row[6]), int(row[7])
-    v, vx, vy, vxy = tables[offset : offset + 4 * nx * ny].reshape(4, ny, nx)
-
-    def top(a: Array) -> float:
-        return float(np.abs(a).max())
-
-    def second(values: Array, slopes: Array, step: float) -> float:
-        quotient = 6 * np.diff(values) / step
-        start, stop = slopes[:, :-1], slopes[:, 1:]
-        return (
-            max(top(quotient - 4 * start - 2 * stop), top(quotient - 2 * start - 4 * stop)) / step
-        )
-
-    swing = (sx * top(vx) + sy * top(vy)) / 4 + sx * sy * top(vxy) / 16
-    hxx = second(v, vx, sx) + sy / 4 * second(vy, vxy, sx)
-    hyy = second(v.T, vy.T, sy) + sx / 4 * second(vx.T, vxy.T, sy)
-    rows, columns = np.diff(v, axis=0) / sy, np.diff(vy, axis=1) / sx
-    twist = 1.5 * top(np.diff(rows, axis=1)) / sx + top(np.diff(vx, axis=0)) / sy
-    hxy = 1.5 * twist + 1.5 * top(columns) + top(vxy)
-    return float(v.min()) - swing, float(v.max()) + swing, max(hxx, hyy) + hxy

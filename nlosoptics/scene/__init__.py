@@ -1,18 +1,21 @@
 """What is there: laser, relay wall, hidden object, camera, materials, and the scene file."""
 
 from .camera import Camera, pupil_frame
+from .height_maps import CallableWall, HeightMapWall
 from .hidden import MeshObject, PlanarObject
 from .laser import Laser
-from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial
+from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .mesh import MeshWall
 from .scene import Scene
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
 __all__ = [
+    "CallableWall",
     "Camera",
     "ConcaveWall",
     "ConvexWall",
     "FlatWall",
+    "HeightMapWall",
     "Lambert",
     "Laser",
     "Material",
@@ -25,6 +28,7 @@ __all__ = [
     "SumMaterial",
     "SumWall",
     "Wall",
+    "Ward",
     "WavyWall",
     "pupil_frame",
 ]

@@ -6,9 +6,10 @@ from typing import Any
 
 from . import _file_tables
 from .camera import Camera
+from .height_maps import HeightMapWall
 from .hidden import MeshObject, PlanarObject
 from .laser import Laser
-from .materials import Lambert, OrenNayar, SpecularMicrofacet
+from .materials import Lambert, OrenNayar, SpecularMicrofacet, Ward
 from .mesh import MeshWall
 from .walls import ConcaveWall, FlatWall, SumWall, WavyWall
 
@@ -24,12 +25,14 @@ def scene_schema() -> dict[str, Any]:
         "WavyTable": WavyWall,
         "SumTable": SumWall,
         "MeshWallTable": MeshWall,
+        "HeightMapTable": HeightMapWall,
         "PictureTable": PlanarObject,
         "MeshObjectTable": MeshObject,
         "CameraTable": Camera,
         "LambertTable": Lambert,
         "OrenNayarTable": OrenNayar,
         "SpecularTable": SpecularMicrofacet,
+        "WardTable": Ward,
     }
     for name, table in schema["$defs"].items():
         notes = _parameter_notes(documented[name].__doc__ or "")

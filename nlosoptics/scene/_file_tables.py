@@ -44,6 +44,7 @@ EXAMPLES: dict[str, Any] = {
     "direction": "0 deg",
     "terms": [{"shape": "wavy", "amplitude": "0.1 mm", "period": "250 mm"}],
     "mesh": "../walls/concave_5m.obj",
+    "heights": "../walls/measured.npy",
     "scale": 1.0,
     "material": {"lobe": "lambert", "albedo": 0.7},
     "lobe": "lambert",
@@ -51,7 +52,10 @@ EXAMPLES: dict[str, Any] = {
     "slope_rms": "0.3 rad",
     "model": "full",
     "normalised": True,
+    "alpha": 0.4,
+    "variant": "bounded",
     "reflectance": 0.05,
+    "distribution": "ggx",
     "image": "../objects/F.png",
     "yaw": "10 deg",
     "pitch": "10 deg",
@@ -80,7 +84,7 @@ EXAMPLES: dict[str, Any] = {
 
 # What tells tables apart, and the tags of their classes. Tags hold a colon, so that an element of
 # a pydantic location is either a key or a tag.
-LOBES = {name: f"lobe:{name}" for name in ("lambert", "oren_nayar", "specular")}
+LOBES = {name: f"lobe:{name}" for name in ("lambert", "oren_nayar", "specular", "ward")}
 SHAPES = {
     "flat": "wall:flat",
     "concave_sphere": "wall:sphere",
@@ -90,6 +94,7 @@ SHAPES = {
     "wavy": "wall:wavy",
     "sum": "wall:sum",
     "mesh": "wall:mesh",
+    "height_map": "wall:height_map",
 }
 
 
@@ -179,6 +184,16 @@ class SpecularTable(Table):
     lobe: Literal["specular"]
     reflectance: float
     slope_rms: AngleText
+    distribution: Literal["beckmann", "ggx"] | None = None
+
+
+class WardTable(Table):
+    """Lobe of Ward's about the mirror direction."""
+
+    lobe: Literal["ward"]
+    albedo: float
+    alpha: float
+    variant: Literal["1992", "duer", "bounded"] | None = None
 
 
 def _choose(key: str, tables: dict[str, str]) -> Discriminator:
@@ -194,7 +209,8 @@ def _choose(key: str, tables: dict[str, str]) -> Discriminator:
 LobeTable = Annotated[
     Annotated[LambertTable, Tag("lobe:lambert")]
     | Annotated[OrenNayarTable, Tag("lobe:oren_nayar")]
-    | Annotated[SpecularTable, Tag("lobe:specular")],
+    | Annotated[SpecularTable, Tag("lobe:specular")]
+    | Annotated[WardTable, Tag("lobe:ward")],
     _choose("lobe", LOBES),
 ]
 #: One table is a lobe by itself, an array of tables is their sum.
@@ -272,13 +288,22 @@ class MeshWallTable(Table):
     material: MaterialTable | None = None
 
 
+class HeightMapTable(_WallTable):
+    """Wall through heights on a grid, m, in an .npy file."""
+
+    shape: Literal["height_map"]
+    heights: str
+    pitch: LengthText
+
+
 WallTable = Annotated[
     Annotated[FlatTable, Tag("wall:flat")]
     | Annotated[SphereTable, Tag("wall:sphere")]
     | Annotated[CylinderTable, Tag("wall:cylinder")]
     | Annotated[WavyTable, Tag("wall:wavy")]
     | Annotated[SumTable, Tag("wall:sum")]
-    | Annotated[MeshWallTable, Tag("wall:mesh")],
+    | Annotated[MeshWallTable, Tag("wall:mesh")]
+    | Annotated[HeightMapTable, Tag("wall:height_map")],
     _choose("shape", SHAPES),
 ]
 
@@ -375,12 +400,14 @@ OWNERS: dict[str, type[Table]] = {
     "lobe:lambert": LambertTable,
     "lobe:oren_nayar": OrenNayarTable,
     "lobe:specular": SpecularTable,
+    "lobe:ward": WardTable,
     "wall:flat": FlatTable,
     "wall:sphere": SphereTable,
     "wall:cylinder": CylinderTable,
     "wall:wavy": WavyTable,
     "wall:sum": SumTable,
     "wall:mesh": MeshWallTable,
+    "wall:height_map": HeightMapTable,
     "hidden:picture": PictureTable,
     "hidden:mesh": MeshObjectTable,
 }

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneError
 from . import _file_tables
+from .height_maps import HeightMapWall
 from .hidden import MeshObject, PlanarObject
-from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial
+from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .mesh import MeshWall
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
@@ -54,6 +55,10 @@ def _material_table(material: Material) -> Any:
         )
     if isinstance(material, SpecularMicrofacet):
         return _file_tables.SpecularTable.model_construct(lobe="specular", **vars(material))
+    if isinstance(material, Ward):
+        return _file_tables.WardTable.model_construct(
+            lobe="ward", albedo=material.rho, alpha=material.alpha, variant=material.variant
+        )
     raise SceneError(f"{type(material).__name__} has no form in a scene file; write a sum of lobes")
 
 
@@ -65,6 +70,13 @@ def _wall_table(wall: Wall, base: Path, material: Any = None) -> Any:
             mesh=_relative("wall.mesh", wall.mesh, base),
             scale=wall.scale,
             material=material,
+        )
+    if isinstance(wall, HeightMapWall):
+        return _file_tables.HeightMapTable.model_construct(
+            shape="height_map",
+            heights=_relative("wall.heights", wall.heights, base),
+            pitch=wall.pitch,
+            **common,
         )
     if isinstance(wall, FlatWall):
         return _file_tables.FlatTable.model_construct(shape="flat", **common)
@@ -82,7 +94,10 @@ def _wall_table(wall: Wall, base: Path, material: Any = None) -> Any:
         return _file_tables.CylinderTable.model_construct(
             shape=shape, radius=wall.radius, axis=wall.axis, **common
         )
-    raise SceneError(f"{type(wall).__name__} has no form in a scene file; write it as a mesh")
+    raise SceneError(
+        f"{type(wall).__name__} has no form in a scene file; save its heights as an .npy file and "
+        "use HeightMapWall"
+    )
 
 
 def _hidden_table(hidden: PlanarObject | MeshObject, base: Path) -> Any:

@@ -23,9 +23,10 @@ from ._file_errors import located, missing_key, validated
 from ._file_schema import scene_schema
 from ._file_text import format_scene
 from .camera import Camera
+from .height_maps import HeightMapWall
 from .hidden import MeshObject, PlanarObject
 from .laser import Laser
-from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial
+from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .mesh import MeshWall
 from .scene import Scene
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
@@ -166,6 +167,8 @@ def _wall(table: Any, folder: Path) -> Wall:
     values = _given(table, "shape", "material")
     if table.shape == "mesh":
         return MeshWall(_resolved(folder, values.pop("mesh")), **values)
+    if table.shape == "height_map":
+        return HeightMapWall(_resolved(folder, values.pop("heights")), **values)
     if table.shape == "flat":
         return FlatWall(**values)
     if table.shape == "wavy":
@@ -209,9 +212,14 @@ def _material(name: str, table: Any) -> Material:
 
 
 def _lobe(place: str, table: Any) -> Material:
-    kinds = {"lambert": Lambert, "oren_nayar": OrenNayar, "specular": SpecularMicrofacet}
+    kinds: dict[str, type[Material]] = {
+        "lambert": Lambert,
+        "oren_nayar": OrenNayar,
+        "specular": SpecularMicrofacet,
+        "ward": Ward,
+    }
     with located(place):
-        material: Material = kinds[table.lobe](**_given(table, "lobe"))
+        material = kinds[table.lobe](**_given(table, "lobe"))
         return material
 
 

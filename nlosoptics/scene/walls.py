@@ -40,6 +40,7 @@ class Wall:
     """
 
     size: tuple[float, float] | None
+    _compiled = True  # whether `_terms` has the height
 
     def _terms(self) -> tuple[Array, Array]:
         """Summands and tables of the compiled height function."""
@@ -331,6 +332,8 @@ class SumWall(Wall):
             terms = tuple(terms[0])
         if not terms or not all(isinstance(t, Wall) for t in terms):
             raise SceneError(f"SumWall got {terms!r}; give at least one wall")
+        if not all(term._compiled for term in terms):
+            raise SceneError("SumWall cannot add a CallableWall; add the others in its functions")
         object.__setattr__(self, "terms", terms)
         object.__setattr__(self, "size", size)
         self._check_size()

@@ -72,7 +72,7 @@ def random_rays(count, size, seed):
     return origins, targets - origins
 
 
-@pytest.mark.parametrize("size", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("size", [0.1, 1.0, 10.0, 1000.0])
 @pytest.mark.parametrize("name", wall_cases(1.0))
 def test_distance_is_the_root_in_fifty_digits(name, size):
     wall, height = wall_cases(size)[name]

@@ -1,0 +1,86 @@
+"""Directional albedos by quadrature, where no closed form is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ._material import Array, Material
+
+
+def directional_albedo(theta: Array, integral: Callable[[float], float]) -> Array:
+    """Int f cos dOmega at every theta, by ``integral`` for one."""
+    return np.array([integral(t) for t in theta.ravel().tolist()]).reshape(theta.shape)
+
+
+def _panels(edges: ArrayLike) -> tuple[Array, Array]:
+    """Gauss-Legendre nodes and weights on the panels between ``edges`` (n, ...), along axis 0."""
+    nodes, weights = np.polynomial.legendre.leggauss(32)
+    edges = np.asarray(edges, dtype=np.float64)
+    middles, halves = (edges[1:] + edges[:-1]) / 2, np.diff(edges, axis=0) / 2
+    points = middles[:, None] + np.multiply.outer(nodes, halves).swapaxes(0, 1)
+    heavy = np.multiply.outer(weights, halves).swapaxes(0, 1)
+    return points.reshape(-1, *edges.shape[1:]), heavy.reshape(-1, *edges.shape[1:])
+
+
+def over_exitant_angles(material: Material, theta: float) -> float:
+    """Directional albedo of a wide lobe with kinks at its mirror angle and across the plane."""
+    edges = theta + 0.05 * np.array([-20.0, -8, -3, -1, 0, 1, 3, 8, 20])
+    edges = np.concatenate([[0.0], edges[(edges > 0) & (edges < math.pi / 2)], [math.pi / 2]])
+    polar, polar_weights = _panels(edges)
+    # one side of the plane of incidence, doubled
+    turn, turn_weights = _panels([0.0, 0.05, 0.15, 0.5, math.pi / 2, math.pi])
+    p, a = np.meshgrid(polar, turn, indexing="ij")
+    exitant = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1)
+    incident = (math.sin(theta), 0.0, math.cos(theta))
+    f = material.evaluate(incident, exitant, (0.0, 0.0, 1.0))
+    return 2 * float((f * np.sin(p) * np.cos(p) * polar_weights[:, None] * turn_weights).sum())
+
+
+def over_slopes(material: Material, theta: float, scale: float, *, smooth: bool = True) -> float:
+    """Directional albedo of a lobe about its half vector, over the slopes (p, q) of its facets.
+
+    Facet (-p, -q, 1) sends the light to the exitant o, ``dOmega_o = 4 (i.h) cos^3(h) dp dq``. Those
+    that send it below the horizon lie outside a circle of radius 1/cos about (-tan, 0). ``scale``
+    is the slope rms; ``smooth`` lobes end like a Gaussian and have no root at the horizon.
+    """
+    sine, cosine = math.sin(theta), math.cos(theta)
+    reach = 8.5 * scale if smooth else 1e7 * scale  # exp(-36) beyond, or less than 1e-12
+    # q = sin(turn)/cos, which takes the root out of the circle's ends
+    last = min(1.0, reach * cosine)
+    if smooth:
+        turns = np.linspace(0.0, math.asin(last), 5)
+    else:
+        turns = np.arcsin(np.append(_doublings(scale * cosine, last), last))
+    turn, turn_weights = _panels(turns)
+    q, q_weights = np.sin(turn) / cosine, np.cos(turn) / cosine * turn_weights
+    # cos(turn)/cos - tan, free of cancellation at grazing
+    top = (1 - q * q) * cosine / (np.cos(turn) + sine)
+    bottom = -(np.cos(turn) + sine) / cosine
+    low, high = np.clip(bottom, -reach, reach), np.clip(top, -reach, reach)
+    if smooth:
+        edges = np.linspace(low, high, 5)
+    else:
+        lobe = _doublings(scale, reach)[:, None] * np.ones(turn.size)
+        ends = np.geomspace(1e-9, 0.25, 11)[:, None] * (high - low)
+        stacked = np.concatenate([[low, high], lobe, -lobe, low + ends, high - ends])
+        edges = np.sort(np.clip(stacked, low, high), axis=0)
+    p, p_weights = _panels(edges)
+    facet = np.stack(np.broadcast_arrays(-p, -q, 1.0), axis=-1)
+    cos_h = 1 / np.linalg.norm(facet, axis=-1)
+    half = facet * cos_h[..., None]
+    incident = np.array([sine, 0.0, cosine])
+    along = half @ incident
+    exitant = 2 * along[..., None] * half - incident
+    f = material.evaluate(incident, exitant, (0.0, 0.0, 1.0))
+    integrand = f * np.maximum(exitant[..., 2], 0.0) * 4 * along * cos_h**3
+    return 2 * float((integrand * p_weights * q_weights).sum())
+
+
+def _doublings(scale: float, last: float) -> Array:
+    """0, and every fourfold of ``scale`` below ``last``: panels that widen with a lobe's tail."""
+    count = max(0, math.ceil(math.log(last / scale, 4.0)))
+    return np.append(0.0, scale * 4.0 ** np.arange(count))

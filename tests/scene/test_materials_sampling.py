@@ -1,0 +1,274 @@
+"""Samples of every material against its density, its albedo and the law of large numbers."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from pytest import approx
+from scipy import stats
+
+from nlosoptics.errors import SceneError
+from nlosoptics.scene import Lambert, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+
+NORMAL = np.array([0.0, 0.0, 1.0])
+MATERIALS = [
+    Lambert(0.8),
+    OrenNayar(0.8, 0.3),
+    OrenNayar(0.8, 0.5, model="full"),
+    OrenNayar(1.0, 0.3, normalised=True),
+    SpecularMicrofacet(1.0, 0.02),
+    SpecularMicrofacet(0.9, 0.2),
+    SpecularMicrofacet(0.9, 0.7),
+    SpecularMicrofacet(1.0, 0.02, distribution="ggx"),
+    SpecularMicrofacet(0.9, 0.2, distribution="ggx"),
+    SpecularMicrofacet(0.9, 0.7, distribution="ggx"),
+    Ward(0.9, 0.03),
+    Ward(0.9, 0.4),
+    Ward(0.9, 1.0),
+    Ward(0.9, 0.4, variant="duer"),
+    Ward(0.9, 1.0, variant="bounded"),
+    SumMaterial(OrenNayar(0.6, 0.3), SpecularMicrofacet(0.2, 0.1), Ward(0.2, 0.5)),
+]
+ANGLES = [0.0, 0.6, 1.2, 1.5]
+CASES = [
+    pytest.param(material, theta, id=f"{index}-{type(material).__name__}-{theta}")
+    for index, material in enumerate(MATERIALS)
+    for theta in ANGLES
+]
+KINDS = [f"{index}-{type(material).__name__}" for index, material in enumerate(MATERIALS)]
+
+
+def direction(theta, phi=0.0):
+    theta, phi = np.broadcast_arrays(theta, phi)
+    sine = np.sin(theta)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def draws(count: int, seed: int):
+    return np.random.default_rng(seed).random((count, 3))
+
+
+N_AZIMUTHS = 24
+
+
+def is_diffuse(material) -> bool:
+    return isinstance(material, Lambert | OrenNayar)
+
+
+def coordinates(material, theta: float, exitant):
+    """Polar angle and azimuth, of exitants of diffuse lobes, else of their half vectors.
+
+    Half vectors of the upper hemisphere and exitants of the whole sphere are one to one.
+    """
+    if not is_diffuse(material):
+        exitant = exitant + direction(theta)
+        exitant = exitant * np.sign(exitant[:, 2:])
+    x, y, z = exitant.T
+    # without the arccosine's loss near the axis
+    return np.arctan2(np.hypot(x, y), z), np.arctan2(y, x) % (2 * math.pi)
+
+
+def shares(material, theta: float, rings, panels: int, turns: int):
+    """Integrals of the density over rings of polar angle and sectors of azimuth."""
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    fine = np.append(np.geomspace(1e-5, 0.3, panels), np.linspace(0, math.pi / 2, panels))
+    edges = np.union1d(rings, fine)
+    half = np.diff(edges)[:, None] / 2
+    angle = (edges[:-1, None] + half * (nodes + 1)).ravel()
+    weight = (half * weights).ravel() * np.sin(angle)
+    turn = (np.arange(N_AZIMUTHS * turns) + 0.5) * 2 * math.pi / (N_AZIMUTHS * turns)
+    exitant, stretch = direction(angle[:, None], turn), 1.0
+    if not is_diffuse(material):
+        facet, along = exitant, exitant @ direction(theta)
+        exitant = 2 * along[..., None] * facet - direction(theta)
+        stretch = 4 * np.abs(along)  # dOmega_o = 4 |i.h| dOmega_h
+    density = material.pdf(direction(theta), exitant, NORMAL) * stretch * weight[:, None]
+    density = density.reshape(len(angle), N_AZIMUTHS, turns).sum(axis=-1)
+    totals = np.zeros((len(rings) - 1, N_AZIMUTHS))
+    np.add.at(totals, np.searchsorted(rings, angle) - 1, density)
+    return totals * 2 * math.pi / (N_AZIMUTHS * turns)
+
+
+@pytest.mark.parametrize(("material", "theta"), CASES)
+def test_samples_follow_the_density(material, theta: float) -> None:
+    """Chi-squared over rings and sectors, on the whole sphere."""
+    count = 100_000
+    # rings that hold about equal numbers of another set of samples
+    first, _ = material.sample(direction(theta), NORMAL, draws(4000, 31))
+    cuts = np.quantile(coordinates(material, theta, first)[0], np.linspace(0, 1, 17)[1:-1])
+    rings = np.concatenate([[0.0], cuts, [math.pi / 2]])
+    expected = shares(material, theta, rings, 60, 6).ravel() * count
+    exitant, _ = material.sample(direction(theta), NORMAL, draws(count, 32))
+    angle, turn = coordinates(material, theta, exitant)
+    sector = np.minimum((turn / (2 * math.pi) * N_AZIMUTHS).astype(int), N_AZIMUTHS - 1)
+    found = np.zeros((len(rings) - 1, N_AZIMUTHS))
+    np.add.at(found, (np.clip(np.searchsorted(rings, angle) - 1, 0, len(rings) - 2), sector), 1)
+    found = found.ravel()
+    rare = expected < 10  # where chi-squared is not the distribution; together instead
+    expected = np.append(expected[~rare], expected[rare].sum())
+    found = np.append(found[~rare], found[rare].sum())
+    if expected[-1] < 10:
+        assert found[-1] <= 40
+        expected, found = expected[:-1], found[:-1]
+    chi_squared = ((found - expected) ** 2 / expected).sum()
+    assert stats.chi2.sf(chi_squared, len(expected) - 1) > 1e-3 / len(CASES)
+
+
+@pytest.mark.parametrize(("material", "theta"), CASES)
+def test_density_integrates_to_one(material, theta: float) -> None:
+    total = shares(material, theta, [0.0, math.pi / 2], 60, 16).sum()
+    # midpoints in azimuth across the line where facets turn their back, and the horizon
+    assert total == approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(("material", "theta"), CASES)
+def test_weights_are_reflectance_over_density(material, theta: float) -> None:
+    incident = direction(theta)
+    exitant, weight = material.sample(incident, NORMAL, draws(5000, 33))
+    assert np.isfinite(weight).all()
+    assert (weight >= 0).all()
+    below = exitant[:, 2] <= 0
+    assert_array_equal(weight[below], 0.0)
+    exitant, weight = exitant[~below], weight[~below]
+    f = material.evaluate(incident, exitant, NORMAL)
+    density = material.pdf(incident, exitant, NORMAL)
+    # exp(-tan^2/alpha^2) cancels between the two, Lambda of grazing exitants rounds
+    assert weight * density == approx(f * exitant[:, 2], rel=1e-10, abs=1e-300)
+
+
+@pytest.mark.parametrize(("material", "theta"), CASES)
+def test_mean_weight_is_the_albedo(material, theta: float) -> None:
+    _, weight = material.sample(direction(theta), NORMAL, draws(200_000, 34))
+    # 3 standard errors; 1e-8 for lobes whose samples all weigh the same
+    limit = 3 * weight.std() / math.sqrt(weight.size) + 1e-8
+    assert weight.mean() == approx(float(material.albedo(theta)), abs=limit)
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.5, 1.0, 1.5, math.pi / 2])
+def test_lambert_has_no_mean_tangential_direction(theta: float) -> None:
+    """Whatever the incidence, and in a turned frame: samples centre on the normal."""
+    turn, _ = np.linalg.qr(np.random.default_rng(35).normal(size=(3, 3)))
+    for normal, incident in ((NORMAL, direction(theta)), (turn[:, 2], turn @ direction(theta))):
+        exitant, _ = Lambert(0.5).sample(incident, normal, draws(200_000, 36))
+        mean = exitant.mean(axis=0)
+        # each tangential component has variance 1/4, the normal one 1/18
+        assert np.linalg.norm(mean - (mean @ normal) * normal) < 4 * 0.5 / math.sqrt(200_000)
+        assert mean @ normal == approx(2 / 3, abs=4 * math.sqrt(1 / 18 / 200_000))
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=KINDS)
+def test_turning_everything_changes_nothing(material) -> None:
+    """Samples about any normal are of that normal's hemisphere, density and weight."""
+    normals = np.random.default_rng(37).normal(size=(500, 3))
+    normals[:4] = [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0, -1, 0]]  # where branchless frames switch
+    normals /= np.linalg.norm(normals, axis=-1)[:, None]
+    incident = np.random.default_rng(38).normal(size=(500, 3))
+    incident /= np.linalg.norm(incident, axis=-1)[:, None]
+    incident *= np.sign((incident * normals).sum(axis=-1))[:, None]
+    exitant, weight = material.sample(incident, normals, draws(500, 39))
+    assert np.linalg.norm(exitant, axis=-1) == approx(1, abs=1e-14)
+    density = material.pdf(incident, exitant, normals)
+    cosine = np.maximum((exitant * normals).sum(axis=-1), 0.0)
+    expected = material.evaluate(incident, exitant, normals) * cosine
+    # cosines rounded to 1e-16 in two frames, within a lobe of slope 0.02 and at grazing
+    assert weight * density == approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_mirrors_are_drawn_as_they_are() -> None:
+    incident = direction(0.7)
+    mirror = SpecularMicrofacet(0.3, 0.0)
+    exitant, weight = mirror.sample(incident, NORMAL, draws(100, 40))
+    assert exitant == approx(np.broadcast_to(direction(-0.7), (100, 3)), abs=1e-15)
+    assert_array_equal(weight, 0.3)
+    assert_array_equal(mirror.pdf(incident, exitant, NORMAL), 0.0)
+    both = SumMaterial(Lambert(0.5), mirror)
+    exitant, weight = both.sample(incident, NORMAL, draws(100_000, 41))
+    mirrored = np.abs(exitant - direction(-0.7)).max(axis=-1) < 1e-12
+    # a share of 0.3/0.8, within 4 deviations
+    assert mirrored.mean() == approx(0.375, abs=4 * math.sqrt(0.375 * 0.625 / 1e5))
+    assert weight == approx(np.full(100_000, 0.8), rel=1e-14)
+    assert both.pdf(incident, NORMAL, NORMAL) == approx(0.625 / math.pi, rel=1e-15)
+
+
+def test_black_materials_reflect_nothing() -> None:
+    for material in (Lambert(0.0), Ward(0.0, 0.3), SumMaterial(Lambert(0.0), Ward(0.0, 0.1))):
+        exitant, weight = material.sample(direction(0.4), NORMAL, draws(100, 42))
+        assert_array_equal(weight, 0.0)
+        assert np.isfinite(exitant).all()
+    part = SumMaterial(Lambert(0.0), SpecularMicrofacet(0.5, 0.2))
+    alone = SpecularMicrofacet(0.5, 0.2)
+    for got, wanted in zip(
+        part.sample(direction(0.4), NORMAL, draws(100, 43)),
+        alone.sample(direction(0.4), NORMAL, draws(100, 43)),
+        strict=True,
+    ):
+        assert got == approx(wanted, rel=1e-12)
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=KINDS)
+def test_finite_at_grazing_and_at_the_ends_of_the_draws(material) -> None:
+    ends = np.array([0.0, 1e-300, 1e-17, 0.25, 0.5, 0.75, 1 - 2**-53])
+    corners = np.stack(np.meshgrid(ends, ends, ends), axis=-1).reshape(-1, 3)
+    for cosine in (0.0, 1e-300, 1e-160, 1e-17, 1e-8, 0.01, 1.0):
+        incident = np.array([math.sqrt(1 - cosine**2), 0.0, cosine])
+        exitant, weight = material.sample(incident, NORMAL, corners)
+        assert np.isfinite(exitant).all()
+        assert np.linalg.norm(exitant, axis=-1) == approx(1, abs=1e-14)
+        assert np.isfinite(weight).all()
+        assert (weight >= 0).all()
+        density = material.pdf(incident, exitant, NORMAL)
+        assert np.isfinite(density).all()
+        assert (density >= 0).all()
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=KINDS)
+def test_nothing_from_below(material) -> None:
+    below = direction(math.pi - 0.5)
+    exitant, weight = material.sample(below, NORMAL, draws(50, 44))
+    assert_array_equal(weight, 0.0)
+    assert np.isfinite(exitant).all()
+    assert_array_equal(material.pdf(below, exitant, NORMAL), 0.0)
+
+
+def test_shapes_broadcast_and_draws_address_samples() -> None:
+    material = MATERIALS[-1]
+    u = draws(24, 45).reshape(2, 3, 4, 3)
+    exitant, weight = material.sample(direction(0.3), NORMAL, u)
+    assert exitant.shape == (2, 3, 4, 3)
+    assert weight.shape == (2, 3, 4)
+    one, w = material.sample(direction(0.3), NORMAL, u[1, 2, 3])
+    assert_array_equal(one, exitant[1, 2, 3])
+    assert w == weight[1, 2, 3]
+    assert material.pdf(direction(0.3), exitant, NORMAL).shape == (2, 3, 4)
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda m: m.sample([math.nan, 0, 1], NORMAL, [0.5] * 3), "incident has length nan"),
+        (lambda m: m.sample([0.0, 0, 0], NORMAL, [0.5] * 3), "incident has length 0, must be 1"),
+        (lambda m: m.sample(NORMAL, [0.0, 0, 2], [0.5] * 3), "normal has length 2, must be 1"),
+        (lambda m: m.sample(NORMAL, NORMAL, [0.5, 1.0, 0.5]), "draws hold 1, limit 0 to below 1"),
+        (lambda m: m.sample(NORMAL, NORMAL, [0.5, -0.1, 0.5]), "draws hold -0.1, limit 0"),
+        (lambda m: m.sample(NORMAL, NORMAL, [math.nan] * 3), "draws hold nan, limit 0"),
+        (lambda m: m.sample(NORMAL, NORMAL, [0.5] * 2), r"draws has shape \(2,\), .* must be 3"),
+        (lambda m: m.sample(NORMAL, NORMAL, 0.5), r"draws has shape \(\), .* must be 3"),
+        (
+            lambda m: m.sample(np.ones((2, 3)) / math.sqrt(3), NORMAL, np.zeros((5, 3))),
+            r"shapes \(2, 3\), \(3,\), \(5, 3\) do not broadcast",
+        ),
+        (lambda m: m.pdf([math.inf, 0, 0], NORMAL, NORMAL), "incident has length inf"),
+        (lambda m: m.pdf(NORMAL, [0.0, 0, 0], NORMAL), "exitant has length 0, must be 1"),
+        (lambda m: m.evaluate([math.nan, 0, 1], NORMAL, NORMAL), "incident is not finite"),
+        (lambda m: m.evaluate(NORMAL, [math.inf, 0, 1], NORMAL), "exitant is not finite"),
+        (lambda m: m.evaluate(NORMAL, NORMAL, [0.0, 1]), r"normal has shape \(2,\)"),
+    ],
+)
+def test_bad_directions_and_draws(act, message: str) -> None:
+    for material in (Lambert(0.5), Ward(0.5, 0.3)):
+        with pytest.raises(SceneError, match=message) as caught:
+            act(material)
+        assert "\n" not in str(caught.value)
