@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import constants
 
+from .._checks import in_range, positive
 from ..errors import SceneError
 from ..psf.pupils import working_f_number
 from ..raytrace import intersect
@@ -47,7 +48,8 @@ def photon_rate(power: float, wavelength: float) -> float:
     float
         1/s.
     """
-    return power * wavelength / (constants.h * constants.c)
+    positive("wavelength", wavelength, unit="m")
+    return in_range("power", power, 0.0, unit="W") * wavelength / (constants.h * constants.c)
 
 
 def electrons_per_joule(scene: Scene) -> float:

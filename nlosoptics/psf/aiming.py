@@ -28,14 +28,11 @@ class AimedRays:
         Path length over the distance from the mirrored object point, m.
     spreading : ndarray, (n,)
         Flux on the pupil plane per unit radiant intensity, 1/m^2.
-    determinant : ndarray, (n,)
-        Of the path's Hessian over (x, y), 1/m^2; it vanishes on a caustic.
     """
 
     points: Array
     excess: Array
     spreading: Array
-    determinant: Array
 
 
 def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:
@@ -74,7 +71,6 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
             points=mirror_hits,
             excess=np.zeros(len(nodes)),
             spreading=cosine / legs**2,
-            determinant=np.ones(len(nodes)),
         )
     from . import _kernels, callable_aiming
 
@@ -98,9 +94,7 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
             "stop, or distances away from its focus"
         )
     _refuse_several_paths(wall, o, nodes, out)
-    return AimedRays(
-        points=out[:, :3], excess=out[:, 3], spreading=out[:, 4], determinant=out[:, 5]
-    )
+    return AimedRays(points=out[:, :3], excess=out[:, 3], spreading=out[:, 4])
 
 
 def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> None:

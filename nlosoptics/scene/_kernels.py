@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 PLANE, SPHERE, CYLINDER, WAVE, GRID = 0, 1, 2, 3, 4
-GRID_CHANNELS = 4  # value, d/dx, d/dy, d2/dxdy at every node
 
 
 @njit(cache=True, inline="always")
@@ -480,6 +478,3 @@ def samples(lobes, incident, normal, draws, exitant, weight):
         exitant[k, 0] = x * ux + y * vx + z * a
         exitant[k, 1] = x * uy + y * vy + z * b
         exitant[k, 2] = x * uz + y * vz + z * c
-
-
-NO_TABLES = np.zeros(1)

@@ -15,7 +15,7 @@ from .hidden import HiddenObject, MeshObject, PlanarObject
 from .laser import Laser
 from .materials import Lambert, Material, SpecularMicrofacet, SumMaterial
 from .mesh import MeshWall
-from .walls import WAVE, SumWall, Wall
+from .walls import Array, ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
 #: Matt white paint with a faint gloss; without a mirror-like lobe no wall passes a letter.
 PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
@@ -150,6 +150,20 @@ class Scene:
         return f * s / (s - f)
 
 
+def _height_bound(wall: Wall, square: Array) -> Array | None:
+    """Bound on the height at the squared distances from the origin; None where it takes a look."""
+    if isinstance(wall, SumWall):
+        bounds = [_height_bound(term, square) for term in wall.terms]
+        known = [bound for bound in bounds if bound is not None]
+        return np.sum(known, axis=0) if len(known) == len(bounds) else None
+    if isinstance(wall, WavyWall):
+        return np.full_like(square, abs(wall.amplitude))
+    if isinstance(wall, ConcaveWall):
+        # a sag is at most its curvature times the distance squared
+        return square / wall.radius
+    return np.zeros_like(square) if isinstance(wall, FlatWall | ConvexWall) else None
+
+
 def _holds_mesh(wall: Wall) -> bool:
     """Whether the wall's height takes the fit of a mesh."""
     if isinstance(wall, SumWall):
@@ -157,23 +171,22 @@ def _holds_mesh(wall: Wall) -> bool:
     return isinstance(wall, MeshWall)
 
 
-def _refuse_behind(wall: Wall, name: str, points: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+def _refuse_behind(wall: Wall, name: str, points: Array) -> None:
     """Raise `SceneError` if a point, (n, 3), lies behind the wall."""
-    terms, tables = wall._terms()
     points = points[wall.contains(points[:, 0], points[:, 1])]
-    if not _holds_mesh(wall):
-        # a sag is at most its curvature times the distance squared: most points need no compiler
-        highest = np.abs(terms[terms[:, 0] == WAVE, 1]).sum()
-        bend = np.maximum(terms[terms[:, 0] != WAVE, 1], 0.0).sum()
-        reach = highest + bend * (points[:, 0] ** 2 + points[:, 1] ** 2)
-        points = points[points[:, 2] <= reach]
+    bound = _height_bound(wall, points[:, 0] ** 2 + points[:, 1] ** 2)
+    if bound is not None:
+        points = points[points[:, 2] <= bound]  # most walls need no compiler for this
     if not len(points):
         return
-    from . import _kernels
-
-    surface = np.empty((len(points), 6))
     x, y, z = np.ascontiguousarray(points.T)
-    _kernels.surfaces(terms, tables, x, y, surface)
+    surface = np.empty((len(points), 6))
+    if wall._compiled:
+        from . import _kernels
+
+        _kernels.surfaces(*wall._terms(), x, y, surface)
+    else:
+        surface[:, 0] = wall.height(x, y)
     # NaN where the wall has no height compares false
     behind = np.nonzero(z <= surface[:, 0])[0]
     if len(behind):

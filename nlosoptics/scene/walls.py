@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import in_range, one_of, pair, positive, real
+from .._checks import one_of, pair, positive, real
 from ..errors import SceneError
 
 if TYPE_CHECKING:
@@ -88,6 +88,8 @@ class Wall:
         from . import _kernels
 
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise SceneError("x or y holds NaN or infinity; give finite coordinates in m")
         out = np.empty((x.size, 6))
         _kernels.surfaces(*self._terms(), np.ravel(x), np.ravel(y), out)
         missing = ~np.isfinite(out[:, 0])
@@ -366,8 +368,3 @@ class SumWall(Wall):
     def is_flat(self) -> bool:
         """Whether every summand is."""
         return all(term.is_flat for term in self.terms)
-
-
-def aperture_of(wall: Wall) -> float:
-    """Half of the wall's shorter side, m; infinity for an unbounded wall."""
-    return math.inf if wall.size is None else in_range("wall.size", min(wall.size)) / 2

@@ -143,3 +143,17 @@ def test_scene_file_holds_the_path_of_a_map(tmp_path):
     assert Scene.load(tmp_path / "scene.toml").wall == wall
     with pytest.raises(SceneError, match="wall.heights is ndarray in memory"):
         replace(scene, wall=HeightMapWall(heights, 0.02)).save(tmp_path / "other.toml")
+
+
+def test_object_behind_a_height_map_is_refused():
+    """A map's height is looked up wherever the object stands."""
+    from dataclasses import replace
+    from pathlib import Path
+
+    from nlosoptics.scene import Scene
+
+    scene = Scene.load(Path(__file__).parents[2] / "examples" / "scenes" / "letter_flat.toml")
+    slab = HeightMapWall(np.full((64, 64), 0.5), 0.03)
+    near = replace(scene.hidden, position=(0.1, 0.0, 0.4), size=0.05)
+    with pytest.raises(SceneError, match=r"behind the wall, whose height there is 0\.5 m"):
+        replace(scene, wall=slab, hidden=near)

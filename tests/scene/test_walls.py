@@ -217,3 +217,12 @@ def test_is_flat() -> None:
 def test_bad_walls(make, message: str) -> None:
     with pytest.raises(SceneError, match=message):
         make()
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), ConcaveWall(2.0), WavyWall(1e-5, 0.3)])
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_no_height_at_nowhere(wall, bad):
+    with pytest.raises(SceneError, match="NaN or infinity"):
+        wall.height(bad, 0.0)
+    with pytest.raises(SceneError, match="NaN or infinity"):
+        wall.normal([0.0, 0.1], [0.0, bad])
