@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..raytrace import intersect_mesh, occluded
 from ..scene import MeshObject, PlanarObject
 
 if TYPE_CHECKING:
@@ -127,52 +128,17 @@ def mesh_hits(
 
     Notes
     -----
-    Embree is asked for the triangle only; the point is on its plane in float64. The shadow ray
-    runs from the source to the point, and the point is lit when nothing is met before it.
+    A point is lit when its triangle faces the source and no other part of the mesh stands between.
     """
+    hits = intersect_mesh(mesh, origins, directions)
+    met = np.nonzero(hits.hit)[0]
+    point, normal = hits.points[met], np.asarray(mesh.face_normals)[hits.triangle[met]]
+    facing = (directions[met] * normal).sum(axis=-1) < 0.0
+    facing &= ((point - source) * normal).sum(axis=-1) < 0.0
+    met, point, normal = met[facing], point[facing], normal[facing]
+    free = ~occluded(mesh, np.broadcast_to(source, point.shape), point)
     points, normals = np.zeros(origins.shape), np.zeros(origins.shape)
     lit = np.zeros(len(origins), dtype=bool)
-    near = np.nonzero(_meets_box(mesh.bounds, origins, directions))[0]
-    faces = np.asarray(mesh.ray.intersects_first(origins[near], directions[near]))
-    near, faces = near[faces >= 0], faces[faces >= 0]
-    distance = _plane_distance(mesh, faces, origins[near], directions[near])
-    normal = np.asarray(mesh.face_normals)[faces]
-    front = ((directions[near] * normal).sum(axis=-1) < 0.0) & (distance > 0.0)
-    near, distance, normal = near[front], distance[front], normal[front]
-    point = origins[near] + distance[:, None] * directions[near]
-    beam = point - source
-    length = np.sqrt((beam * beam).sum(axis=-1))
-    beam /= length[:, None]
-    first = np.asarray(mesh.ray.intersects_first(np.broadcast_to(source, beam.shape), beam))
-    reach = np.full(len(near), np.inf)
-    met = first >= 0
-    start = np.broadcast_to(source, beam.shape)
-    reach[met] = _plane_distance(mesh, first[met], start[met], beam[met])
-    # Embree's float32 may name the neighbour of the triangle that is meant
-    free = (reach > length * (1.0 - 1e-5)) & ((beam * normal).sum(axis=-1) < 0.0)
-    chosen = near[free]
+    chosen = met[free]
     points[chosen], normals[chosen], lit[chosen] = point[free], normal[free], True
     return points, normals, lit
-
-
-def _plane_distance(
-    mesh: trimesh.Trimesh, faces: NDArray[np.intp], origins: Array, directions: Array
-) -> Array:
-    """Distance along rays to the planes of triangles; infinity where parallel."""
-    normal = np.asarray(mesh.face_normals)[faces]
-    corner = np.asarray(mesh.triangles)[faces, 0]
-    along = (directions * normal).sum(axis=-1)
-    distance = np.full(along.shape, np.inf)
-    np.divide(((corner - origins) * normal).sum(axis=-1), along, out=distance, where=along != 0)
-    return distance
-
-
-def _meets_box(bounds: Array, origins: Array, directions: Array) -> NDArray[np.bool_]:
-    """Whether rays meet an axis-parallel box; the slab test."""
-    low, high = np.zeros(len(origins)), np.full(len(origins), np.inf)
-    for i in range(3):
-        d = np.where(directions[:, i] == 0.0, 1e-300, directions[:, i])
-        with np.errstate(over="ignore"):
-            t = (bounds[:, i] - origins[:, i, None]) / d[:, None]
-        low, high = np.maximum(low, t.min(axis=1)), np.minimum(high, t.max(axis=1))
-    return np.asarray(low <= high * (1.0 + 1e-6))

@@ -11,7 +11,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from ..scene._kernels import CYLINDER, GRID, SPHERE, WAVE, surface
+from ..scene._kernels import surface
+from ..scene.walls import CYLINDER, GRID, SPHERE, WAVE
 
 HIT, MISS, OUTSIDE, UNRESOLVED, BEHIND = 0, 1, 2, 3, 4
 MAX_STEPS = 500

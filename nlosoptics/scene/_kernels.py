@@ -10,7 +10,8 @@ import math
 
 from numba import njit
 
-PLANE, SPHERE, CYLINDER, WAVE, GRID = 0, 1, 2, 3, 4
+from ._material import BECKMANN, GGX, LAMBERT, OREN_NAYAR_FULL, WARD_1992, WARD_BOUNDED, WARD_DUER
+from .walls import CYLINDER, GRID, SPHERE, WAVE
 
 
 @njit(cache=True, inline="always")
@@ -172,7 +173,6 @@ def oren_nayar(mu_i, mu_o, cos_between, albedo, slope_rms, full):
 
 
 TINY = 1e-280  # floor of what divides at grazing: large, yet finite
-LAMBERT, OREN_NAYAR, OREN_NAYAR_FULL, BECKMANN, GGX, WARD_1992, WARD_DUER, WARD_BOUNDED = range(8)
 
 
 @njit(cache=True)

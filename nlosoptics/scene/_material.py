@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import SceneError
 
 Array = NDArray[np.float64]
-# kinds of lobe, as in _kernels
+# kinds of lobe
 LAMBERT, OREN_NAYAR, OREN_NAYAR_FULL, BECKMANN, GGX, WARD_1992, WARD_DUER, WARD_BOUNDED = range(8)
 #: Lobes of at most this slope rms, rad, are mirror-like: imaged as smooth.
 MIRROR_SLOPE = 0.1

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
-PLANE, SPHERE, CYLINDER, WAVE, GRID = range(5)  # kinds of term, as in _kernels
+PLANE, SPHERE, CYLINDER, WAVE, GRID = range(5)  # kinds of term
 
 
 def _term(kind: int, *parameters: float) -> Array:
