@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ._checks import whole
 
@@ -26,3 +27,69 @@ def generator(seed: int, stream: int) -> np.random.Generator:
     """
     key = np.array([checked_seed(seed), stream], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key))
+
+
+# Primitive polynomials (degree, coefficients) and first direction numbers of Sobol dimensions 2 on:
+# Joe and Kuo, SIAM J. Sci. Comput. 30, 2635 (2008)
+_JOE_KUO = (
+    (1, 0, (1,)),
+    (2, 1, (1, 3)),
+    (3, 1, (1, 3, 1)),
+    (3, 2, (1, 1, 1)),
+    (4, 1, (1, 1, 3, 3)),
+    (4, 4, (1, 3, 5, 13)),
+    (5, 2, (1, 1, 5, 5, 17)),
+    (5, 4, (1, 1, 5, 5, 5)),
+    (5, 7, (1, 1, 7, 11, 19)),
+    (5, 11, (1, 1, 5, 1, 1)),
+    (5, 13, (1, 1, 1, 3, 11)),
+    (5, 14, (1, 3, 5, 5, 31)),
+    (6, 1, (1, 3, 3, 9, 7, 49)),
+    (6, 13, (1, 1, 1, 15, 21, 21)),
+    (6, 16, (1, 3, 1, 13, 27, 49)),
+    (6, 19, (1, 1, 1, 15, 7, 5)),
+    (6, 22, (1, 3, 1, 15, 13, 25)),
+    (6, 25, (1, 1, 5, 5, 19, 61)),
+    (7, 1, (1, 3, 7, 11, 23, 15, 103)),
+    (7, 4, (1, 3, 7, 13, 13, 15, 69)),
+)
+SOBOL_DIMENSIONS = len(_JOE_KUO) + 1
+
+
+def sobol_columns() -> NDArray[np.uint32]:
+    """Generating columns of the Sobol sequence, (SOBOL_DIMENSIONS, 32), first digit highest."""
+    columns = np.empty((SOBOL_DIMENSIONS, 32), dtype=np.uint32)
+    columns[0] = 1 << np.arange(31, -1, -1, dtype=np.uint32)
+    for row, (degree, polynomial, first) in zip(columns[1:], _JOE_KUO, strict=True):
+        values = [m << (31 - i) for i, m in enumerate(first)]
+        for i in range(degree, 32):
+            value = values[i - degree] ^ (values[i - degree] >> degree)
+            for k in range(1, degree):
+                if polynomial >> (degree - 1 - k) & 1:
+                    value ^= values[i - k]
+            values.append(value)
+        row[:] = values
+    return columns
+
+
+def scrambled_sobol(
+    seed: int, stream: int, groups: int
+) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+    """Columns (groups, SOBOL_DIMENSIONS, 32) and shifts (groups, SOBOL_DIMENSIONS) of Sobol points.
+
+    Each group is scrambled on its own by a random lower triangular matrix over the digits and a
+    random shift, which leaves every point uniform and has the variance of Owen's scrambling
+    (Matousek, J. Complexity 14, 527, 1998).
+    """
+    columns, draw = sobol_columns(), generator(seed, stream)
+    shape = (groups, SOBOL_DIMENSIONS)
+    digits = np.arange(31, -1, -1, dtype=np.uint32)
+    # row i of the matrix: digit i itself and any of those above it
+    above = ~((np.uint64(2) << digits.astype(np.uint64)) - np.uint64(1)) & np.uint64(0xFFFFFFFF)
+    rows = draw.integers(0, 2**32, size=(*shape, 32), dtype=np.uint32) & above.astype(np.uint32)
+    rows |= np.uint32(1) << digits
+    scrambled = np.zeros((*shape, 32), dtype=np.uint32)
+    for i in range(32):
+        parity = np.bitwise_count(rows[..., i, None] & columns) & 1
+        scrambled |= parity.astype(np.uint32) << digits[i]
+    return scrambled, draw.integers(0, 2**32, size=shape, dtype=np.uint32)

@@ -2,6 +2,9 @@
 
 from .intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
 from .meshes import MeshHits, intersect_mesh, occluded
+from .paths import RayPaths
+from .surroundings import RayPlan, ray_plan
+from .tracing import trace
 
 __all__ = [
     "BEHIND",
@@ -11,7 +14,11 @@ __all__ = [
     "UNRESOLVED",
     "Hits",
     "MeshHits",
+    "RayPaths",
+    "RayPlan",
     "intersect",
     "intersect_mesh",
     "occluded",
+    "ray_plan",
+    "trace",
 ]

@@ -56,6 +56,10 @@ class RayPaths:
         ``flux`` by the number of reflections, and its standard errors, W.
     stray, stray_error : float
         Detected power of light that never met the hidden object, and its standard error, W.
+    wall_to_wall : float
+        Power that arrives at the wall straight from the wall, over all reflections, W.
+    trapped, trapped_error : float
+        What the wall absorbs of that, its light-trap loss, and the standard error, W.
     mean_path_length : float
         Of the light in ``flux``, by power, m; 0 when there is none.
     n_rays : int
@@ -82,6 +86,9 @@ class RayPaths:
     by_bounce_error: Array = field(default_factory=lambda: np.zeros(0))
     stray: float = 0.0
     stray_error: float = 0.0
+    wall_to_wall: float = 0.0
+    trapped: float = 0.0
+    trapped_error: float = 0.0
     mean_path_length: float = 0.0
     n_rays: int = 0
     stopped: str = "rays"
