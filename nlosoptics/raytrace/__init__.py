@@ -1,6 +1,7 @@
 """Rays and their intersections with the relay wall and with meshes."""
 
 from .intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
+from .irradiance import WallIrradiance, wall_irradiance
 from .meshes import MeshHits, intersect_mesh, occluded
 from .paths import RayPaths
 from .surroundings import RayPlan, ray_plan
@@ -16,9 +17,11 @@ __all__ = [
     "MeshHits",
     "RayPaths",
     "RayPlan",
+    "WallIrradiance",
     "intersect",
     "intersect_mesh",
     "occluded",
     "ray_plan",
     "trace",
+    "wall_irradiance",
 ]

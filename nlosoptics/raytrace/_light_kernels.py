@@ -16,6 +16,7 @@ from numba import njit
 from .._random_kernels import draw
 from ..scene._kernels import _is_mirror, _total_strength, lobe_pdf, material, sample_lobe
 from ._surround_kernels import (
+    DRAW_PIXEL,
     GROUPS,
     LENS,
     LOST,
@@ -137,7 +138,7 @@ def scatter(world, sampler, first, number, shares, vertices, leave, origins, dir
         mirror, reach = -1.0, -1.0
         share = aimed if kind == WALL else 0.0
         if share > 0.0 and draw(sampler, group, index, ray, number + 2) < share:
-            to = object_point(world, u, v)
+            to, _ = object_point(world, u, v)
             d = (to[0] - p[0], to[1] - p[1], to[2] - p[2])
             reach = math.sqrt(dot(d, d))
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
@@ -486,3 +487,34 @@ def book(light, eye, bounce, most, first, value, length, path_sums):
                 sums[most + 1 + LENGTHS] += value[i] * length[i]
             else:
                 sums[most + 1 + STRAY] += value[i]
+
+
+@njit(cache=True, nogil=True)
+def glow(world, sampler, first, power, new):
+    """Vertices on the object's front, in proportion to area times brightness, lit from above."""
+    for i in range(new.shape[0]):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        u = draw(sampler, group, index, ray, DRAW_PIXEL)
+        v = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
+        point, normal = object_point(world, u, v)
+        for k in range(3):
+            new[i, k], new[i, 3 + k], new[i, 6 + k] = point[k], normal[k], normal[k]
+        new[i, POWER], new[i, DENSITY], new[i, SURFACE], new[i, SCALE] = power, -1.0, OBJECT, 1.0
+        new[i, MET], new[i, BEFORE] = 1.0, NOTHING
+
+
+@njit(cache=True, nogil=True)
+def arrivals(vertices, first, corner, step, shape, cells, powers):
+    """Cells (group, row, column as one number) and powers of light at the wall; their number."""
+    count = 0
+    ny, nx = shape
+    for i in range(vertices.shape[0]):
+        if vertices[i, SURFACE] == WALL and vertices[i, POWER] > 0.0:
+            column = int(math.floor((vertices[i, 0] - corner[0]) / step[0]))
+            row = int(math.floor((vertices[i, 1] - corner[1]) / step[1]))
+            if 0 <= column < nx and 0 <= row < ny:
+                cells[count] = ((first + i) % GROUPS * ny + row) * nx + column
+                powers[count] = vertices[i, POWER]
+                count += 1
+    return count

@@ -260,7 +260,7 @@ def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kin
 
 @njit(cache=True)
 def object_point(world, u, v):
-    """Point of the object's front, in proportion to area times brightness."""
+    """Point of the object's front, in proportion to area times brightness, and its normal."""
     if world.plate.size > 0:
         plate = world.plate
         ny, nx = world.picture.shape
@@ -274,17 +274,22 @@ def object_point(world, u, v):
             plate[0] + across * plate[3] + up * plate[6],
             plate[1] + across * plate[4] + up * plate[7],
             plate[2] + across * plate[5] + up * plate[8],
-        )
+        ), three(plate, 9)
     areas = world.areas
     k = min(np.searchsorted(areas, u, side="right") - 1, areas.size - 2)
     u = min((u - areas[k]) / (areas[k + 1] - areas[k]), 1.0)
     row, root = world.triangles[k], math.sqrt(u)
     b, c = root * (1.0 - v), root * v
-    return (
+    point = (
         row[0] + b * row[3] + c * row[6],
         row[1] + b * row[4] + c * row[7],
         row[2] + b * row[5] + c * row[8],
     )
+    x = row[4] * row[8] - row[5] * row[7]
+    y = row[5] * row[6] - row[3] * row[8]
+    z = row[3] * row[7] - row[4] * row[6]
+    norm = math.sqrt(x * x + y * y + z * z)
+    return point, (x / norm, y / norm, z / norm)
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +16,13 @@ from .._checks import fits_memory, in_range, one_of, positive, whole
 from .._random import checked_seed, scrambled_sobol
 from ..errors import SceneError
 from ..scene import Scene
-from .blocks import Job, Kept, Traced, traced
+from .blocks import Job, Kept, traced
 from .meshes import _pool
 from .paths import RayPaths
 from .surroundings import Surroundings
 
 Array = NDArray[np.float64]
+Found = TypeVar("Found")
 BLOCK: Final = 4096  # rays that one task traces, and whose sums are added as one
 FIRST: Final = 1 << 13  # rays before the first look at the error
 MOST: Final = 1 << 36
@@ -90,7 +91,7 @@ def trace(
     1997, ch. 9 and 10). From the fourth reflection on weak light ends by roulette. Standard errors
     are those of the mean of the 32 groups.
     """
-    job = _job(scene, max_bounces, analog, sampler, seed, keep_paths)
+    job = job_of(scene, max_bounces, sampler, seed, analog=analog, keep_paths=keep_paths)
     if tol is not None:
         in_range("tol", tol, 1e-6, 1.0)
         _refuse_darkness(scene)
@@ -109,7 +110,7 @@ def trace(
     done, stopped = 0, "rays"
     goal = min(most, FIRST) if open_end else most
     while True:
-        for sums, asked, paths in _blocks(job, done, goal):
+        for sums, asked, paths in in_blocks(traced, job, done, goal):
             total += sums
             counts += asked
             kept += paths
@@ -122,7 +123,7 @@ def trace(
         if stopped == "time" or done >= most:
             break
         if tol is not None:
-            flux, error = _mean(total[:, : max_bounces + 1].sum(axis=1), done)
+            flux, error = mean_of(total[:, : max_bounces + 1].sum(axis=1), done)
             if flux > 0.0 and error <= tol * flux:
                 stopped = "tol"
                 break
@@ -140,9 +141,16 @@ def trace(
     return _result(job, total, counts, kept, stopped, time.perf_counter() - begun)
 
 
-def _job(
-    scene: Scene, max_bounces: int, analog: bool, sampler: str, seed: int, keep_paths: bool
+def job_of(
+    scene: Scene,
+    max_bounces: int,
+    sampler: str,
+    seed: int,
+    *,
+    analog: bool = False,
+    keep_paths: bool = False,
 ) -> Job:
+    """Check the options that all tracing has, and prepare the scene for it."""
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
@@ -174,16 +182,18 @@ def _refuse_darkness(scene: Scene) -> None:
         raise SceneError("hidden.image is black, so no light can arrive; give a picture")
 
 
-def _blocks(job: Job, start: int, end: int) -> Iterator[Traced]:
-    """Sums of blocks of rays, in the order of the rays, from all cores."""
+def in_blocks(
+    work: Callable[[Job, int, int], Found], job: Job, start: int, end: int
+) -> Iterator[Found]:
+    """What ``work`` finds for blocks of rays, in the order of the rays, on all cores."""
     parts = [(a, min(a + BLOCK, end)) for a in range(start, end, BLOCK)]
     if len(parts) == 1:
-        yield traced(job, *parts[0])
+        yield work(job, *parts[0])
         return
     pool, waiting = _pool(), []
     try:
         for part in parts:
-            waiting.append(pool.submit(traced, job, *part))
+            waiting.append(pool.submit(work, job, *part))
             if len(waiting) >= 8:
                 yield waiting.pop(0).result()
         while waiting:
@@ -193,7 +203,7 @@ def _blocks(job: Job, start: int, end: int) -> Iterator[Traced]:
             task.cancel()
 
 
-def _mean(sums: Array, rays: int) -> tuple[float, float]:
+def mean_of(sums: Array, rays: int) -> tuple[float, float]:
     """Mean over the rays and its standard error, from the sums of the 32 groups."""
     # the groups' sizes differ by one ray at most
     groups = min(rays, len(sums))
@@ -215,10 +225,10 @@ def _result(
     from . import _light_kernels as kernels
 
     rays, most = counts.pop("rays"), job.max_bounces
-    bounces = [_mean(total[:, k], rays) for k in range(most + 1)]
-    flux = _mean(total[:, : most + 1].sum(axis=1), rays)
+    bounces = [mean_of(total[:, k], rays) for k in range(most + 1)]
+    flux = mean_of(total[:, : most + 1].sum(axis=1), rays)
     tail = total[:, most + 1 :]
-    stray = _mean(tail[:, kernels.STRAY], rays)
+    stray = mean_of(tail[:, kernels.STRAY], rays)
     columns = {
         "absorbed by wall": tail[:, kernels.ABSORBED_WALL],
         "absorbed by object": tail[:, kernels.ABSORBED_OBJECT],
@@ -229,9 +239,9 @@ def _result(
         "left": tail[:, kernels.LEFT],
         "unresolved": tail[:, kernels.UNRESOLVED_LIGHT],
     }
-    ledger = {name: _mean(column, rays) for name, column in columns.items()}
-    between = _mean(tail[:, kernels.WALL_TO_WALL], rays)
-    trapped = _mean(tail[:, kernels.TRAPPED], rays)
+    ledger = {name: mean_of(column, rays) for name, column in columns.items()}
+    between = mean_of(tail[:, kernels.WALL_TO_WALL], rays)
+    trapped = mean_of(tail[:, kernels.TRAPPED], rays)
     length = math.fsum(tail[:, kernels.LENGTHS]) / rays
     if not kept:
         empty = np.zeros(0)

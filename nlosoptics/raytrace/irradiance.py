@@ -1,0 +1,172 @@
+"""Irradiance of the relay wall by light that comes back to it, as a map."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import fits_memory, one_of, pair, whole
+from ..errors import SceneError
+from ..scene import Lambert, Scene
+from .blocks import Job, Rays
+from .tracing import MOST, MOST_BOUNCES, in_blocks, job_of, mean_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WallIrradiance:
+    """Irradiance of the wall's cells.
+
+    Parameters
+    ----------
+    x, y : ndarray, (nx,) and (ny,)
+        Centres of the cells, world, m.
+    irradiance : ndarray, (ny, nx)
+        Power that arrives in a cell over the wall's area there, W/m^2; row 0 at the lowest y.
+    standard_error : ndarray, (ny, nx)
+        W/m^2.
+    power, power_error : float
+        Power on all cells and its standard error, W.
+    n_rays : int
+    seconds : float
+        Wall-clock time.
+    """
+
+    x: Array
+    y: Array
+    irradiance: Array
+    standard_error: Array
+    power: float
+    power_error: float
+    n_rays: int
+    seconds: float
+
+    def __post_init__(self) -> None:
+        for array in (self.x, self.y, self.irradiance, self.standard_error):
+            array.flags.writeable = False
+
+
+def wall_irradiance(
+    scene: Scene,
+    *,
+    shape: tuple[int, int] = (64, 64),
+    size: tuple[float, float] | None = None,
+    source: Literal["laser", "object"] = "laser",
+    n_rays: int = 1 << 18,
+    max_bounces: int = 2,
+    sampler: Literal["sobol", "philox"] = "sobol",
+    seed: int = 0,
+) -> WallIrradiance:
+    """Map the light that comes back to the relay wall.
+
+    Parameters
+    ----------
+    scene : Scene
+    shape : (int, int)
+        Cells (ny, nx).
+    size : (float, float), optional
+        Width and height of the map about the origin, m; by default the wall's.
+    source : {"laser", "object"}
+        The laser, whose own spot is left out; or the hidden object itself glowing with a radiant
+        exitance of 1 W/m^2 times its brightness, Lambertian, the laser off.
+    n_rays : int
+    max_bounces : int
+        Reflections before light is counted at the wall, at most; with ``source="object"`` 0 is the
+        object's own light alone.
+    sampler, seed
+        As for `trace`.
+
+    Returns
+    -------
+    WallIrradiance
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range, or the wall is unbounded and no size is given.
+    """
+    one_of("source", source, ("laser", "object"))
+    ny, nx = (whole("shape", n) for n in shape)
+    whole("n_rays", n_rays, 1, MOST)
+    whole("max_bounces", max_bounces, 0 if source == "object" else 1, MOST_BOUNCES - 2)
+    size = scene.wall.size if size is None else pair("size", size)
+    if size is None:
+        raise SceneError("wall.size is unbounded; give size, the width and height of the map in m")
+    fits_memory(f"a map of {nx} x {ny} cells (shape)", 32 * 8 * nx * ny, "map fewer cells")
+    begun = time.perf_counter()
+    if source == "object":
+        scene = replace(scene, hidden=replace(scene.hidden, material=Lambert(1.0)))
+    job = job_of(scene, max_bounces + 2, sampler, seed)  # the last arrival counts as well
+    step = np.divide(size, (nx, ny))
+    corner = -np.divide(size, 2)
+
+    def work(job: Job, first: int, end: int) -> tuple[NDArray[np.int64], Array]:
+        return _arrivals(job, first, end, source, max_bounces, (corner, step, (ny, nx)))
+
+    sums = np.zeros(32 * ny * nx)
+    for cells, powers in in_blocks(work, job, 0, n_rays):
+        np.add.at(sums, cells, powers)
+    maps = sums.reshape(32, ny, nx)
+    x, y = (c + s * (np.arange(n) + 0.5) for c, s, n in zip(corner, step, (nx, ny), strict=True))
+    areas = step[0] * step[1] / _upright(scene, x, y)
+    groups = min(n_rays, 32)
+    means = maps[:groups] * (groups / n_rays)
+    spread = ((means - means.mean(axis=0)) ** 2).sum(axis=0)
+    error = np.sqrt(spread / (groups * max(groups - 1, 1)))
+    power, power_error = mean_of(maps.sum(axis=(1, 2)), n_rays)
+    return WallIrradiance(
+        x=x,
+        y=y,
+        irradiance=maps.sum(axis=0) / n_rays / areas,
+        standard_error=error / areas,
+        power=power,
+        power_error=power_error,
+        n_rays=n_rays,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _upright(scene: Scene, x: Array, y: Array) -> Array:
+    """Cosine of the wall's tilt at cell centres, (ny, nx); 1 where it has no height."""
+    if scene.wall.is_flat:
+        return np.ones((len(y), len(x)))
+    xs, ys = np.meshgrid(x, y)
+    cosines = np.asarray(scene.wall.normal(xs, ys))[..., 2]
+    return np.where(np.isfinite(cosines), cosines, 1.0)
+
+
+def _arrivals(
+    job: Job,
+    first: int,
+    end: int,
+    source: str,
+    max_bounces: int,
+    grid: tuple[Array, Array, tuple[int, int]],
+) -> tuple[NDArray[np.int64], Array]:
+    """Cells and powers of the light of a block of rays, in the order of its reflections."""
+    from . import _light_kernels as kernels
+
+    rays, n = Rays(job, first, end - first), end - first
+    cells, powers = np.empty((max_bounces + 1, n), dtype=np.int64), np.empty((max_bounces + 1, n))
+    if source == "laser":
+        light = rays.from_laser()
+    else:
+        light = np.zeros((n, kernels.VERTEX))
+        norm = job.around.world.norm
+        if norm > 0.0:
+            kernels.glow(job.around.world, job.sampler, first, 1.0 / norm, light)
+        else:
+            light[:, kernels.SURFACE] = -1.0
+    found = []
+    # one more step than reflections for a source that is no reflection itself
+    for bounce in range(1, max_bounces + (1 if source == "laser" else 2)):
+        light = rays.onward(light, bounce)
+        row = bounce - 1
+        count = kernels.arrivals(light, first, *grid, cells[row], powers[row])
+        found.append((cells[row, :count], powers[row, :count]))
+    return np.concatenate([c for c, _ in found]), np.concatenate([p for _, p in found])
