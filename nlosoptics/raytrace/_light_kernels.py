@@ -33,8 +33,8 @@ from ._surround_kernels import (
 VERTEX = 18
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
 POWER, DENSITY, SURFACE, SCALE, LENGTH, MET, HISTORY, BEFORE = range(9, 17)
-LEAVE = 8
-LOBE, PDF, MIRROR, AIMED, REACH = range(3, 8)
+LEAVE = 9
+LOBE, PDF, MIRROR, AIMED, REACH, APART = range(3, 9)
 
 # columns of the sums after flux by bounce
 STRAY, LENGTHS, ABSORBED_WALL, ABSORBED_OBJECT, ABSORBED_OCCLUDERS = range(5)
@@ -114,6 +114,14 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
     return d, -1.0
 
 
+@njit(cache=True)
+def _far(world, p):
+    """Whether aiming alone may bring light from here to the object."""
+    ball = world.ball
+    away = (p[0] - ball[0], p[1] - ball[1], p[2] - ball[2])
+    return not world.glossy and dot(away, away) > 2.25 * ball[3] * ball[3]
+
+
 @njit(cache=True, nogil=True)
 def scatter(world, sampler, first, number, shares, vertices, leave, origins, directions, live):
     """Draw where light goes from vertices: along a lobe, or from the wall to the object.
@@ -157,6 +165,7 @@ def scatter(world, sampler, first, number, shares, vertices, leave, origins, dir
             origins[i, k] = p[k]
         leave[i, LOBE], leave[i, PDF], leave[i, MIRROR] = f, density, mirror
         leave[i, AIMED], leave[i, REACH] = share, reach
+        leave[i, APART] = 1.0 if share > 0.0 and _far(world, p) else 0.0
         live[i] = cosine > 0.0
 
 
@@ -164,7 +173,9 @@ def scatter(world, sampler, first, number, shares, vertices, leave, origins, dir
 def _passed_on(world, leave, distance, kind, normal, scale):
     """Share of the power that goes along a ray drawn by `scatter`, and its density per area.
 
-    Lobes and aiming stand in for each other wherever both reach: one-sample balance heuristic.
+    Lobes and aiming stand in for each other wherever both reach: one-sample balance heuristic. Far
+    from the object and without gloss, all light to it is aimed, which leaves nothing but a smooth
+    function of the numbers drawn.
     """
     d, aimed = three(leave, 0), leave[AIMED]
     if leave[MIRROR] >= 0.0:
@@ -176,6 +187,10 @@ def _passed_on(world, leave, distance, kind, normal, scale):
     astray = kind != OBJECT or abs(distance - leave[REACH]) > 1e-6 * leave[REACH]
     if leave[REACH] >= 0.0 and astray:
         return 0.0, 0.0  # aimed at what something else hides
+    if leave[APART] > 0.0 and at_object > 0.0:
+        if leave[REACH] < 0.0:
+            return 0.0, 0.0
+        return leave[LOBE] / at_object, at_object * cosine / (distance * distance)
     density = (1.0 - aimed) * leave[PDF] + at_object
     if density <= 0.0:
         return 0.0, 0.0
@@ -246,9 +261,12 @@ def land(
             sums[tail + ESCAPED] += sent
             fates[i] = 1
         elif where == LENS:
-            fates[i] = _enter_lens(
+            kept = _enter_lens(
                 world, sums, tail, old[i], leave[i], bounce, distance[i], sent, analog
             )
+            fates[i] = 0 if kept > 0.0 else 4
+            if kept > 0.0:
+                new[i, POWER] = kept
         elif where in (WALL, OBJECT):
             if where == WALL and at == WALL:
                 sums[tail + WALL_TO_WALL] += sent
@@ -265,7 +283,7 @@ def land(
 
 @njit(cache=True)
 def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
-    """Book light that a walk brings to the lens; the status of the path.
+    """Book light that a walk brings to the lens; what of it is detected.
 
     Unless the walk is analog, connections count the light, all but what mirrors alone bring.
     """
@@ -281,7 +299,7 @@ def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
         else:
             sums[tail + STRAY] += kept
     sums[tail + BLOCKED] += sent - kept
-    return 0 if seen else 4
+    return kept
 
 
 @njit(cache=True, nogil=True)

@@ -51,6 +51,8 @@ class World(NamedTuple):
     areas: NDArray[np.float64]
     norm: float
     aimed: float
+    glossy: bool
+    ball: NDArray[np.float64]
     camera: NDArray[np.float64]
     laser: NDArray[np.float64]
 
@@ -83,32 +85,38 @@ def beam(world, sampler, first, origins, directions):
 
 @njit(cache=True)
 def sight(world, sampler, first, origins, directions, powers, densities):
-    """Rays from the lens into the scene, evenly over lens and detector.
+    """Rays from the lens into the scene, evenly over lens and detector, or the baffle's disc.
 
     Powers are what the detector gets per unit radiance; densities are per solid angle.
     """
     camera = world.camera
-    lens_area, pixel_area = math.pi * camera[12] ** 2, 4.0 * camera[15] * camera[16]
+    lens_area, zoom, baffle = math.pi * camera[12] ** 2, camera[13] / camera[14], camera[20]
     for i in range(origins.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
-        x = (2.0 * draw(sampler, group, index, ray, DRAW_PIXEL) - 1.0) * camera[15]
-        y = (2.0 * draw(sampler, group, index, ray, DRAW_PIXEL + 1) - 1.0) * camera[16]
+        x = draw(sampler, group, index, ray, DRAW_PIXEL)
+        y = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
         u, v = disc(
             draw(sampler, group, index, ray, DRAW_LENS),
             draw(sampler, group, index, ray, DRAW_LENS + 1),
         )
         u, v = u * camera[12], v * camera[12]
         # toward where the detector's point is in focus
-        zoom = camera[13] / camera[14]
-        a, b, c = -x * zoom - u, -y * zoom - v, camera[13]
+        c = camera[13]
+        if baffle > 0.0:
+            a, b = disc(x, y)
+            a, b = a * baffle, b * baffle
+        else:
+            a = (1.0 - 2.0 * x) * camera[15] * zoom - u
+            b = (1.0 - 2.0 * y) * camera[16] * zoom - v
         norm = math.sqrt(a * a + b * b + c * c)
         cosine = c / norm
         for k in range(3):
             origins[i, k] = camera[k] + u * camera[3 + k] + v * camera[6 + k]
             directions[i, k] = (a * camera[3 + k] + b * camera[6 + k] + c * camera[9 + k]) / norm
-        densities[i] = camera[14] ** 2 / (pixel_area * cosine**3)
-        seen = cosine >= camera[17]
+        densities[i] = camera[14] ** 2 / (camera[19] * cosine**3)
+        seen = abs(a + u) <= camera[15] * zoom and abs(b + v) <= camera[16] * zoom
+        seen &= baffle > 0.0 or cosine >= camera[17]
         powers[i] = lens_area * cosine * camera[18] / densities[i] if seen else 0.0
 
 
@@ -125,7 +133,7 @@ def on_detector(camera, point, direction):
     y = (dot(apart, e2) + far * dot(direction, e2)) * zoom
     if abs(x) > camera[15] or abs(y) > camera[16]:
         return 0.0
-    return camera[14] ** 2 / (4.0 * camera[15] * camera[16] * cosine**3)
+    return camera[14] ** 2 / (camera[19] * cosine**3)
 
 
 @njit(cache=True)

@@ -117,7 +117,7 @@ def wall_irradiance(
     groups = min(n_rays, 32)
     means = maps[:groups] * (groups / n_rays)
     spread = ((means - means.mean(axis=0)) ** 2).sum(axis=0)
-    error = np.sqrt(spread / (groups * max(groups - 1, 1)))
+    error = np.sqrt(spread / (groups * (groups - 3))) if groups > 3 else np.full(shape, np.inf)
     power, power_error = mean_of(maps.sum(axis=(1, 2)), n_rays)
     return WallIrradiance(
         x=x,

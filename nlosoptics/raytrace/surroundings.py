@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Hits = tuple[Array, NDArray[np.int8], Array, Array]
-AIMED = 0.7  # share of the light leaving the wall that is sent to the object
+AIMED = (
+    0.75  # share of the light leaving the wall that is sent to the object: dyadic, as digits are
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +89,7 @@ class Surroundings:
 
     def __init__(self, scene: Scene) -> None:
         self.plan = ray_plan(scene)
-        self.world = _world(scene)
+        self.world = _world(scene, self.plan.glossy)
         self._wall = scene.wall
         self._walls: Any = None
         if self.plan.wall_hits != "python":
@@ -237,14 +239,21 @@ def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
     return trimesh.Trimesh(vertices, faces, process=False), count
 
 
-def _world(scene: Scene) -> World:
+def _world(scene: Scene, glossy: bool) -> World:
     """Numbers of a scene for compiled code."""
     from ._surround_kernels import World
 
     camera, laser = scene.camera, scene.laser
     ny, nx = camera.shape
     half = 0.5 * camera.image_pitch * np.array([nx, ny])
-    stop = -1.0 if camera.field_stop is None else math.cos(camera.field_stop / 2)
+    stop, area, baffle = -1.0, 4.0 * float(half.prod()), 0.0
+    if camera.field_stop is not None:
+        stop = math.cos(camera.field_stop / 2)
+        # what the baffle leaves of the detector's plane, where that is the smaller part
+        slope = math.tan(camera.field_stop / 2) if stop > 0.1 else math.inf
+        if math.pi * (slope * scene.image_distance) ** 2 < area:
+            area, baffle = math.pi * (slope * scene.image_distance) ** 2, slope
+    baffle *= scene.focus_distance
     optics = (camera.stop_diameter / 2, scene.focus_distance, scene.image_distance)
     axis = np.subtract(laser.aim, laser.position)
     axis = axis / math.sqrt(float((axis * axis).sum()))
@@ -257,11 +266,9 @@ def _world(scene: Scene) -> World:
         plate = np.concatenate(
             [scene.hidden.position, scene.hidden.axes.ravel(), np.divide(scene.hidden.size, 2)]
         )
-        rows, columns = (
-            _cumulative(picture.sum(axis=1)),
-            np.stack([_cumulative(line) for line in picture]),
-        )
+        rows, columns = _cumulative(picture.sum(axis=1)), _cumulative(picture)
         total = float(picture.mean()) * scene.hidden.size[0] * scene.hidden.size[1]
+        outline = scene.hidden.corners
     else:
         corners = np.asarray(scene.hidden.surface.triangles, dtype=np.float64)
         first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -269,6 +276,9 @@ def _world(scene: Scene) -> World:
         across_faces = np.cross(first, second)
         sizes = 0.5 * np.sqrt((across_faces * across_faces).sum(axis=1))
         areas, total = _cumulative(sizes), float(sizes.sum())
+        outline = corners.reshape(-1, 3)
+    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    radius = float(np.sqrt(((outline - centre) ** 2).sum(axis=1).max()))
     return World(
         wall=scene.wall_material._lobes(),
         thing=scene.hidden.material._lobes(),
@@ -280,8 +290,16 @@ def _world(scene: Scene) -> World:
         areas=areas,
         norm=1.0 / total if total > 0.0 else 0.0,
         aimed=AIMED if total > 0.0 else 0.0,
+        glossy=glossy,
+        ball=np.array([*centre, radius]),
         camera=np.concatenate(
-            [camera.position, camera.frame.ravel(), optics, half, [stop, camera.transmission]]
+            [
+                camera.position,
+                camera.frame.ravel(),
+                optics,
+                half,
+                [stop, camera.transmission, area, baffle],
+            ]
         ),
         laser=np.concatenate(
             [
@@ -296,10 +314,10 @@ def _world(scene: Scene) -> World:
 
 
 def _cumulative(values: Array) -> Array:
-    """Shares of the values up to each, from 0 to 1; even shares where all are zero."""
-    total = float(values.sum())
-    shares = values / total if total > 0.0 else np.full(len(values), 1.0 / len(values))
-    sums = np.concatenate([[0.0], np.cumsum(shares)])
-    sums[-1] = 1.0
-    # rounding of the last steps must not make them fall
-    return np.asarray(np.minimum(sums, 1.0))
+    """Shares of the values up to each along the last axis, 0 to 1; even shares where all are 0."""
+    total = values.sum(axis=-1, keepdims=True)
+    shares = np.where(total > 0.0, values, 1.0)
+    sums = np.cumsum(shares, axis=-1) / shares.sum(axis=-1, keepdims=True)
+    sums = np.minimum(np.insert(sums, 0, 0.0, axis=-1), 1.0)
+    sums[..., -1] = 1.0  # rounding must leave no number beyond the last
+    return np.asarray(sums)

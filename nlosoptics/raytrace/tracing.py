@@ -204,14 +204,18 @@ def in_blocks(
 
 
 def mean_of(sums: Array, rays: int) -> tuple[float, float]:
-    """Mean over the rays and its standard error, from the sums of the 32 groups."""
+    """Mean over the rays and its standard error, from the sums of the 32 groups.
+
+    The error has Student's factor sqrt((g - 1)/(g - 3)) of g groups, so that deviations measured in
+    it have unit variance.
+    """
     # the groups' sizes differ by one ray at most
     groups = min(rays, len(sums))
     means = sums[:groups] * (groups / rays)
     mean = math.fsum(sums) / rays
-    if groups < 2:
+    if groups < 4:
         return mean, math.inf
-    return mean, math.sqrt(math.fsum((means - mean) ** 2) / (groups * (groups - 1)))
+    return mean, math.sqrt(math.fsum((means - mean) ** 2) / (groups * (groups - 3)))
 
 
 def _result(
