@@ -118,7 +118,9 @@ def _draw(
         address[:, 2], address[:, 3] = attempt, FACETS
         words = philox(address, seed).astype(np.float64)
         # 53 bits, and never 0
-        uniform = (np.floor(words[:, 0] / 32) * 2.0**26 + np.floor(words[:, 1] / 64) + 0.5) / 2.0**53
+        uniform = (
+            np.floor(words[:, 0] / 32) * 2.0**26 + np.floor(words[:, 1] / 64) + 0.5
+        ) / 2.0**53
         tilt = slope_rms * np.sqrt(-2 * np.log(uniform))
         accepted = (tilt < math.pi / 2) & (words[:, 2] / 2.0**32 < np.sinc(tilt / math.pi))
         turn = 2 * math.pi * words[:, 3] / 2.0**32

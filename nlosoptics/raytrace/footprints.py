@@ -8,12 +8,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import fits_memory
 from ..errors import SceneError
 from ..scene import Camera, Wall
 
 Array = NDArray[np.float64]
-SAMPLES: Final = 97  # per side of the patch that is searched
-GROWTHS: Final = 24  # doublings and tightenings, after which nothing is found
+CELLS: Final = 48  # per side of the rectangle that is searched first
+GROWTHS: Final = 24  # doublings of the rectangle
+LEVELS: Final = 10  # halvings of its cells
+FINE: Final = 0.125  # of the lens radius, where a cell's light is small enough
+CORNERS: Final = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +50,6 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
     Returns
     -------
     Footprint
-        About a sample too wide on every side.
 
     Raises
     ------
@@ -55,46 +58,35 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
 
     Notes
     -----
-    A rectangle about the reflection in the plane z = 0 is sampled, grown until no lit sample lies
-    on its edge, and tightened about the lit ones. A sample is lit when its light passes the lens
-    plane within the lens, or nearer to it than to the light of a neighbouring sample.
+    A rectangle about the reflection in the plane z = 0, as much larger as the wall's slopes may
+    throw light, is cut into cells, and grown until none of its outermost cells is lit. A cell is
+    lit when the light of its corners passes the lens plane around the lens; lit cells are halved
+    until their light is smaller than the lens.
     """
     o = np.asarray(object_point, dtype=np.float64)
     if o[2] <= 0:
         raise SceneError(f"object_point has z = {o[2]:g} m, behind the wall; must be above 0")
-    low, high = _mirror_box(o, camera)
+    low, high = _mirror_box(wall, o, camera)
     edge = np.array([np.inf, np.inf] if wall.size is None else wall.size) / 2
     for _ in range(GROWTHS):
         inner_low, inner_high = np.maximum(low, -edge), np.minimum(high, edge)
-        size = high - low
         if (inner_low < inner_high).all():
-            low, high = inner_low, inner_high
-            axes = [np.linspace(a, b, SAMPLES) for a, b in zip(low, high, strict=True)]
-            points, lit = _lit(wall, o, camera, *axes)
-            columns, rows = (np.flatnonzero(lit.any(axis=k)) for k in (0, 1))
-            if len(rows):
-                first, last = (np.array([columns[k], rows[k]]) for k in (0, -1))
-                open_low = (first == 0) & (low > -edge)
-                open_high = (last == SAMPLES - 1) & (high < edge)
+            points = _lit_points(wall, o, camera, inner_low, inner_high)
+            if len(points):
+                first, last = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+                slack = 1e-9 * (inner_high - inner_low)
+                open_low = (first <= inner_low + slack) & (inner_low > -edge)
+                open_high = (last >= inner_high - slack) & (inner_high < edge)
                 if not (open_low | open_high).any():
-                    step = (high - low) / (SAMPLES - 1)
-                    within = Footprint(
-                        np.maximum(low + (first - 1) * step, -edge),
-                        np.minimum(low + (last + 1) * step, edge),
-                        points[lit],
-                    )
-                    if ((last - first) * 3 >= SAMPLES).all():
-                        return within
-                    low, high = within.low, within.high
-                    continue
-        low, high = low - size / 2, high + size / 2
+                    return Footprint(first, last, points)
+        low, high = low - (high - low) / 2, high + (high - low) / 2
     raise SceneError(
         f"no light from {np.array2string(o, precision=4)} m is reflected by the wall into the "
         "lens; enlarge the wall, move the object or aim at another part"
     )
 
 
-def _mirror_box(o: Array, camera: Camera) -> tuple[Array, Array]:
+def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
     """Where a plane mirror z = 0 shows the point to the lens, with room around, (2,) each."""
     angle = 2 * np.pi * np.arange(16) / 16
     across = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ camera.frame[:2]
@@ -107,31 +99,57 @@ def _mirror_box(o: Array, camera: Camera) -> tuple[Array, Array]:
     share = o[2] / (o[2] + rim[:, 2:])
     hits = o[:2] + share * (rim[:, :2] - o[:2])
     room = 0.25 * (hits.max(axis=0) - hits.min(axis=0))
+    if np.isfinite(wall.finest_period):
+        # a wave's slope throws light 2 slope d_eff along the wall, more where it comes aslant
+        legs = [np.linalg.norm(end - hits.mean(axis=0)) for end in (o[:2], rim[:, :2].mean(axis=0))]
+        legs = [np.hypot(leg, z) for leg, z in zip(legs, (o[2], rim[:, 2].mean()), strict=True)]
+        slope = wall.max_curvature * wall.finest_period / (2 * np.pi)
+        room = room + min(4 * slope * legs[0] * legs[1] / (legs[0] + legs[1]), sum(legs))
     return hits.min(axis=0) - room, hits.max(axis=0) + room
 
 
-def _lit(
-    wall: Wall, o: Array, camera: Camera, x: Array, y: Array
-) -> tuple[Array, NDArray[np.bool_]]:
-    """Points (ny, nx, 3) of the wall and whether their light passes the lens or next to it."""
-    gx, gy = np.meshgrid(x, y)
-    surface = surfaces(wall, gx, gy)
-    points = np.stack([gx, gy, surface[..., 0]], axis=-1)
-    normals = np.stack([-surface[..., 1], -surface[..., 2], np.ones_like(gx)], axis=-1)
+def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -> Array:
+    """Corners (n, 3) of the lit cells of a rectangle, on the wall."""
+    radius = camera.stop_diameter / 2
+    side = (high - low) / CELLS
+    index = np.stack(np.meshgrid(np.arange(CELLS), np.arange(CELLS)), axis=-1).reshape(-1, 2)
+    cells, found = low + index * side, []
+    for _ in range(LEVELS):
+        corners = cells[:, None] + side * CORNERS
+        points, landed = _landings(wall, o, camera, corners)
+        dark = np.isnan(landed)
+        least = np.where(dark, np.inf, landed).min(axis=1)
+        most = np.where(dark, -np.inf, landed).max(axis=1)
+        some = ~dark.all(axis=(1, 2))
+        spread = np.where(some[:, None], most - least, 0.0)
+        lit = (least - spread / 2 <= radius) & (most + spread / 2 >= -radius)
+        lit = lit.all(axis=1) & some
+        # cells that never get here, as at the rim of a sphere, send all light but a point elsewhere
+        fine = lit & (spread <= FINE * radius).all(axis=1)
+        found.append(points[fine][~np.any(dark[fine], axis=-1)])
+        cells = cells[lit & ~fine]
+        if not len(cells):
+            break
+        fits_memory(f"{len(cells)} wall cells", 1600.0 * len(cells), "use a smoother wall")
+        side = side / 2
+        cells = (cells[:, None] + side * CORNERS).reshape(-1, 2)
+    return np.concatenate(found)
+
+
+def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Array, Array]:
+    """Wall points (..., 3) at places (..., 2), and where their light passes the lens's plane.
+
+    The second are (..., 2), u and v in m, NaN for what goes elsewhere.
+    """
+    surface = surfaces(wall, places[..., 0], places[..., 1])
+    points = np.concatenate([places, surface[..., :1]], axis=-1)
+    normals = np.stack([-surface[..., 1], -surface[..., 2], np.ones(places.shape[:-1])], axis=-1)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
     incident = points - o
     ends, _ = lens_plane(points, reflected(incident, normals), camera)
-    u, v = ((ends - np.array(camera.position)) @ axis for axis in camera.frame[:2])
-    spread = np.zeros_like(u)
-    for axis in (0, 1):
-        step = np.hypot(np.diff(u, axis=axis), np.diff(v, axis=axis))
-        step = np.where(np.isfinite(step), step, 0.0)
-        for part in (np.s_[1:], np.s_[:-1]):
-            view = spread[part] if axis == 0 else spread[:, part]
-            np.maximum(view, step, out=view)
     front = np.sum(incident * normals, axis=-1) < 0
-    # NaN, where the wall has no height or sends light elsewhere, compares false
-    return points, front & (np.hypot(u, v) <= camera.stop_diameter / 2 + spread)
+    landed = (ends - np.array(camera.position)) @ camera.frame[:2].T
+    return points, np.where(front[..., None], landed, np.nan)
 
 
 def surfaces(wall: Wall, x: Array, y: Array) -> Array:
