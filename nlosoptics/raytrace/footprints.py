@@ -13,9 +13,10 @@ from ..errors import SceneError
 from ..scene import Camera, Wall
 
 Array = NDArray[np.float64]
-CELLS: Final = 48  # per side of the rectangle that is searched first
+CELLS: Final = 48  # per side of the rectangle that is searched first, at least
 GROWTHS: Final = 24  # doublings of the rectangle
-LEVELS: Final = 10  # halvings of its cells
+LEVELS: Final = 9  # halvings of its cells
+MOST: Final = 2_000_000  # cells of a rectangle that is still grown
 FINE: Final = 0.125  # of the lens radius, where a cell's light is small enough
 CORNERS: Final = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
@@ -79,6 +80,9 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
                 open_high = (last >= inner_high - slack) & (inner_high < edge)
                 if not (open_low | open_high).any():
                     return Footprint(first, last, points)
+            whole = (inner_low == -edge).all() and (inner_high == edge).all()
+            if whole or _counts(wall, inner_low, inner_high).prod() > MOST / 4:
+                break
         low, high = low - (high - low) / 2, high + (high - low) / 2
     raise SceneError(
         f"no light from {np.array2string(o, precision=4)} m is reflected by the wall into the "
@@ -111,10 +115,12 @@ def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
 def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -> Array:
     """Corners (n, 3) of the lit cells of a rectangle, on the wall."""
     radius = camera.stop_diameter / 2
-    side = (high - low) / CELLS
-    index = np.stack(np.meshgrid(np.arange(CELLS), np.arange(CELLS)), axis=-1).reshape(-1, 2)
+    counts = _counts(wall, low, high)
+    _fit(float(counts.prod()))
+    side = (high - low) / counts
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in counts)), axis=-1).reshape(-1, 2)
     cells, found = low + index * side, []
-    for _ in range(LEVELS):
+    for level in range(LEVELS):
         corners = cells[:, None] + side * CORNERS
         points, landed = _landings(wall, o, camera, corners)
         dark = np.isnan(landed)
@@ -125,15 +131,25 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
         lit = (least - spread / 2 <= radius) & (most + spread / 2 >= -radius)
         lit = lit.all(axis=1) & some
         # cells that never get here, as at the rim of a sphere, send all light but a point elsewhere
-        fine = lit & (spread <= FINE * radius).all(axis=1)
-        found.append(points[fine][~np.any(dark[fine], axis=-1)])
+        limit = FINE * radius if level < LEVELS - 1 else radius
+        fine = np.asarray(lit & (spread <= limit).all(axis=1))
+        found.append(points[fine[:, None] & ~dark.any(axis=-1)])
         cells = cells[lit & ~fine]
         if not len(cells):
             break
-        fits_memory(f"{len(cells)} wall cells", 1600.0 * len(cells), "use a smoother wall")
+        _fit(4.0 * len(cells))
         side = side / 2
         cells = (cells[:, None] + side * CORNERS).reshape(-1, 2)
     return np.concatenate(found)
+
+
+def _counts(wall: Wall, low: Array, high: Array) -> Array:
+    """Cells each way, an eighth of a wave, or corners would all see its crests."""
+    return np.asarray(np.maximum(CELLS, np.ceil(8 * (high - low) / wall.finest_period)))
+
+
+def _fit(n_cells: float) -> None:
+    fits_memory(f"{n_cells:.3g} wall cells", 1000.0 * n_cells, "use a smoother or smaller wall")
 
 
 def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Array, Array]:
