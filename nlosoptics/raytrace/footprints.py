@@ -126,13 +126,13 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
         dark = np.isnan(landed)
         least = np.where(dark, np.inf, landed).min(axis=1)
         most = np.where(dark, -np.inf, landed).max(axis=1)
-        some = ~dark.all(axis=(1, 2))
+        some = np.asarray(~dark.all(axis=(1, 2)))
         spread = np.where(some[:, None], most - least, 0.0)
         lit = (least - spread / 2 <= radius) & (most + spread / 2 >= -radius)
         lit = lit.all(axis=1) & some
         # cells that never get here, as at the rim of a sphere, send all light but a point elsewhere
         limit = FINE * radius if level < LEVELS - 1 else radius
-        fine = np.asarray(lit & (spread <= limit).all(axis=1))
+        fine: NDArray[np.bool_] = np.logical_and(lit, (spread <= limit).all(axis=1))
         found.append(points[fine[:, None] & ~dark.any(axis=-1)])
         cells = cells[lit & ~fine]
         if not len(cells):
