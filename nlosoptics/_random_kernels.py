@@ -23,13 +23,19 @@ def _rounds(c0, c1, c2, c3, k0, k1):
 
 
 @njit(cache=True)
-def philox(counter, key):
-    """Four words of 32 bits of a counter (4,) and a key (2,), uint64 arrays of 32-bit words."""
-    out = np.empty(4, dtype=np.uint64)
-    out[0], out[1], out[2], out[3] = _rounds(
-        counter[0], counter[1], counter[2], counter[3], key[0], key[1]
-    )
-    return out
+def philox(counters, seed, words):
+    """Fill ``words`` (n, 4) uint32 with those of the counters (n, 4) uint32 and a 64-bit key."""
+    k0, k1 = seed & LOW, seed >> HALF
+    for i in range(counters.shape[0]):
+        a, b, c, d = _rounds(
+            np.uint64(counters[i, 0]),
+            np.uint64(counters[i, 1]),
+            np.uint64(counters[i, 2]),
+            np.uint64(counters[i, 3]),
+            k0,
+            k1,
+        )
+        words[i, 0], words[i, 1], words[i, 2], words[i, 3] = a, b, c, d
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ OPTICS = {"scene", "raytrace", "psf", "imaging", "inverse", "transient"}
 MAY_IMPORT = {
     "errors": set(),
     "_checks": {"errors"},
-    "_random": {"errors", "_checks"},
+    "_random": {"errors", "_checks", "_random_kernels"},
     "_random_kernels": set(),
     "scene": BASE,
     "raytrace": BASE | {"scene"},

@@ -1,9 +1,11 @@
-"""Rays and their intersections with the relay wall and with meshes."""
+"""Rays: their intersections with wall and meshes, facets of a rough wall, and traced light."""
 
+from .facets import facet_angles
 from .intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
 from .irradiance import WallIrradiance, wall_irradiance
 from .meshes import MeshHits, intersect_mesh, occluded
 from .paths import RayPaths
+from .pupil_fans import pupil_rays
 from .surroundings import RayPlan, ray_plan
 from .tracing import trace
 
@@ -18,9 +20,11 @@ __all__ = [
     "RayPaths",
     "RayPlan",
     "WallIrradiance",
+    "facet_angles",
     "intersect",
     "intersect_mesh",
     "occluded",
+    "pupil_rays",
     "ray_plan",
     "trace",
     "wall_irradiance",
