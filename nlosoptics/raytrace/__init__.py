@@ -1,7 +1,7 @@
 """Rays and their intersections with the relay wall and with meshes."""
 
 from .intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
-from .meshes import MeshHits, intersect_mesh, occluded
+from .meshes import AllHits, MeshHits, all_hits, intersect_mesh, occluded
 
 __all__ = [
     "BEHIND",
@@ -9,8 +9,10 @@ __all__ = [
     "MISS",
     "OUTSIDE",
     "UNRESOLVED",
+    "AllHits",
     "Hits",
     "MeshHits",
+    "all_hits",
     "intersect",
     "intersect_mesh",
     "occluded",
