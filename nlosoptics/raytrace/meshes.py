@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range
 from ..errors import SceneError
-from .facets import Facets, NoRayError
+from .triangles import Facets, NoRayError
 from .intersections import Hits, _rays, flat_rays
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def intersect_mesh(
     triangle, status = np.empty(count, dtype=np.int32), np.empty(count, dtype=np.int8)
 
     def work(part: slice) -> None:
-        from .facets import _kernels
+        from .triangles import _kernels
 
         rows = facets.first(o[part], d[part], nearest)
         _kernels.finish(
