@@ -1,6 +1,8 @@
 """Rays on walls and meshes: seconds and error, against raw embreex and trimesh's own ray API.
 
-python benchmarks/intersections.py [--rays 1000000] [--triangles 81920 1310720] [--json FILE]
+python benchmarks/intersections.py [--rays 1000000] [--triangles 81920 2000000] [--json FILE]
+python benchmarks/intersections.py --growth     seconds against triangles and rays, with exponents
+python benchmarks/intersections.py --leaks      of a closed mesh: random rays and aimed ones
 
 Walls are timed on NUMBA_NUM_THREADS threads, a plain Newton loop on one; embreex on two threads.
 Errors are of the distance, relative: of walls against the surface at the hit over the cosine, of
@@ -14,6 +16,7 @@ import json
 import math
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -90,33 +93,79 @@ def facet_error(mesh, triangle, origins, directions, distance):
     return float(np.abs(distance / exact - 1).max())
 
 
-def mesh_rows(triangles, count, draw):
-    """A closed mesh with random rays from within."""
+def closed_mesh(triangles):
+    """An icosphere of so many triangles if there is one, else a bumpy sphere of rings."""
     subdivisions = max(0, round(math.log(triangles / 20, 4)))
-    mesh = trimesh.creation.icosphere(subdivisions=subdivisions)
-    name = f"mesh {len(mesh.faces)}"
+    if abs(20 * 4**subdivisions / triangles - 1) < 0.05:
+        return trimesh.creation.icosphere(subdivisions=subdivisions)
+    rings = round(math.sqrt(triangles / 4))
+    around = 2 * rings  # vertices of a ring
+    polar = np.linspace(0, math.pi, rings + 2)[1:-1, None]
+    azimuth = 2 * math.pi * np.arange(around) / around
+    x, y = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth)
+    z = np.cos(polar) + 0 * azimuth
+    vertices = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    vertices = np.concatenate([vertices, [[0, 0, 1], [0, 0, -1]]])
+    number = np.arange(rings * around).reshape(rings, around)
+    a, b = number[:-1], np.roll(number, -1, axis=1)[:-1]
+    c, d = number[1:], np.roll(number, -1, axis=1)[1:]
+    north, south = np.full(around, len(vertices) - 2), np.full(around, len(vertices) - 1)
+    last = number[-1]
+    faces = [(a, c, d), (a, d, b), (north, a[0], b[0]), (south, np.roll(last, -1), last)]
+    faces = np.concatenate([np.stack(corners, axis=-1).reshape(-1, 3) for corners in faces])
+    x, y, z = vertices.T
+    radius = 1 + 0.05 * np.sin(3 * x) * np.cos(4 * y) * np.sin(5 * z + 1)
+    return trimesh.Trimesh(vertices * radius[:, None], faces, process=False)
+
+
+def rays_within(count, draw):
+    """Origins near the middle of a mesh, directions all around."""
     origins = draw.uniform(-0.3, 0.3, (count, 3))
     directions = draw.normal(size=(count, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    seconds, _ = best(lambda: raytrace.intersect_mesh(mesh, origins[:1], directions[:1]), 1)
-    yield name, "nlosoptics, built", seconds, math.nan
-    seconds, hits = best(lambda: raytrace.intersect_mesh(mesh, origins, directions))
-    some = slice(0, 20_000)
-    rays = origins[some], directions[some]
-    error = facet_error(mesh, hits.triangle[some], *rays, hits.distance[some])
-    yield name, "nlosoptics", seconds, error
+    return origins, directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
+
+def alternately(*works, repeats=7):
+    """Least seconds of each work, taken in turns, so that each meets the same other load."""
+    seconds = [math.inf] * len(works)
+    for _ in range(repeats):
+        for i, work in enumerate(works):
+            seconds[i] = min(seconds[i], best(work, 1)[0])
+    return seconds
+
+
+def raw_embreex(mesh, origins, directions, pool):
+    """A scene, and a call that asks it for triangles only, in float32 and two halves."""
     scene = EmbreeScene()
     TriangleMesh(scene, mesh.triangles.astype(np.float32))
     o, d = origins.astype(np.float32), directions.astype(np.float32)
     scene.run(o[:1], d[:1])
-    halves = [slice(0, count // 2), slice(count // 2, count)]
+    half = len(o) // 2
+    halves = [slice(0, half), slice(half, None)]
+    return scene, lambda: list(pool.map(lambda part: scene.run(o[part], d[part]), halves))
+
+
+def mesh_rows(triangles, count, draw):
+    """A closed mesh with random rays from within."""
+    mesh = closed_mesh(triangles)
+    name = f"mesh {len(mesh.faces)}"
+    origins, directions = rays_within(count, draw)
+    seconds, _ = best(lambda: raytrace.intersect_mesh(mesh, origins[:1], directions[:1]), 1)
+    yield name, "nlosoptics, built", seconds, math.nan
+    hits = raytrace.intersect_mesh(mesh, origins, directions)
+    some = slice(0, 20_000)
+    rays = origins[some], directions[some]
+    error = facet_error(mesh, hits.triangle[some], *rays, hits.distance[some])
     with ThreadPoolExecutor(2) as pool:
-        seconds, _ = best(lambda: list(pool.map(lambda part: scene.run(o[part], d[part]), halves)))
-    answer = scene.run(o[some], d[some], output=True)
+        scene, raw = raw_embreex(mesh, origins, directions, pool)
+        ours, theirs = alternately(lambda: raytrace.intersect_mesh(mesh, origins, directions), raw)
+    yield name, "nlosoptics", ours, error
+    o, d = (v.astype(np.float32) for v in rays)
+    answer = scene.run(o, d, output=True)
     # what it says of distance is float32; a leak has none
     error = facet_error(mesh, np.maximum(answer["primID"], 0), *rays, answer["tfar"])
-    yield name, "embreex, 2 threads", seconds, error
+    yield name, "embreex, 2 threads", theirs, error
+    print(f"{name}: {theirs / ours:.2f} of the throughput of embreex on 2 threads")
 
     few = slice(0, count // 5)
     seconds, _ = best(lambda: mesh.ray.intersects_first(origins[few], directions[few]), 2)
@@ -126,14 +175,75 @@ def mesh_rows(triangles, count, draw):
     yield name, "trimesh, location", 5 * seconds, math.nan
 
 
+def growth(draw, rays=1_000_000):
+    """Seconds against triangles and against rays, and the exponents of a fitted power."""
+    report = {}
+    sizes = [1_280, 5_120, 20_480, 81_920, 327_680, 1_310_720]
+    counts = [10_000, 30_000, 100_000, 300_000, 1_000_000, 4_000_000]
+    cases = {"triangles": [(n, rays) for n in sizes], "rays": [(81_920, n) for n in counts]}
+    for grown, pairs in cases.items():
+        found = []
+        print(f"{grown:>12s} {'nlosoptics s':>13s} {'embreex s':>13s} {'ratio':>6s}")
+        for triangles, count in pairs:
+            mesh = closed_mesh(triangles)
+            origins, directions = rays_within(count, draw)
+            raytrace.intersect_mesh(mesh, origins[:1], directions[:1])
+            with ThreadPoolExecutor(2) as pool:
+                _, raw = raw_embreex(mesh, origins, directions, pool)
+                ours = partial(raytrace.intersect_mesh, mesh, origins, directions)
+                found.append(alternately(ours, raw))
+            a, b = found[-1]
+            n = triangles if grown == "triangles" else count
+            print(f"{n:12d} {a:13.5f} {b:13.5f} {b / a:6.2f}")
+        amounts = [pair[0] if grown == "triangles" else pair[1] for pair in pairs]
+        exponents = np.polyfit(np.log(amounts), np.log(found), 1)[0]
+        print(f"{'exponent':>12s} {exponents[0]:13.3f} {exponents[1]:13.3f}")
+        report[grown] = {
+            "amounts": amounts,
+            "nlosoptics_seconds": [pair[0] for pair in found],
+            "embreex_seconds": [pair[1] for pair in found],
+            "exponents": {"nlosoptics": float(exponents[0]), "embreex": float(exponents[1])},
+        }
+    return report
+
+
+def leaks(draw, triangles=81_920, rays=10_000_000):
+    """Rays from within a closed mesh that get out: at random, and aimed at vertices and edges."""
+    mesh, found = closed_mesh(triangles), {}
+    vertices, edges = np.asarray(mesh.vertices), np.asarray(mesh.edges_unique)
+    for kind, total in (("random", rays), ("vertices", rays // 5), ("edges", rays // 5)):
+        out = 0
+        for start in range(0, total, 1_000_000):
+            count = min(1_000_000, total - start)
+            origins, directions = rays_within(count, draw)
+            if kind == "vertices":
+                directions = vertices[draw.integers(len(vertices), size=count)] - origins
+            elif kind == "edges":
+                ends = vertices[edges[draw.integers(len(edges), size=count)]]
+                share = draw.uniform(size=(count, 1))
+                directions = ends[:, 0] + share * (ends[:, 1] - ends[:, 0]) - origins
+            out += int((~raytrace.intersect_mesh(mesh, origins, directions).hit).sum())
+        print(f"{kind:10s} {total:9d} rays, {out} leaks")
+        found[kind] = {"rays": total, "leaks": out, "triangles": len(mesh.faces)}
+    return found
+
+
 def main():
-    """Print the table."""
+    """Print the table, or what an option asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rays", type=int, default=1_000_000)
-    parser.add_argument("--triangles", type=int, nargs="+", default=[81_920, 1_310_720])
+    parser.add_argument("--triangles", type=int, nargs="+", default=[81_920, 2_000_000])
+    parser.add_argument("--growth", action="store_true", help="only the growth of the cost")
+    parser.add_argument("--leaks", action="store_true", help="only the leaks of a closed mesh")
     parser.add_argument("--json", type=Path, metavar="FILE")
     options = parser.parse_args()
     draw, rows = np.random.default_rng(0), []
+    if options.growth or options.leaks:
+        report = {"growth": growth(draw, options.rays)} if options.growth else {}
+        report |= {"leaks": leaks(draw)} if options.leaks else {}
+        if options.json:
+            options.json.write_text(json.dumps(report, indent=1) + "\n")
+        return
     print(f"{'surface':18s} {'by':24s} {'seconds':>9s} {'Mray/s':>8s} {'error':>9s}")
     parts = [wall_rows(options.rays, draw)]
     parts += [mesh_rows(triangles, options.rays, draw) for triangles in options.triangles]

@@ -183,7 +183,8 @@ def _mesh_stage(scene: Scene) -> Stage:
         runs=True,
         reason="a smooth bicubic surface through the mesh",
         seconds=0.5,
-        error=f"{1e9 * scene.wall.fit_residual:.2g} nm",
+        error=f"{1e9 * scene.wall.fit_residual:.2g} nm; "
+        f"the triangles {1e9 * scene.wall.mesh_error:.2g} nm",
     )
 
 

@@ -297,7 +297,7 @@ def _unit(a: Array) -> Array:
 
 def check_wave_grade(wall: Wall, wavelength: float) -> None:
     """Raise `NotWaveGradeError` for a mesh that is not known to lambda/20."""
-    if isinstance(wall, MeshWall) and wall.fit_residual > wavelength / 20:
+    if isinstance(wall, MeshWall) and not wall.wave_grade(wavelength):
         raise NotWaveGradeError(
             f"wall.mesh follows a smooth surface to {1e9 * wall.fit_residual:.3g} nm only, limit "
             f"{1e9 * wavelength / 20:.3g} nm (lambda/20); give a finer or smoother mesh"

@@ -3,7 +3,7 @@
 from .facets import facet_angles
 from .intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
 from .irradiance import WallIrradiance, wall_irradiance
-from .meshes import MeshHits, intersect_mesh, occluded
+from .meshes import AllHits, MeshHits, all_hits, intersect_mesh, occluded
 from .paths import RayPaths
 from .pupil_fans import pupil_rays
 from .surroundings import RayPlan, ray_plan
@@ -15,11 +15,13 @@ __all__ = [
     "MISS",
     "OUTSIDE",
     "UNRESOLVED",
+    "AllHits",
     "Hits",
     "MeshHits",
     "RayPaths",
     "RayPlan",
     "WallIrradiance",
+    "all_hits",
     "facet_angles",
     "intersect",
     "intersect_mesh",

@@ -55,6 +55,7 @@ class MeshWall(Wall):
 
     Waves need a smooth surface, which triangles are not: the vertices are joined by a bicubic
     surface with continuous slopes, and `fit_residual` says how far that can be from the truth.
+    `mesh_error` says how far the triangles themselves are from it, which rays on them meet.
 
     Parameters
     ----------
@@ -168,6 +169,31 @@ class MeshWall(Wall):
         misfit of a least-squares bicubic spline with fewer coefficients than vertices.
         """
         return self._fit[2]
+
+    @cached_property
+    def mesh_error(self) -> float:
+        """Mean distance in z between the triangles and the smooth surface, m.
+
+        What the height of a hit on a triangle gets wrong; a reflected path, twice that. On a
+        square grid of pitch h over a radius of curvature R it is h^2 / 6R: the mean, over a right
+        triangle, of the sag of a paraboloid below its chords.
+        """
+        corners = np.asarray(self.triangles.triangles, dtype=np.float64)
+        first, second = (corners[:, i, :2] - corners[:, 0, :2] for i in (1, 2))
+        areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
+        total = whole = 0.0
+        # three points of a triangle, by which the mean of a quadratic is exact
+        for shares in np.eye(3) / 2 + 1 / 6:
+            x, y, z = np.einsum("k,nkc->cn", shares, corners)
+            inside = np.asarray(self.contains(x, y))
+            gap = np.abs(z[inside] - self.height(x[inside], y[inside]))
+            total += float((areas[inside] * gap).sum())
+            whole += float(areas[inside].sum())
+        return total / whole
+
+    def wave_grade(self, wavelength: float) -> bool:
+        """Whether the smooth surface is known to a twentieth of a wavelength (m), as waves need."""
+        return self.fit_residual <= positive("wavelength", wavelength) / 20
 
     @property
     def max_curvature(self) -> float:

@@ -112,6 +112,12 @@ def test_no_ray_leaks_at_vertices_and_edges(where, outside):
     leaks = ~(hits.distance <= np.linalg.norm(targets - origins, axis=1) * (1 + 1e-9))
     assert len(leaks) > 50_000
     assert leaks.mean() <= 1e-6
+    some = np.flatnonzero(hits.hit)[:100_000]
+    shares = trimesh.triangles.points_to_barycentric(
+        np.asarray(mesh.triangles)[hits.triangle[some]], hits.points[some]
+    )
+    # within the triangle itself, to rounding over sides of 0.03; float32 would be off by 1e-5
+    assert shares.min() > -1e-11
 
 
 def one_triangle():
@@ -205,6 +211,112 @@ def test_bits_do_not_depend_on_batches(monkeypatch):
             np.testing.assert_array_equal(getattr(hits, name), getattr(whole, name))
 
 
+def test_a_ray_alone_meets_what_it_meets_among_others():
+    draw = np.random.default_rng(5)
+    origins, directions = draw.normal(size=(200, 3)), draw.normal(size=(200, 3))
+    whole = raytrace.intersect_mesh(SPHERE, origins, directions)
+    assert 50 < whole.hit.sum() < 200
+    for i in range(200):
+        one = raytrace.intersect_mesh(SPHERE, origins[i], directions[i])
+        for name in ("distance", "points", "normals", "triangle", "status"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(whole, name)[i])
+
+
+def test_rays_that_start_on_a_triangle_meet_it_there():
+    box = trimesh.creation.box((2, 2, 2))
+    draw = np.random.default_rng(6)
+    origins = np.append(draw.uniform(-0.9, 0.9, (500, 2)), np.ones((500, 1)), axis=1)
+    directions = draw.normal(size=(500, 3))
+    steep = np.abs(directions[:, 2]) > np.sin(np.radians(10)) * np.linalg.norm(directions, axis=1)
+    for mesh in (box, box.subdivide().subdivide().subdivide().subdivide()):
+        hits = raytrace.intersect_mesh(mesh, origins, directions)
+        # the face lies in z = 1 without rounding
+        assert (hits.distance[steep] == 0).all()
+        np.testing.assert_array_equal(hits.points[steep], origins[steep])
+        whole = raytrace.all_hits(mesh, origins, directions)
+        assert (np.bincount(whole.ray[whole.distance == 0], minlength=500) == 1).all()
+        beyond = raytrace.intersect_mesh(mesh, origins, directions, min_distance=1e-9)
+        np.testing.assert_array_equal(beyond.hit, directions[:, 2] < 0)
+
+
+@pytest.mark.parametrize("away", [0.0, 1e4])
+def test_all_hits_are_those_of_every_triangle(away):
+    mesh = trimesh.Trimesh(SPHERE.vertices + away, SPHERE.faces, process=False)
+    draw = np.random.default_rng(7)
+    origins, directions = draw.normal(size=(300, 3)) * 1.5 + away, draw.normal(size=(300, 3))
+    hits = raytrace.all_hits(mesh, origins, directions)
+    units = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    a, b, c = np.moveaxis(np.asarray(mesh.triangles), 1, 0)
+    for i, (o, d) in enumerate(zip(origins, units, strict=True)):
+        # d as a sum of the corners seen from o, with none of another sign
+        seen = np.stack([a - o, b - o, c - o], axis=-1)
+        shares = np.linalg.solve(seen, np.broadcast_to(d[:, None], (len(a), 3, 1)))[..., 0]
+        met = np.flatnonzero((shares > 0).all(axis=1))
+        distances = 1 / shares[met].sum(axis=1)
+        order = np.argsort(distances)
+        mine = hits.ray == i
+        np.testing.assert_array_equal(hits.triangle[mine], met[order])
+        # coordinates 1e4 m away are rounded to 1.8e-12 m, and rays are not normal to triangles
+        slack = 1e-12 + 4e-15 * away
+        np.testing.assert_allclose(hits.distance[mine], distances[order], rtol=0, atol=slack)
+    first = raytrace.intersect_mesh(mesh, origins, directions)
+    some, where = np.unique(hits.ray, return_index=True)
+    np.testing.assert_array_equal(some, np.flatnonzero(first.hit))
+    np.testing.assert_array_equal(hits.distance[where], first.distance[first.hit])
+    np.testing.assert_array_equal(hits.points[where], first.points[first.hit])
+    np.testing.assert_array_equal(hits.triangle[where], first.triangle[first.hit])
+    beyond = raytrace.all_hits(mesh, origins, directions, min_distance=1.0)
+    assert (beyond.distance == hits.distance[hits.distance >= 1.0]).all()
+
+
+def test_rays_from_outside_meet_a_closed_mesh_an_even_number_of_times():
+    torus = trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=32)
+    draw = np.random.default_rng(8)
+    origins = draw.normal(size=(100_000, 3))
+    origins *= 3 / np.linalg.norm(origins, axis=1, keepdims=True)
+    hits = raytrace.all_hits(torus, origins, draw.uniform(-1, 1, origins.shape) - origins)
+    times = np.bincount(hits.ray, minlength=len(origins))
+    assert not (times % 2).any()
+    assert {0, 2, 4} <= set(times)
+    assert (np.diff(hits.ray) >= 0).all()
+    assert (np.diff(hits.distance)[np.diff(hits.ray) == 0] > 0).all()
+
+
+def test_edges_and_vertices_that_triangles_share_count_once():
+    mesh = trimesh.creation.icosphere(subdivisions=4)
+    for where in ("vertices", "edges"):
+        origins, targets = rays_at(mesh, where, 100_000, 9, outside=False)
+        hits = raytrace.all_hits(mesh, origins, targets - origins)
+        np.testing.assert_array_equal(hits.ray, np.arange(len(origins)))
+        gap = np.linalg.norm(hits.points - targets, axis=1).max()
+        assert gap < 1e-14  # rounding of a metre, some times
+    box = trimesh.creation.box((2, 2, 2))
+    # through a diagonal of two faces; past an edge, in and out; through a corner
+    hits = raytrace.all_hits(box, [[0, 0, 5], [2, 0, 0], [5, 5, 5]],
+                             [[0, 0, -1], [-1, 1, 0], [-1, -1, -1]])  # fmt: skip
+    np.testing.assert_array_equal(hits.ray, [0, 0, 1, 1, 2, 2])
+    np.testing.assert_allclose(
+        hits.distance,
+        [4, 6, np.sqrt(2), np.sqrt(2), 4 * np.sqrt(3), 6 * np.sqrt(3)],
+        rtol=0,
+        atol=1e-14,
+    )
+
+
+def test_all_hits_keep_their_order_in_parts_and_refuse_what_is_no_ray(monkeypatch):
+    draw = np.random.default_rng(10)
+    origins, directions = draw.normal(size=(2, 5000, 3))
+    whole = raytrace.all_hits(SPHERE, origins, directions)
+    monkeypatch.setattr(meshes, "CHUNK", 777)
+    parts = raytrace.all_hits(SPHERE, origins, directions)
+    for name in ("ray", "distance", "points", "triangle"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+    assert raytrace.all_hits(SPHERE, np.empty((0, 3)), np.empty((0, 3))).points.shape == (0, 3)
+    origins[3, 1] = np.nan
+    with pytest.raises(SceneError, match=r"origins\[3\] holds NaN"):
+        raytrace.all_hits(SPHERE, origins, directions)
+
+
 def test_bits_do_not_depend_on_the_number_of_threads():
     code = (
         "import hashlib, numpy as np, trimesh\n"
@@ -230,9 +342,9 @@ def test_bits_do_not_depend_on_the_number_of_threads():
 
 def test_mesh_is_built_once_and_again_when_it_changes(monkeypatch):
     built = []
-    original = meshes._Facets._scene
+    original = meshes.Facets._scene
     monkeypatch.setattr(
-        meshes._Facets, "_scene", lambda self, corners: built.append(1) or original(self, corners)
+        meshes.Facets, "_scene", lambda self, corners: built.append(1) or original(self, corners)
     )
     mesh = bumpy(2)
     for _ in range(3):
@@ -252,7 +364,7 @@ def test_mesh_is_built_once_and_again_when_it_changes(monkeypatch):
 
 def test_flat_walls_never_touch_embree(monkeypatch):
     built = []
-    monkeypatch.setattr(meshes._Facets, "__init__", lambda *_: built.append(1))
+    monkeypatch.setattr(meshes.Facets, "__init__", lambda *_: built.append(1))
     raytrace.intersect(FlatWall(size=1.0), np.ones((5, 3)), [[0, 0, -1.0]] * 5)
     assert built == []
 

@@ -75,8 +75,44 @@ def test_scale_is_for_files_in_other_units():
     )
 
 
+def gridded(wall, n, width):
+    """Mesh of a wall on a square grid of n by n vertices, each square cut in two."""
+    nodes = np.linspace(-width / 2, width / 2, n)
+    x, y = (a.ravel() for a in np.meshgrid(nodes, nodes))
+    a = np.arange(n * n).reshape(n, n)
+    a, b, c, d = (v.ravel() for v in (a[:-1, :-1], a[:-1, 1:], a[1:, :-1], a[1:, 1:]))
+    faces = np.concatenate([np.stack([a, b, d], axis=1), np.stack([a, d, c], axis=1)])
+    return trimesh.Trimesh(np.stack([x, y, wall.height(x, y)], axis=1), faces, process=False)
+
+
+@pytest.mark.parametrize(("n", "error"), [(65, 5.1e-6), (257, 0.32e-6), (1025, 20e-9)])
+def test_triangles_of_a_sphere_err_by_the_sag_below_their_chords(n, error):
+    radius, width = 2.0, 0.5
+    found = MeshWall(gridded(ConcaveWall(radius), n, width)).mesh_error
+    pitch = width / (n - 1)
+    # a sphere bends more than its paraboloid, by about the mean of r^2 / R^2, 1 %
+    assert found == approx(pitch**2 / (6 * radius), rel=0.02)
+    assert found == approx(error, rel=0.03)  # two digits
+
+
+def test_triangles_of_a_cylinder_err_by_half_of_a_spheres():
+    """Mean sag of a right triangle of pitch h across a cylinder: h^2 / 12R."""
+    found = MeshWall(gridded(ConcaveWall(2.0, shape="cylinder"), 65, 0.5)).mesh_error
+    assert found == approx((0.5 / 64) ** 2 / 24, rel=0.03)  # as above, 2 % at the rim
+
+
+def test_one_rule_says_what_is_wave_grade():
+    wall = MeshWall(gridded(ConcaveWall(2.0), 65, 0.5))
+    limit = 20 * wall.fit_residual
+    assert wall.wave_grade(1.0001 * limit)
+    assert not wall.wave_grade(0.9999 * limit)
+    with pytest.raises(SceneError, match="wavelength = 0"):
+        wall.wave_grade(0.0)
+
+
 def test_flat_mesh_is_flat():
     fitted = MeshWall(scattered(FlatWall(), n=500))
+    assert fitted.mesh_error < 1e-15
     assert abs(fitted.height([0.1, -0.2], [0.3, 0.0])).max() < 1e-15
     assert fitted.fit_residual < 1e-15
 
