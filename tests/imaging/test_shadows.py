@@ -105,6 +105,29 @@ def test_shadow_on_the_object_has_the_edge_of_the_plates_projection(flat_scene, 
     np.testing.assert_array_equal(image[certain], lit[certain])
 
 
+def test_a_plate_between_object_and_wall_hides_what_the_mirrored_rays_cross(flat_scene):
+    """At z = 0.2 the image's light from the object to the wall passes x = -0.056 +- 0.08 m."""
+    scene = replace(finer(flat_scene), occluders=(plate((-0.2, -0.056), (-0.2, 0.2), 0.2),))
+    found = cast_shadows(scene)
+    rays = chief_rays(scene, *pixel_centres(scene.camera))
+    points = object_points(scene, rays)
+    crossing = 0.8 * rays.points[..., 0] + 0.2 * points[..., 0]
+    on_object = (abs(points[..., 0] - 0.3798) < 0.15) & (abs(points[..., 1]) < 0.15)
+    assert (found.view[on_object] == 1).all()
+    # the lens of 12.5 mm, seen from the object, is 7 mm on the wall and 6 mm at the plate; a pixel
+    # is 1.5 mm
+    dark = on_object & (crossing < -0.056 - 0.008)
+    bright = on_object & (crossing > -0.056 + 0.008)
+    assert min(dark.sum(), bright.sum()) > 500
+    assert not found.image[dark].any()
+    assert (found.image[bright] == 1).all()
+    between = found.image[on_object & ~dark & ~bright]
+    assert ((between > 0.1) & (between < 0.9)).sum() > 50
+    # the lens's two halves: the edge is as soft to either side, cut off by a pixel
+    share = (crossing > -0.056)[on_object].mean()
+    assert found.image[on_object].mean() == pytest.approx(share, abs=0.01)
+
+
 def test_half_the_object_is_dark_and_half_is_as_before(flat_scene):
     flat_scene = finer(flat_scene)
     bare = form_image(flat_scene, spread(flat_scene))
