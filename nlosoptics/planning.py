@@ -12,6 +12,7 @@ import numpy as np
 from ._checks import fits_memory, in_range
 from .errors import NotWaveGradeError, SceneError
 from .psf.aberration import check_wave_grade
+from .psf.obstruction import check_cone
 from .psf.pupils import ExitPupil, exit_pupil
 from .scene import (
     ConvexWall,
@@ -118,8 +119,9 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     Raises
     ------
     SceneError
-        If the laser misses the wall, the camera cannot see the object by the wall, or ``tol`` is
-        out of range.
+        If the laser misses the wall, the camera cannot see the object by the wall, an occluder
+        cuts a part of the cone of light from the object's reference point, or ``tol`` is out of
+        range.
     MemoryLimitError
         If the image would not fit in memory.
     """
@@ -153,6 +155,7 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
         *_wave_stages(scene, pupil, waves, layout),
         _point_spread_stage(scene, pupil, waves, tol),
         *_left_out(scene),
+        _shadow_stage(scene, sampled=not refusal),
         _image_stage(scene),
         _reconstruction_stage(scene, reconstruct),
     ]
@@ -244,7 +247,23 @@ def _left_out(scene: Scene) -> Iterator[Stage]:
         if _sees_itself(scene)
         else "no part of the wall sees another",
     )
-    yield _skipped("shadow rays", "no occluders")
+
+
+def _shadow_stage(scene: Scene, *, sampled: bool) -> Stage:
+    if not scene.occluders:
+        return _skipped("shadow rays", "no occluders")
+    count = len(scene.occluders)
+    reason = f"{count} occluder{'s' if count > 1 else ''} between spot, object, wall and lens"
+    if sampled and check_cone(scene):
+        reason += "; the object's reference point is hidden"
+    ny, nx = scene.camera.shape
+    return Stage(
+        name="shadow rays",
+        runs=True,
+        reason=reason,
+        seconds=1.0 + 1e-5 * nx * ny,
+        error="some hundredths in a shadow's edge",
+    )
 
 
 def _image_stage(scene: Scene) -> Stage:

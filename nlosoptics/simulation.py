@@ -113,8 +113,12 @@ def simulate(
     wave, spread = _wave_and_spread(scene, todo, stage)
     from . import imaging
 
+    shadows = None
+    if todo.runs("shadow rays"):
+        with stage("shadow rays"):
+            shadows = imaging.cast_shadows(scene)
     with stage("image"):
-        image = imaging.form_image(scene, spread, seed=seed)
+        image = imaging.form_image(scene, spread, seed=seed, shadows=shadows)
     reconstruction = None
     if todo.runs("reconstruction"):
         with stage("reconstruction"):
@@ -168,6 +172,8 @@ def _reconstruct(scene: Scene, image: SpeckleImage, spread: PointSpread) -> Reco
         # a white plate for the unknown picture, by its four Gauss points
         stand_in = np.zeros((7, 7))
         stand_in[1::4, 1::4] = 1.0
+        if scene.occluders:  # whose shadows need all of it
+            stand_in = np.ones((7, 7))
     veil = diffuse_background(scene, stand_in)
     model = ForwardModel(spread, shape=image.electrons.shape)
     return inverse.tv_deconvolve(

@@ -195,7 +195,7 @@ def test_help(command: list[str], run: Run) -> None:
 def test_schema_is_json(run: Run) -> None:
     """A JSON schema that knows the four tables."""
     schema = json.loads(run("schema").out)
-    assert set(schema["properties"]) == {"laser", "wall", "hidden", "camera"}
+    assert set(schema["properties"]) == {"laser", "wall", "hidden", "camera", "occluder"}
 
 
 def test_plan_prints_what_the_library_plans(scene_file: Path, run: Run) -> None:

@@ -4,10 +4,13 @@ from .detector import speckles_per_pixel
 from .forward_model import ForwardModel
 from .images import SpeckleImage, diffuse_background, form_image
 from .radiometry import photon_rate
+from .shadows import Shadows, cast_shadows
 
 __all__ = [
     "ForwardModel",
+    "Shadows",
     "SpeckleImage",
+    "cast_shadows",
     "diffuse_background",
     "form_image",
     "photon_rate",

@@ -171,6 +171,15 @@ def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, A
     return column, row
 
 
+def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:
+    """World points (n, 3), m, at texel coordinates (n,) of a picture."""
+    right, up, _ = hidden.axes
+    rows, columns = hidden.reflectance.shape
+    across = (column / columns - 0.5) * hidden.size[0]
+    upward = (0.5 - row / rows) * hidden.size[1]
+    return np.asarray(hidden.position + across[:, None] * right + upward[:, None] * up)
+
+
 def area_average(picture: Array, column: Array, row: Array) -> Array:
     """Mean of a picture of square texels over quadrilateral footprints.
 

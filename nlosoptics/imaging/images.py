@@ -23,6 +23,7 @@ from .geometry import (
     area_average,
     chief_rays,
     picture_coordinates,
+    picture_points,
     pixel_centres,
     pixel_edges,
     wall_visibility,
@@ -37,6 +38,7 @@ from .radiometry import (
     object_radiance,
     spot_power_through_lens,
 )
+from .shadows import SHADOW_BYTES, Shadows, cast_shadows
 from .stray import spot_image
 
 if TYPE_CHECKING:
@@ -114,6 +116,7 @@ def form_image(
     *,
     exposure: float | None = None,
     seed: int = 0,
+    shadows: Shadows | None = None,
 ) -> SpeckleImage:
     """Image of the hidden object as one exposure of the camera.
 
@@ -128,6 +131,9 @@ def form_image(
         s, in place of the camera's.
     seed : int, default 0
         Of all noise; the same seed gives the same bits.
+    shadows : Shadows, optional
+        What `cast_shadows` found of this scene, lest it be done again; without it they are cast
+        when there are occluders.
 
     Returns
     -------
@@ -138,8 +144,8 @@ def form_image(
     SamplingError
         If the point spread's pitch or normalisation does not fit, or it is negative somewhere.
     SceneError
-        If the beam misses the wall or grazes it, laser, camera or object are behind the wall, or an
-        argument is out of range.
+        If the beam misses the wall, grazes it or is cut by an occluder, laser, camera or object are
+        behind the wall, or an argument is out of range.
     MemoryLimitError
         If the image would not fit in memory.
 
@@ -150,6 +156,8 @@ def form_image(
     reflectance, which is taken as smooth. The point spread sums to the energy inside its window;
     what it spreads beyond is lost here and stands in the ledger. Object parts outside the
     detector's field cast no blur into it. The beam that a smooth lobe reflects is not followed.
+    Occluders dim what they hide by the shares of `Shadows`; the point spread is that of a free
+    pupil.
     """
     seed = checked_seed(seed)
     camera = scene.camera
@@ -160,13 +168,19 @@ def form_image(
     if object_image is not None:
         scene = _with_picture(scene, object_image)
     spot, rays, visible, gain = _view(scene, exposure)
+    shadows = _shadows(scene, shadows)
     ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
+    if shadows is not None:
+        ideal *= shadows.image
     model = ForwardModel(point_spread, shape=camera.shape)
     # the transform leaves rounding errors of either sign where no light is
     signal = np.maximum(model.forward(ideal), 0.0)
     patches = object_patches(scene.hidden)
     diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
     direct = spot_power_through_lens(scene, spot) * exposure * electrons_per_joule(scene)
+    if shadows is not None:
+        diffuse *= shadows.view * shadows.veil
+        direct *= shadows.spot
     glare = camera.glare_fraction * direct
     image_of_spot = (direct - glare) * spot_image(scene, spot) if direct > glare else 0.0 * gain
     stray = diffuse + image_of_spot + glare / ideal.size
@@ -202,7 +216,10 @@ def form_image(
 
 
 def diffuse_background(
-    scene: Scene, object_image: ArrayLike | None = None, *, exposure: float | None = None
+    scene: Scene,
+    object_image: ArrayLike | None = None,
+    *,
+    exposure: float | None = None,
 ) -> Array:
     """Expected electrons of the wall's diffuse light alone.
 
@@ -226,7 +243,23 @@ def diffuse_background(
         scene = _with_picture(scene, object_image)
     spot, rays, visible, gain = _view(scene, exposure)
     patches = object_patches(scene.hidden)
-    return np.asarray(gain * background_radiance(scene, spot, patches, rays, visible > 0))
+    diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
+    shadows = _shadows(scene, None)
+    if shadows is not None:
+        diffuse *= shadows.view * shadows.veil
+    return np.asarray(diffuse)
+
+
+def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
+    """The shadows given, if they fit, or those of the occluders; None where there are none."""
+    if given is None:
+        return cast_shadows(scene) if scene.occluders else None
+    if given.image.shape != scene.camera.shape:
+        raise SceneError(
+            f"shadows are of {given.image.shape} pixels, the camera has {scene.camera.shape}; give "
+            "those that cast_shadows found of this scene"
+        )
+    return given
 
 
 def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, Array]:
@@ -234,7 +267,7 @@ def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, A
     ny, nx = scene.camera.shape
     fits_memory(
         f"an image of {nx} x {ny} pixels (camera.pixels, camera.binning)",
-        BYTES_PER_PIXEL * nx * ny,
+        (BYTES_PER_PIXEL + (SHADOW_BYTES if scene.occluders else 0)) * nx * ny,
         "read fewer pixels or bin more",
     )
     scene._check_in_front()
@@ -307,12 +340,8 @@ def _mirrored_radiance(
     average = area_average(hidden.reflectance, *picture_coordinates(hidden, corners))
     column, row = picture_coordinates(hidden, rays)
     lit = seen & (average > 0.0) & np.isfinite(column)
-    right, up, normal = hidden.axes
-    rows, columns = hidden.reflectance.shape
-    across = (column[lit] / columns - 0.5) * hidden.size[0]
-    upward = (0.5 - row[lit] / rows) * hidden.size[1]
-    points = hidden.position + across[:, None] * right + upward[:, None] * up
-    white = object_radiance(scene, spot, points, normal, -rays.reflected[lit])
+    points = picture_points(hidden, column[lit], row[lit])
+    white = object_radiance(scene, spot, points, hidden.axes[2], -rays.reflected[lit])
     result[lit] = reflectance * white * average[lit]
     return result
 

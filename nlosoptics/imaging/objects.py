@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..raytrace import intersect_mesh, occluded
 from ..scene import MeshObject, PlanarObject
+from .geometry import picture_points
 
 if TYPE_CHECKING:
     import trimesh
@@ -104,6 +105,54 @@ def _barycentric(n: int) -> Array:
     inverted = [(3 * i + 2, 3 * j + 2) for i in range(n) for j in range(n - i - 1)]
     ab = np.array(upright + inverted, dtype=np.float64) / (3 * n)
     return np.column_stack([ab, 1.0 - ab.sum(axis=1)])
+
+
+def object_samples(hidden: PlanarObject | MeshObject, count: int) -> Patches:
+    """Stand for the hidden object by points of equal shares of its reflecting area.
+
+    Points of an additive recurrence, whose share of any part of the object errs by the power -3/4
+    or so of their number: unlike rows of patches, they have no edge that a shadow's can fall in
+    with.
+    """
+    if isinstance(hidden, MeshObject):
+        u, v, w = _even(count, 3)
+        mesh = hidden.surface
+        share = np.cumsum(np.asarray(mesh.area_faces, dtype=np.float64))
+        face = np.minimum(np.searchsorted(share, u * share[-1]), len(share) - 1)
+        a, b, c = np.moveaxis(np.asarray(mesh.triangles)[face], 1, 0)
+        root = np.sqrt(v)[:, None]
+        points = (1.0 - root) * a + root * ((1.0 - w[:, None]) * b + w[:, None] * c)
+        normals, total = np.asarray(mesh.face_normals)[face], float(share[-1])
+    else:
+        picture = hidden.reflectance
+        light = picture.sum(axis=1)
+        if not light.any():
+            count = 0
+        u, v = _even(count, 2)
+        row, below = _quantiles(np.broadcast_to(light, (count, len(light))), u)
+        column, left = _quantiles(picture[row], v)
+        points = picture_points(hidden, column + left, row + below)
+        normals = np.broadcast_to(hidden.axes[2], points.shape)
+        total = float(light.sum()) * hidden.size[0] * hidden.size[1] / picture.size
+    areas = np.full(len(points), total / max(len(points), 1))
+    return Patches(points=points, normals=normals, areas=areas)
+
+
+def _even(count: int, axes: int) -> Array:
+    """Points of the unit square or cube by the recurrence of the root of x^(axes+1) = x + 1."""
+    root = {2: 1.3247179572447460, 3: 1.2207440846057596}[axes]
+    steps = root ** -np.arange(1.0, axes + 1)
+    return np.asarray((0.5 + steps[:, None] * np.arange(1, count + 1)) % 1.0)
+
+
+def _quantiles(weights: Array, share: Array) -> tuple[NDArray[np.intp], Array]:
+    """Cells (n,) of rows of weights (n, k) up to which lie given shares, and the parts of those."""
+    summed = np.cumsum(weights, axis=1)
+    wanted = share * summed[:, -1]
+    cell = np.minimum((summed <= wanted[:, None]).sum(axis=1), weights.shape[1] - 1)
+    each = np.arange(len(cell))
+    own = weights[each, cell]
+    return cell, np.clip(1.0 - (summed[each, cell] - wanted) / own, 0.0, 1.0)
 
 
 def mesh_hits(

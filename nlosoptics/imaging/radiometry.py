@@ -242,7 +242,7 @@ def background_radiance(
     axes = [_Chebyshev(y, NODES), _Chebyshev(x, NODES), _Chebyshev(heights, NODES_HEIGHT)]
     node_y, node_x, node_height = np.meshgrid(*(a.nodes for a in axes), indexing="ij")
     shape = node_y.shape
-    nodes = _Nodes(scene, node_x.ravel(), node_y.ravel(), node_height.ravel())
+    nodes = Nodes(scene, node_x.ravel(), node_y.ravel(), node_height.ravel())
     on_y, on_x, on_height = (a.basis(v) for a, v in zip(axes, (y, x, heights), strict=True))
 
     def interpolated(values: Array) -> Array:
@@ -269,7 +269,7 @@ def background_radiance(
     return result
 
 
-class _Nodes:
+class Nodes:
     """Points on chief rays at given heights; those on rays that rise are left out."""
 
     def __init__(self, scene: Scene, x: Array, y: Array, height: Array) -> None:
@@ -284,8 +284,8 @@ class _Nodes:
         self.points = lens + ((height - lens[2]) / d[:, 2])[:, None] * d
 
 
-def _arrivals(
-    scene: Scene, spot: LaserSpot, patches: Patches, nodes: _Nodes
+def arrivals(
+    scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes
 ) -> Iterator[tuple[slice, Array, Array]]:
     """Blocks of nodes with unit vectors to all patches and the irradiance across those."""
     step = max(1, PAIRS // len(patches.areas))
@@ -300,11 +300,11 @@ def _arrivals(
 
 
 def _flat_radiance(
-    scene: Scene, spot: LaserSpot, patches: Patches, diffuse: Material, nodes: _Nodes
+    scene: Scene, spot: LaserSpot, patches: Patches, diffuse: Material, nodes: Nodes
 ) -> Array:
     """Radiance of a flat wall at nodes; zero, as toward the horizon, on rays that rise."""
     result = np.zeros(nodes.count)
-    for block, toward, light in _arrivals(scene, spot, patches, nodes):
+    for block, toward, light in arrivals(scene, spot, patches, nodes):
         lobe = diffuse.evaluate(toward, -nodes.directions[block][:, None], (0.0, 0.0, 1.0))
         light *= lobe * np.maximum(toward[..., 2], 0.0)
         result[nodes.used[block]] = light.sum(axis=-1)
@@ -312,7 +312,7 @@ def _flat_radiance(
 
 
 def _grouped_flux(
-    scene: Scene, spot: LaserSpot, patches: Patches, nodes: _Nodes, diffuse: Material
+    scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes, diffuse: Material
 ) -> Iterator[Array]:
     """Vector irradiance (n_nodes, 3) from each group of neighbouring patches."""
     cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
@@ -331,7 +331,7 @@ def _grouped_flux(
         points=patches.points[order], normals=patches.normals[order], areas=patches.areas[order]
     )
     flux = np.zeros((len(starts), nodes.count, 3))
-    for block, toward, light in _arrivals(scene, spot, patches, nodes):
+    for block, toward, light in arrivals(scene, spot, patches, nodes):
         toward *= light[..., None]
         sums = np.add.reduceat(toward, starts, axis=1)
         flux[:, nodes.used[block]] = sums.transpose(1, 0, 2)

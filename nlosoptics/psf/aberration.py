@@ -14,6 +14,7 @@ from ..scene import MeshWall, Scene, Wall
 from .aiming import aim, pupil_points, stationary_points
 from .fits import fitted_terms
 from .nodes import grid_nodes, polar_nodes
+from .obstruction import hides
 from .pupils import ExitPupil, exit_pupil
 from .wavefronts import Layout, Removed, Wavefront
 
@@ -171,6 +172,9 @@ def wavefront(
         Where W is undefined or the wall is not known well enough.
     SamplingError
         If the wall's edge cuts the cone and polar nodes are asked for.
+    SceneError
+        If occluders cut a part of the cone; cut as a whole, it keeps its wave, and the image its
+        shadow.
 
     Notes
     -----
@@ -199,6 +203,7 @@ def wavefront(
     centre, axis = np.array(scene.camera.position), scene.camera.axis
     with_centre = np.concatenate([np.zeros((1, 2)), on_lens])
     rays = aim(scene.wall, o, pupil_points(centre, axis, with_centre), axis)
+    hides(scene, o, rays.points, pupil_points(centre, axis, with_centre))  # or refuses
     tilt = _chief_tilt(scene, o, rays.points[0])
     aberration, amplitude = np.zeros(u.shape), np.zeros(u.shape)
     aberration[lit] = rays.excess[1:] - rays.excess[0] + _defocus(scene, o, on_lens)

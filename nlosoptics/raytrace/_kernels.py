@@ -31,12 +31,12 @@ def _conic(row, box, o, d):
     """
     curvature = row[1]
     oo, od, dd = o[2] * o[2], o[2] * d[2], d[2] * d[2]
+    o_s, d_s = row[2] * o[0] + row[3] * o[1], row[2] * d[0] + row[3] * d[1]
     if row[0] == SPHERE:
         oo += o[0] * o[0] + o[1] * o[1]
         od += o[0] * d[0] + o[1] * d[1]
         dd = 1.0
     else:
-        o_s, d_s = row[2] * o[0] + row[3] * o[1], row[2] * d[0] + row[3] * d[1]
         oo += o_s * o_s
         od += o_s * d_s
         dd += d_s * d_s
@@ -61,6 +61,17 @@ def _conic(row, box, o, d):
         x, y = o[0] + entry * d[0], o[1] + entry * d[1]
         if through_back and abs(x) <= box[0] and abs(y) <= box[1]:
             return math.nan, BEHIND
+    if curvature * curvature * oo > 64.0:
+        # from many radii away the squares above cancel; Newton's step from near the root does not
+        z, across, along = o[2] + t * d[2], 0.0, 0.0
+        if row[0] == SPHERE:
+            x, y = o[0] + t * d[0], o[1] + t * d[1]
+            across, along = x * x + y * y, x * d[0] + y * d[1]
+        else:
+            s = o_s + t * d_s
+            across, along = s * s, s * d_s
+        g = curvature * (across + z * z) - 2.0 * z
+        t -= 0.5 * g / (curvature * (along + z * d[2]) - d[2])
     if t < -slack or curvature * (o[2] + t * d[2]) >= 1.0:
         return math.nan, missed
     x, y = o[0] + t * d[0], o[1] + t * d[1]

@@ -255,7 +255,9 @@ def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kin
     """Replace hits of the rays ``rows`` by nearer ones on triangles ``found`` at ``away``."""
     for j in range(rows.size):
         i, k = rows[j], found[j]
-        if k < 0 or not away[j] < distance[i]:
+        # a face that lies on the wall covers nothing
+        limit = distance[i] * (1.0 - 1e-9) if kind[i] == WALL else distance[i]
+        if k < 0 or not away[j] < limit:
             continue
         distance[i], scale[i] = away[j], 1.0
         for m in range(3):

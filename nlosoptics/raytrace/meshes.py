@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range
 from ..errors import SceneError
-from .triangles import Facets, NoRayError
 from .intersections import Hits, _rays, flat_rays
+from .triangles import Facets, NoRayError
 
 if TYPE_CHECKING:
     import trimesh

@@ -224,19 +224,15 @@ class Surroundings:
 
 def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
     """All triangles of a scene as one mesh, the object's first, and the number of those."""
-    meshes = [] if isinstance(scene.hidden, PlanarObject) else [scene.hidden.surface]
-    count = len(meshes[0].faces) if meshes else 0
-    meshes += [getattr(occluder, "surface", occluder) for occluder in scene.occluders]
-    if not meshes:
-        return None, 0
+    thing = None if isinstance(scene.hidden, PlanarObject) else scene.hidden.surface
+    black = scene.occluding_mesh
+    if thing is None or black is None:
+        return (black, 0) if thing is None else (thing, len(thing.faces))
     import trimesh
 
-    vertices = np.concatenate([np.asarray(m.vertices, dtype=np.float64) for m in meshes])
-    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    faces = np.concatenate(
-        [np.asarray(m.faces) + start for m, start in zip(meshes, starts, strict=False)]
-    )
-    return trimesh.Trimesh(vertices, faces, process=False), count
+    vertices = np.concatenate([np.asarray(thing.vertices), np.asarray(black.vertices)])
+    faces = np.concatenate([np.asarray(thing.faces), np.asarray(black.faces) + len(thing.vertices)])
+    return trimesh.Trimesh(vertices, faces, process=False), len(thing.faces)
 
 
 def _world(scene: Scene, glossy: bool) -> World:

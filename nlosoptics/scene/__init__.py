@@ -1,4 +1,4 @@
-"""What is there: laser, relay wall, hidden object, camera, materials, and the scene file."""
+"""What is there: laser, wall, hidden object, occluders, camera, materials; the scene file."""
 
 from .camera import Camera, pupil_frame
 from .height_maps import CallableWall, HeightMapWall
@@ -6,6 +6,7 @@ from .hidden import MeshObject, PlanarObject
 from .laser import Laser
 from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .mesh import MeshWall
+from .occluders import Occluder
 from .scene import Scene
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
@@ -21,6 +22,7 @@ __all__ = [
     "Material",
     "MeshObject",
     "MeshWall",
+    "Occluder",
     "OrenNayar",
     "PlanarObject",
     "Scene",

@@ -10,18 +10,18 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from ..errors import SceneError
+from ..errors import NlosError, SceneError
 from . import _file_tables
 from ._file_text import toml_value
 
 
 @contextmanager
 def located(place: str, inner: str = "") -> Iterator[None]:
-    """Put ``place`` before the message of a `SceneError`, instead of ``inner``."""
+    """Put ``place`` before the message of an `NlosError`, instead of ``inner``."""
     try:
         yield
-    except SceneError as error:
-        raise SceneError(place + str(error).removeprefix(inner)) from None
+    except NlosError as error:
+        raise type(error)(place + str(error).removeprefix(inner)) from None
 
 
 def validated(model: Any, raw: dict[str, Any]) -> Any:
@@ -53,7 +53,10 @@ def _problem(problem: Any, model: Any) -> str:
         return missing_key(name, str(keys[-1]), top=len(keys) == 1)
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         return _unknown_choice(name, str(keys[0]), problem["input"])
-    example = _file_tables.EXAMPLES.get(next((k for k in reversed(keys) if isinstance(k, str)), ""))
+    if kind == "list_type" and isinstance(problem["input"], dict):
+        return f"{name} = {value} is one table; write [[{name}]] for each of them"
+    last = next((k for k in reversed(keys) if isinstance(k, str)), "")
+    example = _file_tables.example(str(keys[0]), last)
     hint = f"; write for example {toml_value(example)}" if example is not None else ""
     if kind == "value_error":
         return f"{name} = {value} {problem['ctx']['error']}{hint}"
@@ -73,7 +76,8 @@ def missing_key(name: str, key: str, *, top: bool = False) -> str:
     """Message for a key, or at the top a table, that is not there."""
     if top:
         return f"the table [{name}] is missing; add it with its keys"
-    return f"{name} is missing; add for example {key} = {toml_value(_file_tables.EXAMPLES[key])}"
+    example = _file_tables.example(name.partition(".")[0], key)
+    return f"{name} is missing; add for example {key} = {toml_value(example)}"
 
 
 def _unknown_choice(name: str, section: str, value: Any) -> str:

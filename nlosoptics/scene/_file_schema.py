@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 from . import _file_tables
@@ -11,13 +12,14 @@ from .hidden import MeshObject, PlanarObject
 from .laser import Laser
 from .materials import Lambert, OrenNayar, SpecularMicrofacet, Ward
 from .mesh import MeshWall
+from .occluders import Occluder
 from .walls import ConcaveWall, FlatWall, SumWall, WavyWall
 
 
 def scene_schema() -> dict[str, Any]:
     """JSON schema of scene files, for editors that complete and check TOML."""
     schema = _file_tables.SceneFile.model_json_schema()
-    documented = {
+    documented: dict[str, Any] = {
         "LaserTable": Laser,
         "FlatTable": FlatWall,
         "SphereTable": ConcaveWall,
@@ -26,8 +28,10 @@ def scene_schema() -> dict[str, Any]:
         "SumTable": SumWall,
         "MeshWallTable": MeshWall,
         "HeightMapTable": HeightMapWall,
+        "RandomTable": HeightMapWall.random,
         "PictureTable": PlanarObject,
         "MeshObjectTable": MeshObject,
+        "OccluderTable": Occluder,
         "CameraTable": Camera,
         "LambertTable": Lambert,
         "OrenNayarTable": OrenNayar,
@@ -35,9 +39,10 @@ def scene_schema() -> dict[str, Any]:
         "WardTable": Ward,
     }
     for name, table in schema["$defs"].items():
-        notes = _parameter_notes(documented[name].__doc__ or "")
+        notes = _parameter_notes(inspect.getdoc(documented[name]) or "")
+        section = "wall" if name in ("HeightMapTable", "RandomTable") else ""
         for key, value in table["properties"].items():
-            _tidy(key, value, notes)
+            _tidy(key, value, notes, section)
     _tidy("", schema, {})
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -50,19 +55,19 @@ def _parameter_notes(docstring: str) -> dict[str, str]:
     """First words on each parameter of a numpydoc docstring."""
     notes: dict[str, str] = {}
     names: list[str] = []
-    _, _, section = docstring.partition("Parameters\n    ----------\n")
+    _, _, section = docstring.partition("Parameters\n----------\n")
     for line in section.splitlines():
-        if line.startswith("    ---") or not section:
+        if line.startswith("---"):
             break
-        if line.startswith("    ") and not line.startswith("     "):
+        if line and not line.startswith(" "):
             names = line.partition(" : ")[0].strip().lstrip("*").split(", ")
-        elif line.startswith("        "):
+        elif line:
             for name in names:
                 notes[name] = f"{notes.get(name, '')} {line.strip()}".strip()
     return notes
 
 
-def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str]) -> None:
+def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str], section: str = "") -> None:
     """Drop nulls, which TOML has not, and add the notes and the example of ``key``."""
     schema.pop("title", None)
     if "default" in schema and schema["default"] is None:
@@ -76,5 +81,6 @@ def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str]) -> None:
     if key in notes:
         form = f" ({schema['description']})" if "description" in schema else ""
         schema["description"] = notes[key] + form
-    if key in _file_tables.EXAMPLES and not schema.keys() & {"const", "enum"}:
-        schema["examples"] = [_file_tables.EXAMPLES[key]]
+    example = _file_tables.example(section, key)
+    if example is not None and not schema.keys() & {"const", "enum"}:
+        schema["examples"] = [example]

@@ -45,6 +45,11 @@ EXAMPLES: dict[str, Any] = {
     "terms": [{"shape": "wavy", "amplitude": "0.1 mm", "period": "250 mm"}],
     "mesh": "../walls/concave_5m.obj",
     "heights": "../walls/measured.npy",
+    "wall.pitch": "1 mm",
+    "height_rms": "1 um",
+    "correlation_length": "10 mm",
+    "autocorrelation": "gaussian",
+    "seed": 0,
     "scale": 1.0,
     "material": {"lobe": "lambert", "albedo": 0.7},
     "lobe": "lambert",
@@ -82,6 +87,11 @@ EXAMPLES: dict[str, Any] = {
 }
 
 
+def example(section: str, key: str) -> Any:
+    """One right way of writing ``key`` in the table ``section``; None for a key without one."""
+    return EXAMPLES.get(f"{section}.{key}", EXAMPLES.get(key))
+
+
 # What tells tables apart, and the tags of their classes. Tags hold a colon, so that an element of
 # a pydantic location is either a key or a tag.
 LOBES = {name: f"lobe:{name}" for name in ("lambert", "oren_nayar", "specular", "ward")}
@@ -95,6 +105,7 @@ SHAPES = {
     "sum": "wall:sum",
     "mesh": "wall:mesh",
     "height_map": "wall:height_map",
+    "random": "wall:random",
 }
 
 
@@ -296,6 +307,19 @@ class HeightMapTable(_WallTable):
     pitch: LengthText
 
 
+class RandomTable(Table):
+    """Wall through heights drawn at random."""
+
+    shape: Literal["random"]
+    height_rms: LengthText
+    correlation_length: LengthText
+    size: SizeText
+    pitch: LengthText
+    autocorrelation: Literal["gaussian", "exponential"] | None = None
+    seed: int | None = None
+    material: MaterialTable | None = None
+
+
 WallTable = Annotated[
     Annotated[FlatTable, Tag("wall:flat")]
     | Annotated[SphereTable, Tag("wall:sphere")]
@@ -303,7 +327,8 @@ WallTable = Annotated[
     | Annotated[WavyTable, Tag("wall:wavy")]
     | Annotated[SumTable, Tag("wall:sum")]
     | Annotated[MeshWallTable, Tag("wall:mesh")]
-    | Annotated[HeightMapTable, Tag("wall:height_map")],
+    | Annotated[HeightMapTable, Tag("wall:height_map")]
+    | Annotated[RandomTable, Tag("wall:random")],
     _choose("shape", SHAPES),
 ]
 
@@ -336,6 +361,17 @@ def _hidden_tag(table: Any) -> str:
     if isinstance(table, dict) and "mesh" in table:
         return "hidden:both" if "image" in table else "hidden:mesh"
     return "hidden:picture"
+
+
+class OccluderTable(Table):
+    """A black mesh that blocks light."""
+
+    mesh: str
+    scale: float | None = None
+    position: VectorText | None = None
+    yaw: AngleText | None = None
+    pitch: AngleText | None = None
+    roll: AngleText | None = None
 
 
 HiddenTable = Annotated[
@@ -389,6 +425,7 @@ class SceneFile(Table):
     wall: WallTable
     hidden: HiddenTable
     camera: CameraTable
+    occluder: list[OccluderTable] | None = None
 
 
 SumTable.model_rebuild()
@@ -397,6 +434,7 @@ SumTable.model_rebuild()
 OWNERS: dict[str, type[Table]] = {
     "laser": LaserTable,
     "camera": CameraTable,
+    "occluder": OccluderTable,
     "lobe:lambert": LambertTable,
     "lobe:oren_nayar": OrenNayarTable,
     "lobe:specular": SpecularTable,
@@ -408,8 +446,9 @@ OWNERS: dict[str, type[Table]] = {
     "wall:sum": SumTable,
     "wall:mesh": MeshWallTable,
     "wall:height_map": HeightMapTable,
+    "wall:random": RandomTable,
     "hidden:picture": PictureTable,
     "hidden:mesh": MeshObjectTable,
 }
 #: Elements of a pydantic location that stand for no key.
-TAGS = {*OWNERS, "material:one", "material:sum"} - {"laser", "camera"}
+TAGS = {*OWNERS, "material:one", "material:sum"} - {"laser", "camera", "occluder"}

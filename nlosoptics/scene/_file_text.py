@@ -13,6 +13,7 @@ from .height_maps import HeightMapWall
 from .hidden import MeshObject, PlanarObject
 from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .mesh import MeshWall
+from .occluders import Occluder
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
 if TYPE_CHECKING:
@@ -36,6 +37,11 @@ def format_scene(scene: Scene, folder: str | Path) -> str:
         camera=_file_tables.CameraTable.model_construct(
             **vars(camera) | {"pixels": list(camera.pixels)}
         ),
+        occluder=[
+            _occluder_table(f"occluder[{index}].mesh", occluder, base)
+            for index, occluder in enumerate(scene.occluders)
+        ]
+        or None,
     )
     return _toml(tables.model_dump(exclude_none=True))
 
@@ -70,6 +76,10 @@ def _wall_table(wall: Wall, base: Path, material: Any = None) -> Any:
             mesh=_relative("wall.mesh", wall.mesh, base),
             scale=wall.scale,
             material=material,
+        )
+    if isinstance(wall, HeightMapWall) and wall.drawn is not None:
+        return _file_tables.RandomTable.model_construct(
+            shape="random", material=material, **wall.drawn
         )
     if isinstance(wall, HeightMapWall):
         return _file_tables.HeightMapTable.model_construct(
@@ -110,6 +120,14 @@ def _hidden_table(hidden: PlanarObject | MeshObject, base: Path) -> Any:
     return _file_tables.MeshObjectTable.model_construct(mesh=mesh, scale=hidden.scale, **common)
 
 
+def _occluder_table(name: str, occluder: Any, base: Path) -> Any:
+    if not isinstance(occluder, Occluder):
+        occluder = Occluder(occluder)
+    places = {key: getattr(occluder, key) for key in ("scale", "position", "yaw", "pitch", "roll")}
+    mesh = _relative(name, occluder.mesh, base)
+    return _file_tables.OccluderTable.model_construct(mesh=mesh, **places)
+
+
 def _relative(name: str, source: Any, base: Path) -> str:
     if not isinstance(source, (str, Path)):
         raise SceneError(
@@ -130,7 +148,11 @@ def _toml(document: dict[str, Any]) -> str:
     return "\n".join(lines).lstrip("\n") + "\n"
 
 
-def _toml_table(name: str, table: dict[str, Any], lines: list[str], brackets: str = "[]") -> None:
+def _toml_table(name: str, table: Any, lines: list[str], brackets: str = "[]") -> None:
+    if isinstance(table, list):
+        for item in table:
+            _toml_table(name, item, lines, "[[]]")
+        return
     half = len(brackets) // 2
     lines += ["", f"{brackets[:half]}{name}{brackets[half:]}"]
     nested = {
@@ -140,11 +162,7 @@ def _toml_table(name: str, table: dict[str, Any], lines: list[str], brackets: st
     }
     lines += [f"{key} = {toml_value(value)}" for key, value in table.items() if key not in nested]
     for key, value in nested.items():
-        if isinstance(value, dict):
-            _toml_table(f"{name}.{key}", value, lines)
-        else:
-            for item in value:
-                _toml_table(f"{name}.{key}", item, lines, "[[]]")
+        _toml_table(f"{name}.{key}", value, lines)
 
 
 def toml_value(value: Any) -> str:

@@ -1,9 +1,9 @@
 """Scene files: TOML whose lengths, times, powers and angles carry their unit.
 
-A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``; ``[wall.material]``
-and ``[hidden.material]`` are one lobe, or with double brackets a sum of lobes. ``[camera]`` may
-name a ``file`` with a camera table, whose keys it may override. Paths are relative to the file
-that they stand in.
+A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``, and any number of
+``[[occluder]]``; ``[wall.material]`` and ``[hidden.material]`` are one lobe, or with double
+brackets a sum of lobes. ``[camera]`` may name a ``file`` with a camera table, whose keys it may
+override. Paths are relative to the file that they stand in.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from .hidden import MeshObject, PlanarObject
 from .laser import Laser
 from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .mesh import MeshWall
+from .occluders import Occluder
 from .scene import Scene
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
@@ -53,6 +54,8 @@ def load_scene(path: str | Path) -> Scene:
     ------
     SceneError
         In one line that names file, key, value, limit and remedy.
+    SamplingError, MemoryLimitError
+        The same, if the pitch of a random wall is too coarse or too fine.
     """
     path = Path(path)
     folder = path.parent
@@ -69,6 +72,7 @@ def load_scene(path: str | Path) -> Scene:
             _wall(tables.wall, folder),
             _hidden(tables.hidden, folder),
             _camera(camera),
+            tuple(_occluders(tables.occluder or [], folder)),
             **optional,
         )
         _open_files(scene)
@@ -167,6 +171,8 @@ def _wall(table: Any, folder: Path) -> Wall:
     values = _given(table, "shape", "material")
     if table.shape == "mesh":
         return MeshWall(_resolved(folder, values.pop("mesh")), **values)
+    if table.shape == "random":
+        return HeightMapWall.random(**values)
     if table.shape == "height_map":
         return HeightMapWall(_resolved(folder, values.pop("heights")), **values)
     if table.shape == "flat":
@@ -197,6 +203,14 @@ def _hidden(table: Any, folder: Path) -> PlanarObject | MeshObject:
     if isinstance(table, _file_tables.MeshObjectTable):
         return MeshObject(_resolved(folder, values.pop("mesh")), **values)
     return PlanarObject(_resolved(folder, values.pop("image")), **values)
+
+
+def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> Iterator[Occluder]:
+    for index, table in enumerate(tables):
+        values = _given(table)
+        mesh = _resolved(folder, values.pop("mesh"))
+        with located(f"occluder[{index}].", "occluder."):
+            yield Occluder(mesh, **values)
 
 
 def _resolved(folder: Path, name: str) -> Path:
@@ -286,3 +300,6 @@ def _open_files(scene: Scene) -> None:
     _ = hidden.surface if isinstance(hidden, MeshObject) else hidden.reflectance
     if isinstance(wall, MeshWall):
         _ = wall.size
+    for index, occluder in enumerate(scene.occluders):
+        with located(f"occluder[{index}].", "occluder."):
+            _ = occluder.surface if isinstance(occluder, Occluder) else occluder

@@ -35,12 +35,19 @@ class HeightMapWall(Wall):
         Distance between neighbours, m.
     size : float or (float, float), optional
         Full extent in x and y, m; by default, and at most, that of the grid.
+
+    Attributes
+    ----------
+    drawn : dict or None
+        Arguments of `random` that drew the heights, which a scene file keeps in their stead; None
+        for other heights, those of a copy with another size included.
     """
 
     heights: Any
     pitch: float
     _: KW_ONLY
     size: Any = None
+    drawn: dict[str, Any] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pitch", positive("wall.pitch", self.pitch, unit="m"))
@@ -127,22 +134,26 @@ class HeightMapWall(Wall):
 
         from .._checks import fits_memory
 
-        height_rms = in_range("height_rms", height_rms, 0.0, unit="m")
-        length = positive("correlation_length", correlation_length, unit="m")
-        pitch = positive("pitch", pitch, unit="m")
-        one_of("autocorrelation", autocorrelation, REACH)
-        seed = whole("seed", seed, 0)
+        height_rms = in_range("wall.height_rms", height_rms, 0.0, unit="m")
+        length = positive("wall.correlation_length", correlation_length, unit="m")
+        pitch = positive("wall.pitch", pitch, unit="m")
+        one_of("wall.autocorrelation", autocorrelation, REACH)
+        seed = whole("wall.seed", seed, 0, 2**64 - 1)
         if length < 2 * pitch:
             raise SamplingError(
-                f"correlation_length = {length:g} m is below two pitches of {pitch:g} m; "
+                f"wall.correlation_length = {length:g} m is below two pitches of {pitch:g} m; "
                 f"give a pitch of at most {length / 2:g} m"
             )
-        extent = pair("size", size)
+        extent = pair("wall.size", size)
         nodes = [max(4, math.ceil(s / pitch * (1 - 1e-12)) + 1) for s in extent]
         counts = [
             fft.next_fast_len(n + math.ceil(REACH[autocorrelation] * length / pitch)) for n in nodes
         ]
-        fits_memory("the random height map", 64.0 * counts[0] * counts[1], "use a coarser pitch")
+        fits_memory(
+            f"wall.pitch = {pitch:g} m: a random height map of {counts[0]} x {counts[1]} nodes",
+            64.0 * counts[0] * counts[1],
+            "use a coarser pitch",
+        )
         x, y = (np.minimum(np.arange(n), n - np.arange(n)) * pitch / length for n in counts)
         square = x * x + y[:, None] ** 2
         lags = np.exp(-square if autocorrelation == "gaussian" else -np.sqrt(square))
@@ -150,7 +161,17 @@ class HeightMapWall(Wall):
         spectrum = np.maximum(fft.rfft2(lags).real, 0.0)
         noise = generator(seed, HEIGHTS).standard_normal((counts[1], counts[0]))
         heights = fft.irfft2(fft.rfft2(noise) * np.sqrt(spectrum), s=noise.shape)
-        return cls(height_rms * heights[: nodes[1], : nodes[0]], pitch)
+        wall = cls(height_rms * heights[: nodes[1], : nodes[0]], pitch)
+        drawn = {
+            "height_rms": height_rms,
+            "correlation_length": length,
+            "size": extent,
+            "pitch": pitch,
+            "autocorrelation": autocorrelation,
+            "seed": seed,
+        }
+        object.__setattr__(wall, "drawn", drawn)
+        return wall
 
     @cached_property
     def _fit(self) -> tuple[Array, Array]:

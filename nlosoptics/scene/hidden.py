@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import KW_ONLY, dataclass, fields
+from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import Vector, is_single, pair, positive, real, vector
+from .._checks import is_single, pair, real
 from ..errors import SceneError
+from ._posed import Posed, PosedMesh
 from .materials import Lambert, Material
 
 if TYPE_CHECKING:
@@ -21,60 +21,21 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-def rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
-    """Rotate by roll about z, then pitch about x, then yaw about y (right-handed, rad)."""
-    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, pitch, roll))
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
-    about_z = np.array([[cr, -sr, 0], [sr, cr, 0], [0, 0, 1]])
-    return np.asarray(about_y @ about_x @ about_z)
-
-
-@dataclass(frozen=True, eq=False)
-class _Posed:
-    """Position and rotation shared by hidden objects."""
-
-    _: KW_ONLY
-    position: Vector
-    yaw: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
-    material: Material = Lambert(0.8)
-
-    def __post_init__(self) -> None:
-        put = object.__setattr__
-        put(self, "position", vector("hidden.position", self.position))
-        for name in ("yaw", "pitch", "roll"):
-            put(self, name, real(f"hidden.{name}", getattr(self, name)))
-        if not isinstance(self.material, Material):
-            raise SceneError(
-                f"hidden.material = {self.material!r} is a {type(self.material).__name__}; give a "
-                "Material, such as Lambert(0.8)"
-            )
-        if self.position[2] <= 0:
-            raise SceneError(
-                f"hidden.position has z = {self.position[2]:g} m, behind the wall; must be above 0"
-            )
-
-    @property
-    def rotation(self) -> Array:
-        """Rotation of the object's axes into the world's, (3, 3)."""
-        return rotation_matrix(self.yaw, self.pitch, self.roll)
-
-    def __eq__(self, other: object) -> bool:
-        if type(self) is not type(other):
-            return NotImplemented
-        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-        return all(
-            np.array_equal(a, b) if isinstance(a, np.ndarray) else type(a) is type(b) and a == b
-            for a, b in pairs
+def _check_hidden(hidden: PlanarObject | MeshObject) -> None:
+    """Refuse what is no material, and a position behind the wall."""
+    if not isinstance(hidden.material, Material):
+        raise SceneError(
+            f"hidden.material = {hidden.material!r} is a {type(hidden.material).__name__}; give a "
+            "Material, such as Lambert(0.8)"
+        )
+    if hidden.position[2] <= 0:
+        raise SceneError(
+            f"hidden.position has z = {hidden.position[2]:g} m, behind the wall; must be above 0"
         )
 
-    __hash__ = None  # type: ignore[assignment]
-
 
 @dataclass(frozen=True, eq=False)
-class PlanarObject(_Posed):
+class PlanarObject(Posed):
     """A picture on a plane, the usual hidden letter.
 
     Unturned it faces the wall with its top toward +y: a viewer at the wall reads it, so its right
@@ -95,11 +56,15 @@ class PlanarObject(_Posed):
         Of a white pixel.
     """
 
+    table: ClassVar[str] = "hidden"
     image: Any
     size: Any
+    _: KW_ONLY
+    material: Material = Lambert(0.8)
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        _check_hidden(self)
         put = object.__setattr__
         if isinstance(self.image, (str, Path)):
             put(self, "image", Path(self.image).resolve())
@@ -197,7 +162,7 @@ def _decoded(path: Path) -> NDArray[Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class MeshObject(_Posed):
+class MeshObject(PosedMesh):
     """A triangle mesh.
 
     Parameters
@@ -213,22 +178,18 @@ class MeshObject(_Posed):
     material : Material
     """
 
-    mesh: Any
-    scale: float = 1.0
+    table: ClassVar[str] = "hidden"
+    _: KW_ONLY
+    material: Material = Lambert(0.8)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.mesh, (str, Path)):
-            object.__setattr__(self, "mesh", Path(self.mesh).resolve())
-        object.__setattr__(self, "scale", positive("hidden.scale", self.scale))
+        _check_hidden(self)
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
         """Mesh in the world frame."""
-        from .mesh import load_mesh
-
-        mesh = load_mesh("hidden.mesh", self.mesh).copy()
-        mesh.vertices = mesh.vertices * self.scale @ self.rotation.T + np.array(self.position)
+        mesh = self._placed()
         lowest = float(mesh.vertices[:, 2].min())
         if lowest <= 0:
             raise SceneError(

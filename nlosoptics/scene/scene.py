@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +16,11 @@ from .hidden import HiddenObject, MeshObject, PlanarObject
 from .laser import Laser
 from .materials import Lambert, Material, SpecularMicrofacet, SumMaterial
 from .mesh import MeshWall
+from .occluders import Occluder, checked_occluders, joined
 from .walls import Array, ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+
+if TYPE_CHECKING:
+    import trimesh
 
 #: Matt white paint with a faint gloss; without a mirror-like lobe no wall passes a letter.
 PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
@@ -28,7 +33,7 @@ class Scene:
     The origin is the wall's centre, the mean wall plane is z = 0 with its normal +z into the room,
     and y is up; object, laser and camera have z > 0, and are in front of a curved wall too.
     A picture is checked at its corners and centre. What takes a file to be read or a surface to be
-    fitted, a `MeshWall` or a `MeshObject`, is left to `imaging.form_image`.
+    fitted, a `MeshWall`, a `MeshObject` or an `Occluder`, is left to `imaging.form_image`.
 
     Parameters
     ----------
@@ -37,8 +42,8 @@ class Scene:
         Shape of the relay wall.
     hidden : PlanarObject or MeshObject
     camera : Camera
-    occluders : tuple of trimesh.Trimesh
-        Meshes that block light, world frame, m.
+    occluders : tuple of trimesh.Trimesh or Occluder
+        Black bodies that block light: meshes in the world frame, m, or files with a place.
     wall_material : Material
         What the relay wall is made of; the default is matt paint with a 5 % mirror-like lobe.
     """
@@ -47,7 +52,7 @@ class Scene:
     wall: Wall
     hidden: HiddenObject
     camera: Camera
-    occluders: tuple[Any, ...] = ()
+    occluders: tuple[Occluder | trimesh.Trimesh, ...] = ()
     wall_material: Material = PAINT
 
     def __post_init__(self) -> None:
@@ -61,10 +66,7 @@ class Scene:
             value = getattr(self, name)
             if not isinstance(value, kind):
                 raise SceneError(f"scene.{name} is a {type(value).__name__}, which it cannot be")
-        if self.occluders:
-            raise SceneError(
-                "scene.occluders are not traced yet; leave them out, or model the free paths only"
-            )
+        object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         if self.laser.aim[2] != 0.0:
             raise SceneError(
                 f"laser.aim has z = {self.laser.aim[2]:g} m; give a point of the plane z = 0"
@@ -116,6 +118,11 @@ class Scene:
             places.append(("hidden.mesh", self.hidden.surface.vertices))
         for name, points in places:
             _refuse_behind(self.wall, name, np.array(points, dtype=np.float64).reshape(-1, 3))
+
+    @cached_property
+    def occluding_mesh(self) -> trimesh.Trimesh | None:
+        """All occluders as one mesh in the world frame, m; None where there are none."""
+        return joined(self.occluders)
 
     @property
     def object_point(self) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -8,20 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import SceneError
-from ..scene import PlanarObject, Scene
+from ..scene import Occluder, PlanarObject, Scene
 from .canvas import new_axes
 
 if TYPE_CHECKING:
+    import trimesh
     from matplotlib.axes import Axes
 
 # Okabe and Ito's colours, distinct to every kind of colour vision
-WALL, LASER, OBJECT, MIRRORED, CAMERA, CHIEF = (
+WALL, LASER, OBJECT, MIRRORED, CAMERA, CHIEF, OCCLUDER = (
     "#000000",
     "#D55E00",
     "#009E73",
     "#8FCFBA",
     "#0072B2",
     "#E69F00",
+    "#CC79A7",
 )
 
 
@@ -32,8 +34,9 @@ def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[A
     ----------
     scene : Scene
         What to draw: the wall's profile through the origin, the laser beam, the hidden object and
-        its mirror image in the mean wall, the camera with its axis, and the chief path of the light
-        from the laser by way of the object to the camera, as a flat wall would send it.
+        its mirror image in the mean wall, the camera with its axis, the chief path of the light
+        from the laser by way of the object to the camera, as a flat wall would send it, and boxes
+        around occluders.
     axes : sequence of two matplotlib Axes, optional
         Where to draw; a new figure by default.
 
@@ -56,7 +59,7 @@ def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[A
     side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="from the side")
     if axes is None:
         figure: Any = top.get_figure(root=True)
-        figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=7)
+        figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=4)
     else:
         side.legend()
     return top, side
@@ -107,7 +110,18 @@ def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
             camera + np.stack([lens[0], -lens[0], 0 * lens[0], lens[1], -lens[1]]),
             {"color": CAMERA, **dot, "marker": "s"},
         ),
+        *_occluder_boxes(scene),
     ]
+
+
+def _occluder_boxes(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
+    """Boxes around the occluders, as `_outlines`; one of them named in the legend."""
+    boxes = []
+    for index, occluder in enumerate(scene.occluders):
+        mesh = occluder.surface if isinstance(occluder, Occluder) else occluder
+        label = "_occluder" if index else "occluder"
+        boxes.append((label, _box(mesh), {"color": OCCLUDER, "linewidth": 2.5}))
+    return boxes
 
 
 def _object_outline(scene: Scene) -> Any:
@@ -117,6 +131,11 @@ def _object_outline(scene: Scene) -> Any:
         half = np.array(scene.hidden.size) / 2
         corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)]) * half
         return scene.object_point + corners @ np.stack([right, up])
-    low, high = scene.hidden.surface.bounds
+    return _box(scene.hidden.surface)
+
+
+def _box(mesh: trimesh.Trimesh) -> Any:
+    """Outline of the box around a mesh as seen along x, y and z, (n, 3), m, world."""
+    low, high = mesh.bounds
     pick = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1), (0, 0, 1), (0, 0, 0)])
     return np.where(pick, high, low)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from nlosoptics.errors import SceneError
+from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.scene import Scene
 
 
@@ -399,6 +399,90 @@ def test_summand_of_a_wall(folder: Path) -> None:
     expect(line, "wall.x", "unknown key", "the keys here are shape, size, material, terms")
     line = message(folder, ("[[wall.x]]", "[[wall.material]]"), scene="letter_flat")
     expect(line, "wall.terms[0].period", "-1 m", "must be above 0 m")
+
+
+OCCLUDER = '[[occluder]]\nmesh = "../walls/concave_5m.obj"\n'
+OCCLUDERS = {
+    "missing mesh": (
+        'scale = 2.0\n[[occluder]]\nyaw = "1 deg"\n',
+        ("occluder[1].mesh is missing; add for example mesh = ",),
+    ),
+    "no file": (
+        '[[occluder]]\nmesh = "none.stl"\n',
+        ("occluder[1].mesh: there is no file", "none.stl", "give the path of a mesh"),
+    ),
+    "unknown key": (
+        "skale = 2.0\n",
+        ("occluder[0].skale = 2.0 is an unknown key; did you mean scale?",),
+    ),
+    "a material": (
+        'material = "foam"\n',
+        ("occluder[0].material", "unknown key", "the keys here are mesh, scale, position"),
+    ),
+    "no size": ("scale = 0.0\n", ("occluder[0].scale = 0 is out of range, must be above 0",)),
+    "no unit": ("yaw = 10\n", ("occluder[0].yaw = 10", "has no unit", '"10 deg"')),
+    "two components": (
+        'position = ["0 m", "1 m"]\n',
+        ("occluder[0].position", "has 2 components", "must have 3"),
+    ),
+    "behind the wall": (
+        'position = ["0 m", "0 m", "-1 m"]\n',
+        ("occluder[0].mesh reaches z = -0.9", "must be at least 0; move occluder.position"),
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "parts"), OCCLUDERS.values(), ids=OCCLUDERS.keys())
+def test_bad_occluder(folder: Path, text: str, parts: tuple[str, ...]) -> None:
+    expect(message(folder, ("[camera]", OCCLUDER + text + "[camera]")), *parts)
+
+
+def test_one_occluder_is_still_one_of_several(folder: Path) -> None:
+    line = message(
+        folder, ("[camera]", OCCLUDER.replace("[[occluder]]", "[occluder]") + "[camera]")
+    )
+    expect(line, "occluder = {...} is one table; write [[occluder]] for each of them")
+
+
+RANDOM = (
+    'shape = "random"\nheight_rms = "1 um"\ncorrelation_length = "90 mm"\npitch = "40 mm"\n'
+    'size = "1.5 m"\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "parts"),
+    [
+        ('"1 um"', '"-1 um"', ("wall.height_rms = -1e-06 m is out of range, must be at least 0",)),
+        ('pitch = "40 mm"\n', "", ("wall.pitch is missing; add for example", '"1 mm"')),
+        ('pitch = "40 mm"', 'pitch = "40 deg"', ("wall.pitch", "is an angle", 'example "1 mm"')),
+        ('size = "1.5 m"', 'size = "0 m"', ("wall.size[x] = 0 m", "must be above 0 m")),
+        (
+            'size = "1.5 m"',
+            'size = "1 m"\nseed = -1',
+            ("wall.seed = -1", "from 0 to 18446744073709551615"),
+        ),
+        ('size = "1.5 m"', 'size = "1 m"\nseed = 0.5', ("wall.seed = 0.5", "example 0")),
+        (
+            'size = "1.5 m"',
+            'size = "1 m"\nautocorrelation = "gauss"',
+            ('wall.autocorrelation = "gauss"', "'gaussian' or 'exponential'"),
+        ),
+    ],
+)
+def test_bad_random_wall(folder: Path, old: str, new: str, parts: tuple[str, ...]) -> None:
+    assert old in RANDOM
+    shape = 'shape = "flat"\nsize = ["1.4 m", "1 m"]', RANDOM.replace(old, new)
+    expect(message(folder, shape), *parts)
+
+
+def test_random_wall_on_a_coarse_grid_names_the_file_too(folder: Path) -> None:
+    path = folder / "letter_flat.toml"
+    coarse = RANDOM.replace('"40 mm"', '"50 mm"')
+    path.write_text(path.read_text().replace('shape = "flat"\nsize = ["1.4 m", "1 m"]', coarse))
+    with pytest.raises(SamplingError) as caught:
+        Scene.load(path)
+    expect(str(caught.value), f"{path}: wall.correlation_length = 0.09 m", "at most 0.045 m")
 
 
 def test_saving_an_array_says_what_to_do(examples: Path, tmp_path: Path) -> None:

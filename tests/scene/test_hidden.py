@@ -15,7 +15,7 @@ from pytest import approx
 
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import MeshObject, PlanarObject
-from nlosoptics.scene.hidden import rotation_matrix
+from nlosoptics.scene._posed import rotation_matrix
 
 PLACE = (0.5, 0.0, 1.0)
 F = np.array([[1, 1, 1], [1, 0, 0], [1, 1, 0], [1, 0, 0]]) * 1.0  # row 0 on top

@@ -139,7 +139,8 @@ BAD = [
     (SCENE, "wall", Lambert(0.5), "scene.wall is a Lambert, which it cannot be"),
     (SCENE, "wall_material", 0.7, "scene.wall_material is a float, which it cannot be"),
     (SCENE, "laser", replace(LASER, aim=(0.6, 0, 0.1)), "laser.aim has z = 0.1 m; give a point"),
-    (SCENE, "occluders", (1,), "scene.occluders are not traced yet; leave them out"),
+    (SCENE, "occluders", (1,), r"scene.occluders\[0\] is a int; give a trimesh.Trimesh or an Occ"),
+    (SCENE, "occluders", 1, "scene.occluders is a int; give a tuple of meshes"),
 ]
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from pytest import approx
 
 from nlosoptics.errors import SceneError
@@ -19,9 +20,11 @@ from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
     FlatWall,
+    HeightMapWall,
     Lambert,
     MeshObject,
     MeshWall,
+    Occluder,
     OrenNayar,
     PlanarObject,
     Scene,
@@ -96,6 +99,68 @@ def test_meshes_round_trip_exactly(flat: Scene, examples: Path, tmp_path: Path) 
     hidden = MeshObject(mesh, scale=0.1, position=(0.5, 0.0, 1.0), yaw=0.1, pitch=-0.2, roll=3.0)
     scene = replace(flat, wall=MeshWall(mesh, scale=1.1), hidden=hidden)
     assert saved(scene, tmp_path) == scene
+
+
+def test_random_walls_keep_their_parameters(flat: Scene, tmp_path: Path) -> None:
+    third = 1e-3 / 3
+    for wall in (
+        HeightMapWall.random(height_rms=third, correlation_length=0.1, size=1.5, pitch=0.04),
+        HeightMapWall.random(
+            height_rms=1e-6,
+            correlation_length=0.2 / 3,
+            size=(1.1, 1.3),
+            pitch=0.03,
+            autocorrelation="exponential",
+            seed=2**64 - 1,
+        ),
+    ):
+        scene = replace(flat, wall=wall)
+        again = saved(scene, tmp_path)
+        assert again == scene
+        assert again.wall.drawn == wall.drawn
+        summed = replace(flat, wall=SumWall(wall, ConcaveWall(5.0)))
+        assert saved(summed, tmp_path) == summed
+
+
+def test_a_cut_random_wall_is_no_longer_the_one_drawn(flat: Scene, tmp_path: Path) -> None:
+    drawn = HeightMapWall.random(height_rms=1e-6, correlation_length=0.1, size=1.5, pitch=0.04)
+    with pytest.raises(SceneError, match=r"wall.heights is ndarray in memory"):
+        replace(flat, wall=replace(drawn, size=1.4)).save(tmp_path / "scene.toml")
+
+
+def test_occluders_round_trip_exactly(flat: Scene, examples: Path, tmp_path: Path) -> None:
+    mesh = (examples / "walls" / "concave_5m.obj").resolve()
+    posed = Occluder(mesh, scale=0.1, position=(1 / 3, -0.2, 0.7), yaw=0.1, pitch=-1 / 3, roll=3.0)
+    scene = replace(flat, occluders=[posed, Occluder(mesh)])
+    assert saved(scene, tmp_path) == scene
+    assert scene != flat
+    text = (tmp_path / "first.toml").read_text()
+    assert text.count("[[occluder]]") == 2
+    again = Scene.load(tmp_path / "first.toml")
+    np.testing.assert_array_equal(again.occluding_mesh.vertices, scene.occluding_mesh.vertices)
+
+
+def test_an_occluder_of_a_file_alone_stands_as_it_is(flat: Scene, tmp_path: Path) -> None:
+    plate = trimesh.creation.box((0.1, 0.2, 0.3), transform=np.eye(4))
+    plate.apply_translation((0, 0, 0.15))
+    plate.export(tmp_path / "plate.ply")
+    flat.save(tmp_path / "scene.toml")
+    with (tmp_path / "scene.toml").open("a") as file:
+        file.write('\n[[occluder]]\nmesh = "plate.ply"\n')
+    (occluder,) = Scene.load(tmp_path / "scene.toml").occluders
+    assert occluder == Occluder(tmp_path / "plate.ply")
+    # the file holds float32
+    np.testing.assert_allclose(occluder.surface.bounds, plate.bounds, rtol=0, atol=1e-7)
+
+
+def test_an_occluder_in_memory_is_not_saved(flat: Scene, tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    box.apply_translation((0, 0, 1))
+    mesh = FOLDER.parent / "walls" / "concave_5m.obj"
+    for occluder in (box, Occluder(box)):
+        scene = replace(flat, occluders=(Occluder(mesh), occluder))
+        with pytest.raises(SceneError, match=r"occluder\[1\].mesh is Trimesh in memory .*write it"):
+            scene.save(tmp_path / "scene.toml")
 
 
 def test_every_float_of_laser_and_camera_round_trips(flat: Scene, tmp_path: Path) -> None:

@@ -225,3 +225,18 @@ def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert answer.stdout == "False\n"
+
+
+def test_sketch_shows_every_occluder_and_names_one(flat_scene):
+    import trimesh
+
+    from nlosoptics.scene import Occluder
+
+    box = trimesh.creation.box((0.2, 0.3, 0.4))
+    boxes = tuple(Occluder(box, position=(x, 0.1, 1.5)) for x in (0.5, 1.0))
+    top, _ = views.scene_sketch(replace(flat_scene, occluders=boxes))
+    drawn = [line for line in top.lines if "occluder" in str(line.get_label())]
+    assert [line.get_label() for line in drawn] == ["occluder", "_occluder"]
+    x, z = drawn[1].get_data()
+    assert (min(x), max(x), min(z), max(z)) == pytest.approx((0.9, 1.1, 1.3, 1.7), abs=1e-12)
+    assert not [a for a in views.scene_sketch(flat_scene)[1].lines if a.get_label() == "occluder"]
