@@ -115,6 +115,14 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
 
 
 @njit(cache=True)
+def _aimed(world, vertex, eye):
+    """Share of the light leaving a vertex that is sent to the object."""
+    if vertex[SURFACE] != WALL:
+        return 0.0
+    return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
+
+
+@njit(cache=True)
 def _far(world, p):
     """Whether aiming alone may bring light from here to the object."""
     ball = world.ball
@@ -123,14 +131,13 @@ def _far(world, p):
 
 
 @njit(cache=True, nogil=True)
-def scatter(world, sampler, first, number, shares, vertices, leave, origins, directions, live):
+def scatter(world, sampler, first, number, eye, vertices, leave, origins, directions, live):
     """Draw where light goes from vertices: along a lobe, or from the wall to the object.
 
-    ``shares`` are the part of the light to send to the object, and whether it comes from the lens.
-    ``leave`` gets the direction, lobes times cosine, the lobes' density, the weight of a mirror or
-    -1, and the distance of the object point aimed at or -1.
+    ``eye`` tells that the vertices are seen from the lens. ``leave`` gets the direction, lobes times
+    cosine, the lobes' density, the weight of a mirror or -1, the share aimed at the object, and the
+    distance of the point aimed at or -1.
     """
-    aimed, eye = shares
     for i in range(vertices.shape[0]):
         vertex = vertices[i]
         kind = int(vertex[SURFACE])
@@ -144,7 +151,7 @@ def scatter(world, sampler, first, number, shares, vertices, leave, origins, dir
         lobes = _lobes(world, kind)
         p, n, incident = three(vertex, 0), three(vertex, 3), three(vertex, 6)
         mirror, reach = -1.0, -1.0
-        share = aimed if kind == WALL else 0.0
+        share = _aimed(world, vertex, eye)
         if share > 0.0 and draw(sampler, group, index, ray, number + 2) < share:
             to, _ = object_point(world, u, v)
             d = (to[0] - p[0], to[1] - p[1], to[2] - p[2])
@@ -393,7 +400,7 @@ def _next_density(world, vertex, incident, direction, cosine, target, target_cos
     n = three(vertex, 3)
     mu, between = dot(incident, n), dot(incident, direction)
     density = _lobe_density(_lobes(world, kind), mu, cosine, between, eye)
-    share = world.aimed if kind == WALL else 0.0
+    share = _aimed(world, vertex, eye)
     density *= (1.0 - share) * target_cosine / square
     if target[SURFACE] == OBJECT:
         density += share * world.norm * target[SCALE]

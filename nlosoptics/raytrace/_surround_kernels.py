@@ -50,7 +50,7 @@ class World(NamedTuple):
     triangles: NDArray[np.float64]
     areas: NDArray[np.float64]
     norm: float
-    aimed: float
+    aimed: NDArray[np.float64]
     glossy: bool
     ball: NDArray[np.float64]
     camera: NDArray[np.float64]

@@ -38,11 +38,6 @@ class Job:
 
         return self.max_bounces + 1 + _light_kernels.SUMS
 
-    @property
-    def aimed(self) -> float:
-        """Share of the light leaving the wall that is sent to the object."""
-        return 0.0 if self.analog else self.around.world.aimed
-
 
 def traced(job: Job, first: int, end: int) -> Traced:
     """Trace the rays from ``first`` up to ``end``."""
@@ -166,7 +161,7 @@ class Rays:
             self.job.sampler,
             self.first,
             number,
-            (self.job.aimed, eye),
+            eye,
             vertices,
             self.leave,
             self.origins,

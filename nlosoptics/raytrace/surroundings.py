@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Hits = tuple[Array, NDArray[np.int8], Array, Array]
-AIMED = (
-    0.75  # share of the light leaving the wall that is sent to the object: dyadic, as digits are
-)
+# Shares of the light leaving the wall that are sent to the object: from the laser's spot and what
+# the lens sees, and from elsewhere. A wall that sees itself needs more of the rest. Few binary
+# digits, by which Sobol points are divided exactly.
+AIMED = ((0.75, 0.75), (0.5, 0.25))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,11 +86,13 @@ class Surroundings:
     Parameters
     ----------
     scene : Scene
+    analog : bool
+        Whether light goes only where it would go.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, analog: bool = False) -> None:
         self.plan = ray_plan(scene)
-        self.world = _world(scene, self.plan.glossy)
+        self.world = _world(scene, self.plan, analog)
         self._wall = scene.wall
         self._walls: Any = None
         if self.plan.wall_hits != "python":
@@ -235,7 +238,7 @@ def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
     return trimesh.Trimesh(vertices, faces, process=False), len(thing.faces)
 
 
-def _world(scene: Scene, glossy: bool) -> World:
+def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
     """Numbers of a scene for compiled code."""
     from ._surround_kernels import World
 
@@ -285,8 +288,8 @@ def _world(scene: Scene, glossy: bool) -> World:
         triangles=np.ascontiguousarray(triangles),
         areas=areas,
         norm=1.0 / total if total > 0.0 else 0.0,
-        aimed=AIMED if total > 0.0 else 0.0,
-        glossy=glossy,
+        aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
+        glossy=plan.glossy,
         ball=np.array([*centre, radius]),
         camera=np.concatenate(
             [

@@ -161,7 +161,7 @@ def job_of(
         columns, shifts = columns[:, :0], shifts[:, :0]
     return Job(
         scene=scene,
-        around=Surroundings(scene),
+        around=Surroundings(scene, analog=analog),
         sampler=(np.uint64(seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)),
         max_bounces=max_bounces,
         analog=analog,
