@@ -76,6 +76,34 @@ def scene():
     )
 
 
+def description():
+    """The same as numbers for JSON: m and W; the lit spot stands for the laser."""
+    vertices, faces = letter_triangles()
+    strokes = np.multiply(STROKES, CELL)
+    return {
+        "letter": {"vertices": (vertices + LETTER).tolist(), "faces": faces.tolist()},
+        "strokes": [
+            {"centre": [x - (a + b) / 2, y + (c + d) / 2, z], "size": [b - a, d - c]}
+            for (x, y, z), (a, b, c, d) in ((LETTER.tolist(), row) for row in strokes.tolist())
+        ],
+        "letter_albedo": LETTER_ALBEDO,
+        "wall": WALL,
+        "wall_albedo": WALL_ALBEDO,
+        "spot": SPOT.tolist(),
+        "spot_area": math.pi / 4 * BEAM**2 / math.cos(INCIDENCE),
+        "spot_power": WALL_ALBEDO * POWER,
+        "camera": {
+            "position": CAMERA.tolist(),
+            "aim": [0.0, 0.0, 0.0],
+            "sensor": SENSOR,
+            "image_distance": FOCAL_LENGTH * FOCUS / (FOCUS - FOCAL_LENGTH),
+            "focus_distance": FOCUS,
+            "stop_diameter": STOP,
+            "transmission": TRANSMISSION,
+        },
+    }
+
+
 def rectangle(low, high, nodes):
     """Gauss-Legendre points (n, 2) and weights (n,) of a rectangle."""
     t, w = np.polynomial.legendre.leggauss(nodes)
@@ -111,7 +139,7 @@ def letter_nodes(nodes):
     return points, np.concatenate([areas for _, areas in parts])
 
 
-def field_nodes(nodes, rings):
+def field_nodes(nodes, rings, stop):
     """Wall points (n, 3) that detector and lens see, and their share of flux per radiance, m^2 sr.
 
     A ray from the lens point u to the point p of the plane in focus carries
@@ -123,16 +151,17 @@ def field_nodes(nodes, rings):
     frame = np.stack([e1, np.cross(axis, e1)])
     image_distance = FOCAL_LENGTH * FOCUS / (FOCUS - FOCAL_LENGTH)
     half = SENSOR / 2 * FOCUS / image_distance
-    (p, wp), (u, wu) = rectangle((-half,) * 2, (half,) * 2, nodes), disc(STOP / 2, rings)
+    (p, wp), (u, wu) = rectangle((-half,) * 2, (half,) * 2, nodes), disc(stop / 2, rings)
     lens = (CAMERA + u @ frame)[:, None]
     ray = CAMERA + FOCUS * axis + p @ frame - lens
     extent = FOCUS**2 / (ray**2).sum(axis=-1) ** 2 * wp * wu[:, None]
     points = lens - ray * (lens[..., 2:] / ray[..., 2:])
-    assert (abs(points[..., :2]) < np.divide(WALL, 2)).all()  # the field ends within the wall
+    # the scene's own field ends within the wall; that of a much wider lens does not
+    extent *= (abs(points[..., :2]) < np.divide(WALL, 2)).all(axis=-1)
     return points.reshape(-1, 3), extent.ravel()
 
 
-def flux(*, letter=10, field=20, rings=2, wall=32, spot=3):
+def flux(*, letter=10, field=20, rings=2, wall=32, spot=3, stop=STOP):
     """Detected power, W, by reflections: {3: wall, letter, wall; 5: twice by way of the letter}.
 
     Letter and wall are parallel planes, so there are no other paths of up to 5 reflections, nothing
@@ -142,7 +171,7 @@ def flux(*, letter=10, field=20, rings=2, wall=32, spot=3):
     stretch = 1 / math.cos(INCIDENCE)
     lit = SPOT + np.column_stack([ellipse[:, 0] * stretch, ellipse[:, 1], np.zeros(len(area))])
     letters, cells = letter_nodes(letter)
-    seen, extent = field_nodes(field, rings)
+    seen, extent = field_nodes(field, rings, stop)
     flat, patches = rectangle(np.multiply(WALL, -0.5), np.multiply(WALL, 0.5), wall)
     walls = np.column_stack([flat, np.zeros(len(flat))])
 
