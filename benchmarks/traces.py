@@ -194,7 +194,7 @@ def plot(rows, extrapolated, path):
     matplotlib.use("agg")
     from matplotlib import pyplot
 
-    figure, axes = pyplot.subplots(figsize=(7, 5), layout="constrained")
+    figure, axes = pyplot.subplots(figsize=(7, 6), layout="constrained")
     for (name, reflections, part), mark in zip(series(rows), "ooss^^vvDD", strict=False):
         if reflections == 3:
             curve = np.array([(row["relative_error"], row["seconds"]) for row in part])
@@ -208,7 +208,7 @@ def plot(rows, extrapolated, path):
         title="Wu's scene, Lambertian: laser, wall, letter, wall, lens",
     )
     axes.grid(which="major", alpha=0.4)
-    axes.legend()
+    figure.legend(loc="outside lower center", ncols=2)
     figure.savefig(path, dpi=150)
     print(f"wrote {path}")
 
@@ -272,10 +272,10 @@ def main():
     if options.growth:
         rows = growth(options)
     else:
-        rows, extrapolated = compare(options)
+        measured, extrapolated = compare(options)
         if options.plot:
-            plot(rows, extrapolated, options.plot)
-        rows = rows + extrapolated
+            plot(measured, extrapolated, options.plot)
+        rows = measured + extrapolated
     if options.json:
         options.json.write_text(json.dumps(rows, indent=1) + "\n")
 
