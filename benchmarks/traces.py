@@ -60,6 +60,9 @@ def peer(python, name, job):
     """What a peer's script says of a job, or None, with a line that says why."""
     if python is None:
         return None
+    if not Path(python).is_file():
+        print(f"{name} did not run: there is no {python}")
+        return None
     run = subprocess.run(
         [python, HERE / "peers" / f"{name}_scene.py"],
         input=json.dumps({"scene": wu_scene.description(), **job}),
