@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,6 +58,7 @@ _JOE_KUO = (
 SOBOL_DIMENSIONS = len(_JOE_KUO) + 1
 
 
+@cache
 def sobol_columns() -> NDArray[np.uint32]:
     """Generating columns of the Sobol sequence, (SOBOL_DIMENSIONS, 32), first digit highest."""
     columns = np.empty((SOBOL_DIMENSIONS, 32), dtype=np.uint32)
@@ -69,6 +72,7 @@ def sobol_columns() -> NDArray[np.uint32]:
                     value ^= values[i - k]
             values.append(value)
         row[:] = values
+    columns.flags.writeable = False
     return columns
 
 
@@ -81,17 +85,15 @@ def scrambled_sobol(
     random shift, which leaves every point uniform and has the variance of Owen's scrambling
     (Matousek, J. Complexity 14, 527, 1998).
     """
-    columns, draw = sobol_columns(), generator(seed, stream)
+    from . import _random_kernels
+
+    draw = generator(seed, stream)
     shape = (groups, SOBOL_DIMENSIONS)
-    digits = np.arange(31, -1, -1, dtype=np.uint32)
-    # row i of the matrix: digit i itself and any of those above it
-    above = ~((np.uint64(2) << digits.astype(np.uint64)) - np.uint64(1)) & np.uint64(0xFFFFFFFF)
-    rows = draw.integers(0, 2**32, size=(*shape, 32), dtype=np.uint32) & above.astype(np.uint32)
-    rows |= np.uint32(1) << digits
-    scrambled = np.zeros((*shape, 32), dtype=np.uint32)
-    for i in range(32):
-        parity = np.bitwise_count(rows[..., i, None] & columns) & 1
-        scrambled |= parity.astype(np.uint32) << digits[i]
+    # digit d goes to itself and to any of the lower ones
+    unit = np.uint32(1) << np.arange(32, dtype=np.uint32)
+    matrices = draw.integers(0, 2**32, size=(*shape, 32), dtype=np.uint32) & (unit - 1) | unit
+    scrambled = np.empty((*shape, 32), dtype=np.uint32)
+    _random_kernels.scramble(sobol_columns(), matrices, scrambled)
     return scrambled, draw.integers(0, 2**32, size=shape, dtype=np.uint32)
 
 

@@ -46,6 +46,22 @@ def uniform(seed, stream, ray, draw):
 
 
 @njit(cache=True)
+def scramble(columns, matrices, out):
+    """Multiply columns (dimensions, 32) by binary matrices (groups, dimensions, 32), uint32.
+
+    A matrix is given by the digits that each digit goes to.
+    """
+    for group in range(out.shape[0]):
+        for dimension in range(out.shape[1]):
+            for k in range(32):
+                x, left = np.uint32(0), columns[dimension, k]
+                for digit in range(32):
+                    if (left >> np.uint32(digit)) & np.uint32(1):
+                        x ^= matrices[group, dimension, digit]
+                out[group, dimension, k] = x
+
+
+@njit(cache=True)
 def sobol(columns, shift, index):
     """Point ``index`` of one scrambled Sobol dimension: ``columns`` (32,) and ``shift``, uint32."""
     x = shift

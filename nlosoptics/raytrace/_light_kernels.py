@@ -17,7 +17,6 @@ from .._random_kernels import draw
 from ..scene._kernels import _is_mirror, _total_strength, lobe_pdf, material, sample_lobe
 from ._surround_kernels import (
     DRAW_PIXEL,
-    GROUPS,
     LENS,
     LOST,
     NOTHING,
@@ -29,6 +28,7 @@ from ._surround_kernels import (
     on_detector,
     three,
 )
+from .surroundings import GROUPS, UNIT
 
 VERTEX = 18
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
@@ -40,6 +40,12 @@ LOBE, PDF, MIRROR, AIMED, REACH, APART = range(3, 9)
 STRAY, LENGTHS, ABSORBED_WALL, ABSORBED_OBJECT, ABSORBED_OCCLUDERS = range(5)
 ESCAPED, BLOCKED, LEFT, UNRESOLVED_LIGHT, WALL_TO_WALL, TRAPPED = range(5, 11)
 SUMS = 11
+
+
+@njit(cache=True, inline="always")
+def _sums(path_sums, first, i):
+    """Row of a ray's unit and group; ``first`` is a multiple of UNIT."""
+    return path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
 
 
 @njit(cache=True, inline="always")
@@ -134,9 +140,9 @@ def _far(world, p):
 def scatter(world, sampler, first, number, eye, vertices, leave, origins, directions, live):
     """Draw where light goes from vertices: along a lobe, or from the wall to the object.
 
-    ``eye`` tells that the vertices are seen from the lens. ``leave`` gets the direction, lobes times
-    cosine, the lobes' density, the weight of a mirror or -1, the share aimed at the object, and the
-    distance of the point aimed at or -1.
+    ``eye`` tells that the vertices are seen from the lens. ``leave`` gets the direction, lobes
+    times cosine, the lobes' density, the weight of a mirror or -1, the share aimed at the object,
+    and the distance of the point aimed at or -1.
     """
     for i in range(vertices.shape[0]):
         vertex = vertices[i]
@@ -244,7 +250,7 @@ def land(
         if at < 0 or power <= 0.0:
             continue
         ray = first + i
-        sums = path_sums[ray % GROUPS]
+        sums = _sums(path_sums, first, i)
         where = int(kind[i])
         n = three(normal[i], 0)
         passed, density = 0.0, 0.0
@@ -317,7 +323,7 @@ def start(world, first, most, origins, directions, hits, new, path_sums, fates):
     source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
     tail, power = most + 1, world.laser[13]
     for i in range(new.shape[0]):
-        sums = path_sums[(first + i) % GROUPS]
+        sums = _sums(path_sums, first, i)
         new[i, SURFACE], fates[i] = NOTHING, -1
         where = int(kind[i])
         _end(source, new[i], three(origins[i], 0), three(directions[i], 0), distance[i], power)
@@ -506,7 +512,7 @@ def book(light, eye, bounce, most, first, value, length, path_sums):
     """Add connections to the sums of their bounce, or to stray light."""
     for i in range(value.size):
         if value[i] > 0.0:
-            sums = path_sums[(first + i) % GROUPS]
+            sums = _sums(path_sums, first, i)
             if light[i, MET] > 0.0 or eye[i, MET] > 0.0:
                 sums[bounce] += value[i]
                 sums[most + 1 + LENGTHS] += value[i] * length[i]

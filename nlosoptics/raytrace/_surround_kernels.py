@@ -30,9 +30,9 @@ from ._kernels import (
     _wave,
 )
 from ._kernels import T as DISTANCE
+from .surroundings import GROUPS
 
 NOTHING, WALL, OBJECT, OCCLUDER, LENS, BACK, LOST = range(-1, 6)
-GROUPS = 32  # independent randomisations, whose spread is the standard error
 # numbers of a ray's draws; those that the detected light depends on most come first
 DRAW_PIXEL, DRAW_FIRST, DRAW_LENS, DRAW_BEAM, DRAW_EYE, DRAW_NEXT = 0, 2, 6, 8, 10, 14
 DRAWS_A_BOUNCE = 5

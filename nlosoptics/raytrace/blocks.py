@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..scene import Scene
+from . import _light_kernels as kernels
+from . import _surround_kernels as surround
 from .paths import DETECTED
-from .surroundings import Surroundings
+from .surroundings import GROUPS, UNIT, Surroundings
 
 Array = NDArray[np.float64]
 #: Points, lengths, powers, reflections and status of paths.
 Kept = tuple[Array, Array, Array, NDArray[np.int32], NDArray[np.int8]]
-#: Sums of groups, counted queries and kept paths of a block.
+#: Sums of units and groups, counted queries and kept paths of a block.
 Traced = tuple[Array, Counter[str], list[Kept]]
 
 
@@ -34,15 +36,11 @@ class Job:
     @property
     def columns(self) -> int:
         """Number of sums: one for each count of reflections, and the ledger's."""
-        from . import _light_kernels
-
-        return self.max_bounces + 1 + _light_kernels.SUMS
+        return self.max_bounces + 1 + kernels.SUMS
 
 
 def traced(job: Job, first: int, end: int) -> Traced:
     """Trace the rays from ``first`` up to ``end``."""
-    from . import _light_kernels as kernels
-
     block = Rays(job, first, end - first)
     light = block.from_laser()
     if not job.analog:
@@ -56,17 +54,17 @@ def traced(job: Job, first: int, end: int) -> Traced:
         if not job.analog:
             block.detect(light, before, bounce)
         before, light = light, block.onward(light, bounce)
-    return block.sums, block.counts, block.kept
+    units = block.sums.reshape(-1, GROUPS, job.columns)
+    return units, block.counts, block.kept
 
 
 class Rays:
     """A block of rays: light from the laser, sight from the lens, and what joins them."""
 
     def __init__(self, job: Job, first: int, n: int) -> None:
-        from . import _light_kernels as kernels
-
         self.job, self.first, self.n, self.around = job, first, n, job.around
-        self.sums, self.counts = np.zeros((32, job.columns)), Counter[str](rays=n)
+        self.sums = np.zeros((-(-n // UNIT) * GROUPS, job.columns))
+        self.counts = Counter[str](rays=n)
         self.origins, self.directions, self.starts, self.ends = np.empty((4, n, 3))
         self.leave = np.empty((n, kernels.LEAVE))
         self.live = np.ones(n, dtype=bool)
@@ -77,9 +75,6 @@ class Rays:
 
     def from_laser(self) -> Array:
         """First vertices of the light."""
-        from . import _light_kernels as kernels
-        from . import _surround_kernels as surround
-
         job, rays = self.job, (self.origins, self.directions)
         surround.beam(self.around.world, job.sampler, self.first, *rays)
         self.walked.append(self.origins.copy())
@@ -93,9 +88,6 @@ class Rays:
 
     def look(self) -> None:
         """First vertices that the lens sees, and the second ones where lobes are glossy."""
-        from . import _light_kernels as kernels
-        from . import _surround_kernels as surround
-
         job, world, rays = self.job, self.around.world, (self.origins, self.directions)
         powers, densities = np.empty((2, self.n))
         surround.sight(world, job.sampler, self.first, *rays, powers, densities)
@@ -110,9 +102,6 @@ class Rays:
 
     def onward(self, light: Array, bounce: int) -> Array:
         """Vertices that the light of these goes to."""
-        from . import _light_kernels as kernels
-        from . import _surround_kernels as surround
-
         job, number = self.job, surround.DRAW_FIRST
         if bounce > 1:
             number = surround.DRAW_NEXT + surround.DRAWS_A_BOUNCE * (bounce - 2)
@@ -139,8 +128,6 @@ class Rays:
 
     def detect(self, light: Array, before: Array, bounce: int) -> None:
         """Add what vertices of the light send to the detector."""
-        from . import _light_kernels as kernels
-
         world, glossy, most = self.around.world, self.around.plan.glossy, self.job.max_bounces
         found = (self.value, self.length, self.starts, self.ends)
         if bounce == 1 or glossy:
@@ -154,8 +141,6 @@ class Rays:
             self._book(light, self.further, bounce + 2, (self.further, self.seen))
 
     def _scatter(self, vertices: Array, number: int, eye: bool) -> None:
-        from . import _light_kernels as kernels
-
         kernels.scatter(
             self.around.world,
             self.job.sampler,
@@ -171,9 +156,6 @@ class Rays:
 
     def _hits(self, left: Array | None) -> Any:
         """First hits of live rays, which leave the vertices ``left`` or come from elsewhere."""
-        from . import _light_kernels as kernels
-        from . import _surround_kernels as surround
-
         on_wall = np.zeros(self.n, dtype=bool)
         if left is not None:
             np.equal(left[:, kernels.SURFACE], surround.WALL, out=on_wall)
@@ -183,8 +165,6 @@ class Rays:
 
     def _book(self, light: Array, eye: Array, bounce: int, seen: tuple[Array, ...]) -> None:
         """Add connections that nothing stands in the way of."""
-        from . import _light_kernels as kernels
-
         self.around.clear(self.starts, self.ends, self.value, self.counts)
         kernels.book(
             light,
@@ -204,8 +184,6 @@ class Rays:
 
     def _keep_ended(self, new: Array, bounce: int) -> None:
         """Keep the analog walks that this step ended."""
-        from . import _light_kernels as kernels
-
         if self.job.keep_paths and self.job.analog:
             rows = np.flatnonzero(self.fates >= 0)
             parts = [*self.walked, new[:, kernels.P]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 from .._checks import fits_memory, one_of, pair, whole
 from ..errors import SceneError
 from ..scene import Lambert, Scene
-from .blocks import Job, Rays
+from .surroundings import GROUPS
 from .tracing import MOST, MOST_BOUNCES, in_blocks, job_of, mean_of
+
+if TYPE_CHECKING:
+    from .blocks import Job
 
 Array = NDArray[np.float64]
 
@@ -97,7 +100,7 @@ def wall_irradiance(
     size = scene.wall.size if size is None else pair("size", size)
     if size is None:
         raise SceneError("wall.size is unbounded; give size, the width and height of the map in m")
-    fits_memory(f"a map of {nx} x {ny} cells (shape)", 32 * 8 * nx * ny, "map fewer cells")
+    fits_memory(f"a map of {nx} x {ny} cells (shape)", 8 * GROUPS * nx * ny, "map fewer cells")
     begun = time.perf_counter()
     if source == "object":
         scene = replace(scene, hidden=replace(scene.hidden, material=Lambert(1.0)))
@@ -108,13 +111,13 @@ def wall_irradiance(
     def work(job: Job, first: int, end: int) -> tuple[NDArray[np.int64], Array]:
         return _arrivals(job, first, end, source, max_bounces, (corner, step, (ny, nx)))
 
-    sums = np.zeros(32 * ny * nx)
+    sums = np.zeros(GROUPS * ny * nx)
     for cells, powers in in_blocks(work, job, 0, n_rays):
         np.add.at(sums, cells, powers)
-    maps = sums.reshape(32, ny, nx)
+    maps = sums.reshape(GROUPS, ny, nx)
     x, y = (c + s * (np.arange(n) + 0.5) for c, s, n in zip(corner, step, (nx, ny), strict=True))
     areas = step[0] * step[1] / _upright(scene, x, y)
-    groups = min(n_rays, 32)
+    groups = min(n_rays, GROUPS)
     means = maps[:groups] * (groups / n_rays)
     spread = ((means - means.mean(axis=0)) ** 2).sum(axis=0)
     error = np.sqrt(spread / (groups * (groups - 3))) if groups > 3 else np.full(shape, np.inf)
@@ -150,6 +153,7 @@ def _arrivals(
 ) -> tuple[NDArray[np.int64], Array]:
     """Cells and powers of the light of a block of rays, in the order of its reflections."""
     from . import _light_kernels as kernels
+    from .blocks import Rays
 
     rays, n = Rays(job, first, end - first), end - first
     cells, powers = np.empty((max_bounces + 1, n), dtype=np.int64), np.empty((max_bounces + 1, n))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Hits = tuple[Array, NDArray[np.int8], Array, Array]
+GROUPS: Final = 32  # independent randomisations, whose spread is the standard error
+UNIT: Final = 1024  # rays whose sums are added up first, however many are traced at once
 # Shares of the light leaving the wall that are sent to the object: from the laser's spot and what
 # the lens sees, and from elsewhere. A wall that sees itself needs more of the rest. Few binary
 # digits, by which Sobol points are divided exactly.
-AIMED = ((0.75, 0.75), (0.5, 0.25))
+AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from types import MappingProxyType
-from typing import Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Final, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,17 @@ from .._checks import fits_memory, in_range, one_of, positive, whole
 from .._random import checked_seed, scrambled_sobol
 from ..errors import SceneError
 from ..scene import Scene
-from .blocks import Job, Kept, traced
 from .meshes import _pool
 from .paths import RayPaths
-from .surroundings import Surroundings
+from .surroundings import GROUPS, Surroundings
+
+if TYPE_CHECKING:
+    from .blocks import Job, Kept
 
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
-BLOCK: Final = 4096  # rays that one task traces, and whose sums are added as one
-FIRST: Final = 1 << 13  # rays before the first look at the error
+BLOCK: Final = 4096  # rays that one task traces, a multiple of the unit of the sums
+FIRST: Final = 1 << 10  # rays before the first look at the error, as well
 MOST: Final = 1 << 36
 GIVE_UP: Final = 1 << 18  # rays without any detected light after which tol cannot be meant
 MOST_BOUNCES: Final = 64
@@ -91,6 +93,8 @@ def trace(
     1997, ch. 9 and 10). From the fourth reflection on weak light ends by roulette. Standard errors
     are those of the mean of the 32 groups.
     """
+    from .blocks import traced
+
     job = job_of(scene, max_bounces, sampler, seed, analog=analog, keep_paths=keep_paths)
     if tol is not None:
         in_range("tol", tol, 1e-6, 1.0)
@@ -106,12 +110,13 @@ def trace(
             "trace fewer rays, or keep_paths=False",
         )
     begun = time.perf_counter()
-    total, counts, kept = np.zeros((32, job.columns)), Counter[str](), []
+    total, counts, kept = np.zeros((GROUPS, job.columns)), Counter[str](), []
     done, stopped = 0, "rays"
     goal = min(most, FIRST) if open_end else most
     while True:
         for sums, asked, paths in in_blocks(traced, job, done, goal):
-            total += sums
+            for unit in sums:
+                total += unit
             counts += asked
             kept += paths
             if progress is not None and not open_end:
@@ -151,12 +156,14 @@ def job_of(
     keep_paths: bool = False,
 ) -> Job:
     """Check the options that all tracing has, and prepare the scene for it."""
+    from .blocks import Job
+
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     one_of("sampler", sampler, ("sobol", "philox"))
     seed = checked_seed(seed)
-    columns, shifts = scrambled_sobol(seed, 302, 32)
+    columns, shifts = scrambled_sobol(seed, 302, GROUPS)
     if sampler == "philox":
         columns, shifts = columns[:, :0], shifts[:, :0]
     return Job(
@@ -204,7 +211,7 @@ def in_blocks(
 
 
 def mean_of(sums: Array, rays: int) -> tuple[float, float]:
-    """Mean over the rays and its standard error, from the sums of the 32 groups.
+    """Mean over the rays and its standard error, from the sums of the groups.
 
     The error has Student's factor sqrt((g - 1)/(g - 3)) of g groups, so that deviations measured in
     it have unit variance.

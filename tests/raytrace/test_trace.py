@@ -270,9 +270,10 @@ def test_independent_numbers_err_by_the_root_of_their_number():
 
 
 def test_sobol_points_err_less():
-    """Nothing but wall in sight, so that the light is a smooth function of the numbers."""
+    """A small plate and nothing but wall in sight: a smooth function of the numbers."""
     scene = wide_scene()
-    scene = replace(scene, camera=replace(scene.camera, pixels=(60, 60)))
+    plate = replace(scene.hidden, size=0.25)
+    scene = replace(scene, hidden=plate, camera=replace(scene.camera, pixels=(60, 60)))
     # 16 repeats at 7 counts tell the slope to 0.05
     assert error_slope(scene, "sobol", [2**k for k in range(10, 17)], 16) < -0.7 - 0.1
 
@@ -415,7 +416,9 @@ def test_wall_of_python_functions_is_traced():
         max_curvature=0.0,
     )
     flat, called = (trace(wide_scene(w), n_rays=5000) for w in (FlatWall(size=(2.0, 2.0)), zero))
-    assert called.flux == approx(flat.flux, rel=1e-9)
+    # it might see itself for all the tracer knows, which draws other numbers
+    error = math.hypot(called.standard_error, flat.standard_error)
+    assert called.flux == approx(flat.flux, abs=4 * error)
 
 
 # paths
