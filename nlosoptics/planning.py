@@ -14,6 +14,7 @@ from .errors import NotWaveGradeError, SceneError
 from .psf.aberration import check_wave_grade
 from .psf.obstruction import check_cone
 from .psf.pupils import ExitPupil, exit_pupil
+from .raytrace import ray_plan
 from .scene import (
     ConvexWall,
     MeshWall,
@@ -243,10 +244,12 @@ def _left_out(scene: Scene) -> Iterator[Stage]:
     )
     yield _skipped(
         "interreflection",
-        "light from wall to wall is left out: a hollow wall adds a little background"
-        if _sees_itself(scene)
+        "light from wall to wall is left out of the image; raytrace.trace tells how much it is"
+        if ray_plan(scene).wall_to_wall
         else "no part of the wall sees another",
     )
+    if not ray_plan(scene).embree:
+        yield _skipped("embree", "no triangles: the object is a picture and nothing is in the way")
 
 
 def _shadow_stage(scene: Scene, *, sampled: bool) -> Stage:
@@ -375,8 +378,3 @@ def _lobe_slope(scene: Scene) -> float:
         if isinstance(p, SpecularMicrofacet | Ward) and p.specular_reflectance > 0
     ]
     return max(slopes, default=0.0)
-
-
-def _sees_itself(scene: Scene) -> bool:
-    """Whether straight lines can join two points of the wall in front of it."""
-    return not (scene.wall.is_flat or isinstance(scene.wall, ConvexWall))

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from pytest import approx
 
 import nlosoptics as nlos
@@ -19,6 +20,7 @@ from nlosoptics.scene import (
     ConvexWall,
     FlatWall,
     Lambert,
+    MeshObject,
     MeshWall,
     SumWall,
     WavyWall,
@@ -258,3 +260,29 @@ def test_a_coarse_mesh_leaves_the_waves_out(flat_scene):
     assert "geometric branch" in str(plan)
     with pytest.raises(NotWaveGradeError, match="lambda/20"):
         nlos.simulate(scene)
+
+
+def test_embree_is_skipped_without_triangles(flat_scene, monkeypatch):
+    """A picture, a wall of formulas and nothing in the way: no triangle is asked for."""
+    from nlosoptics import raytrace
+    from nlosoptics.raytrace import meshes
+
+    asked = counted(monkeypatch, meshes, "_facets")
+    for wall in (flat_scene.wall, ConcaveWall(5.0)):
+        scene = replace(flat_scene, wall=wall)
+        assert "embree" in {stage.name for stage in nlos.plan(scene).skipped}
+        nlos.simulate(scene)
+        raytrace.trace(scene, n_rays=100)
+    assert not asked
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
+    solid = replace(flat_scene, hidden=MeshObject(mesh=ball, position=flat_scene.object_point))
+    assert "embree" not in {stage.name for stage in nlos.plan(solid).skipped}
+    raytrace.trace(solid, n_rays=100)
+    assert asked
+
+
+def test_interreflection_is_named_where_the_wall_sees_itself(flat_scene):
+    for wall, seen in ((ConvexWall(2.0), False), (ConcaveWall(5.0), True), (CURVED[3], True)):
+        plan = nlos.plan(replace(flat_scene, wall=wall))
+        reason = next(s.reason for s in plan.skipped if s.name == "interreflection")
+        assert ("raytrace.trace" in reason) == seen

@@ -32,12 +32,12 @@ AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
 
 @dataclass(frozen=True, kw_only=True)
 class RayPlan:
-    """What tracing a scene takes, known before it begins.
+    """What tracing a scene takes, known before it begins; `str` says why the rest is left out.
 
     Parameters
     ----------
-    wall_hits : str
-        How rays meet the wall: "closed form", "march" or "python".
+    wall_hits : {"closed form", "march", "python"}
+        How rays meet the wall.
     embree : bool
         Whether there are triangles: a mesh as object, or occluders.
     wall_to_wall : bool
@@ -53,6 +53,42 @@ class RayPlan:
     wall_to_wall: bool
     wall_shadows: bool
     glossy: bool
+
+    def __str__(self) -> str:
+        rows = [
+            ("wall hits", True, self.wall_hits),
+            (
+                "triangles",
+                self.embree,
+                "object and occluders hold none"
+                if not self.embree
+                else "embree finds them, float64 places the hits",
+            ),
+            (
+                "wall to wall",
+                self.wall_to_wall,
+                "light from the wall may meet it again"
+                if self.wall_to_wall
+                else "no part of the wall sees another",
+            ),
+            (
+                "wall shadows",
+                self.wall_shadows,
+                "crests may hide what is behind them"
+                if self.wall_shadows
+                else "the room in front of the wall is convex, or the wall is",
+            ),
+            (
+                "three strategies",
+                self.glossy,
+                "a lobe is glossy"
+                if self.glossy
+                else "all lobes are wide: connecting with what the lens sees is enough",
+            ),
+        ]
+        return "\n".join(
+            f"{name:16s}  {'runs' if runs else 'skipped':7s}  {why}" for name, runs, why in rows
+        )
 
 
 def ray_plan(scene: Scene) -> RayPlan:
