@@ -5,7 +5,17 @@ without pyplot, so they need no display and keep no global state: `save` writes 
 """
 
 from .canvas import save
+from .light import irradiance, ray_paths
 from .maps import image, point_spread, reconstruction, wavefront
 from .sketch import scene_sketch
 
-__all__ = ["image", "point_spread", "reconstruction", "save", "scene_sketch", "wavefront"]
+__all__ = [
+    "image",
+    "irradiance",
+    "point_spread",
+    "ray_paths",
+    "reconstruction",
+    "save",
+    "scene_sketch",
+    "wavefront",
+]

@@ -60,7 +60,7 @@ def wavefront(
     else:
         # triangles close the seam at angle zero and the gap at the centre
         drawn = axes.tripcolor(u[lit], v[lit], values[lit], shading="gouraud", **style)
-    _colour_bar(axes, drawn, f"wave aberration ({unit})")
+    colour_bar(axes, drawn, f"wave aberration ({unit})")
     axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title="wave aberration")
     return axes
 
@@ -114,7 +114,7 @@ def point_spread(
         axes.set(
             xlim=(-half_width * 1e6, half_width * 1e6), ylim=(half_width * 1e6, -half_width * 1e6)
         )
-    _colour_bar(axes, drawn, MEANING[point_spread.normalisation])
+    colour_bar(axes, drawn, MEANING[point_spread.normalisation])
     axes.set(xlabel="x (um)", ylabel="y (um)", title=f"point spread, {point_spread.method}")
     return axes
 
@@ -143,7 +143,7 @@ def image(speckle_image: SpeckleImage, *, axes: Axes | None = None) -> Axes:
         extent=(-right, right, low, -low),
         interpolation="nearest",
     )
-    _colour_bar(axes, drawn, "electrons per pixel")
+    colour_bar(axes, drawn, "electrons per pixel")
     axes.set(xlabel="x (mm)", ylabel="y (mm)", title="speckle image")
     return axes
 
@@ -178,11 +178,12 @@ def reconstruction(
     for where, (title, picture) in zip(axes, pictures, strict=True):
         drawn = where.imshow(picture, cmap="gray", interpolation="nearest")
         where.invert_xaxis()
-        _colour_bar(where, drawn, "relative brightness")
+        colour_bar(where, drawn, "relative brightness")
         where.set(xlabel="column (pixels)", ylabel="row (pixels)", title=title)
     return tuple(axes)
 
 
-def _colour_bar(axes: Axes, drawn: Any, label: str) -> None:
+def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
+    """Add a colour bar beside axes."""
     figure: Any = axes.get_figure(root=True)
     figure.colorbar(drawn, ax=axes, label=label, shrink=0.9)

@@ -240,3 +240,47 @@ def test_sketch_shows_every_occluder_and_names_one(flat_scene):
     x, z = drawn[1].get_data()
     assert (min(x), max(x), min(z), max(z)) == pytest.approx((0.9, 1.1, 1.3, 1.7), abs=1e-12)
     assert not [a for a in views.scene_sketch(flat_scene)[1].lines if a.get_label() == "occluder"]
+
+
+def test_irradiance_is_drawn_where_it_falls() -> None:
+    """The brightest cell, at high x and low y, is on the left and below, as from the room."""
+    from nlosoptics.raytrace import WallIrradiance
+
+    light = np.zeros((2, 3))
+    light[0, 2] = 5.0
+    found = WallIrradiance(
+        x=np.array([-0.2, 0.0, 0.2]),
+        y=np.array([-0.1, 0.1]),
+        irradiance=light,
+        standard_error=light,
+        power=1.0,
+        power_error=0.0,
+        n_rays=1,
+        seconds=0.0,
+    )
+    axes = views.irradiance(found)
+    assert axes.xaxis_inverted()
+    assert not axes.yaxis_inverted()
+    (drawn,) = axes.collections
+    cell = np.argmax(np.asarray(drawn.get_array()))
+    box = drawn.get_paths()[cell].get_extents()
+    assert (box.x0 + box.x1) / 2 == pytest.approx(0.2)
+    assert (box.y0 + box.y1) / 2 == pytest.approx(-0.1)
+    assert "W/m" in axes.figure.axes[1].get_ylabel()
+
+
+def test_paths_are_drawn_from_both_sides(flat_scene: Scene) -> None:
+    """The strongest paths, over the sketch of their scene, from laser to lens."""
+    from nlosoptics.errors import SceneError
+    from nlosoptics.raytrace import trace
+
+    paths = trace(flat_scene, n_rays=64, max_bounces=3, keep_paths=True)
+    top, side = views.scene_sketch(flat_scene)
+    before = len(top.lines)
+    views.ray_paths(paths, most=5, axes=(top, side))
+    assert len(top.lines) == before + 5
+    strongest = paths.points[np.argmax(paths.weight)]
+    assert np.asarray(top.lines[before].get_xydata()) == pytest.approx(strongest[:, [0, 2]])
+    assert np.asarray(side.lines[-5].get_xydata()) == pytest.approx(strongest[:, [2, 1]])
+    with pytest.raises(SceneError, match="keep_paths=True"):
+        views.ray_paths(trace(flat_scene, n_rays=8))
