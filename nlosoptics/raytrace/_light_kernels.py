@@ -16,6 +16,7 @@ from numba import njit
 from .._random_kernels import draw
 from ..scene._kernels import _is_mirror, _total_strength, lobe_pdf, material, sample_lobe
 from ._surround_kernels import (
+    DRAW_LENS,
     DRAW_PIXEL,
     LENS,
     LOST,
@@ -535,17 +536,66 @@ def glow(world, sampler, first, power, new):
         new[i, MET], new[i, BEFORE] = 1.0, NOTHING
 
 
+@njit(cache=True)
+def spots(sampler, first, corner, size, xy):
+    """Points (n, 2) evenly over the rectangle from ``corner`` on."""
+    for i in range(xy.shape[0]):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        for k in range(2):
+            u = draw(sampler, group, index, ray, DRAW_LENS + k)
+            xy[i, k] = corner[k] + u * size[k]
+
+
 @njit(cache=True, nogil=True)
-def arrivals(vertices, first, corner, step, shape, cells, powers):
-    """Cells (group, row, column as one number) and powers of light at the wall; their number."""
+def to_wall(world, light, targets, value, starts, ends):
+    """Power that light vertices send to wall points, vertices with their DENSITY and 1/DENSITY.
+
+    Walks that arrive by themselves are the other strategy, by the balance heuristic.
+    """
+    for i in range(light.shape[0]):
+        value[i] = 0.0
+        a, b = light[i], targets[i]
+        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
+            continue
+        d, square, cos_a, cos_b = _between(a, b)
+        if cos_a <= 0.0 or cos_b <= 0.0:
+            continue
+        f = _reflected(world, a, d, cos_a) * a[POWER] * cos_a * cos_b / square
+        if f <= 0.0:
+            continue
+        walked = _next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
+        value[i] = f / (b[DENSITY] + walked)
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], b[k]
+
+
+@njit(cache=True, nogil=True)
+def arrivals(vertices, evenly, power):
+    """Powers of walks that arrive at the wall, shared with `to_wall` of density ``evenly``.
+
+    That density is per mean-plane area, so that the wall's tilt takes part.
+    """
+    for i in range(vertices.shape[0]):
+        power[i] = 0.0
+        if vertices[i, SURFACE] == WALL:
+            power[i] = vertices[i, POWER]
+            if vertices[i, DENSITY] >= 0.0:
+                walked = vertices[i, DENSITY]
+                power[i] *= walked / (walked + evenly * vertices[i, 5])
+
+
+@njit(cache=True, nogil=True)
+def cells_of(points, power, first, corner, step, shape, cells, powers):
+    """Cells (group, row and column as one number) and powers of light at points; their number."""
     count = 0
     ny, nx = shape
-    for i in range(vertices.shape[0]):
-        if vertices[i, SURFACE] == WALL and vertices[i, POWER] > 0.0:
-            column = int(math.floor((vertices[i, 0] - corner[0]) / step[0]))
-            row = int(math.floor((vertices[i, 1] - corner[1]) / step[1]))
+    for i in range(power.size):
+        if power[i] > 0.0:
+            column = int(math.floor((points[i, 0] - corner[0]) / step[0]))
+            row = int(math.floor((points[i, 1] - corner[1]) / step[1]))
             if 0 <= column < nx and 0 <= row < ny:
                 cells[count] = ((first + i) % GROUPS * ny + row) * nx + column
-                powers[count] = vertices[i, POWER]
+                powers[count] = power[i]
                 count += 1
     return count

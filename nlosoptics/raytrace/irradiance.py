@@ -92,6 +92,11 @@ def wall_irradiance(
     ------
     SceneError
         If an option is out of range, or the wall is unbounded and no size is given.
+
+    Notes
+    -----
+    Vertices of the light are joined to even points of the wall; light that finds the wall by itself
+    counts as well, and the balance heuristic shares what both find.
     """
     one_of("source", source, ("laser", "object"))
     ny, nx = (whole("shape", n) for n in shape)
@@ -155,22 +160,51 @@ def _arrivals(
     from . import _light_kernels as kernels
     from .blocks import Rays
 
-    rays, n = Rays(job, first, end - first), end - first
-    cells, powers = np.empty((max_bounces + 1, n), dtype=np.int64), np.empty((max_bounces + 1, n))
+    rays, n, around = Rays(job, first, end - first), end - first, job.around
     if source == "laser":
         light = rays.from_laser()
     else:
         light = np.zeros((n, kernels.VERTEX))
-        norm = job.around.world.norm
+        norm = around.world.norm
         if norm > 0.0:
-            kernels.glow(job.around.world, job.sampler, first, 1.0 / norm, light)
+            kernels.glow(around.world, job.sampler, first, 1.0 / norm, light)
         else:
             light[:, kernels.SURFACE] = -1.0
-    found = []
+    corner, step, shape = grid
+    area = float(np.prod(step * shape[::-1]))
+    targets = _targets(job, first, n, corner, step * shape[::-1])
+    found, power = [], np.empty(n)
+
+    def collect(points: Array, power: Array) -> None:
+        cells, powers = np.empty(n, dtype=np.int64), np.empty(n)
+        count = kernels.cells_of(points, power, first, *grid, cells, powers)
+        found.append((cells[:count], powers[:count]))
+
     # one more step than reflections for a source that is no reflection itself
     for bounce in range(1, max_bounces + (1 if source == "laser" else 2)):
+        kernels.to_wall(around.world, light, targets, power, rays.starts, rays.ends)
+        around.clear(rays.starts, rays.ends, power, rays.counts)
+        collect(targets, power)
         light = rays.onward(light, bounce)
-        row = bounce - 1
-        count = kernels.arrivals(light, first, *grid, cells[row], powers[row])
-        found.append((cells[row, :count], powers[row, :count]))
+        kernels.arrivals(light, 1.0 / area, power)
+        collect(light, power)
     return np.concatenate([c for c, _ in found]), np.concatenate([p for _, p in found])
+
+
+def _targets(job: Job, first: int, n: int, corner: Array, size: Array) -> Array:
+    """Points of the wall, one for each ray, as vertices that are evenly spread in x and y."""
+    from . import _light_kernels as kernels
+
+    wall, xy = job.scene.wall, np.empty((n, 2))
+    kernels.spots(job.sampler, first, corner, size, xy)
+    targets = np.zeros((n, kernels.VERTEX))
+    targets[:, :2] = xy
+    targets[:, 5] = 1.0
+    on = np.asarray(wall.contains(xy[:, 0], xy[:, 1]))
+    if not wall.is_flat:
+        targets[:, 2] = wall.height(xy[:, 0], xy[:, 1])
+        targets[:, kernels.N] = wall.normal(xy[:, 0], xy[:, 1])
+        on &= np.isfinite(targets[:, :6]).all(axis=1)
+    targets[:, kernels.SURFACE] = np.where(on, 0.0, -1.0)
+    targets[:, kernels.DENSITY] = targets[:, 5] / float(size.prod())
+    return targets
