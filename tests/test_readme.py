@@ -29,14 +29,18 @@ def test_links_lead_somewhere() -> None:
     assert [t for t in targets if not (ROOT / t).is_file()] == []
 
 
-def test_example_runs(
+def test_examples_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The Python example, in a folder of its own beside the examples."""
-    (example,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-    assert len(example.splitlines()) <= 15
+    """The Python examples, one after the other, in a folder of their own beside the examples."""
+    examples = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    assert [len(example.splitlines()) <= 15 for example in examples] == [True, True]
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
-    exec(compile(example, "README.md", "exec"), {})
-    assert "waves rms" in capsys.readouterr().out
+    names: dict[str, object] = {}
+    for example in examples:
+        exec(compile(example, "README.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert "waves rms" in printed
+    assert "W detected of 0.005 W" in printed
     assert (tmp_path / "letter.png").stat().st_size > 10_000
