@@ -1,4 +1,4 @@
-"""The linear image model: an object convolved with one point spread function."""
+"""The linear image model: an object convolved with one point spread, or with a field of them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from scipy import fft
 
 from .._checks import fits_memory, one_of, positive, whole
 from ..errors import SamplingError
+from ..psf import PointSpreadField
 
 Array = NDArray[np.float64]
 Boundary = Literal["padded", "circular"]
@@ -21,29 +22,37 @@ Boundary = Literal["padded", "circular"]
 class ForwardModel:
     """Convolution of an object image with a point spread function, and its adjoint.
 
-    Object and image live on the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``.
+    Object and image live on the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``;
+    of a field, ``kernel`` is that at j, a sum of modes with weights that belong to the object.
 
     Parameters
     ----------
-    point_spread : PointSpread or array_like
+    point_spread : PointSpread, PointSpreadField or array_like
         The kernel, (ky, kx), energy per pixel, its centre at ``[ky//2, kx//2]``; a `PointSpread`
-        also gives its ``pitch``. It is used as it is, without renormalisation.
+        also gives its ``pitch``. It is used as it is, without renormalisation. A field takes one
+        convolution for each of its modes.
     shape : (int, int)
         Rows and columns of object and image.
     boundary : {"padded", "circular"}
         What lies around the object: nothing (light that leaves the frame is lost), or its own
         periodic copies.
+    at : (array_like, array_like), optional
+        For a field: where on the picture each pixel looks, across and up, -1 to 1, each of the
+        model's shape. By default the frame is the picture, row 0 at its lower edge.
 
     Attributes
     ----------
     kernel : ndarray
-        (ky, kx) float64, read-only.
+        (ky, kx) float64, or the modes (K, ky, kx) of a field; read-only.
+    weights : ndarray or None
+        (K, H, W) of a field's modes, read-only.
     pitch : float or None
         Pixel pitch of the point spread, m; None for a plain array.
     grid : (int, int)
         Rows and columns of the FFT grid; object and image are its first ``shape`` samples.
     transfer : ndarray
-        ``rfft2`` of the kernel on ``grid``, origin at sample [0, 0], complex128, read-only.
+        ``rfft2`` of the kernel, or of each mode, on ``grid``, origin at sample [0, 0], complex128,
+        read-only.
 
     Raises
     ------
@@ -65,15 +74,25 @@ class ForwardModel:
     point_spread: InitVar[Any]
     shape: tuple[int, int] = field(kw_only=True)
     boundary: Boundary = field(default="padded", kw_only=True)
+    at: InitVar[tuple[ArrayLike, ArrayLike] | None] = field(default=None, kw_only=True)
     kernel: Array = field(init=False, repr=False)
+    weights: Array | None = field(init=False, repr=False)
     pitch: float | None = field(init=False)
     grid: tuple[int, int] = field(init=False)
     transfer: NDArray[np.complex128] = field(init=False, repr=False)
 
-    def __post_init__(self, point_spread: Any) -> None:
+    def __post_init__(self, point_spread: Any, at: tuple[ArrayLike, ArrayLike] | None) -> None:
         shape = _frame_shape(self.shape)
         one_of("boundary", self.boundary, ("padded", "circular"))
-        kernel = _finite_kernel(getattr(point_spread, "intensity", point_spread))
+        if isinstance(point_spread, PointSpreadField):
+            weights = _weights(point_spread, shape, at)
+            modes = [_finite_kernel(mode) for mode in point_spread.modes]
+        else:
+            if at is not None:
+                raise SamplingError("at is given, and the point spread is no field; leave it out")
+            weights = None
+            modes = [_finite_kernel(getattr(point_spread, "intensity", point_spread))]
+        kernel = modes[0]
         pitch = getattr(point_spread, "pitch", None)
         if pitch is not None:
             pitch = positive("point_spread.pitch", pitch, unit="m")
@@ -93,15 +112,21 @@ class ForwardModel:
             grid = (rows, columns)
         fits_memory(
             f"forward model of {shape[0]} x {shape[1]} pixels on a {grid[0]} x {grid[1]} grid",
-            40.0 * math.prod(grid),
+            40.0 * len(modes) * math.prod(grid),
             "bin the pixels or cut out a region",
         )
+        transfer = np.stack([fft.rfft2(_on_grid(mode, shape, grid)) for mode in modes])
+        if weights is None:
+            transfer = transfer[0]
+        else:
+            kernel = np.stack(modes)
+            weights.flags.writeable = False
         kernel.flags.writeable = False
-        transfer = fft.rfft2(_on_grid(kernel, shape, grid))
         transfer.flags.writeable = False
         for name, value in (
             ("shape", shape),
             ("kernel", kernel),
+            ("weights", weights),
             ("pitch", pitch),
             ("grid", grid),
             ("transfer", transfer),
@@ -121,7 +146,12 @@ class ForwardModel:
         ndarray
             (..., H, W) float64, the object's unit times the kernel's.
         """
-        return self._filter("object_image", object_image, self.transfer)
+        picture = self._checked("object_image", object_image)
+        if self.weights is None:
+            return self._filter(picture, self.transfer)
+        parts = zip(self.weights, self.transfer, strict=True)
+        spectrum = sum(fft.rfft2(w * picture, s=self.grid) * t for w, t in parts)
+        return self._frame(spectrum)
 
     def adjoint(self, image: ArrayLike) -> Array:
         """Transpose of `forward`: correlation of an image with the kernel.
@@ -136,9 +166,15 @@ class ForwardModel:
         ndarray
             (..., H, W) float64.
         """
-        return self._filter("image", image, np.conj(self.transfer))
+        picture = self._checked("image", image)
+        if self.weights is None:
+            return self._filter(picture, np.conj(self.transfer))
+        spectrum, total = fft.rfft2(picture, s=self.grid), np.zeros(picture.shape)
+        for w, t in zip(self.weights, self.transfer, strict=True):
+            total += w * self._frame(spectrum * np.conj(t))
+        return total
 
-    def _filter(self, name: str, value: ArrayLike, transfer: NDArray[np.complex128]) -> Array:
+    def _checked(self, name: str, value: ArrayLike) -> Array:
         picture = np.asarray(value, dtype=np.float64)
         if picture.shape[-2:] != self.shape:
             raise SamplingError(
@@ -150,10 +186,44 @@ class ForwardModel:
                 f"{name} has {np.count_nonzero(~np.isfinite(picture))} values that are not "
                 "finite; replace them before the transform spreads them over the image"
             )
-        rows, columns = self.shape
+        return picture
+
+    def _filter(self, picture: Array, transfer: NDArray[np.complex128]) -> Array:
         spectrum = fft.rfft2(picture, s=self.grid)
         spectrum *= transfer
+        return self._frame(spectrum)
+
+    def _frame(self, spectrum: NDArray[np.complex128]) -> Array:
+        rows, columns = self.shape
         return np.ascontiguousarray(fft.irfft2(spectrum, s=self.grid)[..., :rows, :columns])
+
+
+def one_kernel(model: ForwardModel) -> ForwardModel:
+    """The model, if one point spread makes it, or the error that says what needs that."""
+    if model.weights is not None:
+        raise SamplingError(
+            f"the model's point spread varies over the field ({len(model.weights)} modes), and "
+            "this solver divides by one spectrum; give a model of one PointSpread"
+        )
+    return model
+
+
+def _weights(
+    point_spreads: PointSpreadField,
+    shape: tuple[int, int],
+    at: tuple[ArrayLike, ArrayLike] | None,
+) -> Array:
+    if at is None:
+        # pixel centres of a frame that is the picture
+        rows, columns = ((2 * np.arange(n) + 1) / n - 1 for n in shape)
+        return point_spreads.at(columns[None, :], rows[:, None])
+    across, up = (np.asarray(v, dtype=np.float64) for v in at)
+    if across.shape != shape or up.shape != shape:
+        raise SamplingError(
+            f"at has shapes {across.shape} and {up.shape}, must be the model's {shape}; give the "
+            "picture's coordinates of every pixel"
+        )
+    return point_spreads.at(across, up)
 
 
 def _frame_shape(shape: Any) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import fits_memory, positive
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
+from ..psf import PointSpreadField
 from ..psf.pupils import working_f_number
 from ..scene import MeshObject, PlanarObject, Scene
 from ..scene.hidden import checked_picture
@@ -111,7 +112,7 @@ class SpeckleImage:
 
 def form_image(
     scene: Scene,
-    point_spread: PointSpread,
+    point_spread: PointSpread | PointSpreadField,
     object_image: ArrayLike | None = None,
     *,
     exposure: float | None = None,
@@ -123,8 +124,9 @@ def form_image(
     Parameters
     ----------
     scene : Scene
-    point_spread : PointSpread
-        Energy per pixel (``"unit-sum"``) at the pitch of the camera's image pixels.
+    point_spread : PointSpread or PointSpreadField
+        Energy per pixel (``"unit-sum"``) at the pitch of the camera's image pixels; of a field,
+        that of every point of the picture.
     object_image : array_like, (rows, columns), optional
         Picture 0 to 1 in place of the planar object's own, row 0 on top, at the same size.
     exposure : float, optional
@@ -164,7 +166,9 @@ def form_image(
     if exposure is None:
         exposure = camera.exposure
     exposure = positive("exposure", exposure, unit="s")
-    _check_point_spread(point_spread, camera.image_pitch)
+    _check_pitch(point_spread, camera.image_pitch)
+    if not isinstance(point_spread, PointSpreadField):
+        _check_energy(point_spread)
     if object_image is not None:
         scene = _with_picture(scene, object_image)
     spot, rays, visible, gain = _view(scene, exposure)
@@ -172,7 +176,7 @@ def form_image(
     ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
     if shadows is not None:
         ideal *= shadows.image
-    model = ForwardModel(point_spread, shape=camera.shape)
+    model, kept = _blur(scene, point_spread, rays, ideal)
     # the transform leaves rounding errors of either sign where no light is
     signal = np.maximum(model.forward(ideal), 0.0)
     patches = object_patches(scene.hidden)
@@ -188,7 +192,6 @@ def form_image(
     dark = camera.dark_current * exposure * camera.binning**2
     freedom = _speckle_freedom(scene)
     electrons, saturated = read_out(camera, light, dark, freedom=freedom, seed=seed)
-    kept = float(point_spread.intensity.sum())
     total = float(ideal.sum())
     return SpeckleImage(
         electrons=electrons,
@@ -278,12 +281,34 @@ def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, A
     return spot, rays, visible, gain
 
 
-def _check_point_spread(point_spread: PointSpread, pitch: float) -> None:
+def _blur(
+    scene: Scene, point_spread: PointSpread | PointSpreadField, rays: ChiefRays, ideal: Array
+) -> tuple[ForwardModel, float]:
+    """The image model, and the share of the ideal image that its windows hold."""
+    shape = scene.camera.shape
+    if not isinstance(point_spread, PointSpreadField):
+        return ForwardModel(point_spread, shape=shape), float(point_spread.intensity.sum())
+    if not isinstance(scene.hidden, PlanarObject):
+        raise SceneError("point_spread is a field over a picture, and scene.hidden is a mesh")
+    rows, columns = scene.hidden.reflectance.shape
+    column, row = picture_coordinates(scene.hidden, rays)
+    # pixels that miss the picture's plane carry no light to blur
+    across, up = np.nan_to_num(2.0 * column / columns - 1.0), np.nan_to_num(1.0 - 2.0 * row / rows)
+    model = ForwardModel(point_spread, shape=shape, at=(across, up))
+    sums = np.tensordot(point_spread.modes.sum(axis=(1, 2)), point_spread.at(across, up), 1)
+    total = float(ideal.sum())
+    return model, float((sums * ideal).sum()) / total if total > 0.0 else 1.0
+
+
+def _check_pitch(point_spread: PointSpread | PointSpreadField, pitch: float) -> None:
     if abs(point_spread.pitch - pitch) > 1e-9 * pitch:
         raise SamplingError(
             f"point_spread.pitch = {point_spread.pitch:g} m, camera pixels are {pitch:g} m; "
             f"compute it with psf.point_spread(..., pitch={pitch!r})"
         )
+
+
+def _check_energy(point_spread: PointSpread) -> None:
     if point_spread.normalisation != "unit-sum":
         raise SamplingError(
             f"point_spread.normalisation = {point_spread.normalisation!r}, an image needs energy "

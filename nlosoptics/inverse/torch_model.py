@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from ..errors import SamplingError, SceneError
-from ..imaging.forward_model import ForwardModel
+from ..imaging.forward_model import ForwardModel, one_kernel
 
 
 class TorchForwardModel(nn.Module):
@@ -47,13 +47,18 @@ class TorchForwardModel(nn.Module):
         Returns
         -------
         TorchForwardModel
+
+        Raises
+        ------
+        SamplingError
+            If ``dtype`` is another, or the model's point spread varies over the field.
         """
         if dtype not in (torch.float32, torch.float64):
             raise SamplingError(
                 f"dtype = {dtype} is not supported by the transform; "
                 "use torch.float32 or torch.float64"
             )
-        return cls(model).to(device=device, dtype=dtype)
+        return cls(one_kernel(model)).to(device=device, dtype=dtype)
 
     @property
     def transfer(self) -> Tensor:

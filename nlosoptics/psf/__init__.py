@@ -13,6 +13,7 @@
 
 from .aberration import path_difference, wall_aberration, wavefront
 from .facet_waves import facet_reach, facet_wavefront, pupil_slopes
+from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
@@ -26,6 +27,7 @@ from .zernikes import zernike, zernike_order
 __all__ = [
     "ExitPupil",
     "PointSpread",
+    "PointSpreadField",
     "Removed",
     "Wavefront",
     "encircled_energy",
@@ -36,9 +38,11 @@ __all__ = [
     "fwhm",
     "grid_nodes",
     "integrated_slopes",
+    "isoplanatic_radius",
     "mtf",
     "path_difference",
     "point_spread",
+    "point_spread_field",
     "polar_nodes",
     "pupil_slopes",
     "rms_aberration",

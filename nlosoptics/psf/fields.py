@@ -1,0 +1,282 @@
+"""Point spreads that vary over the hidden object, as a few modes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import fits_memory, in_range, whole
+from .._random import generator
+from ..errors import SamplingError, SceneError
+from ..scene import PlanarObject, Scene
+from .aberration import wavefront
+from .point_spreads import point_spread
+from .windows import window_shape
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+HELD_OUT = 501  # stream of the points that check a field
+FINEST = 1e-3  # of the object's size, the smallest radius that `isoplanatic_radius` tells
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PointSpreadField:
+    """Point spreads over a picture: ``sum_k weights[k] modes[k]`` at every point.
+
+    Parameters
+    ----------
+    modes : ndarray, (K, py, px)
+        Energy per pixel, centre at ``[py//2, px//2]``, which lies on the chief ray of the point.
+    weights : ndarray, (K, ny, nx)
+        At the nodes ``across`` and ``up``.
+    across, up : ndarray, (nx,) and (ny,)
+        Chebyshev nodes over the picture, -1 to 1: from its left to its right edge, and from its
+        lower to its upper one.
+    pitch : float
+        Image pixel, m.
+    truncation_error : float
+        Largest max |dI|/max I at the nodes that leaving out the other modes makes.
+    error_estimate : float
+        Largest max |dI|/max I at points between the nodes, chosen at random and computed anew,
+        with the transforms' own estimates added.
+    normalisation : str
+        Of the modes' sums, ``"unit-sum"``.
+    """
+
+    modes: Array
+    weights: Array
+    across: Array
+    up: Array
+    pitch: float
+    truncation_error: float
+    error_estimate: float
+    normalisation: str = "unit-sum"
+
+    def __post_init__(self) -> None:
+        for array in (self.modes, self.weights, self.across, self.up):
+            array.flags.writeable = False
+
+    def at(self, across: ArrayLike, up: ArrayLike) -> Array:
+        """Weights at points of the picture.
+
+        Parameters
+        ----------
+        across, up : array_like, (...)
+            -1 to 1 over the picture; the shapes broadcast. What lies beyond takes the weights of
+            the nearest edge.
+
+        Returns
+        -------
+        ndarray, (K, ...)
+        """
+        x, y = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (across, up)))
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise SamplingError("across or up holds NaN or infinity; give points of the picture")
+        on_x = _chebyshev(len(self.across), x.ravel())
+        on_y = _chebyshev(len(self.up), y.ravel())
+        # einsum's own loops: BLAS could round otherwise on another number of threads
+        half = np.einsum("kyx,nx->kyn", self.weights, on_x)
+        weights = np.einsum("kyn,ny->kn", half, on_y)
+        return np.asarray(weights.reshape(len(self.weights), *x.shape))
+
+    def point_spread(self, across: float, up: float) -> Array:
+        """Point spread at one point of the picture, (py, px)."""
+        return np.asarray(np.tensordot(self.at(across, up), self.modes, 1))
+
+
+def point_spread_field(
+    scene: Scene,
+    grid: int | tuple[int, int] = 5,
+    *,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    checks: int = 6,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> PointSpreadField:
+    """Point spreads over the hidden picture, compressed to a few modes.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a `PlanarObject`.
+    grid : int or (int, int)
+        Nodes over the picture, (ny, nx); one number for both, 1 to 64.
+    tol : float
+        Wanted error of every point spread, max |dI|/max I: half of it for the transforms, half for
+        the modes left out.
+    pitch : float, optional
+        Pixel, m; the camera's image pixel by default. Values are integrals over pixels.
+    checks : int
+        Points between the nodes at which the field is checked; 0 leaves ``error_estimate`` to what
+        the nodes tell.
+    seed : int
+        Of these points.
+    progress : callable(str, float), optional
+        Told "field" and the fraction done.
+
+    Returns
+    -------
+    PointSpreadField
+
+    Raises
+    ------
+    SceneError
+        If the object is a mesh or an option is out of range.
+    CausticError, NotWaveGradeError, SamplingError
+        Where a node has no wave or no transform reaches ``tol``.
+    MemoryLimitError
+        If the point spreads of all nodes would not fit.
+
+    Notes
+    -----
+    The modes are the leading right singular vectors of the matrix of all point spreads, as many as
+    ``tol`` takes; the weights are interpolated by Chebyshev polynomials over the picture.
+    """
+    hidden = _picture(scene)
+    ny, nx = _grid_counts(grid)
+    in_range("tol", tol, 1e-9, 0.1)
+    whole("checks", checks, 0)
+    pitch = scene.camera.image_pitch if pitch is None else in_range("pitch", pitch, 0.0, unit="m")
+    up, across = _nodes(ny), _nodes(nx)
+    corners = [(x, y) for y in (up[0], up[-1]) for x in (across[0], across[-1])] + [(0.0, 0.0)]
+    side = max(
+        window_shape(wavefront(scene, _place(hidden, *at)), pitch=pitch, tol=tol / 2)
+        for at in corners
+    )
+    fits_memory(
+        f"{ny} x {nx} point spreads of {side} x {side} pixels",
+        40.0 * ny * nx * side * side,
+        "use fewer nodes or a larger tol",
+    )
+    total, done = ny * nx + checks, 0
+    worst = 0.0
+
+    def spread(x: float, y: float) -> Array:
+        nonlocal done, worst
+        if progress is not None:
+            progress("field", done / total)
+        done += 1
+        wave = wavefront(scene, _place(hidden, x, y))
+        found = point_spread(wave, pitch=pitch, shape=side, pixel_integrated=True, tol=tol / 2)
+        worst = max(worst, found.error_estimate)
+        return found.intensity
+
+    spreads = np.array([[spread(x, y) for x in across.tolist()] for y in up.tolist()])
+    modes, weights, lost = _compressed(spreads.reshape(ny * nx, -1), tol / 2)
+    field = PointSpreadField(
+        modes=modes.reshape(-1, side, side),
+        weights=np.ascontiguousarray(weights.T).reshape(-1, ny, nx),
+        across=across,
+        up=up,
+        pitch=pitch,
+        truncation_error=lost,
+        error_estimate=lost + worst,
+    )
+    points = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
+    error = max((_off(field.point_spread(x, y), spread(x, y)) for x, y in points), default=lost)
+    if progress is not None:
+        progress("field", 1.0)
+    return replace(field, error_estimate=max(error, lost) + worst)
+
+
+def isoplanatic_radius(scene: Scene, *, tol: float = 0.05) -> float:
+    """Distance on the object within which one point spread stands for all, m.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a `PlanarObject`.
+    tol : float
+        Largest max |dI|/max I between the point spread there and at the centre.
+
+    Returns
+    -------
+    float
+        The smallest over eight directions in the picture's plane, found by bisection along each
+        within the picture; inf where the point spread stays within ``tol`` all over it, and 0 where
+        it does so for less than 1e-3 of the picture.
+    """
+    hidden, pitch = _picture(scene), scene.camera.image_pitch
+    in_range("tol", tol, 1e-6, 1.0)
+    waves = [wavefront(scene, _place(hidden, x, y)) for x, y in ((0, 0), (1, 1), (-1, -1))]
+    side = max(window_shape(w, pitch=pitch, tol=tol / 10) for w in waves)
+
+    def spread(x: float, y: float) -> Array:
+        wave = wavefront(scene, _place(hidden, x, y))
+        return point_spread(
+            wave, pitch=pitch, shape=side, pixel_integrated=True, tol=tol / 10
+        ).intensity
+
+    centre, radius = spread(0.0, 0.0), math.inf
+    for k in range(8):
+        x, y = math.cos(math.pi * k / 4), math.sin(math.pi * k / 4)
+        edge = 1.0 / max(abs(x), abs(y))  # of the picture along this direction
+        reach = math.hypot(x * hidden.size[0], y * hidden.size[1]) / 2
+        high = min(edge, radius / reach)
+        if _off(spread(high * x, high * y), centre) <= tol:
+            continue
+        low = 0.0
+        while high - low > FINEST:
+            middle = 0.5 * (low + high)
+            within = _off(spread(middle * x, middle * y), centre) <= tol
+            low, high = (middle, high) if within else (low, middle)
+        radius = low * reach
+    return radius
+
+
+def _picture(scene: Scene) -> PlanarObject:
+    if not isinstance(scene.hidden, PlanarObject):
+        raise SceneError("scene.hidden is a mesh; point spreads over a field need a PlanarObject")
+    return scene.hidden
+
+
+def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
+    counts = (grid, grid) if isinstance(grid, int) else tuple(grid)
+    if len(counts) != 2:
+        raise SceneError(f"grid = {grid!r}; give one whole number or (ny, nx)")
+    ny, nx = (whole("grid", n, 1, 64) for n in counts)
+    return ny, nx
+
+
+def _nodes(count: int) -> Array:
+    """Chebyshev points of the first kind, rising."""
+    return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+
+
+def _chebyshev(count: int, at: Array) -> Array:
+    """Weights (n, count) of the nodes at points, taken to the nearest edge."""
+    angles = np.pi * (np.arange(count) + 0.5) / count
+    orders = np.arange(count)
+    from_nodes = np.cos(orders[:, None] * (np.pi - angles)) * (2.0 / count)
+    from_nodes[0] /= 2.0
+    terms = np.cos(orders * np.arccos(np.clip(at, -1.0, 1.0))[:, None])
+    return np.asarray(np.einsum("nj,jk->nk", terms, from_nodes))
+
+
+def _place(hidden: PlanarObject, across: float, up: float) -> Array:
+    """World point, m, at coordinates -1 to 1 of the picture."""
+    right, upward, _ = hidden.axes
+    half = 0.5 * np.array(hidden.size)
+    return np.asarray(hidden.position + across * half[0] * right + up * half[1] * upward)
+
+
+def _off(found: Array, exact: Array) -> float:
+    return float(np.abs(found - exact).max() / exact.max())
+
+
+def _compressed(spreads: Array, tol: float) -> tuple[Array, Array, float]:
+    """Fewest modes (K, p) and weights (n, K) within ``tol`` of every row's peak, and the error."""
+    left, values, modes = np.linalg.svd(spreads, full_matrices=False)
+    peaks = spreads.max(axis=1)
+    rest = spreads.copy()
+    for count in range(1, len(values) + 1):
+        rest -= np.outer(left[:, count - 1] * values[count - 1], modes[count - 1])
+        error = float((np.abs(rest).max(axis=1) / peaks).max())
+        if error <= tol or count == len(values):
+            break
+    return np.ascontiguousarray(modes[:count]), left[:, :count] * values[:count], error

@@ -1,0 +1,159 @@
+"""Point spreads over a picture: modes against point spreads computed anew."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+
+from nlosoptics import imaging, psf
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.imaging import ForwardModel
+from nlosoptics.scene import ConcaveWall, MeshObject, PlanarObject
+
+PITCH = 4e-6
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """A hollow wall, whose point spread changes over a picture of 0.3 m."""
+    from nlosoptics.scene import Camera, Laser, Scene
+
+    return Scene(
+        Laser(wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.6, 0.3, 1.1)),
+        ConcaveWall(8.0, size=(2.0, 2.0)),
+        PlanarObject(np.ones((8, 8)), 0.3, position=(0.38, 0.0, 1.0)),
+        Camera(
+            position=(-0.38, 0.0, 0.8),
+            aim=(0.0, 0.0, 0.0),
+            focal_length=50e-3,
+            stop_diameter=5e-3,
+            pixels=(256, 256),
+            pixel_pitch=36e-6,
+            binning=4,
+        ),
+    )
+
+
+@pytest.fixture(scope="module")
+def field(scene):
+    return psf.point_spread_field(scene, 5, tol=2e-3, pitch=PITCH, checks=3)
+
+
+def place(scene, across, up):
+    corners = scene.hidden.corners  # right top, right bottom, left bottom, left top
+    right, upward = corners[0] - corners[3], corners[0] - corners[1]
+    return np.array(scene.hidden.position) + across / 2 * right + up / 2 * upward
+
+
+def test_field_gives_the_point_spreads_between_its_nodes(scene, field):
+    """Held-out points, each computed as a wave of its own, within the stated error."""
+    side = field.modes.shape[1]
+    changed = 0.0
+    centre = field.point_spread(0.0, 0.0)
+    for across, up in ((0.9, -0.8), (-0.55, 0.31), (0.1, 0.97)):
+        wave = psf.wavefront(scene, place(scene, across, up))
+        exact = psf.point_spread(
+            wave, pitch=PITCH, shape=side, pixel_integrated=True, tol=1e-4
+        ).intensity
+        error = np.abs(field.point_spread(across, up) - exact).max() / exact.max()
+        assert error <= field.error_estimate
+        changed = max(changed, np.abs(centre - exact).max() / exact.max())
+    # a field worth the name, and known far better than it varies
+    assert changed > 0.1
+    assert field.error_estimate < 0.1 * changed
+    assert field.truncation_error <= 1e-3
+    assert 1 < len(field.modes) < 25
+
+
+def test_weights_at_nodes_are_those_of_the_nodes(field):
+    x, y = np.meshgrid(field.across, field.up)
+    assert field.at(x, y) == approx(field.weights, abs=1e-12 * np.abs(field.weights).max())
+    # beyond the edge, its weights
+    assert field.at(2.0, 0.3) == approx(field.at(1.0, 0.3), abs=0.0)
+    with pytest.raises(SamplingError, match="NaN"):
+        field.at(np.nan, 0.0)
+
+
+def test_model_of_a_field_is_a_sum_over_object_points(field):
+    """Each object pixel spreads as the field says there; and the adjoint is the transpose."""
+    draw = np.random.default_rng(3)
+    shape = (24, 31)
+    model = ForwardModel(field, shape=shape)
+    picture = np.zeros(shape)
+    spots = {(3, 4): 1.0, (20, 27): 2.0, (11, 15): 0.5}
+    for spot, light in spots.items():
+        picture[spot] = light
+    side = field.modes.shape[1]
+    expected = np.zeros((shape[0] + 2 * side, shape[1] + 2 * side))
+    for (row, column), light in spots.items():
+        kernel = field.point_spread((2 * column + 1) / shape[1] - 1, (2 * row + 1) / shape[0] - 1)
+        top, left = side + row - side // 2, side + column - side // 2
+        expected[top : top + side, left : left + side] += light * kernel
+    expected = expected[side:-side, side:-side]
+    # rounding of the transforms
+    assert model.forward(picture) == approx(expected, abs=1e-14)
+    x, y = draw.normal(size=(2, *shape))
+    assert (model.forward(x) * y).sum() == approx((x * model.adjoint(y)).sum(), rel=1e-12)
+    stack = draw.normal(size=(2, *shape))
+    assert model.forward(stack)[1] == approx(model.forward(stack[1]), abs=1e-14)
+
+
+def test_image_by_a_field(scene):
+    """A field of one point spread blurs as that one does; a varying one as its points say."""
+    coarse = psf.point_spread_field(scene, 3, tol=2e-3, checks=0)
+    alone = psf.point_spread_field(scene, 1, tol=2e-3, checks=0)
+    wave = psf.wavefront(scene)
+    one = psf.point_spread(
+        wave,
+        pitch=scene.camera.image_pitch,
+        shape=alone.modes.shape[1],
+        pixel_integrated=True,
+        tol=1e-3,
+    )
+    images = [imaging.form_image(scene, p) for p in (coarse, alone, one)]
+    peak = images[2].signal.max()
+    assert images[1].signal == approx(images[2].signal, abs=1e-9 * peak)
+    # pixels far wider than the spot hide most of the change
+    assert 0.0 < np.abs(images[0].signal - images[2].signal).max() < 0.05 * peak
+    for image in images:
+        ledger = image.ledger
+        parts = ledger["signal"] + ledger["beyond_window"] + ledger["beyond_detector"]
+        assert parts == approx(ledger["ideal"], rel=1e-9)
+
+
+def test_isoplanatic_radius_shrinks_with_the_tolerance(scene):
+    fine = replace(scene, camera=replace(scene.camera, binning=1, pixel_pitch=6e-6))
+    wide, narrow = (psf.isoplanatic_radius(fine, tol=tol) for tol in (0.2, 0.05))
+    assert 0.0 < narrow < wide
+    assert psf.isoplanatic_radius(scene, tol=1.0) == np.inf
+
+
+def test_bad_input_is_refused(scene, field):
+    import trimesh
+
+    mesh = replace(
+        scene, hidden=MeshObject(mesh=trimesh.creation.box((0.1, 0.1, 0.1)), position=(0.3, 0, 1))
+    )
+    with pytest.raises(SceneError, match="PlanarObject"):
+        psf.point_spread_field(mesh)
+    with pytest.raises(SceneError, match="PlanarObject"):
+        psf.isoplanatic_radius(mesh)
+    with pytest.raises(SceneError, match="grid = 0"):
+        psf.point_spread_field(scene, 0)
+    with pytest.raises(SceneError, match="grid"):
+        psf.point_spread_field(scene, (3, 3, 3))
+    with pytest.raises(SamplingError, match="at has shapes"):
+        ForwardModel(field, shape=(8, 8), at=(np.zeros((8, 7)), np.zeros((8, 8))))
+    with pytest.raises(SamplingError, match="no field"):
+        ForwardModel(np.ones((3, 3)), shape=(8, 8), at=(np.zeros((8, 8)), np.zeros((8, 8))))
+
+
+def test_solvers_ask_for_one_point_spread(field):
+    pytest.importorskip("torch")
+    from nlosoptics import inverse
+
+    with pytest.raises(SamplingError, match="varies over the field"):
+        inverse.tv_deconvolve(np.ones((16, 16)), ForwardModel(field, shape=(16, 16)))
