@@ -8,7 +8,8 @@
 - `quadrature`, `fft`, `mdft`, `airy`: one transform each; `pupil_grids`, `rims`, `separable`,
   `pixels` and `windows` serve them, `estimates` bounds their errors.
 - `point_spreads`: `point_spread`, which picks among them.
-- `metrics`: Strehl ratio, encircled energy, MTF, widths, Zernike fit.
+- `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
+  spot radius, Zernike fit.
 """
 
 from .aberration import path_difference, wall_aberration, wavefront
@@ -20,6 +21,7 @@ from .point_spreads import PointSpread, point_spread
 from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
 from .slopes import integrated_slopes, wavefront_from_slopes
+from .spots import centroid, ensquared_energy, peak_strehl, ptf, spot_radius
 from .wavefronts import Removed, Wavefront
 from .windows import window_shape
 from .zernikes import zernike, zernike_order
@@ -30,7 +32,9 @@ __all__ = [
     "PointSpreadField",
     "Removed",
     "Wavefront",
+    "centroid",
     "encircled_energy",
+    "ensquared_energy",
     "exit_pupil",
     "facet_reach",
     "facet_wavefront",
@@ -41,11 +45,14 @@ __all__ = [
     "isoplanatic_radius",
     "mtf",
     "path_difference",
+    "peak_strehl",
     "point_spread",
     "point_spread_field",
     "polar_nodes",
+    "ptf",
     "pupil_slopes",
     "rms_aberration",
+    "spot_radius",
     "strehl",
     "wall_aberration",
     "wavefront",

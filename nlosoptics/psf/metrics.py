@@ -45,7 +45,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     residual = split(_without(wavefront, remove))
     if residual.wavefront.layout == "polar":
         centre = Window.centred(residual.airy_unit, (1, 1))
-        pupil, weights = _pupil_function(residual, *quadrature.node_counts(residual, centre))
+        pupil, weights = pupil_function(residual, *quadrature.node_counts(residual, centre))
         total = complex(np.sum(pupil * weights))
         return abs(total) ** 2 / float(np.sum(np.abs(pupil) * weights)) ** 2
     wave = residual.wavefront
@@ -240,7 +240,7 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     return replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1))
 
 
-def _pupil_function(residual: Residual, n_r: int, n_theta: int) -> tuple[ComplexArray, Array]:
+def pupil_function(residual: Residual, n_r: int, n_theta: int) -> tuple[ComplexArray, Array]:
     """A exp(ikW), tilt included, and weights on polar nodes."""
     wave = residual.wavefront
     u, v, weights = polar_nodes(wave.pupil_radius, n_r, n_theta, wave.obscuration)
@@ -260,7 +260,7 @@ def _energy_within(residual: Residual, radius: float) -> float:
     # The window counts nodes for a reach of radius/sqrt(2) along both axes.
     half = radius / math.sqrt(2)
     window = Window(2 * half, (2, 2), (-half, -half))
-    pupil, weights = _pupil_function(residual, *quadrature.node_counts(residual, window))
+    pupil, weights = pupil_function(residual, *quadrature.node_counts(residual, window))
     inner = wave.obscuration**2
     fraction, _ = gauss_legendre(pupil.shape[0])
     rho = wave.pupil_radius * np.sqrt(inner + (1 - inner) * fraction)

@@ -1,0 +1,180 @@
+"""Where the light of a point lies: centroid, rays, energy in squares, phase, peak."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import SamplingError, SceneError
+from . import quadrature
+from .metrics import pupil_function
+from .nodes import polar_nodes
+from .point_spreads import PointSpread, point_spread
+from .residuals import split
+from .wavefronts import Wavefront
+from .windows import Window
+
+Array = NDArray[np.float64]
+
+
+def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
+    """Centre of the light in the image plane, (x, y), m.
+
+    Parameters
+    ----------
+    source : Wavefront or PointSpread
+        A wavefront gives the mean of its rays, ``image_distance`` times the energy-weighted mean
+        gradient of the aberration, which is also the centroid of its diffracted intensity
+        (Goodman, Introduction to Fourier Optics, 3rd ed., sec. 6.4). A point spread gives the mean
+        over its window, which the slow tails of diffraction reach beyond.
+    """
+    if isinstance(source, PointSpread):
+        total = float(source.intensity.sum())
+        x = float((source.intensity.sum(axis=0) * source.x).sum()) / total
+        y = float((source.intensity.sum(axis=1) * source.y).sum()) / total
+        return x, y
+    residual = split(source)
+    rays, (x, y) = residual.rays, residual.shift
+    return x + float((rays.energy * rays.x).sum()), y + float((rays.energy * rays.y).sum())
+
+
+def spot_radius(wavefront: Wavefront) -> float:
+    """Root mean square distance of the rays from their centroid in the image plane, m.
+
+    Diffraction has no second moment where the pupil has a hard edge, and no part in this.
+
+    Parameters
+    ----------
+    wavefront : Wavefront
+        Polar or grid.
+    """
+    rays = split(wavefront).rays
+    x, y = (float((rays.energy * v).sum()) for v in (rays.x, rays.y))
+    square = rays.energy * ((rays.x - x) ** 2 + (rays.y - y) ** 2)
+    return math.sqrt(float(square.sum()))
+
+
+def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
+    """Share of the transmitted energy within squares around the reference point.
+
+    Parameters
+    ----------
+    point_spread : PointSpread
+        Its pixels count with the part of their area that lies within.
+    side : array_like
+        Of the squares, m.
+
+    Returns
+    -------
+    ndarray
+        Of the sides' shape.
+
+    Raises
+    ------
+    SceneError
+        If a side is negative or not finite.
+    SamplingError
+        If a square passes the window's edge.
+    """
+    sides = np.asarray(side, dtype=np.float64)
+    if not np.all(np.isfinite(sides)) or np.any(sides < 0):
+        raise SceneError(f"side = {side!r} m; give finite sides of at least 0")
+    x, y, pitch = point_spread.x, point_spread.y, point_spread.pitch
+    edge = 2 * min(-x[0], x[-1], -y[0], y[-1]) + pitch
+    if sides.size and sides.max() > edge * (1 + 1e-12):
+        raise SamplingError(
+            f"side = {sides.max():.3g} m passes the window, which holds {edge:.3g} m; use a larger "
+            "shape"
+        )
+    per_energy = point_spread.enclosed_energy / float(point_spread.intensity.sum())
+    values = []
+    for half in (sides.ravel() / 2).tolist():
+        on_x, on_y = (np.clip((half - np.abs(v)) / pitch + 0.5, 0.0, 1.0) for v in (x, y))
+        # a square narrower than the central pixel is cut on both of its sides
+        on_x, on_y = (np.minimum(on, 2 * half / pitch) for on in (on_x, on_y))
+        values.append(float(np.einsum("y,yx,x->", on_y, point_spread.intensity, on_x)))
+    return np.array(values).reshape(sides.shape) * per_energy
+
+
+def ptf(point_spread: PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
+    """Phase of the optical transfer function along one direction, rad.
+
+    Parameters
+    ----------
+    point_spread : PointSpread
+        What lies outside its window is missing.
+    frequency : array_like
+        Cycles per m in the image.
+    azimuth : float
+        Direction, rad from x toward y.
+
+    Returns
+    -------
+    ndarray
+        In (-pi, pi], of the frequencies' shape; a spot at +x has a falling phase.
+    """
+    frequencies = np.asarray(frequency, dtype=np.float64)
+    if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
+        raise SceneError("frequency and azimuth must be finite; give 1/m and rad")
+    waves = -2j * math.pi * frequencies.ravel()[:, None]
+    half = np.einsum(
+        "fx,yx->fy",
+        np.exp(math.cos(azimuth) * waves * point_spread.x),
+        point_spread.intensity,
+    )
+    spectrum = np.einsum("fy,fy->f", np.exp(math.sin(azimuth) * waves * point_spread.y), half)
+    return np.asarray(np.angle(spectrum).reshape(frequencies.shape))
+
+
+def peak_strehl(wavefront: Wavefront) -> float:
+    """Largest intensity anywhere in the image plane over that without aberration.
+
+    Parameters
+    ----------
+    wavefront : Wavefront
+        Polar, or a grid as sampled.
+
+    Returns
+    -------
+    float
+        To about 1e-12: Newton steps from the brightest sample at a third of lambda N. `strehl` has
+        the value at the reference point.
+    """
+    residual = split(wavefront)
+    unit, wave = residual.airy_unit, residual.wavefront
+    centred = replace(wave, aberration=residual.aberration)
+    found = point_spread(centred, pitch=unit / 3, normalisation="ideal-peak", tol=0.05)
+    row, column = np.unravel_index(int(np.argmax(found.intensity)), found.shape)
+    if wave.layout == "polar":
+        counts = quadrature.node_counts(split(centred), Window.centred(unit / 3, found.shape))
+        u, v, weights = polar_nodes(wave.pupil_radius, *counts, wave.obscuration)
+        pupil, _ = pupil_function(split(centred), *counts)
+        pupil = pupil * weights
+    else:
+        u, v = wave.u, wave.v
+        phase = np.exp(1j * residual.wavenumber * residual.aberration)
+        pupil = wave.amplitude * wave.weights * phase
+    scale = 2 * math.pi / (wave.wavelength * wave.image_distance)
+    place, best = np.array([found.x[column], found.y[row]]), -1.0
+    step = unit / 3
+    # moments of the pupil are the derivatives of the field
+    for _ in range(30):
+        spread = pupil * np.exp(-1j * scale * (place[0] * u + place[1] * v))
+        field = spread.sum()
+        first = -1j * scale * np.array([(spread * t).sum() for t in (u, v)])
+        second = -(scale**2) * np.array([[(spread * s * t).sum() for s in (u, v)] for t in (u, v)])
+        best = max(best, abs(field) ** 2)
+        slope = 2 * (np.conj(field) * first).real
+        bend = 2 * (np.conj(field) * second + np.outer(np.conj(first), first)).real
+        if np.linalg.eigvalsh(bend).max() >= 0.0:
+            move = step * slope / max(float(np.hypot(*slope)), 1e-300)  # uphill, outside the cap
+        else:
+            move = -np.linalg.solve(bend, slope)
+        length = float(np.hypot(*move))
+        place = place + move * min(1.0, step / max(length, 1e-300))
+        if length < 1e-9 * unit:
+            break
+    return best / residual.amplitude_sum**2
