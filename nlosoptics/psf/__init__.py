@@ -7,12 +7,14 @@
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
 - `quadrature`, `fft`, `mdft`, `airy`: one transform each; `pupil_grids`, `rims`, `separable`,
   `pixels` and `windows` serve them, `estimates` bounds their errors.
-- `point_spreads`: `point_spread`, which picks among them.
+- `point_spreads`: `point_spread`, which picks among them; `bands` and `fields` take it over
+  wavelengths and over the object.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit.
 """
 
 from .aberration import path_difference, wall_aberration, wavefront
+from .bands import band_point_spread, gaussian_band
 from .facet_waves import facet_reach, facet_wavefront, pupil_slopes
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
@@ -32,6 +34,7 @@ __all__ = [
     "PointSpreadField",
     "Removed",
     "Wavefront",
+    "band_point_spread",
     "centroid",
     "encircled_energy",
     "ensquared_energy",
@@ -40,6 +43,7 @@ __all__ = [
     "facet_wavefront",
     "fit_zernike",
     "fwhm",
+    "gaussian_band",
     "grid_nodes",
     "integrated_slopes",
     "isoplanatic_radius",
