@@ -207,7 +207,9 @@ def _passed_on(world, leave, distance, kind, normal, scale):
     density = (1.0 - aimed) * leave[PDF] + at_object
     if density <= 0.0:
         return 0.0, 0.0
-    return leave[LOBE] / density, density * cosine / (distance * distance)
+    # a ray that could not be resolved has gone no distance
+    square = distance * distance
+    return leave[LOBE] / density, density * cosine / square if square > 0.0 else math.inf
 
 
 @njit(cache=True)

@@ -67,7 +67,7 @@ def three(row, start):
     return row[start], row[start + 1], row[start + 2]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def beam(world, sampler, first, origins, directions):
     """Rays of the laser, evenly over its disc."""
     laser = world.laser
@@ -83,7 +83,7 @@ def beam(world, sampler, first, origins, directions):
             directions[i, k] = laser[3 + k]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def sight(world, sampler, first, origins, directions, powers, densities):
     """Rays from the lens into the scene, evenly over lens and detector, or the baffle's disc.
 
@@ -227,6 +227,17 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
                     kind[j] = LOST
             elif condition == UNRESOLVED:
                 distance[j], kind[j] = 0.0, LOST
+
+
+@njit(cache=True, nogil=True)
+def settle(walls, points, on_wall):
+    """Put points that are on a compiled wall, to rounding, on it to the last digit."""
+    terms, tables = walls[0], walls[1]
+    for i in range(on_wall.size):
+        if on_wall[i]:
+            height = surface(terms, tables, points[i, 0], points[i, 1])[0]
+            if math.isfinite(height):
+                points[i, 2] = height
 
 
 @njit(cache=True, nogil=True)
