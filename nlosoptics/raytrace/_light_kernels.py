@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from .._random_kernels import draw
-from ..scene._kernels import _is_mirror, _total_strength, lobe_pdf, material, sample_lobe
+from ..scene._kernels import is_mirror, total_strength, lobe_pdf, material, sample_lobe
 from ._surround_kernels import (
     DRAW_PIXEL,
     LENS,
@@ -86,7 +86,7 @@ def _chance(lobes, j, total, eye):
 @njit(cache=True)
 def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
     """Density of `_lobe_direction` per solid angle, mirrors left out."""
-    total = _total_strength(lobes)
+    total = total_strength(lobes)
     density = 0.0
     for j in range(lobes.shape[0]):
         chance = _chance(lobes, j, total, eye)
@@ -100,7 +100,7 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
     """Direction drawn from the lobes, and the weight of a mirror that was chosen, else -1."""
     a, b = _tangents(n)
     ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
-    total = _total_strength(lobes)
+    total = total_strength(lobes)
     chosen, left = -1, w
     for j in range(lobes.shape[0]):
         chance = _chance(lobes, j, total, eye)
@@ -115,7 +115,7 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
         x * a[1] + y * b[1] + z * n[1],
         x * a[2] + y * b[2] + z * n[2],
     )
-    if _is_mirror(lobes, chosen):
+    if is_mirror(lobes, chosen):
         return d, lobes[chosen, 1] * lobes[chosen, 3] / _chance(lobes, chosen, total, eye)
     return d, -1.0
 

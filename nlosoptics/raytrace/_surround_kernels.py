@@ -25,9 +25,9 @@ from ._kernels import (
     OZ,
     ROWS,
     UNRESOLVED,
-    _conic,
-    _march,
-    _wave,
+    conic_hit,
+    marched_hit,
+    wave_hits,
 )
 from ._kernels import T as DISTANCE
 from .surroundings import GROUPS
@@ -197,7 +197,7 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
                 j = start + i
                 w[OX + i], w[OY + i], w[OZ + i] = three(origins[j], 0)
                 w[DX + i], w[DY + i], w[DZ + i] = three(directions[j], 0)
-            _wave(terms[0], box, w, state)
+            wave_hits(terms[0], box, w, state)
         for i in range(n):
             j = start + i
             if not live[j]:
@@ -212,9 +212,9 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
                 t, condition, hx, hy = w[DISTANCE + i], state[i], w[HX + i], w[HY + i]
             else:
                 if closed:
-                    t, condition = _conic(terms[0], box, o, d)
+                    t, condition = conic_hit(terms[0], box, o, d)
                 else:
-                    t, condition = _march(terms, tables, grid_bounds, box, slab, rim, o, d)
+                    t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
                 if condition == HIT:
                     _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
                     if not math.isfinite(hx):

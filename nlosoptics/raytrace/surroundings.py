@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
 from ..scene._material import BECKMANN
-from .intersections import HIT, UNRESOLVED, _bounds, intersect
+from .intersections import HIT, UNRESOLVED, search_bounds, intersect
 from .meshes import intersect_mesh, occluded
 
 if TYPE_CHECKING:
@@ -120,7 +120,7 @@ class Surroundings:
             terms, tables = (np.zeros((0, 8)), np.zeros(0))
             if not scene.wall.is_flat:
                 terms, tables = scene.wall._terms()
-            self._walls = (terms, tables, *_bounds(scene.wall, terms, tables))
+            self._walls = (terms, tables, *search_bounds(scene.wall, terms, tables))
         self._mesh, self._thing_faces = _triangles(scene)
         if self._mesh is not None:
             self._normals = np.array(self._mesh.face_normals, dtype=np.float64)

@@ -16,7 +16,7 @@ from .._checks import fits_memory, in_range, one_of, positive, whole
 from .._random import checked_seed, scrambled_sobol
 from ..errors import SceneError
 from ..scene import Scene
-from .meshes import _pool
+from .meshes import worker_pool
 from .paths import RayPaths
 from .surroundings import GROUPS, Surroundings
 
@@ -201,7 +201,7 @@ def in_blocks(
     if len(parts) == 1:
         yield work(job, *parts[0])
         return
-    pool, waiting = _pool(), []
+    pool, waiting = worker_pool(), []
     try:
         for part in parts:
             waiting.append(pool.submit(work, job, *part))
