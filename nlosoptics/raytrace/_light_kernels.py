@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from .._random_kernels import draw
-from ..scene._kernels import is_mirror, total_strength, lobe_pdf, material, sample_lobe
+from ..scene._kernels import is_mirror, lobe_pdf, material, sample_lobe, total_strength
 from ._surround_kernels import (
     DRAW_PIXEL,
     LENS,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
 from ..scene._material import BECKMANN
-from .intersections import HIT, UNRESOLVED, search_bounds, intersect
+from .intersections import HIT, UNRESOLVED, intersect, search_bounds
 from .meshes import intersect_mesh, occluded
 
 if TYPE_CHECKING:
