@@ -164,9 +164,9 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
             reach = math.sqrt(dot(d, d))
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
         else:
-            d, mirror = _lobe_direction(
-                lobes, incident, n, u, v, draw(sampler, group, index, ray, number + 3), eye
-            )
+            # one lobe needs no choice
+            w = draw(sampler, group, index, ray, number + 3) if lobes.shape[0] > 1 else 0.0
+            d, mirror = _lobe_direction(lobes, incident, n, u, v, w, eye)
         cosine = dot(d, n)
         f = density = 0.0
         if mirror < 0.0 and cosine > 0.0:
