@@ -64,11 +64,11 @@ def scramble(columns, matrices, out):
 @njit(cache=True)
 def sobol(columns, shift, index):
     """Point ``index`` of one scrambled Sobol dimension: ``columns`` (32,) and ``shift``, uint32."""
-    x = shift
+    x = np.uint64(shift)
     bit = 0
     while index:
-        if index & np.uint64(1):
-            x ^= columns[bit]
+        # all ones or none: a jump on these digits would be guessed wrong half of the time
+        x ^= columns[bit] & (np.uint64(0) - (index & np.uint64(1)))
         index >>= np.uint64(1)
         bit += 1
     # the middle of the cell of 2^-32 that the digits name

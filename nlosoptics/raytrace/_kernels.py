@@ -23,7 +23,7 @@ TOLERANCE = 1e-13  # of the height above the wall, relative to the ray's scale
 
 
 @njit(cache=True)
-def _conic(row, box, o, d):
+def conic_hit(row, box, o, d):
     """Distance and status of one ray at a single sphere or cylinder.
 
     The surface is g = c |p|^2 - 2 z = 0 in the coordinates that are curved, with g < 0 on the room
@@ -136,7 +136,7 @@ def _curvature_bound(terms, grid_bounds, o, d, low, high):
 
 
 @njit(cache=True)
-def _march(terms, tables, grid_bounds, box, slab, rim, o, d):
+def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     """Distance and status of the first crossing with any wall, never overshot.
 
     With M a bound on |f''|, f has no root nearer than that of f + f' s - M s^2/2: the step is safe
@@ -214,7 +214,7 @@ def _unit(d):
 
 
 @njit(cache=True, error_model="numpy")
-def _wave(row, box, w, state):
+def wave_hits(row, box, w, state):
     """Distance, slopes and status of a block of rays at a single wave; status -1: to be marched.
 
     ``w`` holds the rays' numbers in rows of BLOCK, OX to Q. Rows of one array at fixed distances
@@ -302,15 +302,15 @@ def intersect(
             w[OX + i], w[OY + i], w[OZ + i] = x, y, z
             w[DX + i], w[DY + i], w[DZ + i] = dx, dy, dz
         if single and terms[0, 0] == WAVE:
-            _wave(terms[0], box, w, state)
+            wave_hits(terms[0], box, w, state)
         for i in range(n):
             o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
             t, condition, hx, hy = w[T + i], state[i], w[HX + i], w[HY + i]
             if condition < 0:
                 if closed:
-                    t, condition = _conic(terms[0], box, o, d)
+                    t, condition = conic_hit(terms[0], box, o, d)
                 else:
-                    t, condition = _march(terms, tables, grid_bounds, box, slab, rim, o, d)
+                    t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
                 if condition == HIT:
                     _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
                     if not math.isfinite(hx):

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from .._random_kernels import draw
-from ..scene._kernels import _is_mirror, _total_strength, lobe_pdf, material, sample_lobe
+from ..scene._kernels import is_mirror, lobe_pdf, material, sample_lobe, total_strength
 from ._surround_kernels import (
     DRAW_LENS,
     DRAW_PIXEL,
@@ -87,7 +87,7 @@ def _chance(lobes, j, total, eye):
 @njit(cache=True)
 def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
     """Density of `_lobe_direction` per solid angle, mirrors left out."""
-    total = _total_strength(lobes)
+    total = total_strength(lobes)
     density = 0.0
     for j in range(lobes.shape[0]):
         chance = _chance(lobes, j, total, eye)
@@ -101,7 +101,7 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
     """Direction drawn from the lobes, and the weight of a mirror that was chosen, else -1."""
     a, b = _tangents(n)
     ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
-    total = _total_strength(lobes)
+    total = total_strength(lobes)
     chosen, left = -1, w
     for j in range(lobes.shape[0]):
         chance = _chance(lobes, j, total, eye)
@@ -116,7 +116,7 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
         x * a[1] + y * b[1] + z * n[1],
         x * a[2] + y * b[2] + z * n[2],
     )
-    if _is_mirror(lobes, chosen):
+    if is_mirror(lobes, chosen):
         return d, lobes[chosen, 1] * lobes[chosen, 3] / _chance(lobes, chosen, total, eye)
     return d, -1.0
 
@@ -165,9 +165,9 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
             reach = math.sqrt(dot(d, d))
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
         else:
-            d, mirror = _lobe_direction(
-                lobes, incident, n, u, v, draw(sampler, group, index, ray, number + 3), eye
-            )
+            # one lobe needs no choice
+            w = draw(sampler, group, index, ray, number + 3) if lobes.shape[0] > 1 else 0.0
+            d, mirror = _lobe_direction(lobes, incident, n, u, v, w, eye)
         cosine = dot(d, n)
         f = density = 0.0
         if mirror < 0.0 and cosine > 0.0:
@@ -208,7 +208,9 @@ def _passed_on(world, leave, distance, kind, normal, scale):
     density = (1.0 - aimed) * leave[PDF] + at_object
     if density <= 0.0:
         return 0.0, 0.0
-    return leave[LOBE] / density, density * cosine / (distance * distance)
+    # a ray that could not be resolved has gone no distance
+    square = distance * distance
+    return leave[LOBE] / density, density * cosine / square if square > 0.0 else math.inf
 
 
 @njit(cache=True)

@@ -25,9 +25,9 @@ from ._kernels import (
     OZ,
     ROWS,
     UNRESOLVED,
-    _conic,
-    _march,
-    _wave,
+    conic_hit,
+    marched_hit,
+    wave_hits,
 )
 from ._kernels import T as DISTANCE
 from .surroundings import GROUPS
@@ -67,7 +67,7 @@ def three(row, start):
     return row[start], row[start + 1], row[start + 2]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def beam(world, sampler, first, origins, directions):
     """Rays of the laser, evenly over its disc."""
     laser = world.laser
@@ -83,7 +83,7 @@ def beam(world, sampler, first, origins, directions):
             directions[i, k] = laser[3 + k]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def sight(world, sampler, first, origins, directions, powers, densities):
     """Rays from the lens into the scene, evenly over lens and detector, or the baffle's disc.
 
@@ -197,7 +197,7 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
                 j = start + i
                 w[OX + i], w[OY + i], w[OZ + i] = three(origins[j], 0)
                 w[DX + i], w[DY + i], w[DZ + i] = three(directions[j], 0)
-            _wave(terms[0], box, w, state)
+            wave_hits(terms[0], box, w, state)
         for i in range(n):
             j = start + i
             if not live[j]:
@@ -212,9 +212,9 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
                 t, condition, hx, hy = w[DISTANCE + i], state[i], w[HX + i], w[HY + i]
             else:
                 if closed:
-                    t, condition = _conic(terms[0], box, o, d)
+                    t, condition = conic_hit(terms[0], box, o, d)
                 else:
-                    t, condition = _march(terms, tables, grid_bounds, box, slab, rim, o, d)
+                    t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
                 if condition == HIT:
                     _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
                     if not math.isfinite(hx):
@@ -227,6 +227,17 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
                     kind[j] = LOST
             elif condition == UNRESOLVED:
                 distance[j], kind[j] = 0.0, LOST
+
+
+@njit(cache=True, nogil=True)
+def settle(walls, points, on_wall):
+    """Put points that are on a compiled wall, to rounding, on it to the last digit."""
+    terms, tables = walls[0], walls[1]
+    for i in range(on_wall.size):
+        if on_wall[i]:
+            height = surface(terms, tables, points[i, 0], points[i, 1])[0]
+            if math.isfinite(height):
+                points[i, 2] = height
 
 
 @njit(cache=True, nogil=True)

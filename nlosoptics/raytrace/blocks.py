@@ -83,6 +83,7 @@ class Rays:
         kernels.start(
             self.around.world, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates
         )
+        self._settle(new)
         self._keep_ended(new, 0)
         return new
 
@@ -95,10 +96,12 @@ class Rays:
         np.greater(powers, 0.0, out=self.live)
         self.seen, self.further = np.zeros((2, self.n, kernels.VERTEX))
         kernels.look(*rays, powers, densities, self._hits(None), self.seen)
+        self._settle(self.seen)
         if self.around.plan.glossy:
             self._scatter(self.seen, surround.DRAW_EYE, True)
             hits = self._hits(self.seen)
             kernels.look_on(world, self.seen, self.leave, *rays, hits, self.further)
+            self._settle(self.further)
 
     def onward(self, light: Array, bounce: int) -> Array:
         """Vertices that the light of these goes to."""
@@ -123,6 +126,7 @@ class Rays:
             self.sums,
             self.fates,
         )
+        self._settle(new)
         self._keep_ended(new, bounce)
         return new
 
@@ -154,6 +158,13 @@ class Rays:
             self.live,
         )
 
+    def _settle(self, vertices: Array) -> None:
+        """Put vertices on a wall that sees itself to the last digit."""
+        if not self.around.plan.wall_to_wall:
+            return
+        on_wall = vertices[:, kernels.SURFACE] == surround.WALL
+        self.around.settle(vertices[:, kernels.P], on_wall)
+
     def _hits(self, left: Array | None) -> Any:
         """First hits of live rays, which leave the vertices ``left`` or come from elsewhere."""
         on_wall = np.zeros(self.n, dtype=bool)
@@ -165,7 +176,8 @@ class Rays:
 
     def _book(self, light: Array, eye: Array, bounce: int, seen: tuple[Array, ...]) -> None:
         """Add connections that nothing stands in the way of."""
-        self.around.clear(self.starts, self.ends, self.value, self.counts)
+        on_wall = light[:, kernels.SURFACE] == surround.WALL
+        self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
         kernels.book(
             light,
             eye,

@@ -95,7 +95,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     count = math.prod(shape)
     distance, status = np.empty(count), np.empty(count, dtype=np.int8)
     points, normals = np.empty((count, 3)), np.empty((count, 3))
-    curvature, box, slab, rim = _bounds(wall, terms, tables)
+    curvature, box, slab, rim = search_bounds(wall, terms, tables)
     bad = _kernels.intersect(
         terms,
         tables,
@@ -240,7 +240,7 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
     )
 
 
-def _bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
+def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
     """Limits of a search: curvature of gridded terms, box, height slab and rim."""
     margin = 0.999  # of a radius: at the rim itself the slope is infinite
     size = wall.size

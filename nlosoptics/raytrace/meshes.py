@@ -230,7 +230,7 @@ def _in_parts(
     ends = [count * k // max(pieces, 1) for k in range(pieces + 1)]
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     try:
-        return list(_pool().map(work, parts) if len(parts) > 1 else map(work, parts))
+        return list(worker_pool().map(work, parts) if len(parts) > 1 else map(work, parts))
     except NoRayError:
         _rays(origins, directions)  # names the first one
         raise
@@ -241,7 +241,8 @@ _threads: list[ThreadPoolExecutor] = []
 _built: dict[int, tuple[weakref.ref[Any], int, Facets]] = {}
 
 
-def _pool() -> ThreadPoolExecutor:
+def worker_pool() -> ThreadPoolExecutor:
+    """Threads for blocks of rays, as many as cores; made at the first need."""
     with _lock:
         if not _threads:
             cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2

@@ -41,8 +41,9 @@ class RayPaths:
     n_bounces : ndarray of int32, (n,)
         Reflections on the way.
     status : ndarray of int8, (n,)
-        0 detected; 1 escaped from the scene; 2 absorbed; 3 left when ``max_bounces`` was reached;
-        4 blocked by the lens: beside the detector, the field stop, or lost in the glass.
+        0 detected; 1 escaped from the scene; 2 absorbed, or not resolved; 3 left when
+        ``max_bounces`` was reached; 4 blocked by the lens: beside the detector, the
+        field stop, or lost in the glass.
     ledger : mapping of str to float
         Power by fate, W; the names are those of `STATUS`, absorption by surface. What cannot be
         resolved in float64 is ``unresolved``.

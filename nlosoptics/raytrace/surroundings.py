@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
 from ..scene._material import BECKMANN
-from .intersections import HIT, UNRESOLVED, _bounds, intersect
+from .intersections import HIT, UNRESOLVED, intersect, search_bounds
 from .meshes import intersect_mesh, occluded
 
 if TYPE_CHECKING:
@@ -102,20 +102,39 @@ def ray_plan(scene: Scene) -> RayPlan:
     -----
     No straight line joins two points of a flat or convex wall in front of it. A hollow sphere or
     cylinder sees itself, and as the room in front of it is a convex body, nothing of it stands
-    between two points there.
+    between two points there; its rim may hide what stands beside it.
     """
     wall = scene.wall
     convex = wall.is_flat or isinstance(wall, ConvexWall)
     closed = wall.is_flat or isinstance(wall, ConvexWall | ConcaveWall)
+    beside = isinstance(wall, ConcaveWall) and not _within_hollow(wall, scene)
     how = "python" if isinstance(wall, CallableWall) else "closed form" if closed else "march"
     lobes = np.concatenate([scene.wall_material._lobes(), scene.hidden.material._lobes()])
     return RayPlan(
         wall_hits=how,
         embree=bool(scene.occluders) or not isinstance(scene.hidden, PlanarObject),
         wall_to_wall=not convex,
-        wall_shadows=not closed,
+        wall_shadows=beside or not closed,
         glossy=bool((lobes[:, 0] >= BECKMANN).any()),
     )
+
+
+def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
+    """Whether lens and object are inside a hollow wall, continued upward from where it is widest.
+
+    That room is convex.
+    """
+    hidden, camera = scene.hidden, scene.camera
+    thing = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
+    points = np.concatenate([[camera.position], np.asarray(thing, dtype=np.float64)])
+    margin = np.zeros(len(points))
+    margin[0] = camera.stop_diameter / 2
+    if wall.shape == "sphere":
+        across = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2)
+    else:
+        across = np.abs(points[:, 0 if wall.axis == "y" else 1])
+    below = np.maximum(wall.radius - points[:, 2] + margin, 0.0)
+    return bool(((across + margin) ** 2 + below**2 < wall.radius**2).all())
 
 
 class Surroundings:
@@ -137,7 +156,7 @@ class Surroundings:
             terms, tables = (np.zeros((0, 8)), np.zeros(0))
             if not scene.wall.is_flat:
                 terms, tables = scene.wall._terms()
-            self._walls = (terms, tables, *_bounds(scene.wall, terms, tables))
+            self._walls = (terms, tables, *search_bounds(scene.wall, terms, tables))
         self._mesh, self._thing_faces = _triangles(scene)
         if self._mesh is not None:
             self._normals = np.array(self._mesh.face_normals, dtype=np.float64)
@@ -221,13 +240,35 @@ class Surroundings:
         distance[met], normal[met] = hits.distance[hits.hit], hits.normals[hits.hit]
         kind[met], kind[lost], distance[lost] = kernels.WALL, kernels.LOST, 0.0
 
-    def clear(self, starts: Array, ends: Array, value: Array, counts: Counter[str]) -> None:
+    def settle(self, points: Array, on_wall: NDArray[np.bool_]) -> None:
+        """Put points (n, 3) that are on the wall to rounding on it to the last digit.
+
+        A wall that sees itself would else be missed by rays that start a little behind it: rounding
+        is that of where a ray came from, and near the origin far more than that of the height.
+        """
+        from . import _surround_kernels as kernels
+
+        if self._walls is not None:
+            kernels.settle(self._walls, points, on_wall)
+        elif on_wall.any():
+            points[on_wall, 2] = self._wall.derivatives(*points[on_wall, :2].T)[:, 0]
+
+    def clear(
+        self,
+        starts: Array,
+        ends: Array,
+        on_wall: NDArray[np.bool_],
+        value: Array,
+        counts: Counter[str],
+    ) -> None:
         """Set to zero the values of connections that something stands in the way of.
 
         Parameters
         ----------
         starts, ends : ndarray, (n, 3)
             World, m.
+        on_wall : ndarray of bool, (n,)
+            Whether the start is on the wall.
         value : ndarray, (n,)
         counts : Counter
         """
@@ -244,7 +285,11 @@ class Surroundings:
             rows = rows[~hidden]
         if len(rows) and self.plan.wall_shadows:
             counts["wall shadow"] += len(rows)
-            value[rows[self._behind_wall(starts[rows], ends[rows])]] = 0.0
+            # from the end on the wall, as rays see it from its front alone
+            turned = ~on_wall[rows, None]
+            near = np.where(turned, ends[rows], starts[rows])
+            far = np.where(turned, starts[rows], ends[rows])
+            value[rows[self._behind_wall(near, far)]] = 0.0
 
     def _behind_wall(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
         """Whether the wall stands between two points, of which the ends may lie on it."""

@@ -16,7 +16,7 @@ from .._checks import fits_memory, in_range, one_of, positive, whole
 from .._random import checked_seed, scrambled_sobol
 from ..errors import SceneError
 from ..scene import Scene
-from .meshes import _pool
+from .meshes import worker_pool
 from .paths import RayPaths
 from .surroundings import GROUPS, Surroundings
 
@@ -79,7 +79,8 @@ def trace(
     Raises
     ------
     SceneError
-        If an option is out of range, or ``tol`` is wanted and no light can arrive or none did.
+        If an option is out of range, something is behind the wall, or ``tol`` is wanted and no
+        light can arrive or none did.
     MemoryLimitError
         If the paths to keep would not fit in memory.
 
@@ -119,9 +120,11 @@ def trace(
                 total += unit
             counts += asked
             kept += paths
-            if progress is not None and not open_end:
-                progress("rays", min(1.0, counts["rays"] / most))
-            if max_seconds is not None and time.perf_counter() - begun > max_seconds:
+            spent = time.perf_counter() - begun
+            if progress is not None and tol is None:
+                share = spent / max_seconds if max_seconds is not None else 0.0
+                progress("rays", min(1.0, max(share, counts["rays"] / most)))
+            if max_seconds is not None and spent > max_seconds:
                 stopped = "time"
                 break
         done = counts["rays"]
@@ -160,6 +163,7 @@ def job_of(
 
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
+    scene._check_in_front()
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     one_of("sampler", sampler, ("sobol", "philox"))
     seed = checked_seed(seed)
@@ -197,7 +201,7 @@ def in_blocks(
     if len(parts) == 1:
         yield work(job, *parts[0])
         return
-    pool, waiting = _pool(), []
+    pool, waiting = worker_pool(), []
     try:
         for part in parts:
             waiting.append(pool.submit(work, job, *part))

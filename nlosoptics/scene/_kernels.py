@@ -276,7 +276,7 @@ def evaluate(lobes, mu_i, mu_o, cos_between, out):
 
 
 @njit(cache=True)
-def _is_mirror(lobes, j):
+def is_mirror(lobes, j):
     """Whether a lobe is a delta function: microfacets without slope."""
     return (lobes[j, 0] == BECKMANN or lobes[j, 0] == GGX) and lobes[j, 2] == 0.0
 
@@ -285,7 +285,7 @@ def _is_mirror(lobes, j):
 def lobe_pdf(lobes, j, mu_i, mu_o, cos_between):
     """Density of `sample_lobe` per solid angle of the exitant, over the whole sphere, 1/sr."""
     kind, slope = int(lobes[j, 0]), lobes[j, 2]
-    if mu_i < 0.0 or _is_mirror(lobes, j):
+    if mu_i < 0.0 or is_mirror(lobes, j):
         return 0.0
     if kind < BECKMANN:
         return max(0.0, mu_o) / math.pi
@@ -378,7 +378,7 @@ def sample_lobe(lobes, j, ix, iy, iz, u, v):
         x, y, z = _cosine_weighted(u, v)
         f = lobe(lobes, j, iz, z, ix * x + iy * y + iz * z)
         return x, y, z, math.pi * f
-    if _is_mirror(lobes, j):
+    if is_mirror(lobes, j):
         return -ix, -iy, iz, strength
     alpha = lobes[j, 2]
     if kind in (BECKMANN, GGX):
@@ -403,7 +403,8 @@ def sample_lobe(lobes, j, ix, iy, iz, u, v):
 
 
 @njit(cache=True)
-def _total_strength(lobes):
+def total_strength(lobes):
+    """Sum of the lobes' strengths, by which they are drawn."""
     total = 0.0
     for j in range(lobes.shape[0]):
         total += lobes[j, 1] * lobes[j, 3]
@@ -413,7 +414,7 @@ def _total_strength(lobes):
 @njit(cache=True)
 def material_pdf(lobes, mu_i, mu_o, cos_between):
     """Density of `sample_material`, lobes drawn in proportion to strength; mirrors left out."""
-    total = _total_strength(lobes)
+    total = total_strength(lobes)
     if total <= 0.0:
         return lobe_pdf(lobes, 0, mu_i, mu_o, cos_between)
     density = 0.0
@@ -426,7 +427,7 @@ def material_pdf(lobes, mu_i, mu_o, cos_between):
 @njit(cache=True)
 def sample_material(lobes, ix, iy, iz, u, v, w):
     """Exitant (x, y, z) drawn from the sum of lobes, which ``w`` chooses, and its weight."""
-    total = _total_strength(lobes)
+    total = total_strength(lobes)
     if total <= 0.0:
         return sample_lobe(lobes, 0, ix, iy, iz, u, v)
     chosen, left = -1, w * total
@@ -438,7 +439,7 @@ def sample_material(lobes, ix, iy, iz, u, v, w):
     x, y, z, weight = sample_lobe(lobes, chosen, ix, iy, iz, u, v)
     if z <= 0.0 or iz < 0.0:
         return x, y, z, 0.0
-    if not _is_mirror(lobes, chosen):
+    if not is_mirror(lobes, chosen):
         between = ix * x + iy * y + iz * z
         density = material_pdf(lobes, iz, z, between)
         # one lobe alone, also where rounding took a narrow lobe's density away
