@@ -16,8 +16,6 @@ from numba import njit
 from .._random_kernels import draw
 from ..scene._kernels import is_mirror, lobe_pdf, material, sample_lobe, total_strength
 from ._surround_kernels import (
-    DRAW_LENS,
-    DRAW_PIXEL,
     LENS,
     LOST,
     NOTHING,
@@ -393,7 +391,7 @@ def look_on(world, old, leave, origins, directions, hits, new):
 
 
 @njit(cache=True)
-def _reflected(world, vertex, direction, cosine):
+def reflected(world, vertex, direction, cosine):
     """Lobes at a vertex toward a direction, mirrors left out, 1/sr."""
     kind = int(vertex[SURFACE])
     incident = three(vertex, 6)
@@ -403,7 +401,7 @@ def _reflected(world, vertex, direction, cosine):
 
 
 @njit(cache=True)
-def _next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
+def next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
     """Density per area with which `scatter` would go from a vertex to a target."""
     kind = int(vertex[SURFACE])
     n = three(vertex, 3)
@@ -417,7 +415,7 @@ def _next_density(world, vertex, incident, direction, cosine, target, target_cos
 
 
 @njit(cache=True)
-def _between(a, b):
+def between(a, b):
     """Unit vector from vertex a to b, squared distance, cosines at both."""
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     square = dot(d, d)
@@ -441,27 +439,27 @@ def connect(world, light, eye, seen, second, glossy, value, length, starts, ends
         a, b = light[i], eye[i]
         if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
             continue
-        d, square, cos_a, cos_b = _between(a, b)
+        d, square, cos_a, cos_b = between(a, b)
         if cos_a <= 0.0 or cos_b <= 0.0:
             continue
         back = (-d[0], -d[1], -d[2])
-        f = _reflected(world, a, d, cos_a) * _reflected(world, b, back, cos_b)
+        f = reflected(world, a, d, cos_a) * reflected(world, b, back, cos_b)
         if f <= 0.0:
             continue
         f *= a[POWER] * b[POWER] * cos_a * cos_b / square
         if glossy:
-            onward = _next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
+            onward = next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
             x = seen[i]
             if second:
                 if b[DENSITY] > 0.0:
                     # the first vertex seen, as the light's walk would find it
-                    to, r2, cos_1, cos_2 = _between(b, x)
-                    last = _next_density(world, b, back, to, cos_1, x, cos_2, r2, False)
+                    to, r2, cos_1, cos_2 = between(b, x)
+                    last = next_density(world, b, back, to, cos_1, x, cos_2, r2, False)
                     f /= 1.0 + onward / b[DENSITY] * (1.0 + last / x[DENSITY])
             else:
                 others = onward / b[DENSITY]
                 if a[DENSITY] > 0.0:
-                    upstream = _next_density(
+                    upstream = next_density(
                         world, b, three(b, 6), back, cos_b, a, cos_a, square, True
                     )
                     others += upstream / a[DENSITY]
@@ -492,7 +490,7 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
         seen = on_detector(camera, p, (-d[0], -d[1], -d[2]))
         if seen <= 0.0:
             continue
-        f = _reflected(world, a, d, cosine) * cosine * a[POWER] * area * -dot(d, axis) / square
+        f = reflected(world, a, d, cosine) * cosine * a[POWER] * area * -dot(d, axis) / square
         if f <= 0.0:
             continue
         if glossy and a[DENSITY] > 0.0:
@@ -500,8 +498,8 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
             ratio = here / a[DENSITY]
             b = before[i]
             if b[DENSITY] > 0.0:
-                to, r2, cos_a, cos_b = _between(a, b)
-                upstream = _next_density(world, a, d, to, cos_a, b, cos_b, r2, True)
+                to, r2, cos_a, cos_b = between(a, b)
+                upstream = next_density(world, a, d, to, cos_a, b, cos_b, r2, True)
                 ratio += ratio * upstream / b[DENSITY]
             f /= 1.0 + ratio
         value[i] = f
@@ -521,83 +519,3 @@ def book(light, eye, bounce, most, first, value, length, path_sums):
                 sums[most + 1 + LENGTHS] += value[i] * length[i]
             else:
                 sums[most + 1 + STRAY] += value[i]
-
-
-@njit(cache=True, nogil=True)
-def glow(world, sampler, first, power, new):
-    """Vertices on the object's front, in proportion to area times brightness, lit from above."""
-    for i in range(new.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        u = draw(sampler, group, index, ray, DRAW_PIXEL)
-        v = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
-        point, normal = object_point(world, u, v)
-        for k in range(3):
-            new[i, k], new[i, 3 + k], new[i, 6 + k] = point[k], normal[k], normal[k]
-        new[i, POWER], new[i, DENSITY], new[i, SURFACE], new[i, SCALE] = power, -1.0, OBJECT, 1.0
-        new[i, MET], new[i, BEFORE] = 1.0, NOTHING
-
-
-@njit(cache=True)
-def spots(sampler, first, corner, size, xy):
-    """Points (n, 2) evenly over the rectangle from ``corner`` on."""
-    for i in range(xy.shape[0]):
-        ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
-        for k in range(2):
-            u = draw(sampler, group, index, ray, DRAW_LENS + k)
-            xy[i, k] = corner[k] + u * size[k]
-
-
-@njit(cache=True, nogil=True)
-def to_wall(world, light, targets, value, starts, ends):
-    """Power that light vertices send to wall points, vertices with their DENSITY and 1/DENSITY.
-
-    Walks that arrive by themselves are the other strategy, by the balance heuristic.
-    """
-    for i in range(light.shape[0]):
-        value[i] = 0.0
-        a, b = light[i], targets[i]
-        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
-            continue
-        d, square, cos_a, cos_b = _between(a, b)
-        if cos_a <= 0.0 or cos_b <= 0.0:
-            continue
-        f = _reflected(world, a, d, cos_a) * a[POWER] * cos_a * cos_b / square
-        if f <= 0.0:
-            continue
-        walked = _next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
-        value[i] = f / (b[DENSITY] + walked)
-        for k in range(3):
-            starts[i, k], ends[i, k] = a[k], b[k]
-
-
-@njit(cache=True, nogil=True)
-def arrivals(vertices, evenly, power):
-    """Powers of walks that arrive at the wall, shared with `to_wall` of density ``evenly``.
-
-    That density is per mean-plane area, so that the wall's tilt takes part.
-    """
-    for i in range(vertices.shape[0]):
-        power[i] = 0.0
-        if vertices[i, SURFACE] == WALL:
-            power[i] = vertices[i, POWER]
-            if vertices[i, DENSITY] >= 0.0:
-                walked = vertices[i, DENSITY]
-                power[i] *= walked / (walked + evenly * vertices[i, 5])
-
-
-@njit(cache=True, nogil=True)
-def cells_of(points, power, first, corner, step, shape, cells, powers):
-    """Cells (group, row and column as one number) and powers of light at points; their number."""
-    count = 0
-    ny, nx = shape
-    for i in range(power.size):
-        if power[i] > 0.0:
-            column = int(math.floor((points[i, 0] - corner[0]) / step[0]))
-            row = int(math.floor((points[i, 1] - corner[1]) / step[1]))
-            if 0 <= column < nx and 0 <= row < ny:
-                cells[count] = ((first + i) % GROUPS * ny + row) * nx + column
-                powers[count] = power[i]
-                count += 1
-    return count

@@ -157,7 +157,9 @@ def _arrivals(
     grid: tuple[Array, Array, tuple[int, int]],
 ) -> tuple[NDArray[np.int64], Array]:
     """Cells and powers of the light of a block of rays, in the order of its reflections."""
+    from . import _arrival_kernels as arriving
     from . import _light_kernels as kernels
+    from . import _surround_kernels as surround
     from .blocks import Rays
 
     rays, n, around = Rays(job, first, end - first), end - first, job.around
@@ -167,9 +169,9 @@ def _arrivals(
         light = np.zeros((n, kernels.VERTEX))
         norm = around.world.norm
         if norm > 0.0:
-            kernels.glow(around.world, job.sampler, first, 1.0 / norm, light)
+            arriving.glow(around.world, job.sampler, first, 1.0 / norm, light)
         else:
-            light[:, kernels.SURFACE] = -1.0
+            light[:, kernels.SURFACE] = surround.NOTHING
     corner, step, shape = grid
     area = float(np.prod(step * shape[::-1]))
     targets = _targets(job, first, n, corner, step * shape[::-1])
@@ -177,26 +179,29 @@ def _arrivals(
 
     def collect(points: Array, power: Array) -> None:
         cells, powers = np.empty(n, dtype=np.int64), np.empty(n)
-        count = kernels.cells_of(points, power, first, *grid, cells, powers)
+        count = arriving.cells_of(points, power, first, *grid, cells, powers)
         found.append((cells[:count], powers[:count]))
 
     # one more step than reflections for a source that is no reflection itself
     for bounce in range(1, max_bounces + (1 if source == "laser" else 2)):
-        kernels.to_wall(around.world, light, targets, power, rays.starts, rays.ends)
-        around.clear(rays.starts, rays.ends, power, rays.counts)
+        arriving.to_wall(around.world, light, targets, power, rays.starts, rays.ends)
+        on_wall = light[:, kernels.SURFACE] == surround.WALL
+        around.clear(rays.starts, rays.ends, on_wall, power, rays.counts)
         collect(targets, power)
         light = rays.onward(light, bounce)
-        kernels.arrivals(light, 1.0 / area, power)
+        arriving.arrivals(light, 1.0 / area, power)
         collect(light, power)
     return np.concatenate([c for c, _ in found]), np.concatenate([p for _, p in found])
 
 
 def _targets(job: Job, first: int, n: int, corner: Array, size: Array) -> Array:
     """Points of the wall, one for each ray, as vertices that are evenly spread in x and y."""
+    from . import _arrival_kernels as arriving
     from . import _light_kernels as kernels
+    from . import _surround_kernels as surround
 
     wall, xy = job.scene.wall, np.empty((n, 2))
-    kernels.spots(job.sampler, first, corner, size, xy)
+    arriving.spots(job.sampler, first, corner, size, xy)
     targets = np.zeros((n, kernels.VERTEX))
     targets[:, :2] = xy
     targets[:, 5] = 1.0
@@ -205,6 +210,6 @@ def _targets(job: Job, first: int, n: int, corner: Array, size: Array) -> Array:
         targets[:, 2] = wall.height(xy[:, 0], xy[:, 1])
         targets[:, kernels.N] = wall.normal(xy[:, 0], xy[:, 1])
         on &= np.isfinite(targets[:, :6]).all(axis=1)
-    targets[:, kernels.SURFACE] = np.where(on, 0.0, -1.0)
+    targets[:, kernels.SURFACE] = np.where(on, surround.WALL, surround.NOTHING)
     targets[:, kernels.DENSITY] = targets[:, 5] / float(size.prod())
     return targets
