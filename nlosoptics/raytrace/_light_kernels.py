@@ -16,6 +16,7 @@ from numba import njit
 from .._random_kernels import draw
 from ..scene._kernels import is_mirror, lobe_pdf, material, sample_lobe, total_strength
 from ._surround_kernels import (
+    DRAW_THIN,
     LENS,
     LOST,
     NOTHING,
@@ -231,6 +232,19 @@ def _end(old, new, origin, direction, distance, power):
     for k in range(3):
         new[k] = origin[k] + t * direction[k]
     new[POWER], new[LENGTH], new[MET] = power, old[LENGTH] + t, old[MET]
+
+
+@njit(cache=True, nogil=True)
+def thin(sampler, first, share, vertices):
+    """Leave a share of the vertices, at random, with the power of all."""
+    for i in range(vertices.shape[0]):
+        if vertices[i, SURFACE] >= 0.0:
+            ray = first + i
+            group, index = ray % GROUPS, ray // GROUPS
+            if draw(sampler, group, index, ray, DRAW_THIN) < share:
+                vertices[i, POWER] /= share
+            else:
+                vertices[i, SURFACE] = NOTHING
 
 
 @njit(cache=True, nogil=True)

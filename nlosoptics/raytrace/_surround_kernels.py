@@ -36,6 +36,7 @@ NOTHING, WALL, OBJECT, OCCLUDER, LENS, BACK, LOST = range(-1, 6)
 # numbers of a ray's draws; those that the detected light depends on most come first
 DRAW_PIXEL, DRAW_FIRST, DRAW_LENS, DRAW_BEAM, DRAW_EYE, DRAW_NEXT = 0, 2, 6, 8, 10, 14
 DRAWS_A_BOUNCE = 5
+DRAW_THIN = 1000  # beyond all bounces
 
 
 class World(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from .paths import DETECTED
 from .surroundings import GROUPS, UNIT, Surroundings
 
 Array = NDArray[np.float64]
+LEDGER: Final = 0.25  # share of the rays that are followed for the ledger alone
 #: Points, lengths, powers, reflections and status of paths.
 Kept = tuple[Array, Array, Array, NDArray[np.int32], NDArray[np.int8]]
 #: Sums of units and groups, counted queries and kept paths of a block.
@@ -47,12 +48,16 @@ def traced(job: Job, first: int, end: int) -> Traced:
         block.look()
     before = np.zeros_like(light)
     before[:, kernels.DENSITY] = -1.0
+    # without gloss, later vertices send nothing to the detector and serve the ledger alone
+    last_seen = 0 if job.around.plan.glossy else max(1, job.max_bounces - 1)
     for bounce in range(1, job.max_bounces + 1):
         block.walked.append(light[:, kernels.P])
         if not (light[:, kernels.SURFACE] >= 0.0).any():
             break
         if not job.analog:
             block.detect(light, before, bounce)
+            if bounce == last_seen:
+                kernels.thin(job.sampler, first, LEDGER, light)
         before, light = light, block.onward(light, bounce)
     units = block.sums.reshape(-1, GROUPS, job.columns)
     return units, block.counts, block.kept
