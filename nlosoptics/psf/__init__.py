@@ -1,23 +1,30 @@
 """From the wave in the exit pupil to the point spread function, and its metrics.
 
 - `pupils`, `aiming`, `aberration`: exit pupil, rays by the wall and wave of a scene.
-- `slopes`, `facet_waves`: the wave of given slopes, and of a wall of random facets.
+- `slopes`, `facet_waves`: the wave of given slopes, and of a wall of random facets; how the pupil
+  sees the wall.
 - `ray_waves`, `tessellation`: the wave of traced rays, and the area of each.
 - `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
 - `quadrature`, `fft`, `mdft`, `airy`: one transform each; `pupil_grids`, `rims`, `separable`,
   `pixels` and `windows` serve them, `estimates` bounds their errors.
 - `point_spreads`: `point_spread`, which picks among them.
+- `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
+- `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
+  that of one drawn at random.
 - `metrics`: Strehl ratio, encircled energy, MTF, widths, Zernike fit.
 """
 
 from .aberration import path_difference, wall_aberration, wavefront
-from .facet_waves import facet_reach, facet_wavefront, pupil_slopes
+from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
 from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
+from .rough_means import RoughPointSpread, mean_point_spread
+from .rough_samples import sample_point_spread
+from .roughness import Roughness
 from .slopes import integrated_slopes, wavefront_from_slopes
 from .wavefronts import Removed, Wavefront
 from .windows import window_shape
@@ -27,6 +34,9 @@ __all__ = [
     "ExitPupil",
     "PointSpread",
     "Removed",
+    "RoughPointSpread",
+    "Roughness",
+    "WallView",
     "Wavefront",
     "encircled_energy",
     "exit_pupil",
@@ -36,14 +46,17 @@ __all__ = [
     "fwhm",
     "grid_nodes",
     "integrated_slopes",
+    "mean_point_spread",
     "mtf",
     "path_difference",
     "point_spread",
     "polar_nodes",
     "pupil_slopes",
     "rms_aberration",
+    "sample_point_spread",
     "strehl",
     "wall_aberration",
+    "wall_view",
     "wavefront",
     "wavefront_from_rays",
     "wavefront_from_slopes",
