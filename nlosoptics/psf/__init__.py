@@ -1,7 +1,8 @@
 """From the wave in the exit pupil to the point spread function, and its metrics.
 
 - `pupils`, `aiming`, `aberration`: exit pupil, rays by the wall and wave of a scene.
-- `slopes`, `facet_waves`: the wave of given slopes, and of a wall of random facets.
+- `slopes`, `facet_waves`: the wave of given slopes, and of a wall of random facets; how the pupil
+  sees the wall.
 - `ray_waves`, `tessellation`: the wave of traced rays, and the area of each.
 - `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
@@ -9,19 +10,25 @@
   `pixels` and `windows` serve them, `estimates` bounds their errors.
 - `point_spreads`: `point_spread`, which picks among them; `bands` and `fields` take it over
   wavelengths and over the object.
+- `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
+- `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
+  that of one drawn at random.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit.
 """
 
 from .aberration import path_difference, wall_aberration, wavefront
 from .bands import band_point_spread, gaussian_band
-from .facet_waves import facet_reach, facet_wavefront, pupil_slopes
+from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
 from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
+from .rough_means import RoughPointSpread, mean_point_spread
+from .rough_samples import sample_point_spread
+from .roughness import Roughness
 from .slopes import integrated_slopes, wavefront_from_slopes
 from .spots import centroid, ensquared_energy, peak_strehl, ptf, spot_radius
 from .wavefronts import Removed, Wavefront
@@ -33,6 +40,9 @@ __all__ = [
     "PointSpread",
     "PointSpreadField",
     "Removed",
+    "RoughPointSpread",
+    "Roughness",
+    "WallView",
     "Wavefront",
     "band_point_spread",
     "centroid",
@@ -47,6 +57,7 @@ __all__ = [
     "grid_nodes",
     "integrated_slopes",
     "isoplanatic_radius",
+    "mean_point_spread",
     "mtf",
     "path_difference",
     "peak_strehl",
@@ -56,9 +67,11 @@ __all__ = [
     "ptf",
     "pupil_slopes",
     "rms_aberration",
+    "sample_point_spread",
     "spot_radius",
     "strehl",
     "wall_aberration",
+    "wall_view",
     "wavefront",
     "wavefront_from_rays",
     "wavefront_from_slopes",

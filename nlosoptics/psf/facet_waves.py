@@ -20,6 +20,27 @@ from .wavefronts import Wavefront
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WallView:
+    """How the exit pupil sees the wall about the chief ray, in first order.
+
+    Parameters
+    ----------
+    footprint : ndarray, (2, 2)
+        M, which takes a step (du, dv) in the exit pupil to the step of the point that it sees in
+        the wall's tangent plane.
+    cos_sum : float
+        Sum of the cosines of incidence and exitance.
+    effective_distance : ndarray, (2, 2)
+        m: inverse of the path's second derivatives over the wall; ``d1 d2/(d1 + d2)`` times the
+        unit matrix at normal incidence on a flat wall.
+    """
+
+    footprint: Array
+    cos_sum: float
+    effective_distance: Array
+
+
 @dataclass(frozen=True, eq=False)
 class _Chief:
     """First-order optics of a wall at the points that pupil nodes see.
@@ -141,6 +162,34 @@ def facet_reach(scene: Scene, *, slope_rms: float) -> tuple[float, float]:
     throw = chief.cosines[0] * np.linalg.norm(np.linalg.inv(chief.bend[0]), 2)
     narrow = np.linalg.norm(chief.footprint[0], -2)
     return float(slope_rms * throw), float(narrow * exit_pupil(scene).entrance_radius)
+
+
+def wall_view(scene: Scene) -> WallView:
+    """How the exit pupil of a scene sees the wall about the chief ray.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Returns
+    -------
+    WallView
+
+    Raises
+    ------
+    CausticError
+        If the mean wall's W is undefined.
+
+    Notes
+    -----
+    M is that of `pupil_slopes`, with the exit pupil's magnification taken out.
+    """
+    chief = _optics(scene, np.zeros((1, 2)))
+    return WallView(
+        footprint=chief.footprint[0] / _zoom(scene),
+        cos_sum=float(chief.cosines[0]),
+        effective_distance=np.linalg.inv(chief.bend[0]),
+    )
 
 
 def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: ArrayLike) -> Array:

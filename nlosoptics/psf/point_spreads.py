@@ -110,10 +110,7 @@ class _Task:
     @property
     def level(self) -> float:
         """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
-        wave = self.residual.wavefront
-        energy = float(np.sum(wave.amplitude**2 * wave.weights))
-        area = (self.pitch * self.residual.amplitude_sum) ** 2
-        return area / (energy * (wave.wavelength * wave.image_distance) ** 2)
+        return self.residual.pixel_share(self.pitch)
 
     def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
         pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit

@@ -101,6 +101,13 @@ class Residual:
         wave = self.wavefront
         return wave.wavelength * abs(wave.image_distance) / (4 * self.half_width)
 
+    def pixel_share(self, pitch: float) -> float:
+        """Share of the light through the pupil in a pixel whose mean is the ideal peak."""
+        wave = self.wavefront
+        energy = float(np.sum(wave.amplitude**2 * wave.weights))
+        area = (pitch * self.amplitude_sum) ** 2
+        return area / (energy * (wave.wavelength * wave.image_distance) ** 2)
+
     @property
     def is_uniform(self) -> bool:
         """Whether the amplitude is the same at every node."""

@@ -1,0 +1,232 @@
+"""Point spread of one rough wall drawn at random: a static speckle pattern."""
+
+from __future__ import annotations
+
+import math
+from itertools import islice
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import one_of, whole
+from ..errors import SamplingError
+from ..scene import Scene
+from . import estimates, mdft
+from .pixels import PixelRule, pixel_rule
+from .point_spreads import NORMALISATIONS, Normalisation, PointSpread
+from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
+from .residuals import Residual, split
+from .rough_means import image_sampling
+from .rough_views import RoughView, rough_view
+from .roughness import Roughness
+from .screens import screens, throw, widest_pitch
+from .wavefronts import Wavefront
+from .windows import Window, check_rays
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Propagation = Literal["fresnel", "geometric"]
+
+#: Largest turn of a screen's waves on their way that geometry may leave out, rad.
+LARGEST_TURN: Final = 0.1
+#: Fewest cells across the pupil when a polar wave is put on a grid.
+LEAST_CELLS: Final = 256
+
+
+def sample_point_spread(
+    source: Wavefront | Scene,
+    roughness: Roughness,
+    *,
+    seed: int,
+    independent_patterns: int = 1,
+    footprint: ArrayLike | None = None,
+    cos_sum: float | None = None,
+    effective_distance: ArrayLike | None = None,
+    propagation: Propagation = "fresnel",
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+    normalisation: Normalisation = "unit-sum",
+    pixel_integrated: bool = False,
+) -> PointSpread:
+    """Point spread of a rough wall drawn at random.
+
+    Parameters
+    ----------
+    source : Wavefront or Scene
+        The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
+    roughness : Roughness
+    seed : int
+        The same seed and sampling give the same wall.
+    independent_patterns : int
+        Walls whose patterns are averaged; the first is that of a single one.
+    footprint, cos_sum
+        As of `mean_point_spread`.
+    effective_distance : float or array_like (2, 2), optional
+        m, ``d1 d2/(d1 + d2)`` at normal incidence; as of `WallView`. Needed with a wavefront.
+    propagation : {"fresnel", "geometric"}
+        How the wall's phase comes to the pupil: as a wave; or as it is, along rays, where that is
+        the same: the aberration then is ``-(cos_i + cos_o) h``.
+    pitch, shape, normalisation, pixel_integrated
+        As of `mean_point_spread`; 1 is what the smooth wall sends, about which walls scatter.
+
+    Returns
+    -------
+    PointSpread
+        The mean over seeds is that of `mean_point_spread`.
+
+    Raises
+    ------
+    SceneError
+        If geometry is missing, or given with a scene; or C is not that of a surface.
+    SamplingError
+        If a grid wavefront is too coarse for the screen or its halo, or geometry does not hold.
+    MemoryLimitError
+        If the screen that the pupil needs does not fit.
+
+    Notes
+    -----
+    A thin screen of Gaussian heights on the tangent plane at the chief ray, its curvature and
+    obliquity in M and the effective distance. Drawn on the pupil's lattice as seen on the wall,
+    ``w = M p``, so that nothing is interpolated; see `screens.screens`. A ripple of period L comes
+    to the pupil as phase times cos(q) and amplitude times sin(q), q = pi lambda d_eff/L^2 [1]_.
+
+    References
+    ----------
+    .. [1] Goodman, Speckle Phenomena in Optics, 2nd ed., ch. 4.
+    """
+    one_of("normalisation", normalisation, NORMALISATIONS)
+    one_of("propagation", propagation, ("fresnel", "geometric"))
+    patterns = whole("independent_patterns", independent_patterns)
+    seed = whole("seed", seed, 0, 2**64 - 1)
+    wave, view = rough_view(source, roughness, footprint, cos_sum, effective_distance)
+    residual = split(wave)
+    pitch, shape = image_sampling(residual, view, pitch, shape)
+    if not pixel_integrated and pitch > residual.nyquist_pitch * (1 + 1e-9):
+        raise SamplingError(
+            f"pitch = {pitch:.3g} m is wider than Nyquist's {residual.nyquist_pitch:.3g} m, which "
+            "loses speckles; use pixel_integrated=True"
+        )
+    check_rays(residual, pitch, shape)
+    rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape)) if pixel_integrated else None
+    window = Window.centred(pitch, shape)
+    samples = window if rule is None else rule.window(pitch, shape)
+    grid = _pupil(residual, view, samples)
+    mean, spill = _patterns(
+        residual, view, grid, samples, rule, seed=seed, patterns=patterns, propagation=propagation
+    )
+    level = residual.pixel_share(pitch)
+    scale = {"unit-sum": level, "flux": level * wave.flux, "ideal-peak": 1.0}[normalisation]
+    return PointSpread(
+        intensity=mean * scale,
+        pitch=pitch,
+        method=f"{propagation} screen + mdft",
+        error_estimate=_error(residual, grid, window, mean, spill, pixel_integrated),
+        normalisation=normalisation,
+        wavelength=wave.wavelength,
+        f_number=wave.f_number,
+        pixel_integrated=pixel_integrated,
+        enclosed_energy=float(mean.sum()) * level,
+    )
+
+
+def _pupil(residual: Residual, view: RoughView, samples: Window) -> PupilGrid:
+    """Smooth pupil function on a grid that the screen, its halo and the window allow."""
+    wave = residual.wavefront
+    halo = view.halo(wave)
+    far = max(samples.reach_from(residual.shift)) + residual.rays.reach + halo
+    finest = widest_pitch(view)
+    scale = wave.wavelength * abs(wave.image_distance)
+    if wave.layout == "polar":
+        # a third of the period keeps the softened rim's leak off the window, see `rims`
+        pitch = min(finest, scale / (3 * far), 2 * wave.pupil_radius / LEAST_CELLS)
+        return pupil_grid_from_polar(residual, pitch)
+    n = wave.u.shape[0]
+    if wave.pupil_pitch > finest * (1 + 1e-9):
+        raise SamplingError(
+            f"the pupil's pitch is {wave.pupil_pitch:.3g} m, limit {finest:.3g} m for a wall of "
+            f"Rayleigh parameter {view.rayleigh_parameter:.3g}; use "
+            f"{math.ceil(n * wave.pupil_pitch / finest) + 1} or more pupil samples (now {n}), or "
+            "polar nodes"
+        )
+    if far > scale / wave.pupil_pitch:
+        need = math.ceil(n * far * wave.pupil_pitch / scale) + 1
+        raise SamplingError(
+            f"the pupil samples repeat the image every {scale / wave.pupil_pitch:.3g} m, and "
+            f"window and halo need {far:.3g} m; use {need} or more pupil samples (now {n}), a "
+            "smaller shape, or polar nodes"
+        )
+    return pupil_grid(residual)
+
+
+def _patterns(
+    residual: Residual,
+    view: RoughView,
+    grid: PupilGrid,
+    samples: Window,
+    rule: PixelRule | None,
+    *,
+    seed: int,
+    patterns: int,
+    propagation: str,
+) -> tuple[Array, float]:
+    """Mean of the patterns, 1 at the ideal peak, and the light beyond the lattice's band."""
+    if view.rayleigh_parameter == 0:
+        return mdft.intensity_in(residual, grid, samples, rule), 0.0
+    wave, n = residual.wavefront, grid.values.shape[0]
+    angle = view.halo(wave) / abs(wave.image_distance)
+    turn = math.pi / wave.wavelength * throw(view, angle) * angle
+    reach = throw(view, angle)
+    if propagation == "geometric":
+        if turn > LARGEST_TURN:
+            shortest = wave.wavelength / angle
+            raise SamplingError(
+                f"waves of the screen down to {shortest:.3g} m in the pupil turn by q = "
+                f"{turn:.3g} on their way to it, limit {LARGEST_TURN} for geometry; use "
+                "propagation='fresnel'"
+            )
+        reach = 0.0
+    walls = screens(view, n, grid.pitch, wave.wavelength, reach)
+    fields = islice(walls.draw(seed), patterns)
+    first = next(fields)
+
+    def pattern(field: ComplexArray) -> Array:
+        seen = PupilGrid(grid.values * field[:n, :n], grid.pitch, grid.jump, grid.rim)
+        return mdft.intensity_in(residual, seen, samples, rule)
+
+    total = pattern(first)
+    for field in fields:
+        total += pattern(field)
+    return total / patterns, _spill(first)
+
+
+def _spill(field: ComplexArray) -> float:
+    """Light of a screen beyond its lattice's band: ten times that in the band's last tenth.
+
+    So it is for the slowest decay, of an exponential C; others fall faster.
+    """
+    spectrum = np.abs(np.fft.fft2(field)) ** 2
+    frequency = np.abs(np.fft.fftfreq(field.shape[0]))
+    last = frequency > 0.45
+    share = spectrum[last].sum() + spectrum[~last][:, last].sum()
+    return float(10 * share / spectrum.sum())
+
+
+def _error(
+    residual: Residual,
+    grid: PupilGrid,
+    window: Window,
+    mean: Array,
+    spill: float,
+    pixel_integrated: bool,
+) -> float:
+    """Expected error relative to the peak, of the rim's sampling and of light that is folded."""
+    wave = residual.wavefront
+    rim, energy = estimates.edge_errors(residual, grid, window.x, window.y)
+    # the screen spreads the rim's error over the window, and what is folded over the period
+    period = wave.wavelength * abs(wave.image_distance) / grid.pitch
+    folded = spill / residual.pixel_share(period)
+    field = math.sqrt(float(np.mean(rim**2)) * 9 + 9 * folded) + residual.truncation
+    level = residual.pixel_share(window.pitch)
+    pixel = window.pitch / residual.airy_unit if pixel_integrated else 0.0
+    return estimates.intensity_error(mean, field, energy + spill, pixel=pixel, level=level)
