@@ -5,14 +5,18 @@
 - `ray_waves`, `tessellation`: the wave of traced rays, and the area of each.
 - `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
-- `quadrature`, `fft`, `mdft`, `airy`: one transform each; `pupil_grids`, `rims`, `separable`,
-  `pixels` and `windows` serve them, `estimates` bounds their errors.
-- `point_spreads`: `point_spread`, which picks among them.
+- `quadrature`, `fft`, `mdft`, `nufft`, `airy`, `geometric`, `huygens`: one transform each;
+  `pupil_grids`, `rims`, `separable`, `local_fits`, `pixels` and `windows` serve them, `estimates`
+  bounds their errors.
+- `methods`: runs one or picks among them; `point_spreads`: `point_spread`; `comparisons`: all of
+  them side by side.
 - `metrics`: Strehl ratio, encircled energy, MTF, widths, Zernike fit.
 """
 
 from .aberration import path_difference, wall_aberration, wavefront
+from .comparisons import Comparison, ComparisonRow, compare
 from .facet_waves import facet_reach, facet_wavefront, pupil_slopes
+from .huygens import SurfacePointSpread, huygens_point_spread
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
@@ -24,10 +28,14 @@ from .windows import window_shape
 from .zernikes import zernike, zernike_order
 
 __all__ = [
+    "Comparison",
+    "ComparisonRow",
     "ExitPupil",
     "PointSpread",
     "Removed",
+    "SurfacePointSpread",
     "Wavefront",
+    "compare",
     "encircled_energy",
     "exit_pupil",
     "facet_reach",
@@ -35,6 +43,7 @@ __all__ = [
     "fit_zernike",
     "fwhm",
     "grid_nodes",
+    "huygens_point_spread",
     "integrated_slopes",
     "mtf",
     "path_difference",
