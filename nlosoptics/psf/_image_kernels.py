@@ -8,27 +8,32 @@ from numba import njit, prange
 
 
 @njit(cache=True, parallel=True)
-def huygens_field(points, u, v, path, size, distance, wavenumber, out):
+def huygens_field(points, u, v, w, path, size, distance, wavenumber, curved, out):
     """Fill ``out`` (n, 2) with the real and imaginary field at points (n, 3), m.
 
-    Each node sends ``size exp(ik path)`` as a spherical wave whose phase is counted from the
-    point (0, 0, distance), with the obliquity |z|/r and the amplitude 1/r. Every point adds its
-    nodes in order, so that the sums do not depend on the threads.
+    Each node (u, v, w) sends ``size exp(ik path)`` as a spherical wave of amplitude 1/r whose
+    phase is counted from the point (0, 0, distance). Every point adds its nodes in order, so that
+    the sums do not depend on the threads.
     """
     side = math.copysign(1.0, distance)
     for i in prange(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        along = (z - distance) * (z + distance)
         real = imaginary = 0.0
         for j in range(u.shape[0]):
-            a, b = x - u[j], y - v[j]
-            square = a * a + b * b + z * z
-            r = math.sqrt(square)
-            c = math.sqrt(u[j] * u[j] + v[j] * v[j] + distance * distance)
+            a, b, e = x - u[j], y - v[j], z - w[j]
+            r = math.sqrt(a * a + b * b + e * e)
+            f = distance - w[j]
+            c = math.sqrt(u[j] * u[j] + v[j] * v[j] + f * f)
             # r - c as (r^2 - c^2)/(r + c), the squares' common part left out
+            along = (z - distance) * (e + f)
             longer = (x * (x - 2.0 * u[j]) + y * (y - 2.0 * v[j]) + along) / (r + c)
             phase = wavenumber * (path[j] + side * longer)
-            strength = size[j] * abs(z) / square
+            # obliquity: about the axis on the plane, toward the reference point on the sphere
+            strength = size[j] / r
+            if curved:
+                strength *= abs(e * f - a * u[j] - b * v[j]) / (r * c)
+            else:
+                strength *= abs(e) / r
             real += strength * math.cos(phase)
             imaginary += strength * math.sin(phase)
         out[i, 0], out[i, 1] = real, imaginary

@@ -35,7 +35,11 @@ MOST_RAYS: Final = 4_000_000
 
 @dataclass(frozen=True, eq=False)
 class _Boxes:
-    """Where light lands: centres, widths and blur, m, and energy; all (n,)."""
+    """Where light lands, all (n,): centres and widths, m, and energy.
+
+    ``blur`` (2, 2, n) holds the two directions in which diffraction spreads it, each as (x, y) of
+    the full width, m.
+    """
 
     x: Array
     y: Array
@@ -43,6 +47,22 @@ class _Boxes:
     width_y: Array
     blur: Array
     energy: Array
+
+    def spread(self) -> Iterator[_Boxes]:
+        """Nine parts of every box, beside each other over the widths of the blur."""
+        part_x, part_y = np.hypot(*self.blur[:, 0]) / 3, np.hypot(*self.blur[:, 1]) / 3
+        width_x, width_y = np.hypot(self.width_x, part_x), np.hypot(self.width_y, part_y)
+        for a in (-1, 0, 1):
+            for b in (-1, 0, 1):
+                step_x, step_y = (a * self.blur[0] + b * self.blur[1]) / 3
+                yield _Boxes(
+                    self.x + step_x,
+                    self.y + step_y,
+                    width_x,
+                    width_y,
+                    self.blur,
+                    self.energy / 9,
+                )
 
 
 def least_error(residual: Residual, pitch: float) -> float:
@@ -75,34 +95,51 @@ def density(residual: Residual, window: Window) -> tuple[Array, float]:
     ``sqrt(lambda d^2 W'')``, and any edge over lambda N. Where a rim focuses, as in the middle of
     a symmetric spot, it adds up to about ``lambda N/pitch`` to a pixel.
     """
-    from . import _image_kernels
-
     sharp, soft = np.zeros(window.shape), np.zeros(window.shape)
-    left = window.first[0] - window.pitch / 2 - residual.shift[0]
-    low = window.first[1] - window.pitch / 2 - residual.shift[1]
-    polar = residual.wavefront.layout == "polar"
-    for boxes in _polar_boxes(residual, window) if polar else _local_boxes(residual, window):
-        x, y = (boxes.x - left) / window.pitch, (boxes.y - low) / window.pitch
-        wx, wy, blur = (a / window.pitch for a in (boxes.width_x, boxes.width_y, boxes.blur))
-        _image_kernels.splat(x, y, wx, wy, boxes.energy, sharp)
-        # the boxes' own width once more stands for the error of their shape
-        wide_x, wide_y = np.sqrt(2 * wx**2 + blur**2), np.sqrt(2 * wy**2 + blur**2)
-        _image_kernels.splat(x, y, wide_x, wide_y, boxes.energy, soft)
+    # half as many rays for the soft one, so that their number shows too
+    for boxes in _boxes(residual, window, 1.0):
+        _splat(boxes, residual, window, sharp)
+    for boxes in _boxes(residual, window, 0.5):
+        for part in boxes.spread():
+            _splat(part, residual, window, soft)
     change = float(np.abs(sharp - soft).max() / sharp.max())
     return sharp, SAFETY * change + least_error(residual, window.pitch)
 
 
-def _ray_counts(residual: Residual, window: Window) -> tuple[int, int]:
+def _splat(boxes: _Boxes, residual: Residual, window: Window, out: Array) -> None:
+    from . import _image_kernels
+
+    pitch = window.pitch
+    left = window.first[0] - pitch / 2 - residual.shift[0]
+    low = window.first[1] - pitch / 2 - residual.shift[1]
+    _image_kernels.splat(
+        (boxes.x - left) / pitch,
+        (boxes.y - low) / pitch,
+        boxes.width_x / pitch,
+        boxes.width_y / pitch,
+        boxes.energy,
+        out,
+    )
+
+
+def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
+    """Boxes of all rays, or of a share of them along each side."""
+    if residual.wavefront.layout == "polar":
+        return _polar_boxes(residual, window, share)
+    return _local_boxes(residual, window, share)
+
+
+def _ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:
     """Rings and spokes whose rays land about a quarter of a pixel apart."""
     n_r = 4 * residual.rays.reach / window.pitch + 64
-    n_r = max(residual.series.n_r, min(math.ceil(n_r), MOST_RADII))
+    n_r = max(residual.series.n_r, math.ceil(share * min(n_r, MOST_RADII)))
     return n_r, max(residual.series.n_theta, 4 * n_r)
 
 
-def _polar_boxes(residual: Residual, window: Window) -> Iterator[_Boxes]:
+def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
     """Cells of a fine polar mesh."""
     wave = residual.wavefront
-    n_r, n_theta = _ray_counts(residual, window)
+    n_r, n_theta = _ray_counts(residual, window, share)
     fits_memory(f"{n_r} x {n_theta} rays", 250.0 * n_r * n_theta, "use a wider pitch")
     rays = residual.traced(n_r, n_theta)
     fraction, weights = gauss_legendre(n_r)
@@ -118,20 +155,26 @@ def _polar_boxes(residual: Residual, window: Window) -> Iterator[_Boxes]:
         for a in (rays.x, rays.y)
     ]
     width_x, width_y = (np.hypot(a * ring, b * arc) for a, b in zip(over_r, over_arc, strict=True))
-    d = abs(wave.image_distance)
-    bend = np.sqrt(sum(a**2 for a in (*over_r, *over_arc))) / d
-    doubt = d * residual.series.truncation() * residual.series.n_r / wave.pupil_radius
+    angle = 2 * math.pi * np.arange(n_theta) / n_theta
+    c, t = np.cos(angle), np.sin(angle)
+    d = wave.image_distance
+    uu, uv, vv = (
+        (c * over_r[0] - t * over_arc[0]) / d,
+        (t * over_r[0] + c * over_arc[0]) / d,
+        (t * over_r[1] + c * over_arc[1]) / d,
+    )
+    doubt = abs(d) * residual.series.truncation() * residual.series.n_r / wave.pupil_radius
     yield _Boxes(
         rays.x[:-1].ravel(),
         rays.y[:-1].ravel(),
         width_x.ravel(),
         width_y.ravel(),
-        _blur(residual, bend, doubt).ravel(),
+        _blur(residual, uu.ravel(), uv.ravel(), vv.ravel(), doubt),
         rays.energy[:-1].ravel(),
     )
 
 
-def _local_boxes(residual: Residual, window: Window) -> Iterator[_Boxes]:
+def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
     """Square cells about the nodes of a grid or of scattered nodes, divided as pixels need."""
     wave, fits = residual.wavefront, residual.local
     weights = wave.weights.ravel()[fits.indices]
@@ -142,10 +185,10 @@ def _local_boxes(residual: Residual, window: Window) -> Iterator[_Boxes]:
     uu, uv, vv = fits.bends.T
     wide = side * np.hypot(uu, uv), side * np.hypot(uv, vv)
     most = math.isqrt(max(1, MOST_RAYS // len(side)))
-    cells = min(most, math.ceil(2 * abs(d) * float(max(w.max() for w in wide)) / window.pitch))
-    cells = max(cells, 1)
+    cells = 2 * abs(d) * float(max(w.max() for w in wide)) / window.pitch
+    cells = max(math.ceil(share * min(most, math.ceil(cells))), 1)
     doubt = abs(d) * fits.misfit / side.clip(min=1e-12 * wave.pupil_radius)
-    blur = _blur(residual, np.sqrt(uu**2 + 2 * uv**2 + vv**2), doubt)
+    blur = _blur(residual, uu, uv, vv, doubt)
     steps = (np.arange(cells) + 0.5) / cells - 0.5
     for a in steps:
         for b in steps:
@@ -166,8 +209,20 @@ def _slopes(fits: LocalFits, x: Array, y: Array) -> tuple[Array, Array]:
     )
 
 
-def _blur(residual: Residual, bend: Array, doubt: Array | float) -> Array:
-    """Width of diffraction and of what is not known of the slopes, m."""
+def _blur(residual: Residual, uu: Array, uv: Array, vv: Array, doubt: Array | float) -> Array:
+    """Widths of diffraction and of what is not known of the slopes, (2, 2, n), m.
+
+    Along the two axes of the wave's curvature (uu, uv, vv), 1/m.
+    """
     wave = residual.wavefront
-    fresnel = FRESNEL**2 * wave.wavelength * wave.image_distance**2 * bend
-    return np.asarray(np.sqrt(fresnel + (AIRY * residual.airy_unit) ** 2 + (4 * doubt) ** 2))
+    middle, half = (uu + vv) / 2, np.hypot((uu - vv) / 2, uv)
+    angle = np.arctan2(2 * uv, uu - vv) / 2
+    axes = np.stack([np.cos(angle), np.sin(angle)]), np.stack([-np.sin(angle), np.cos(angle)])
+    floor = (AIRY * residual.airy_unit) ** 2 + np.square(4 * np.asarray(doubt))
+    fresnel = FRESNEL**2 * wave.wavelength * wave.image_distance**2
+    return np.stack(
+        [
+            np.sqrt(fresnel * np.abs(bend) + floor) * axis
+            for bend, axis in zip((middle + half, middle - half), axes, strict=True)
+        ]
+    )

@@ -18,6 +18,7 @@ from .wavefronts import Wavefront
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 SurfaceNormalisation = Literal["ideal-peak", "irradiance"]
+Pupil = Literal["plane", "sphere"]
 
 BRIGHTEST: Final = 32  # points of the error estimate
 SPREAD: Final = 96  # further ones, evenly over all
@@ -81,6 +82,7 @@ def huygens_point_spread(
     points: ArrayLike,
     *,
     normalisation: SurfaceNormalisation = "ideal-peak",
+    pupil: Pupil = "plane",
 ) -> SurfacePointSpread:
     """Point spread on any points by spherical waves from the pupil.
 
@@ -91,6 +93,10 @@ def huygens_point_spread(
     points : array_like
         (..., 3), m, see `SurfacePointSpread`; on the image's side of the pupil.
     normalisation : {"ideal-peak", "irradiance"}
+    pupil : {"plane", "sphere"}
+        Where the nodes (u, v) lie: in the pupil's plane, as this library's own waves, or on the
+        sphere about the reference point through the pupil's centre, as in a lens that keeps the
+        sine condition. The other transforms do not tell them apart.
 
     Returns
     -------
@@ -109,13 +115,16 @@ def huygens_point_spread(
     -----
     Rayleigh and Sommerfeld's first integral [1]_, its near field left out:
 
-    ``U(x) = (1/lambda) sum w E exp(ik [W + s (|x - p| - |c - p|)]) |z|/|x - p|^2``
+    ``U(x) = (1/lambda) sum S E exp(ik [W + s (|x - p| - |c - p|)]) cos(n, x - p)/|x - p|``
 
-    with c = (0, 0, d), s the sign of d, and ``E = A (|c - p|/|d|)^(1/2)``, so that ``A^2`` is the
-    power per area of the pupil plane, as in the other transforms. Against them, the obliquity and
-    1/r dim the rim by ``(1 + 1/(4 N^2))^(3/4)``. The intensity is |U|^2, which is the flux
-    through a surface but for the cosine between its normal and the rays. The path difference is
-    taken from the difference of the squares, so that it keeps about 1e-16 of itself.
+    with c = (0, 0, d), s the sign of d, n the pupil's normal, S the node's area on it, and E such
+    that ``A^2`` is the power per area of u and v, as in the other transforms. With t the angle at
+    c between p and the axis, a node adds ``A w cos(t)^(3/2)/|d|`` at c from the plane and
+    ``A w cos(t)^(-1/2)/|d|`` from the sphere. The other transforms have ``A w/|d|`` and the phase
+    ``-x.p/d``, which differ from the plane by 1/(4 N^2), and from the sphere by less. The
+    intensity is |U|^2, which is the flux through a surface but for the cosine between its normal
+    and the rays. The path difference is taken from the difference of the squares, so that it keeps
+    about 1e-16 of itself.
 
     References
     ----------
@@ -125,8 +134,9 @@ def huygens_point_spread(
     places = np.array(points, dtype=np.float64, order="C")
     if places.ndim == 0 or places.shape[-1] != 3 or places.size == 0:
         raise SceneError(f"points have shape {places.shape}; give (..., 3), x, y and z in m")
+    one_of("pupil", pupil, ("plane", "sphere"))
     flat = places.reshape(-1, 3)
-    result = surface_field(split(wavefront), flat)
+    result = surface_field(split(wavefront), flat, pupil)
     scale = 1.0 if normalisation == "ideal-peak" else result.density
     intensity = (result.intensity * scale).reshape(places.shape[:-1])
     for array in (places, intensity):
@@ -141,11 +151,11 @@ def huygens_point_spread(
     )
 
 
-def surface_field(residual: Residual, points: Array) -> SurfaceField:
+def surface_field(residual: Residual, points: Array, pupil: Pupil = "plane") -> SurfaceField:
     """Intensity at points (n, 3) of the pupil's frame, and its error."""
-    check_points(residual.wavefront, points)
+    check_points(residual.wavefront, points, pupil)
     nodes, finer = _nodes(residual, points)
-    field, peak = _field(residual.wavefront, nodes, points)
+    field, peak = _field(residual.wavefront, nodes, points, pupil)
     intensity = np.abs(field / peak) ** 2
     density = peak**2 / nodes.energy
     error = ROUNDING
@@ -153,7 +163,7 @@ def surface_field(residual: Residual, points: Array) -> SurfaceField:
         order = np.argsort(intensity, kind="stable")
         step = max(1, len(points) // SPREAD)
         chosen = np.unique(np.concatenate([order[-BRIGHTEST:], order[::step]]))
-        better, better_peak = _field(residual.wavefront, finer, points[chosen])
+        better, better_peak = _field(residual.wavefront, finer, points[chosen], pupil)
         change = np.abs(better / better_peak) ** 2
         worst = np.abs(change - intensity[chosen]).max()
         share = better_peak**2 / finer.energy / density
@@ -162,13 +172,21 @@ def surface_field(residual: Residual, points: Array) -> SurfaceField:
     return SurfaceField(intensity, density, error + _lost(residual, intensity))
 
 
-def check_points(wave: Wavefront, points: Array) -> None:
+def check_points(wave: Wavefront, points: Array, pupil: Pupil) -> None:
     """Refuse points that are not beyond the pupil on the image's side."""
     if not np.isfinite(points).all():
         raise SceneError("points hold NaN or infinity; give finite coordinates in m")
     depth = points[:, 2] * math.copysign(1.0, wave.image_distance)
     # nearer than some wavelengths the near field of each node is missing
     limit = 100 * wave.wavelength
+    if pupil == "sphere":
+        if 2 * wave.f_number <= 1:
+            raise SceneError(
+                f"pupil = 'sphere' at F/{wave.f_number:.3g}, limit F/0.5: the pupil is wider than "
+                "its sphere; use pupil='plane'"
+            )
+        share = (wave.pupil_radius / wave.image_distance) ** 2
+        limit += abs(wave.image_distance) * share / (1 + math.sqrt(1 - share))
     if depth.min() < limit:
         worst = int(np.argmin(depth))
         raise SceneError(
@@ -272,25 +290,40 @@ def _gathered(
     return _Nodes(u.ravel(), v.ravel(), tilted.ravel(), (amplitude * weights).ravel(), energy)
 
 
-def _field(wave: Wavefront, nodes: _Nodes, points: Array) -> tuple[ComplexArray, float]:
+def _field(
+    wave: Wavefront, nodes: _Nodes, points: Array, pupil: Pupil
+) -> tuple[ComplexArray, float]:
     """Field at the points, and its value at the reference point without aberration, 1/m."""
     from . import _image_kernels
 
     d = wave.image_distance
-    c = np.sqrt(nodes.u**2 + nodes.v**2 + d * d)
-    size = nodes.size * np.sqrt(c / abs(d)) / wave.wavelength
+    square = nodes.u**2 + nodes.v**2
+    if pupil == "plane":
+        w = np.zeros_like(square)
+        cosine = abs(d) / np.sqrt(square + d * d)
+        # E = A/cos^(1/2), since A^2 passes a plane that it meets aslant
+        size = nodes.size / np.sqrt(cosine)
+        peak = float(np.sum(size * cosine**2))
+    else:
+        cosine = np.sqrt(1 - square / d**2)
+        w = d * (square / d**2) / (1 + cosine)
+        # E = A cos^(1/2) on the area w/cos
+        size = nodes.size / np.sqrt(cosine)
+        peak = float(np.sum(size))
     out = np.empty((len(points), 2))
     _image_kernels.huygens_field(
         np.ascontiguousarray(points),
         nodes.u,
         nodes.v,
+        w,
         nodes.path,
-        size,
+        size / wave.wavelength,
         d,
         2 * math.pi / wave.wavelength,
+        pupil == "sphere",
         out,
     )
-    return out.view(np.complex128)[:, 0], float(np.sum(size * abs(d) / c**2))
+    return out.view(np.complex128)[:, 0], peak / (wave.wavelength * abs(d))
 
 
 def _check_steps(residual: Residual, points: Array) -> None:
