@@ -8,13 +8,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import SamplingError
 from .nodes import polar_nodes
 from .wavefronts import Wavefront
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-NEAREST: Final = 24  # nodes that a cubic's nine terms are fitted to
+NEAREST: Final = (24, 96, 384)  # nodes that a cubic's nine terms are fitted to, more if in lines
+#: Log determinant of the terms' correlations below which nodes lie in lines; -21 for random ones.
+IN_LINES: Final = -30.0
 CLOSE: Final = 6  # of them are neighbours, between which the aberration must not jump
 BLOCK: Final = 4096  # nodes fitted at a time, few enough to stay in the cache
 FAINT: Final = 1e-12  # of the strongest node, below which one counts as dark
@@ -108,29 +111,50 @@ def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
     """Fit cubics to the lit nodes of a grid or of scattered nodes.
 
     Each passes through its own node; its neighbours weigh less the farther they are.
+
+    Raises
+    ------
+    SamplingError
+        If nodes lie in a line, so that they have no slopes across it.
     """
     strength = (wave.amplitude * wave.weights).ravel()
     indices = np.flatnonzero(strength > FAINT * strength.max())
     places = np.stack([wave.u.ravel()[indices], wave.v.ravel()[indices]], axis=1)
     values = np.stack([aberration.ravel()[indices], wave.amplitude.ravel()[indices]])
-    n, k = len(indices), min(NEAREST, len(indices) - 1)
+    n = len(indices)
     series, misfit = np.zeros((2, 10, n)), np.zeros(n)
     series[:, 0] = values
     scale = np.full(n, wave.pupil_radius)
-    jump, jump_at = 0.0, 0
-    for start in range(0, n if k > 0 else 0, BLOCK):
-        block = slice(start, min(start + BLOCK, n))
-        distance, near = _nearest(places, places[block], k + 1)
-        near = near[:, 1:]
-        scale[block] = np.maximum(distance[:, -1], 1e-12 * wave.pupil_radius)
-        step = (places[near] - places[block, None]) / scale[block, None, None]
-        rise = values[:, near] - values[:, block, None]
-        series[:, 1:, block], misfit[block] = _solved(step, rise)
-        steps = np.abs(rise[0, :, :CLOSE])
-        if steps.max() > jump:
-            jump = float(steps.max())
-            jump_at = start + int(np.argmax(steps.max(axis=1)))
-    return LocalFits(places, indices, series[0], series[1], scale, misfit, jump, jump_at)
+    rise = np.zeros(n)
+    left = np.arange(n if n > 1 else 0)
+    for count in NEAREST:
+        k, again = min(count, n - 1), []
+        for start in range(0, len(left), BLOCK):
+            block = left[start : start + BLOCK]
+            distance, near = _nearest(places, places[block], k + 1)
+            near = near[:, 1:]
+            scale[block] = np.maximum(distance[:, -1], 1e-12 * wave.pupil_radius)
+            step = (places[near] - places[block, None]) / scale[block, None, None]
+            change = values[:, near] - values[:, block, None]
+            series[:, 1:, block], misfit[block], volume = _solved(step, change)
+            rise[block] = np.maximum(rise[block], np.abs(change[0, :, :CLOSE]).max(axis=1))
+            again.append(block[volume < IN_LINES])
+        left = np.concatenate(again) if again else left
+    if left.size:
+        raise SamplingError(
+            f"wavefront node {int(indices[left[0]])} and the {k} nearest to it lie in a few lines, "
+            "across which the wave is not known; spread more nodes over the pupil"
+        )
+    return LocalFits(
+        places,
+        indices,
+        series[0],
+        series[1],
+        scale,
+        misfit,
+        float(rise.max()),
+        int(np.argmax(rise)),
+    )
 
 
 def _nearest(places: Array, points: Array, count: int) -> tuple[Array, Indices]:
@@ -141,16 +165,21 @@ def _nearest(places: Array, points: Array, count: int) -> tuple[Array, Indices]:
     return np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
 
 
-def _solved(step: Array, rise: Array) -> tuple[Array, Array]:
-    """Nine coefficients of two functions (2, 9, b), and the misfit of the first (b,)."""
+def _solved(step: Array, rise: Array) -> tuple[Array, Array, Array]:
+    """Nine coefficients of two functions (2, 9, b), misfit of the first, and volume.
+
+    The misfit (b,) and the log determinant of the terms' correlations (b,), see `IN_LINES`.
+    """
     basis = np.moveaxis(terms(step[..., 0], step[..., 1])[1:], 0, 2)
     weight = np.maximum(1.1 - np.sum(step**2, axis=2), 0.0) ** 2
     # einsum without BLAS: the same bits for any thread count
     moments = np.einsum("bkt,bk,bks->bts", basis, weight, basis)
     right = np.einsum("bkt,bk,fbk->btf", basis, weight, rise)
+    size = np.sqrt(np.einsum("btt->bt", moments)).clip(min=1e-150)
+    volume = np.linalg.slogdet(moments / (size[:, :, None] * size[:, None, :]))[1]
     trace = np.einsum("btt->b", moments) / 9
     moments[:, np.arange(9), np.arange(9)] += RIDGE * trace[:, None]
     found = np.linalg.solve(moments, right)
     rest = rise[0] - np.einsum("bkt,bt->bk", basis, found[..., 0])
     rms = np.sqrt(np.sum(weight * rest**2, axis=1) / np.sum(weight, axis=1))
-    return np.moveaxis(found, (2, 1), (0, 1)), rms
+    return np.moveaxis(found, (2, 1), (0, 1)), rms, np.asarray(volume)
