@@ -6,10 +6,11 @@
 - `ray_waves`, `tessellation`: the wave of traced rays, and the area of each.
 - `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
-- `quadrature`, `fft`, `mdft`, `airy`: one transform each; `pupil_grids`, `rims`, `separable`,
-  `pixels` and `windows` serve them, `estimates` bounds their errors.
-- `point_spreads`: `point_spread`, which picks among them; `bands` and `fields` take it over
-  wavelengths and over the object.
+- `quadrature`, `fft`, `mdft`, `nufft`, `airy`, `geometric`, `huygens`: one transform each;
+  `pupil_grids`, `rims`, `separable`, `local_fits`, `pixels` and `windows` serve them, `estimates`
+  bounds their errors.
+- `methods`: runs one or picks among them; `point_spreads`: `point_spread`; `comparisons`: all of
+  them side by side; `bands` and `fields`: over wavelengths and over the object.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
   that of one drawn at random.
@@ -19,8 +20,10 @@
 
 from .aberration import path_difference, wall_aberration, wavefront
 from .bands import band_point_spread, gaussian_band
+from .comparisons import Comparison, ComparisonRow, compare
 from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
+from .huygens import SurfacePointSpread, huygens_point_spread
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
@@ -36,16 +39,20 @@ from .windows import window_shape
 from .zernikes import zernike, zernike_order
 
 __all__ = [
+    "Comparison",
+    "ComparisonRow",
     "ExitPupil",
     "PointSpread",
     "PointSpreadField",
     "Removed",
     "RoughPointSpread",
     "Roughness",
+    "SurfacePointSpread",
     "WallView",
     "Wavefront",
     "band_point_spread",
     "centroid",
+    "compare",
     "encircled_energy",
     "ensquared_energy",
     "exit_pupil",
@@ -55,6 +62,7 @@ __all__ = [
     "fwhm",
     "gaussian_band",
     "grid_nodes",
+    "huygens_point_spread",
     "integrated_slopes",
     "isoplanatic_radius",
     "mean_point_spread",

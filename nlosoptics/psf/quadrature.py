@@ -4,36 +4,32 @@ from __future__ import annotations
 
 import math
 
-import ducc0
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
+from . import nufft
 from .nodes import polar_nodes
 from .residuals import Residual
 from .windows import Window
 
 ComplexArray = NDArray[np.complex128]
 
-#: Nodes and points up to which all digits are worth their time; beyond, `FAST` at most.
-SMALL = 200_000
-BEST, FAST = 2e-13, 1e-8
 
-
-def node_counts(residual: Residual, window: Window) -> tuple[int, int]:
+def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, int]:
     """Radii and angles at which the rule has converged to rounding.
 
     With v the largest phase slope across the radius, ``0.29 v + 7`` Gauss-Legendre radii and
     ``v + 12 v^(1/3)`` angles integrate exp(i v rho cos) to 3e-15; the degree of the aberration's
-    own series is added.
+    own series is added, as far as its terms pass the ``threshold``, rad.
     """
     wave = residual.wavefront
     r_max = math.hypot(*window.reach_from(residual.shift))
     v = math.pi * r_max / residual.airy_unit
     v += residual.wavenumber * residual.rays.slope * wave.pupil_radius
-    degree_r, degree_theta = residual.series.degrees(1e-15 / residual.wavenumber)
+    degree_r, degree_theta = residual.series.degrees(threshold / residual.wavenumber)
     if not residual.is_uniform:
-        more_r, more_theta = residual.amplitude_series.degrees(1e-15)
+        more_r, more_theta = residual.amplitude_series.degrees(threshold)
         degree_r, degree_theta = degree_r + more_r, degree_theta + more_theta
     n_r, n_theta = wave.u.shape
     return (
@@ -45,15 +41,13 @@ def node_counts(residual: Residual, window: Window) -> tuple[int, int]:
 def epsilon(residual: Residual, window: Window, tol: float) -> float:
     """Relative accuracy to ask of the transform: all digits where they cost little."""
     n_r, n_theta = node_counts(residual, window)
-    if n_r * n_theta + window.shape[0] * window.shape[1] <= SMALL:
-        return BEST
-    return max(min(FAST, tol / 100), BEST)
+    return nufft.epsilon(n_r * n_theta, window, tol)
 
 
 def n_bytes(residual: Residual, window: Window) -> float:
-    """Peak memory of `field`: 100 bytes a node, 64 an image point (the oversampled grid's too)."""
+    """Peak memory of `field`."""
     n_r, n_theta = node_counts(residual, window)
-    return 100.0 * n_r * n_theta + 64.0 * window.shape[0] * window.shape[1]
+    return nufft.n_bytes(n_r * n_theta, window)
 
 
 def seconds(residual: Residual, window: Window) -> float:
@@ -62,7 +56,7 @@ def seconds(residual: Residual, window: Window) -> float:
     return 1e-3 + 2e-7 * n_r * n_theta + 6e-8 * window.shape[0] * window.shape[1]
 
 
-def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexArray:
+def field(residual: Residual, window: Window, epsilon: float = nufft.BEST) -> ComplexArray:
     """Image field, 1 at the axis without aberration.
 
     ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, the tilt's part of W taken as a shift of x;
@@ -76,30 +70,11 @@ def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexA
         "use a smaller shape, or method='fft'",
     )
     u, v, weights = polar_nodes(wave.pupil_radius, n_r, n_theta, wave.obscuration)
-    per_metre = 2 * math.pi / (wave.wavelength * wave.image_distance)
-    ny, nx = window.shape
-    # The transform's modes run from -n//2, so its mode 0 is sample n//2.
-    x = window.first[0] + (nx // 2) * window.pitch - residual.shift[0]
-    y = window.first[1] + (ny // 2) * window.pitch - residual.shift[1]
-    phase = -per_metre * (x * u + y * v)
+    path = np.zeros_like(u)
     if np.any(residual.aberration):
-        phase += residual.wavenumber * residual.series.at_nodes(n_r, n_theta)
-    points = np.exp(1j * phase)
+        path = residual.series.at_nodes(n_r, n_theta)
     if residual.is_uniform:
-        points *= weights / weights.sum()
+        size = weights / weights.sum()
     else:
-        amplitude = residual.amplitude_series.at_nodes(n_r, n_theta)
-        points *= amplitude * weights / residual.amplitude_sum
-    coord = np.empty((n_r * n_theta, 2))
-    coord[:, 0], coord[:, 1] = v.ravel(), u.ravel()
-    coord *= per_metre * window.pitch
-    image = np.empty(window.shape, dtype=np.complex128)
-    ducc0.nufft.nu2u(
-        points=points.ravel(),
-        coord=coord,
-        forward=True,
-        epsilon=epsilon,
-        nthreads=1,
-        out=image,
-    )
-    return image
+        size = residual.amplitude_series.at_nodes(n_r, n_theta) * weights / residual.amplitude_sum
+    return nufft.image_field(residual, u, v, path, size, window, epsilon)

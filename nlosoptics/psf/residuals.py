@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SamplingError
 from .fits import fitted_terms
+from .local_fits import LocalFits, local_fits
 from .spectra import PolarSpectrum
 from .wavefronts import Wavefront
 
@@ -91,6 +91,8 @@ class Residual:
             return wave.pupil_radius
         lit = wave.amplitude * wave.weights > 0
         farthest = float(max(np.abs(wave.u[lit]).max(), np.abs(wave.v[lit]).max()))
+        if wave.layout == "scattered":
+            return max(farthest, wave.pupil_radius)
         edge = farthest + wave.pupil_pitch / 2
         # Cells that the rim cuts reach beyond it, those of a plain map do not.
         return edge if np.ptp(wave.weights) == 0 else min(edge, wave.pupil_radius)
@@ -126,6 +128,19 @@ class Residual:
         return PolarSpectrum(wave.amplitude, wave.pupil_radius, wave.obscuration)
 
     @cached_property
+    def local(self) -> LocalFits:
+        """Cubics about the lit nodes of a grid or of scattered nodes."""
+        return local_fits(self.wavefront, self.aberration)
+
+    @cached_property
+    def spacing(self) -> float:
+        """Pitch of a grid, or side of the mean area of a lit scattered node, m."""
+        wave = self.wavefront
+        if wave.layout == "grid":
+            return wave.pupil_pitch
+        return float(np.sqrt(wave.weights.ravel()[self.local.indices].mean()))
+
+    @cached_property
     def truncation(self) -> float:
         """Relative error of the pupil function for lack of polar nodes, at worst."""
         if self.wavefront.layout != "polar":
@@ -141,6 +156,10 @@ class Residual:
         wave = self.wavefront
         if wave.layout == "polar":
             return self.traced(*wave.u.shape)
+        if wave.layout == "scattered":
+            lit = self.local.indices
+            du, dv = self.local.slopes.T
+            return self._landing(du, dv, wave.amplitude[lit] ** 2 * wave.weights[lit])
         return self._landing(*self._grid_slopes())
 
     def traced(self, n_r: int, n_theta: int) -> Rays:
@@ -155,9 +174,12 @@ class Residual:
         d = self.wavefront.image_distance
         return Rays(du * d, dv * d, energy / energy.sum(), float(np.hypot(du, dv).max()))
 
-    def grid_jump(self) -> tuple[float, tuple[int, int]]:
-        """Largest step of the residual between lit neighbours of a grid, waves, and its pixel."""
+    def grid_jump(self) -> tuple[float, tuple[int, ...]]:
+        """Largest step of the residual between lit neighbours, waves, and its pixel or node."""
         wave = self.wavefront
+        if wave.layout == "scattered":
+            node = int(self.local.indices[self.local.jump_at])
+            return self.local.jump / wave.wavelength, (node,)
         lit = wave.amplitude * wave.weights > 0
         worst, where = 0.0, (0, 0)
         for axis in (0, 1):
@@ -192,20 +214,9 @@ class Residual:
 
 
 def split(wavefront: Wavefront) -> Residual:
-    """Take piston and tilt, the least-squares plane weighted by amplitude, out of a wavefront.
-
-    Raises
-    ------
-    SamplingError
-        If the nodes are scattered.
-    """
-    if wavefront.layout == "scattered":
-        raise SamplingError(
-            "a scattered wavefront has no Fourier transform here; sample it on polar nodes or a "
-            "grid (nodes='polar' or 'grid')"
-        )
+    """Take piston and tilt, the least-squares plane weighted by amplitude, out of a wavefront."""
     scale = wavefront.pupil_radius
     plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
     fit = fitted_terms(wavefront, plane)
-    aberration = wavefront.aberration - np.einsum("i,iyx->yx", fit, plane)
+    aberration = wavefront.aberration - np.einsum("i,i...->...", fit, plane)
     return Residual(wavefront, (float(fit[1] / scale), float(fit[2] / scale)), aberration)

@@ -107,8 +107,12 @@ def test_layouts_that_do_not_fit():
         layout="scattered",
         **{n: getattr(polar, n).ravel() for n in ("u", "v", "aberration", "amplitude", "weights")},
     )
-    with pytest.raises(SamplingError, match="scattered wavefront"):
-        psf.point_spread(scattered)
+    for method in ("quadrature", "airy"):
+        with pytest.raises(SamplingError, match="needs a polar wavefront"):
+            psf.point_spread(scattered, method=method)
+    for method in ("fft", "mdft"):
+        with pytest.raises(SamplingError, match="is scattered; use method='nufft'"):
+            psf.point_spread(scattered, method=method)
 
 
 def test_aberrated_wave_is_no_airy_disc():
@@ -119,7 +123,7 @@ def test_aberrated_wave_is_no_airy_disc():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"method": "huygens"}, "method = 'huygens' is unknown"),
+        ({"method": "hugens"}, "method = 'hugens' is unknown"),
         ({"normalisation": "peak"}, "normalisation = 'peak' is unknown"),
         ({"tol": 0.0}, "tol = 0 is out of range"),
         ({"tol": math.nan}, "tol = nan is not finite"),

@@ -1,0 +1,388 @@
+"""One runner for each transform, and the choice among them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import fits_memory
+from ..errors import MemoryLimitError, SamplingError
+from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature
+from .pixels import PixelRule
+from .pupil_grids import PupilGrid, grid_size, pupil_grid, pupil_grid_from_polar
+from .residuals import Residual
+from .windows import Window
+
+Array = NDArray[np.float64]
+#: Height of the image surface over the image plane, m, at (x, y).
+Surface = Callable[[Array, Array], Array]
+
+#: Fewest pupil samples across when a polar wave is put on a grid.
+LEAST_SAMPLES = 512
+#: Waves, peak to valley, below which rays are not tried.
+MANY_WAVES = 20
+#: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
+NEGLIGIBLE = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What every transform is asked for."""
+
+    residual: Residual
+    tol: float
+    pitch: float
+    shape: tuple[int, int]
+    rule: PixelRule | None
+    surface: Surface | None = None
+
+    @property
+    def pixels(self) -> Window:
+        """Image points of the result."""
+        return Window.centred(self.pitch, self.shape)
+
+    @property
+    def samples(self) -> Window:
+        """Points at which the intensity is needed."""
+        return self.pixels if self.rule is None else self.rule.window(self.pitch, self.shape)
+
+    @property
+    def level(self) -> float:
+        """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
+        return self.residual.pixel_share(self.pitch)
+
+    def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
+        """`estimates.intensity_error` on these pixels."""
+        pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
+        return estimates.intensity_error(
+            intensity, field_error, energy_error, pixel=pixel, level=self.level
+        )
+
+    def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
+        """Intensity of a field at `samples`, averaged over pixels where asked."""
+        fine = field.real**2 + field.imag**2
+        if self.rule is None:
+            return fine
+        half = self.rule.mean(fine)
+        return self.rule.mean(np.ascontiguousarray(half.T)).T
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a transform gives.
+
+    Parameters
+    ----------
+    method : str
+    mean : ndarray, (ny, nx)
+        1 at the ideal peak.
+    error : float
+        Bound of max |dI|/max I.
+    level : float
+        See `Task.level`.
+    """
+
+    method: str
+    mean: Array
+    error: float
+    level: float
+
+
+def transform(task: Task, method: str) -> Result:
+    """Run one transform."""
+    if method == "huygens":
+        return _huygens(task)
+    run: dict[str, Callable[[Task], tuple[Array, float]]] = {
+        "airy": _airy,
+        "quadrature": _quadrature,
+        "fft": _fft,
+        "mdft": _mdft,
+        "nufft": _nufft,
+        "geometric": _geometric,
+    }
+    mean, error = run[method](task)
+    return Result(method, mean, error, task.level)
+
+
+def automatic(task: Task) -> Result:
+    """Cheapest transform whose estimate is within tol."""
+    reached = math.inf
+    refusals = []
+    for _, method in sorted(_candidates(task)):
+        try:
+            result = transform(task, method)
+        except (SamplingError, MemoryLimitError) as refusal:
+            refusals.append(refusal)
+            continue
+        if result.error <= task.tol:
+            return result
+        reached = min(reached, result.error)
+    if math.isinf(reached):
+        raise refusals[-1]
+    raise SamplingError(
+        f"no transform reaches tol = {task.tol:g}, the best estimate is {reached:.2g}; use tol = "
+        f"{reached:.2g}, or more pupil nodes (now {' x '.join(map(str, _counts(task)))})"
+    )
+
+
+def _candidates(task: Task) -> list[tuple[float, str]]:
+    """Expected seconds, or an order, and name of each transform that may do."""
+    residual = task.residual
+    layout = residual.wavefront.layout
+    found: list[tuple[float, str]] = []
+    if layout == "polar":
+        if airy.error_bound(residual) <= task.tol:
+            found.append((airy.seconds(task.samples), "airy"))
+        found.append((quadrature.seconds(residual, task.samples), "quadrature"))
+        found.append((_grid_seconds(task), "fft"))
+    elif layout == "scattered":
+        found = [(nufft.seconds(residual.wavefront.u.size, task.samples), "nufft")]
+    else:
+        # The same sum; fft is the faster where the pitch fits it.
+        found = [(1.0, "fft"), (2.0, "mdft")] if task.rule is None else [(1.0, "mdft")]
+    if _rays_may_do(task):
+        order = 3.0 if layout == "grid" else geometric.seconds(residual, task.pixels)
+        found.append((order, "geometric"))
+    return found
+
+
+def _rays_may_do(task: Task) -> bool:
+    """Whether rays are worth trying: many waves, on pixels wide enough for ``tol``."""
+    if task.rule is None or geometric.least_error(task.residual, task.pitch) > task.tol:
+        return False
+    wave = task.residual.wavefront
+    lit = wave.amplitude * wave.weights > 0
+    return float(np.ptp(task.residual.aberration[lit])) > MANY_WAVES * wave.wavelength
+
+
+def _counts(task: Task) -> tuple[int, ...]:
+    return task.residual.wavefront.u.shape
+
+
+def _airy(task: Task) -> tuple[Array, float]:
+    residual = task.residual
+    if residual.wavefront.layout != "polar":
+        raise SamplingError(
+            "the closed form needs a polar wavefront, whose rim is known exactly; sample it with "
+            "nodes='polar', or use method='mdft'"
+        )
+    bound = airy.error_bound(residual)
+    if math.isinf(bound):
+        raise SamplingError(
+            f"the residual aberration reaches {_waves(residual):.3g} waves, too much for the "
+            "closed form; use method='quadrature'"
+        )
+    samples = task.samples
+    fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
+    return task.means(airy.field(residual, samples)), bound
+
+
+def _quadrature(task: Task) -> tuple[Array, float]:
+    residual = task.residual
+    layout = residual.wavefront.layout
+    if layout != "polar":
+        other = "mdft" if layout == "grid" else "nufft"
+        raise SamplingError(
+            f"quadrature needs a polar wavefront and this one is {layout}, which has lost its rim; "
+            f"sample it with nodes='polar', or use method='{other}'"
+        )
+    epsilon = quadrature.epsilon(residual, task.samples, task.tol)
+    mean = task.means(quadrature.field(residual, task.samples, epsilon))
+    lost = residual.truncation
+    rounding = 20 * epsilon
+    return mean, task.bound(mean, lost, lost**2) + rounding
+
+
+def _fft(task: Task) -> tuple[Array, float]:
+    residual, samples = task.residual, task.samples
+    _check_not_scattered(residual, "fft")
+    fft.check_padding(residual, samples.pitch)
+    if residual.wavefront.layout == "polar":
+        size = _polar_size(task)
+        grid = pupil_grid_from_polar(residual, _period_pitch(residual, size * samples.pitch))
+        _check_jump(task, grid.jump, None)
+    else:
+        if task.rule is not None:
+            raise SamplingError(
+                "the fft of a grid wavefront has its own image pitch, which does not divide "
+                "pixels; use method='mdft' for pixel_integrated=True"
+            )
+        size = fft.padded_size(residual, samples.pitch)
+        _check_jump(task, *residual.grid_jump())
+        _check_period(task)
+        grid = pupil_grid(residual)
+    fits_memory(
+        f"the transform of {grid.values.shape[0]} x {size} samples",
+        48.0 * grid.values.shape[0] * size,
+        "use a smaller shape",
+    )
+    mean = fft.intensity_in(residual, grid, samples, size, task.rule)
+    return mean, _grid_bound(task, mean, grid)
+
+
+def _mdft(task: Task) -> tuple[Array, float]:
+    residual, samples = task.residual, task.samples
+    _check_not_scattered(residual, "mdft")
+    if residual.wavefront.layout == "polar":
+        period = _polar_size(task) * samples.pitch
+        grid = pupil_grid_from_polar(residual, _period_pitch(residual, period))
+        _check_jump(task, grid.jump, None)
+    else:
+        _check_jump(task, *residual.grid_jump())
+        _check_period(task)
+        grid = pupil_grid(residual)
+    n = grid.values.shape[0]
+    fits_memory(
+        f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
+        48.0 * n * (n + max(samples.shape)),
+        "use a smaller shape",
+    )
+    mean = mdft.intensity_in(residual, grid, samples, task.rule)
+    return mean, _grid_bound(task, mean, grid)
+
+
+def _check_not_scattered(residual: Residual, method: str) -> None:
+    if residual.wavefront.layout == "scattered":
+        raise SamplingError(
+            f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
+            "sample it with nodes='polar' or 'grid'"
+        )
+
+
+def _nufft(task: Task) -> tuple[Array, float]:
+    residual, samples = task.residual, task.samples
+    wave = residual.wavefront
+    if wave.layout == "polar":
+        need = quadrature.node_counts(residual, samples, NEGLIGIBLE)
+        if need != wave.u.shape:
+            raise SamplingError(
+                f"{wave.u.shape[0]} x {wave.u.shape[1]} polar nodes are too few for this window, "
+                f"which needs {need[0]} x {need[1]}; use wavefront.resampled{need}, a smaller "
+                "shape, or method='quadrature'"
+            )
+    else:
+        _check_jump(task, *residual.grid_jump())
+        _check_period(task)
+    epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
+    mean = task.means(nufft.field(residual, samples, epsilon))
+    rounding = 20 * epsilon
+    if wave.layout == "polar":
+        lost = residual.truncation + 10 * NEGLIGIBLE
+        return mean, task.bound(mean, lost, lost**2) + rounding
+    if wave.layout == "grid":
+        return mean, _grid_bound(task, mean, pupil_grid(residual)) + rounding
+    return mean, _scattered_bound(task, mean, epsilon) + rounding
+
+
+def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
+    """What the nodes' own areas err by, from the same wave on polar nodes."""
+    wave = task.residual.wavefront
+    field, concentration, doubt = nufft.reference(task.residual, task.samples, epsilon)
+    better = task.means(field)
+    energy = float(np.sum(wave.amplitude**2 * wave.weights))
+    share = concentration * energy / task.residual.amplitude_sum**2
+    worst = max(float(np.abs(better * s - mean).max()) for s in (1.0, share))
+    return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
+
+
+def _huygens(task: Task) -> Result:
+    residual, window = task.residual, task.pixels
+    wave = residual.wavefront
+    if task.rule is not None:
+        raise SamplingError(
+            "huygens gives the intensity at points, and a surface knows no band limit to integrate "
+            "pixels by; use pixel_integrated=False"
+        )
+    ny, nx = window.shape
+    fits_memory(f"{ny} x {nx} image points", 120.0 * ny * nx, "use a smaller shape")
+    y, x = np.meshgrid(window.y, window.x, indexing="ij")
+    points = np.stack([x, y, np.full_like(x, wave.image_distance)], axis=-1).reshape(-1, 3)
+    if task.surface is not None:
+        height = np.asarray(task.surface(x, y), dtype=np.float64)
+        points[:, 2] += np.broadcast_to(height, x.shape).ravel()
+    found = huygens.surface_field(residual, points)
+    mean = found.intensity.reshape(window.shape)
+    return Result("huygens", mean, found.error, found.density * task.pitch**2)
+
+
+def _geometric(task: Task) -> tuple[Array, float]:
+    if task.rule is None:
+        raise SamplingError(
+            "rays have a density over pixels and no intensity at points; use pixel_integrated=True"
+        )
+    energy, error = geometric.density(task.residual, task.pixels)
+    return energy / task.level, error
+
+
+def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
+    field, energy = estimates.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y)
+    lost = task.residual.truncation
+    bound = task.bound(mean, field + lost, energy + lost**2)
+    if task.rule is None:
+        return bound
+    return bound + estimates.damping_error(task.residual, grid, task.pitch)
+
+
+def _polar_size(task: Task) -> int:
+    """Padded size for a polar wave: period over image samples, wide enough for window and rays."""
+    residual, samples = task.residual, task.samples
+    reach = max(samples.reach_from(residual.shift))
+    # The window within the half period, the spot's far rim within that of its near one (see
+    # `rims.leak`), and the rim no coarser than the least samples.
+    period = max(
+        2 * reach,
+        4.4 * residual.rays.reach + 16 * residual.airy_unit,
+        LEAST_SAMPLES * residual.airy_unit,
+    )
+    return int(np.ceil(period / samples.pitch - 1e-9))
+
+
+def _period_pitch(residual: Residual, period: float) -> float:
+    wave = residual.wavefront
+    return wave.wavelength * abs(wave.image_distance) / period
+
+
+def _grid_seconds(task: Task) -> float:
+    residual, samples = task.residual, task.samples
+    size = _polar_size(task)
+    n = grid_size(residual.wavefront.pupil_radius, _period_pitch(residual, size * samples.pitch))
+    return 1e-2 + 1.2e-7 * n * n + 2e-8 * size * (n + samples.shape[1])
+
+
+def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
+    if jump > 0.5:
+        wave = task.residual.wavefront
+        n = wave.u.shape[0]
+        where, need = "", math.ceil(n * jump / 0.5)
+        if wave.layout == "scattered":
+            where, need = f" at node {pixel}", math.ceil(n * (jump / 0.5) ** 2)
+        elif pixel is not None:
+            where = f" at pixel {pixel}"
+        raise SamplingError(
+            f"aberration jumps {jump:.2f} waves{where}, limit 0.50; use {need} or more pupil "
+            f"samples (now {n}), or polar nodes"
+        )
+
+
+def _check_period(task: Task) -> None:
+    """The window clear of the repeats that the pupil's samples make of the spot."""
+    residual = task.residual
+    wave = residual.wavefront
+    period = wave.wavelength * abs(wave.image_distance) / residual.spacing
+    need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
+    if need > period * (1 + 1e-9):
+        n = wave.u.shape[0]
+        more = (need / period) ** (2 if wave.layout == "scattered" else 1)
+        raise SamplingError(
+            f"the pupil samples repeat the spot every {period:.3g} m, inside the window, which "
+            f"needs {need:.3g} m; use {math.ceil(n * more)} or more pupil samples (now "
+            f"{n}), or a smaller shape"
+        )
+
+
+def _waves(residual: Residual) -> float:
+    return float(np.abs(residual.aberration).max()) / residual.wavefront.wavelength
