@@ -62,7 +62,7 @@ def naive(case, orders, n):
 
 def few(case, samples):
     """Angles of the naive transform, in windows that a direct sum can fill."""
-    return [64, 128] if case["size"] <= 256 else []
+    return [128] if case["size"] <= 256 else []
 
 
 if __name__ == "__main__":
