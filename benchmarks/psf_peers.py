@@ -273,7 +273,8 @@ def plot(rows, path):
 
     figure, axes = pyplot.subplots(2, 2, figsize=(10, 9), layout="constrained")
     names = list(dict.fromkeys(row["name"] for row in rows))
-    style = {name: (f"C{i % 10}", "os^vDPX*<>"[i % 10]) for i, name in enumerate(names)}
+    colors = pyplot.get_cmap("tab20").colors[::2] + pyplot.get_cmap("tab20b").colors[::4]
+    style = {name: (colors[i], "os^vDPX*<>phd"[i]) for i, name in enumerate(names)}
     for panel, given in zip(axes.flat, CASES, strict=True):
         for name in names:
             part = [r for r in rows if r["case"] == given["name"] and r["name"] == name]
@@ -293,7 +294,7 @@ def plot(rows, path):
             ylabel="time / s",
             title=f"{given['name']}, {given['size']} x {given['size']} samples of "
             f"{given['pitch']:g} $\\lambda$N",
-            xlim=(3e-15, 3),
+            xlim=(1e-16, 3),
         )
         panel.grid(which="major", alpha=0.4)
     handles, labels = axes.flat[0].get_legend_handles_labels()
