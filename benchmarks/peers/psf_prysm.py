@@ -44,8 +44,7 @@ def closed(case, orders, n):
     x = (np.arange(case["size"]) - case["size"] // 2) * case["pitch"]
 
     def image():
-        with np.errstate(invalid="ignore"):
-            return airydisk(np.hypot(x[:, None], x), 1.0, 1.0)
+        return airydisk(np.hypot(x[:, None], x), 1.0, 1.0)
 
     return image
 
