@@ -63,7 +63,10 @@ class PolarSpectrum:
     def at_nodes(self, n_r: int, n_theta: int) -> Array:
         """Values on the polar nodes (n_r, n_theta), neither fewer than the samples given."""
         fraction, _ = gauss_legendre(n_r)
-        return self._synthesis(self._radial(fraction)[0], n_theta)
+        rho = self._rho(fraction)
+        value = self._sum(_legendre(self.n_r, self._fraction(rho)))
+        value[:, 1::2] *= rho[:, None]
+        return self._synthesis(value, n_theta)
 
     def slopes(self, n_r: int, n_theta: int) -> tuple[Array, Array, Array]:
         """Gradient on the polar nodes and, as the last row, on the rim.
@@ -130,16 +133,23 @@ class PolarSpectrum:
         inner = self.obscuration**2
         return np.asarray(np.sqrt(inner + (1 - inner) * fraction))
 
+    def _fraction(self, rho: Array) -> Array:
+        inner = self.obscuration**2
+        return np.asarray((rho**2 - inner) / (1 - inner))
+
+    def _sum(self, table: Array) -> ComplexArray:
+        """Radial sums of the coefficients, without BLAS as above."""
+        return np.asarray(np.einsum("ki,km->im", table, self.coefficients))
+
     def _radial(self, fraction: Array) -> tuple[ComplexArray, ComplexArray]:
         return self._polynomial(self._rho(fraction))
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
         """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
-        inner = self.obscuration**2
-        fraction = (rho**2 - inner) / (1 - inner)
-        value = np.einsum("ki,km->im", _legendre(self.n_r, fraction), self.coefficients)
-        slope = np.einsum("ki,km->im", _legendre_slopes(self.n_r, fraction), self.coefficients)
-        slope *= (2 * rho / (1 - inner))[:, None]
+        table = _legendre(self.n_r, self._fraction(rho))
+        value = self._sum(table)
+        slope = self._sum(_legendre_slopes(table))
+        slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
         slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]
         value[:, 1::2] *= rho[:, None]
         return value, slope / self.radius
@@ -195,9 +205,9 @@ def _legendre(n: int, fraction: Array) -> Array:
     return table
 
 
-def _legendre_slopes(n: int, fraction: Array) -> Array:
-    """Slopes d P_k(2 f - 1)/df for k < n, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
-    table = _legendre(n, fraction)
+def _legendre_slopes(table: Array) -> Array:
+    """Slopes d P_k(2 f - 1)/df of its table, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
+    n = len(table)
     slopes = np.zeros_like(table)
     if n > 1:
         slopes[1] = 1.0

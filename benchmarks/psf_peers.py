@@ -1,0 +1,324 @@
+"""Point spreads: error against seconds, beside prysm, HCIPy and POPPY.
+
+python benchmarks/psf_peers.py [--peers-python PATH] [--json FILE] [--plot FILE.png]
+
+Four pupils, all round and clear: no aberration, and a mix of defocus, astigmatism, coma and
+spherical of 1, 10 and 100 waves from peak to valley, as rms coefficients of Noll's Zernikes. Image
+samples are points: 256 x 256 over +-12.8 lambda N for the first two, 512 x 512 over +-102 and
++-1024 lambda N, which hold the spot, for the others.
+
+The error is max |dI|/max I, each image over its own peak, against the closed form and else against
+quadrature at full precision; that is held against direct sums over other nodes at a few samples,
+and no error is printed below their difference. Seconds are those from coefficients to intensity on
+one thread, least of several. The peers' apertures, polynomials and matrices are kept between runs;
+`first` is with their set-up. nlosoptics keeps nothing, so both are the same.
+
+Peers run in an environment of their own, see requirements-peers.txt; what their best is, is said in
+peers/psf_*.py. Optiland's point spreads begin with the trace of a lens, and take no coefficients.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+os.environ["MKL_NUM_THREADS"] = "1"
+os.environ["NUMEXPR_NUM_THREADS"] = "1"
+
+import argparse
+import json
+import subprocess
+import tempfile
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.special import j1
+
+from nlosoptics import psf
+from nlosoptics.errors import NlosError
+from nlosoptics.psf.zernikes import zernike_order
+
+HERE = Path(__file__).parent
+WAVELENGTH = 632.8e-9
+SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": 12.5e-3, "image_distance": 50e-3}
+UNIT = 2 * WAVELENGTH  # lambda N
+# Waves rms of Noll's polynomials; from peak to valley 1 wave.
+MIX = {4: 0.0859, 5: 0.0429, 6: 0.0859, 7: 0.0515, 8: 0.0859, 11: 0.0429}
+GOALS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-9, 1e-12)
+TOLS = (1e-3, 1e-6, 1e-9, 1e-12)
+PEERS = ("prysm", "hcipy", "poppy")
+
+
+def case(name, waves, size, pitch):
+    """A case as the peers read it: orders (n, m), m below 0 for sines; pitch in lambda N."""
+    return {
+        "name": name,
+        "indices": list(waves),
+        "orders": [zernike_order(j, "noll") for j in waves],
+        "waves": list(waves.values()),
+        "size": size,
+        "pitch": pitch,
+    }
+
+
+def scaled(factor):
+    return {j: factor * w for j, w in MIX.items()}
+
+
+CASES = [
+    case("no aberration", {}, 256, 0.1),
+    case("1 wave", MIX, 256, 0.1),
+    case("10 waves", scaled(10), 512, 0.4),
+    case("100 waves", scaled(100), 512, 4.0),
+]
+# Nothing in it is symmetric, so every flip and shift of an image shows.
+CONVENTIONS = case("conventions", {2: 0.4, 3: -0.7, 5: 0.1, 8: 0.1, 9: 0.05}, 128, 0.1)
+
+
+def wavefront(given, **nodes):
+    coefficients = {
+        j: w * WAVELENGTH for j, w in zip(given["indices"], given["waves"], strict=True)
+    }
+    return psf.Wavefront.from_zernike(coefficients, **SYSTEM, **nodes)
+
+
+def spread(given, method, tol, **nodes):
+    """Intensity, from the coefficients on."""
+    return psf.point_spread(
+        wavefront(given, **nodes),
+        method=method,
+        tol=tol,
+        pitch=given["pitch"] * UNIT,
+        shape=given["size"],
+        normalisation="ideal-peak",
+    ).intensity
+
+
+def direct(given, rows, columns):
+    """Intensity at a few samples, by direct sums over a denser set of nodes."""
+    # Phase slopes across the radius by the farthest sample and the aberration's own.
+    reach = np.hypot(1, 1) * given["size"] / 2 * given["pitch"]
+    slope = np.pi * reach + 2 * np.pi * 9 * sum(np.abs(given["waves"]))
+    n_r, n_theta = int(0.35 * slope) + 40, int(1.15 * slope) + 120
+    wave = wavefront(given, samples=(n_r, n_theta))
+    k = 2 * np.pi / WAVELENGTH
+    pupil = np.exp(1j * k * wave.aberration) * wave.weights
+    x, y = (
+        (index - given["size"] // 2) * given["pitch"] * UNIT / SYSTEM["image_distance"]
+        for index in (columns, rows)
+    )
+    fields = [
+        np.sum(pupil * np.exp(-1j * k * (a * wave.u + b * wave.v)))
+        for a, b in zip(x, y, strict=True)
+    ]
+    return np.abs(np.array(fields) / wave.weights.sum()) ** 2
+
+
+def truth(given):
+    """Exact image over its peak, and what direct sums say of its error."""
+    image = spread(given, "quadrature", 1e-13)
+    if not given["indices"]:
+        x = (np.arange(given["size"]) - given["size"] // 2) * given["pitch"]
+        v = np.pi * np.hypot(x[:, None], x)
+        v[v == 0] = 1e-9
+        return (2 * j1(v) / v) ** 2, 0.0
+    rows, columns = np.unravel_index(np.argsort(image, axis=None)[::-1], image.shape)
+    many = 4 if given["pitch"] > 1 else 64
+    chosen = np.unique(np.geomspace(1, image.size, many).astype(int)) - 1
+    found = direct(given, rows[chosen], columns[chosen])
+    peak = image.max()
+    doubt = float(np.abs(found - image[rows[chosen], columns[chosen]]).max() / peak)
+    return image / peak, doubt
+
+
+def timed(run, repeats):
+    """Result and least seconds of a few runs, the first one as warm-up."""
+    start = time.perf_counter()
+    result, best = run(), np.inf
+    slow = time.perf_counter() - start > 1
+    for _ in range(1 if slow else repeats):
+        start = time.perf_counter()
+        result = run()
+        best = min(best, time.perf_counter() - start)
+    return result, best
+
+
+def our_rows(given, repeats, samples):
+    """Rows of our transforms, those that refuse left out."""
+    jobs = [("quadrature", tol, {}) for tol in TOLS]
+    jobs += [(method, 1e-3, {}) for method in ("airy", "fft", "mdft")]
+    jobs += [("mdft", 1e-3, {"nodes": "grid", "samples": n}) for n in samples if n <= 2048]
+    rows = []
+    for method, tol, nodes in jobs:
+        run = partial(spread, given, method, tol, **nodes)
+        try:
+            image, seconds = timed(run, repeats)
+        except NlosError:
+            continue
+        rows.append(
+            {
+                "case": given["name"],
+                "name": f"nlosoptics, {method}{', grid' if nodes else ''}",
+                "samples": nodes.get("samples"),
+                "tol": tol,
+                "seconds": seconds,
+                "first": seconds,
+                "image": image,
+            }
+        )
+    return rows
+
+
+def peer_rows(python, name, job):
+    """Rows of a peer with images in place of files, or none and a line that says why."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = subprocess.run(
+            [python, HERE / "peers" / f"psf_{name}.py"],
+            input=json.dumps({**job, "folder": folder}),
+            capture_output=True,
+            text=True,
+            env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+            check=False,
+        )
+        if run.returncode:
+            lines = run.stderr.strip().splitlines() or [f"exit status {run.returncode}"]
+            print(f"{name} did not run: {lines[-1]}")
+            return []
+        found = json.loads(run.stdout)
+        return [
+            {**row, "version": found["version"], "image": np.load(row["image"])}
+            for row in found["rows"]
+        ]
+
+
+def error_of(image, exact):
+    """Largest difference of images, each over its own peak."""
+    return float(np.abs(image / image.max() - exact).max())
+
+
+def check_conventions(rows):
+    """Stop where a peer's image is flipped or shifted against ours."""
+    exact, _ = truth(CONVENTIONS)
+    for name in dict.fromkeys(row["name"] for row in rows):
+        error = min(error_of(row["image"], exact) for row in rows if row["name"] == name)
+        print(f"{name}: {error:.1e} from ours where nothing is symmetric")
+        if not error < 1e-2:
+            raise SystemExit(f"{name} has other signs or samples than ours")
+
+
+def compare(options):
+    """Print and return the rows of everyone."""
+    python = options.peers_python
+    if python is None:
+        print("no --peers-python PATH: nlosoptics alone")
+    elif not Path(python).is_file():
+        raise SystemExit(f"there is no {python}")
+    peers = PEERS if python else ()
+    job = {"repeats": options.repeats, "samples": [256], "cases": [CONVENTIONS]}
+    check_conventions([row for name in peers for row in peer_rows(python, name, job)])
+    samples = [2**k for k in range(5, 13) if 2**k <= options.samples]
+    rows = []
+    print(f"{'case':14s} {'by':28s} {'samples':>8s} {'ms':>9s} {'first':>9s} {'error':>8s}")
+    for given in CASES:
+        exact, doubt = truth(given)
+        job = {"repeats": options.repeats, "samples": samples, "cases": [given]}
+        found = our_rows(given, options.repeats, samples)
+        for name in peers:
+            found += peer_rows(python, name, job)
+        for row in found:
+            row["error"] = max(error_of(row.pop("image"), exact), doubt)
+            print(
+                f"{row['case']:14s} {row['name']:28s} {row['samples'] or row.get('tol', 0):8g} "
+                f"{1e3 * row['seconds']:9.2f} {1e3 * row['first']:9.1f} {row['error']:8.1e}",
+                flush=True,
+            )
+        rows += found
+        print(f"{given['name']:14s} the exact image is known to {doubt:.0e}")
+    return rows
+
+
+def summary(rows):
+    """Print the least time to each error, ours and the best peer's; nothing is extrapolated."""
+    for key, meaning in (("seconds", "set-up kept"), ("first", "with set-up")):
+        print(f"\nleast ms to an error, {meaning}: ours, the best peer, the peer's over ours")
+        for given in CASES:
+            part = [row for row in rows if row["case"] == given["name"]]
+            for goal in GOALS:
+                best = [fastest(part, key, goal, ours) for ours in (True, False)]
+                said = [
+                    f"{1e3 * row[key]:9.2f} {row['name']:26s}" if row else f"{'none':36s}"
+                    for row in best
+                ]
+                ratio = f"{best[1][key] / best[0][key]:8.2f}" if all(best) else ""
+                print(f"{given['name']:14s} {goal:6.0e} {said[0]} {said[1]} {ratio}")
+
+
+def fastest(rows, key, goal, ours):
+    """Row of least time to an error, among ours or the peers', or None."""
+    reached = [
+        row for row in rows if row["error"] <= goal and row["name"].startswith("nlosoptics") == ours
+    ]
+    return min(reached, key=lambda row: row[key], default=None)
+
+
+def plot(rows, path):
+    """Error against seconds, one panel a case."""
+    import matplotlib
+
+    matplotlib.use("agg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(2, 2, figsize=(10, 9), layout="constrained")
+    names = list(dict.fromkeys(row["name"] for row in rows))
+    colors = pyplot.get_cmap("tab20").colors[::2] + pyplot.get_cmap("tab20b").colors[::4]
+    style = {name: (colors[i], "os^vDPX*<>phd"[i]) for i, name in enumerate(names)}
+    for panel, given in zip(axes.flat, CASES, strict=True):
+        for name in names:
+            part = [r for r in rows if r["case"] == given["name"] and r["name"] == name]
+            color, mark = style[name]
+            ours = name.startswith("nlosoptics")
+            panel.loglog(
+                [row["error"] for row in part],
+                [row["seconds"] for row in part],
+                color=color,
+                marker=mark,
+                linestyle="-" if ours else "--",
+                markerfacecolor=color if ours else "white",
+                label=name,
+            )
+        panel.set(
+            xlabel="largest error of the intensity over its peak",
+            ylabel="time / s",
+            title=f"{given['name']}, {given['size']} x {given['size']} samples of "
+            f"{given['pitch']:g} $\\lambda$N",
+            xlim=(1e-16, 3),
+        )
+        panel.grid(which="major", alpha=0.4)
+    handles, labels = axes.flat[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure.savefig(path, dpi=150)
+    print(f"wrote {path}")
+
+
+def main():
+    """Print the tables, write what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peers-python", metavar="PATH", help="interpreter that has the peers")
+    parser.add_argument("--samples", type=int, default=4096, help="most pupil samples a side")
+    parser.add_argument("--repeats", type=int, default=10)
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png")
+    options = parser.parse_args()
+    rows = compare(options)
+    summary(rows)
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    if options.plot:
+        plot(rows, options.plot)
+
+
+if __name__ == "__main__":
+    main()
