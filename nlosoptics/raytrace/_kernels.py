@@ -267,6 +267,21 @@ def wave_hits(row, box, w, state):
             state[i] = -1
 
 
+@njit(cache=True)
+def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
+    """Distance, status and slopes of the height where one ray first meets a wall."""
+    if terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
+        t, condition = conic_hit(terms[0], box, o, d)
+    else:
+        t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+    hx = hy = 0.0
+    if condition == HIT:
+        _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+        if not math.isfinite(hx):
+            condition = UNRESOLVED
+    return t, condition, hx, hy
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def intersect(
     terms,
@@ -286,8 +301,7 @@ def intersect(
 
     Directions have any length; a ray is bad with NaN, infinity or no direction.
     """
-    single = terms.shape[0] == 1
-    closed = single and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)
+    waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
     count = distance.size
     bad = 0
     for block in prange((count + BLOCK - 1) // BLOCK):
@@ -301,20 +315,13 @@ def intersect(
             bad += 0 if math.isfinite(x + y + z + dx + dy + dz) else 1
             w[OX + i], w[OY + i], w[OZ + i] = x, y, z
             w[DX + i], w[DY + i], w[DZ + i] = dx, dy, dz
-        if single and terms[0, 0] == WAVE:
+        if waved:
             wave_hits(terms[0], box, w, state)
         for i in range(n):
             o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
             t, condition, hx, hy = w[T + i], state[i], w[HX + i], w[HY + i]
             if condition < 0:
-                if closed:
-                    t, condition = conic_hit(terms[0], box, o, d)
-                else:
-                    t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
-                if condition == HIT:
-                    _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
-                    if not math.isfinite(hx):
-                        condition = UNRESOLVED
+                t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
             norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
             if condition != HIT:
                 t = norm = math.nan

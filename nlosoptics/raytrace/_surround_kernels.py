@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .._random_kernels import disc, draw
 from ..scene._kernels import surface
-from ..scene.walls import CYLINDER, SPHERE, WAVE
+from ..scene.walls import WAVE
 from ._kernels import (
     BLOCK,
     DX,
@@ -25,8 +25,7 @@ from ._kernels import (
     OZ,
     ROWS,
     UNRESOLVED,
-    conic_hit,
-    marched_hit,
+    wall_hit,
     wave_hits,
 )
 from ._kernels import T as DISTANCE
@@ -185,13 +184,13 @@ def _lens(world, o, d, low, high):
 def wall_hits(walls, origins, directions, live, distance, kind, normal):
     """First hits on a compiled wall, for live rays: distance, kind and normal; others stay."""
     terms, tables, grid_bounds, box, slab, rim = walls
-    flat, single = terms.shape[0] == 0, terms.shape[0] == 1
-    closed = single and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)
+    flat = terms.shape[0] == 0
+    waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
     w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
     count = distance.size
     for start in range(0, count, BLOCK):
         n = min(BLOCK, count - start)
-        if single and terms[0, 0] == WAVE:
+        if waved:
             w[:] = 0.0
             state[:] = -1
             for i in range(n):
@@ -212,14 +211,7 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
             elif state[i] >= 0:
                 t, condition, hx, hy = w[DISTANCE + i], state[i], w[HX + i], w[HY + i]
             else:
-                if closed:
-                    t, condition = conic_hit(terms[0], box, o, d)
-                else:
-                    t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
-                if condition == HIT:
-                    _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
-                    if not math.isfinite(hx):
-                        condition = UNRESOLVED
+                t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
             if condition == HIT:
                 norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
                 distance[j], kind[j] = t, WALL
