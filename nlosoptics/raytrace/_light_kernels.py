@@ -120,7 +120,7 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
     return d, -1.0
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _aimed(world, vertex, eye):
     """Share of the light leaving a vertex that is sent to the object."""
     if vertex[SURFACE] != WALL:
@@ -128,7 +128,7 @@ def _aimed(world, vertex, eye):
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _far(world, p):
     """Whether aiming alone may bring light from here to the object."""
     ball = world.ball
@@ -182,7 +182,7 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
         live[i] = cosine > 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _passed_on(world, leave, distance, kind, normal, scale):
     """Share of the power that goes along a ray drawn by `scatter`, and its density per area.
 
@@ -309,7 +309,7 @@ def land(
             fates[i] = 2
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
     """Book light that a walk brings to the lens; what of it is detected.
 
@@ -404,7 +404,7 @@ def look_on(world, old, leave, origins, directions, hits, new):
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], power, density)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def reflected(world, vertex, direction, cosine):
     """Lobes at a vertex toward a direction, mirrors left out, 1/sr."""
     kind = int(vertex[SURFACE])
@@ -414,7 +414,7 @@ def reflected(world, vertex, direction, cosine):
     return f * vertex[SCALE] if kind == OBJECT else f
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
     """Density per area with which `scatter` would go from a vertex to a target."""
     kind = int(vertex[SURFACE])

@@ -120,7 +120,7 @@ def sight(world, sampler, first, origins, directions, powers, densities):
         powers[i] = lens_area * cosine * camera[18] / densities[i] if seen else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def on_detector(camera, point, direction):
     """Density per solid angle of `sight` along a direction from a point of the lens, or 0."""
     cosine = dot(direction, three(camera, 9))
@@ -136,7 +136,7 @@ def on_detector(camera, point, direction):
     return camera[14] ** 2 / (camera[19] * cosine**3)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _plate(world, o, d, low, high):
     """Distance at which a ray meets the plate between low and high; inf if it does not."""
     plate = world.plate
@@ -153,7 +153,7 @@ def _plate(world, o, d, low, high):
     return t if abs(dot(across, three(plate, 6))) <= plate[13] else math.inf
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _texel(world, point):
     """Brightness of the picture at a point of the plate."""
     plate, picture = world.plate, world.picture
@@ -164,7 +164,7 @@ def _texel(world, point):
     return picture[min(max(row, 0), ny - 1), min(max(column, 0), nx - 1)]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _lens(world, o, d, low, high):
     """Distance at which a ray meets the lens from either side; inf if it does not."""
     camera = world.camera
@@ -272,7 +272,7 @@ def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kin
             kind[i] = OBJECT if dot(three(directions[i], 0), three(normals[k], 0)) < 0 else BACK
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def object_point(world, u, v):
     """Point of the object's front, in proportion to area times brightness, and its normal."""
     if world.plate.size > 0:
