@@ -186,10 +186,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
         raise SceneError("frequency and azimuth must be finite; give 1/m and rad")
     if isinstance(source, PointSpread):
-        along_x = 2 * math.pi * math.cos(azimuth) * frequencies.ravel()[:, None]
-        along_y = 2 * math.pi * math.sin(azimuth) * frequencies.ravel()[:, None]
-        half = np.einsum("fx,yx->fy", np.exp(-1j * along_x * source.x), source.intensity)
-        spectrum = np.einsum("fy,fy->f", np.exp(-1j * along_y * source.y), half)
+        spectrum = spectrum_along(source, frequencies.ravel(), azimuth)
         modulus = np.abs(spectrum) / float(np.sum(source.intensity))
         return np.asarray(modulus.reshape(frequencies.shape))
     if source.layout != "polar" or source.obscuration > 0:
@@ -200,6 +197,14 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     residual = split(source)
     values = [_overlap(residual, abs(float(f)), azimuth) for f in frequencies.ravel()]
     return np.array(values).reshape(frequencies.shape)
+
+
+def spectrum_along(point_spread: PointSpread, frequencies: Array, azimuth: float) -> ComplexArray:
+    """Fourier sums (n,) of a point spread at frequencies (n,), 1/m, along one direction, rad."""
+    along_x = 2 * math.pi * math.cos(azimuth) * frequencies[:, None]
+    along_y = 2 * math.pi * math.sin(azimuth) * frequencies[:, None]
+    half = np.einsum("fx,yx->fy", np.exp(-1j * along_x * point_spread.x), point_spread.intensity)
+    return np.asarray(np.einsum("fy,fy->f", np.exp(-1j * along_y * point_spread.y), half))
 
 
 def fwhm(point_spread: PointSpread) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SamplingError, SceneError
 from . import quadrature
-from .metrics import pupil_function
+from .metrics import pupil_function, spectrum_along
 from .nodes import polar_nodes
 from .point_spreads import PointSpread, point_spread
 from .residuals import split
@@ -119,13 +119,7 @@ def ptf(point_spread: PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0
     frequencies = np.asarray(frequency, dtype=np.float64)
     if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
         raise SceneError("frequency and azimuth must be finite; give 1/m and rad")
-    waves = -2j * math.pi * frequencies.ravel()[:, None]
-    half = np.einsum(
-        "fx,yx->fy",
-        np.exp(math.cos(azimuth) * waves * point_spread.x),
-        point_spread.intensity,
-    )
-    spectrum = np.einsum("fy,fy->f", np.exp(math.sin(azimuth) * waves * point_spread.y), half)
+    spectrum = spectrum_along(point_spread, frequencies.ravel(), azimuth)
     return np.asarray(np.angle(spectrum).reshape(frequencies.shape))
 
 
