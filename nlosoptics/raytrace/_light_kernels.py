@@ -15,6 +15,7 @@ from numba import njit
 
 from .._random_kernels import draw
 from ..scene._kernels import is_mirror, lobe_pdf, material, sample_lobe, total_strength
+from . import paths
 from ._surround_kernels import (
     DRAW_THIN,
     LENS,
@@ -284,15 +285,15 @@ def land(
         d, o = three(directions[i], 0), three(origins[i], 0)
         _end(old[i], new[i], o, d, distance[i] if sent > 0.0 else 0.0, sent)
         if sent <= 0.0:
-            fates[i] = 2
+            fates[i] = paths.ABSORBED
         elif where == NOTHING:
             sums[tail + ESCAPED] += sent
-            fates[i] = 1
+            fates[i] = paths.ESCAPED
         elif where == LENS:
             kept = _enter_lens(
                 world, sums, tail, old[i], leave[i], bounce, distance[i], sent, analog
             )
-            fates[i] = 0 if kept > 0.0 else 4
+            fates[i] = paths.DETECTED if kept > 0.0 else paths.BLOCKED
             if kept > 0.0:
                 new[i, POWER] = kept
         elif where in (WALL, OBJECT):
@@ -302,11 +303,11 @@ def land(
             if bounce == most:
                 sums[tail + LEFT] += sent
                 new[i, SURFACE] = NOTHING
-                fates[i] = 3
+                fates[i] = paths.LEFT
         else:
             fate = ABSORBED_OCCLUDERS if where == OCCLUDER else ABSORBED_OBJECT
             sums[tail + (UNRESOLVED_LIGHT if where == LOST else fate)] += sent
-            fates[i] = 2
+            fates[i] = paths.ABSORBED
 
 
 @njit(cache=True, inline="always")
@@ -344,7 +345,7 @@ def start(world, first, most, origins, directions, hits, new, path_sums, fates):
         _end(source, new[i], three(origins[i], 0), three(directions[i], 0), distance[i], power)
         if where == NOTHING:
             sums[tail + ESCAPED] += power
-            fates[i] = 1
+            fates[i] = paths.ESCAPED
         elif where in (WALL, OBJECT):
             _arrive(
                 source,
@@ -360,11 +361,11 @@ def start(world, first, most, origins, directions, hits, new, path_sums, fates):
             )
         elif where == LENS:
             sums[tail + BLOCKED] += power
-            fates[i] = 4
+            fates[i] = paths.BLOCKED
         else:
             fate = ABSORBED_OCCLUDERS if where == OCCLUDER else ABSORBED_OBJECT
             sums[tail + (UNRESOLVED_LIGHT if where == LOST else fate)] += power
-            fates[i] = 2
+            fates[i] = paths.ABSORBED
 
 
 @njit(cache=True, nogil=True)
