@@ -299,6 +299,9 @@ def _figures(result: Result) -> dict[str, Any]:
         "aberration_rms_waves": psf.rms_aberration(wave) / wave.wavelength,
         "point_spread_method": spread.method,
         "point_spread_error": spread.error_estimate,
+        "errors": dict(result.errors),
+        "field_nodes": 1 if result.field is None else result.field.weights[0].size,
+        "field_modes": 1 if result.field is None else len(result.field.modes),
         "image_shape": list(image.electrons.shape),
         "electrons_peak": float(image.electrons.max()),
         "electrons_mean": float(image.electrons.mean()),
@@ -326,6 +329,7 @@ def _write_arrays(result: Result, folder: Path) -> None:
     nouns = {
         "wavefront": result.wavefront,
         "point_spread": result.point_spread,
+        "field": result.field,
         "image": result.image,
         "reconstruction": result.reconstruction,
     }
@@ -386,6 +390,11 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
     table.add_row(
         "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
     )
+    if f["field_nodes"] > 1:
+        error = f["errors"]["field of point spreads"]
+        table.add_row(
+            "field", f"{f['field_nodes']} points in {f['field_modes']} modes, error {error:.1e}"
+        )
     table.add_row(
         "electrons per pixel",
         f"{f['electrons_peak']:.3g} at most, {f['electrons_mean']:.3g} on average, "

@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 
 from ._checks import fits_memory, in_range
-from .errors import NotWaveGradeError, SceneError
+from .errors import NotWaveGradeError, SamplingError, SceneError
 from .psf.aberration import check_wave_grade
 from .psf.obstruction import check_cone
+from .psf.paraxial import wave_bends
 from .psf.pupils import ExitPupil, exit_pupil
 from .raytrace import ray_plan
 from .scene import (
@@ -21,11 +22,14 @@ from .scene import (
     PlanarObject,
     Scene,
     SpecularMicrofacet,
-    SumMaterial,
     Ward,
 )
 
 BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
+MOST_SAMPLES = 8192  # across a point spread at Nyquist's pitch: 10 s and 2 GiB
+MOST_NODES = 27  # along each side of a field of point spreads
+MOST_SECONDS = 900  # of a field
+LARGEST_TOL = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,7 +67,8 @@ class Plan:
     skipped : tuple of Stage
         Those that do not, each with its reason.
     tol : float
-        Wanted error of the point spread, max |dI|/max I; the other stages state their own.
+        Wanted error of point spreads, max |dI|/max I, and of the image by their field; the other
+        stages state their own.
     waves : float
         Estimated peak-to-valley aberration left after tilt, waves.
     layout : {"polar", "grid"}
@@ -109,7 +114,8 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     ----------
     scene : Scene
     tol : float, default 1e-3
-        Wanted error of the point spread, 1e-12 to 0.1.
+        Wanted error of point spreads, max |dI|/max I, and of the image by their field, rms over
+        rms; 1e-12 to 0.1.
     reconstruct : bool, default False
         Whether the known-PSF reconstruction is wanted.
 
@@ -123,12 +129,14 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
         If the laser misses the wall, the camera cannot see the object by the wall, an occluder
         cuts a part of the cone of light from the object's reference point, or ``tol`` is out of
         range.
+    SamplingError
+        If ``tol`` is out of reach: with what it would take.
     MemoryLimitError
         If the image would not fit in memory.
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
-    in_range("tol", tol, 1e-12, 0.1)
+    in_range("tol", tol, 1e-12, LARGEST_TOL)
     ny, nx = scene.camera.shape
     fits_memory(
         f"an image of {nx} x {ny} pixels (camera.pixels, camera.binning)",
@@ -155,6 +163,7 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
         ),
         *_wave_stages(scene, pupil, waves, layout),
         _point_spread_stage(scene, pupil, waves, tol),
+        _field_stage(scene, pupil, waves, layout, tol),
         *_left_out(scene),
         _shadow_stage(scene, sampled=not refusal),
         _image_stage(scene),
@@ -213,35 +222,111 @@ def _wave_stages(scene: Scene, pupil: ExitPupil, waves: float, layout: str) -> I
 
 def _point_spread_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float) -> Stage:
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
-    seconds = 0.02
-    if waves > 0:
-        # rays of a defocus, and the diffraction tail until a pixel of it is below tol
-        reach = 4 * waves * core + (2 * core * pitch**2 / (math.pi**3 * tol)) ** (1 / 3)
-        seconds += 1.6e-7 * (4 * reach / core) ** 2
+    seconds = _spread_seconds(core, pitch, waves, tol)
+    tail = 4 * _tail(core, pitch, tol) / core  # samples across at Nyquist's pitch
+    if tail > MOST_SAMPLES:
+        raise SamplingError(
+            f"tol = {tol:g} takes a point spread of {tail:.0f} samples across, about "
+            f"{seconds:.0f} s and {tail**2 * 64 / 2**30:.0f} GiB, limit {MOST_SAMPLES}; use tol = "
+            f"{1.1 * tol * (tail / MOST_SAMPLES) ** 3:.1g} or more, or wider pixels"
+        )
+    slope = max((lobe.slope_rms for lobe in _lobes(scene)), default=0.0)
+    blur = ""
+    if slope > 0:
+        seconds += 0.5
+        blur = f", blurred by the lobe's slopes of {slope:g} rad"
     return Stage(
         name="point spread",
         runs=True,
-        reason=f"one at the object's centre; a pixel is {pitch / core:.3g} lambda N wide",
+        reason=f"at the object's centre; a pixel is {pitch / core:.3g} lambda N wide{blur}",
         seconds=seconds,
         error=f"{tol:g} of the peak",
     )
 
 
+def _tail(core: float, pitch: float, tol: float) -> float:
+    """Distance, m, at which a pixel of the diffraction tail has fallen to tol."""
+    peak = min(1.0, math.pi / 4 * (pitch / core) ** 2)
+    return math.cbrt(2 * core * pitch**2 / (math.pi**3 * tol * peak))
+
+
+def _spread_seconds(core: float, pitch: float, waves: float, tol: float) -> float:
+    reach = 4 * waves * core + _tail(core, pitch, tol)
+    return 0.02 + 1.6e-7 * (4 * reach / core) ** 2
+
+
+def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol: float) -> Stage:
+    """Whether point spreads at several object points are needed, and about how many."""
+    name = "field of point spreads"
+    if not isinstance(scene.hidden, PlanarObject):
+        return _skipped(name, "one point spread stands for the mesh; positions are exact")
+    if not _lobes(scene):
+        return _skipped(name, "a wall without a mirror-like lobe shows no picture")
+    if layout == "grid":
+        return _skipped(
+            name, "one point spread on a grid stands for the object; positions are exact"
+        )
+    core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
+    change = _change_over_object(scene, pupil)
+    if change <= tol:
+        return _skipped(
+            name, f"one point spread stands for the object: changes of it stay below {change:.1g}"
+        )
+    # measured: the image errs by about 0.06 of that over the nodes to this power
+    power = 5.0 if scene.wall.is_flat else 2.2
+
+    def cost(tol: float) -> tuple[int, float]:
+        nodes = max(4, math.ceil((0.06 * change / tol) ** (1 / power)))
+        return nodes, 1.2 * nodes**2 * (0.02 + _spread_seconds(core, pitch, waves, tol))
+
+    def fits(nodes: int, seconds: float) -> bool:
+        return nodes <= MOST_NODES and seconds <= MOST_SECONDS
+
+    nodes, seconds = cost(tol)
+    if not fits(nodes, seconds):
+        steps = (tol * 1.25**k for k in range(120))
+        least = next((t for t in steps if fits(*cost(t))), 1.0)
+        remedy = "stop the lens down" if least > LARGEST_TOL else f"use tol = {least:.1g} or more"
+        raise SamplingError(
+            f"tol = {tol:g} takes about {nodes} x {nodes} point spreads over the object, about "
+            f"{seconds:.0f} s, limits {MOST_NODES} x {MOST_NODES} and {MOST_SECONDS} s; {remedy}"
+        )
+    return Stage(
+        name=name,
+        runs=True,
+        reason=f"point spreads change over the object; about {nodes} x {nodes} of them",
+        seconds=seconds,
+        error=f"{tol:g} of the image, rms",
+    )
+
+
+def _change_over_object(scene: Scene, pupil: ExitPupil) -> float:
+    """Bound of the change of the point spread's pixels over the picture, by second-order optics."""
+    hidden = scene.hidden
+    assert isinstance(hidden, PlanarObject)
+    right, up, _ = hidden.axes
+    width, height = hidden.size
+    places = [(0.0, 0.0), *((x, y) for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5))]
+    points = [scene.object_point + x * width * right + y * height * up for x, y in places]
+    try:
+        bends = wave_bends(scene, np.array(points))
+    except SceneError:  # beyond the wall's rim
+        return 1.0
+    changes = np.linalg.norm(bends - bends[0], 2, axis=(1, 2)).max()
+    radius, distance = pupil.radius, abs(pupil.image_distance)
+    core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
+    slope = min((lobe.slope_rms for lobe in _lobes(scene)), default=0.0)
+    pixel = max(pitch, core) + slope * distance
+    spot = radius * distance * np.linalg.norm(bends, 2, axis=(1, 2)).max()
+    phase = 2 * math.pi / scene.laser.wavelength * changes * radius**2 / 2
+    # within a pixel only the diffraction tail moves
+    within = 0.4 * core / pitch if spot < 0.3 * pixel else 1.0
+    moved = 4 * radius * distance * changes / pixel
+    return min(2 * float(phase), within, float(moved))
+
+
 def _left_out(scene: Scene) -> Iterator[Stage]:
     """What this scene could ask for and is not computed."""
-    yield _skipped(
-        "field of point spreads",
-        "flat wall: the same everywhere but for focus"
-        if scene.wall.is_flat
-        else "one point spread stands for the whole object; positions follow the exact chief rays",
-    )
-    slope = _lobe_slope(scene)
-    yield _skipped(
-        "rough wall",
-        "the mirror-like lobe is smooth"
-        if slope == 0
-        else f"the lobe's slope of {slope:g} rad is taken as smooth; diffuse light is background",
-    )
     yield _skipped(
         "interreflection",
         "light from wall to wall is left out of the image; raytrace.trace tells how much it is"
@@ -368,13 +453,7 @@ def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:
     return float((curved + focus) * pupil.entrance_radius**2 / scene.laser.wavelength)
 
 
-def _lobe_slope(scene: Scene) -> float:
-    """Largest slope rms among the wall's mirror-like lobes, rad."""
-    material = scene.wall_material
-    parts = material.parts if isinstance(material, SumMaterial) else (material,)
-    slopes = [
-        p.slope_rms
-        for p in parts
-        if isinstance(p, SpecularMicrofacet | Ward) and p.specular_reflectance > 0
-    ]
-    return max(slopes, default=0.0)
+def _lobes(scene: Scene) -> tuple[SpecularMicrofacet | Ward, ...]:
+    """The wall's mirror-like lobes."""
+    lobes = scene.wall_material.mirror_lobes
+    return tuple(lobe for lobe in lobes if isinstance(lobe, SpecularMicrofacet | Ward))

@@ -10,21 +10,23 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ._random import checked_seed
 from .errors import NotWaveGradeError, SamplingError
-from .planning import Plan, plan, wave_refusal
+from .planning import MOST_NODES, MOST_SAMPLES, Plan, plan, wave_refusal
 from .psf.pupils import ExitPupil, exit_pupil
 from .scene import MeshWall, PlanarObject, Scene
 
 if TYPE_CHECKING:
     from .imaging import SpeckleImage
     from .inverse import Reconstruction
-    from .psf import PointSpread, Wavefront
+    from .psf import PointSpread, PointSpreadField, Wavefront
 
 Progress = Callable[[str, float], None]
+Array = NDArray[np.float64]
+FIELD = "field of point spreads"
 GRID_STEPS = (512, 1024, 2048)  # cells across a pupil that the wall's edge cuts
-MOST_SAMPLES = 8192  # across a point spread at Nyquist's pitch: 10 s and 2 GiB
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,9 +40,15 @@ class Result:
     exit_pupil : ExitPupil
     wavefront : Wavefront
     point_spread : PointSpread
+        Of the object's reference point.
+    field : PointSpreadField or None
+        Over the object, where one point spread does not stand for all of it.
     image : SpeckleImage
     reconstruction : Reconstruction or None
         None unless it was asked for.
+    errors : dict of str to float
+        Estimated errors, relative: of ``point spread``, max |dI|/max I; of ``field of point
+        spreads``, rms of the image.
     timings : dict of str to float
         Seconds of each stage that ran.
     seed : int
@@ -51,8 +59,10 @@ class Result:
     exit_pupil: ExitPupil
     wavefront: Wavefront
     point_spread: PointSpread
+    field: PointSpreadField | None
     image: SpeckleImage
     reconstruction: Reconstruction | None
+    errors: dict[str, float]
     timings: dict[str, float]
     seed: int
 
@@ -113,16 +123,21 @@ def simulate(
     wave, spread = _wave_and_spread(scene, todo, stage)
     from . import imaging
 
+    errors = {"point spread": spread.error_estimate}
+    field = None
+    if todo.runs(FIELD):
+        with stage(FIELD):
+            field, errors[FIELD] = imaging.image_field(scene, tol=tol, most_nodes=MOST_NODES)
     shadows = None
     if todo.runs("shadow rays"):
         with stage("shadow rays"):
             shadows = imaging.cast_shadows(scene)
     with stage("image"):
-        image = imaging.form_image(scene, spread, seed=seed, shadows=shadows)
+        image = imaging.form_image(scene, field or spread, seed=seed, shadows=shadows)
     reconstruction = None
     if todo.runs("reconstruction"):
         with stage("reconstruction"):
-            reconstruction = _reconstruct(scene, image, spread)
+            reconstruction = _reconstruct(scene, image, field.mean() if field else spread.intensity)
     if progress is not None:
         progress("done", 1.0)
     return Result(
@@ -131,8 +146,10 @@ def simulate(
         exit_pupil=pupil,
         wavefront=wave,
         point_spread=spread,
+        field=field,
         image=image,
         reconstruction=reconstruction,
+        errors=errors,
         timings=timings,
         seed=seed,
     )
@@ -153,16 +170,14 @@ def _wave_and_spread(
             shape = psf.window_shape(wave, pitch=pitch, tol=todo.tol)
             _check_samples(wave, shape, pitch, todo.tol)
             try:
-                return wave, psf.point_spread(
-                    wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=todo.tol
-                )
+                return wave, psf.lobe_point_spread(scene, wave, pitch=pitch, tol=todo.tol)
             except SamplingError:
                 if samples == steps[-1]:
                     raise
     raise AssertionError("unreachable: the last step returns or raises")
 
 
-def _reconstruct(scene: Scene, image: SpeckleImage, spread: PointSpread) -> Reconstruction:
+def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruction:
     """Object from the reading, with pose, point spread and the veil's shape known."""
     from . import inverse
     from .imaging import ForwardModel, diffuse_background

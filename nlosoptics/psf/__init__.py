@@ -13,7 +13,7 @@
   them side by side; `bands` and `fields`: over wavelengths and over the object.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
-  that of one drawn at random.
+  that of one drawn at random; `lobes`: that of a wall's mirror-like lobes.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit.
 """
@@ -24,6 +24,7 @@ from .comparisons import Comparison, ComparisonRow, compare
 from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .huygens import SurfacePointSpread, huygens_point_spread
+from .lobes import lobe_point_spread, lobe_window
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
@@ -65,6 +66,8 @@ __all__ = [
     "huygens_point_spread",
     "integrated_slopes",
     "isoplanatic_radius",
+    "lobe_point_spread",
+    "lobe_window",
     "mean_point_spread",
     "mtf",
     "path_difference",

@@ -12,14 +12,16 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import fits_memory, in_range, whole
 from .._random import generator
 from ..errors import SamplingError, SceneError
+from ..raytrace.meshes import worker_pool
 from ..scene import PlanarObject, Scene
 from .aberration import wavefront
-from .point_spreads import point_spread
-from .windows import window_shape
+from .lobes import lobe_point_spread, lobe_window
+from .point_spreads import PointSpread
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 HELD_OUT = 501  # stream of the points that check a field
+AVERAGED = 32  # points along each side of the picture over which a field is averaged
 FINEST = 1e-3  # of the object's size, the smallest radius that `isoplanatic_radius` tells
 
 
@@ -87,6 +89,12 @@ class PointSpreadField:
         """Point spread at one point of the picture, (py, px)."""
         return np.asarray(np.tensordot(self.at(across, up), self.modes, 1))
 
+    def mean(self) -> Array:
+        """Mean point spread over the picture, (py, px)."""
+        steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
+        weights = self.at(steps[None, :], steps[:, None]).mean(axis=(1, 2))
+        return np.asarray(np.tensordot(weights, self.modes, 1))
+
 
 def point_spread_field(
     scene: Scene,
@@ -135,7 +143,8 @@ def point_spread_field(
     Notes
     -----
     The modes are the leading right singular vectors of the matrix of all point spreads, as many as
-    ``tol`` takes; the weights are interpolated by Chebyshev polynomials over the picture.
+    ``tol`` takes; the weights are interpolated by Chebyshev polynomials over the picture. Point
+    spreads are computed on as many threads as there are cores, with the same bits on any number.
     """
     hidden = _picture(scene)
     ny, nx = _grid_counts(grid)
@@ -144,30 +153,30 @@ def point_spread_field(
     pitch = scene.camera.image_pitch if pitch is None else in_range("pitch", pitch, 0.0, unit="m")
     up, across = _nodes(ny), _nodes(nx)
     corners = [(x, y) for y in (up[0], up[-1]) for x in (across[0], across[-1])] + [(0.0, 0.0)]
-    side = max(
-        window_shape(wavefront(scene, _place(hidden, *at)), pitch=pitch, tol=tol / 2)
-        for at in corners
-    )
+    side = _side(scene, corners, pitch, tol / 2)
     fits_memory(
         f"{ny} x {nx} point spreads of {side} x {side} pixels",
         40.0 * ny * nx * side * side,
         "use fewer nodes or a larger tol",
     )
-    total, done = ny * nx + checks, 0
-    worst = 0.0
+    points = [(x, y) for y in up.tolist() for x in across.tolist()]
+    held_out = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
 
-    def spread(x: float, y: float) -> Array:
-        nonlocal done, worst
+    def spread(place: tuple[float, float]) -> PointSpread:
+        point = _place(hidden, *place)
+        wave = wavefront(scene, point)
+        return lobe_point_spread(
+            scene, wave, object_point=point, pitch=pitch, shape=side, tol=tol / 2
+        )
+
+    found = []
+    for one in worker_pool().map(spread, [*points, *map(tuple, held_out)]):
+        found.append(one)
         if progress is not None:
-            progress("field", done / total)
-        done += 1
-        wave = wavefront(scene, _place(hidden, x, y))
-        found = point_spread(wave, pitch=pitch, shape=side, pixel_integrated=True, tol=tol / 2)
-        worst = max(worst, found.error_estimate)
-        return found.intensity
-
-    spreads = np.array([[spread(x, y) for x in across.tolist()] for y in up.tolist()])
+            progress("field", len(found) / (ny * nx + checks))
+    spreads = np.array([one.intensity for one in found[: ny * nx]])
     modes, weights, lost = _compressed(spreads.reshape(ny * nx, -1), tol / 2)
+    worst = max(one.error_estimate for one in found)
     field = PointSpreadField(
         modes=modes.reshape(-1, side, side),
         weights=np.ascontiguousarray(weights.T).reshape(-1, ny, nx),
@@ -177,10 +186,8 @@ def point_spread_field(
         truncation_error=lost,
         error_estimate=lost + worst,
     )
-    points = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
-    error = max((_off(field.point_spread(x, y), spread(x, y)) for x, y in points), default=lost)
-    if progress is not None:
-        progress("field", 1.0)
+    rest = zip(held_out, found[ny * nx :], strict=True)
+    error = max((_off(field.point_spread(x, y), one.intensity) for (x, y), one in rest), default=0)
     return replace(field, error_estimate=max(error, lost) + worst)
 
 
@@ -203,13 +210,13 @@ def isoplanatic_radius(scene: Scene, *, tol: float = 0.05) -> float:
     """
     hidden, pitch = _picture(scene), scene.camera.image_pitch
     in_range("tol", tol, 1e-6, 1.0)
-    waves = [wavefront(scene, _place(hidden, x, y)) for x, y in ((0, 0), (1, 1), (-1, -1))]
-    side = max(window_shape(w, pitch=pitch, tol=tol / 10) for w in waves)
+    side = _side(scene, [(0, 0), (1, 1), (-1, -1)], pitch, tol / 10)
 
     def spread(x: float, y: float) -> Array:
-        wave = wavefront(scene, _place(hidden, x, y))
-        return point_spread(
-            wave, pitch=pitch, shape=side, pixel_integrated=True, tol=tol / 10
+        point = _place(hidden, x, y)
+        wave = wavefront(scene, point)
+        return lobe_point_spread(
+            scene, wave, object_point=point, pitch=pitch, shape=side, tol=tol / 10
         ).intensity
 
     centre, radius = spread(0.0, 0.0), math.inf
@@ -233,6 +240,16 @@ def _picture(scene: Scene) -> PlanarObject:
     if not isinstance(scene.hidden, PlanarObject):
         raise SceneError("scene.hidden is a mesh; point spreads over a field need a PlanarObject")
     return scene.hidden
+
+
+def _side(scene: Scene, places: list[tuple[float, float]], pitch: float, tol: float) -> int:
+    """Pixels a side that the point spreads at some places need."""
+    hidden = _picture(scene)
+    points = [_place(hidden, *place) for place in places]
+    return max(
+        lobe_window(scene, wavefront(scene, point), object_point=point, tol=tol, pitch=pitch)
+        for point in points
+    )
 
 
 def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
@@ -270,13 +287,18 @@ def _off(found: Array, exact: Array) -> float:
 
 
 def _compressed(spreads: Array, tol: float) -> tuple[Array, Array, float]:
-    """Fewest modes (K, p) and weights (n, K) within ``tol`` of every row's peak, and the error."""
+    """Fewest modes (K, p) and weights (n, K) within ``tol``, and their error.
+
+    Of every row's peak, sample by sample, and of its sum in all samples together: the first is
+    what is told, the second is what an image may change by.
+    """
     left, values, modes = np.linalg.svd(spreads, full_matrices=False)
-    peaks = spreads.max(axis=1)
+    peaks, sums = spreads.max(axis=1), np.abs(spreads).sum(axis=1)
     rest = spreads.copy()
     for count in range(1, len(values) + 1):
         rest -= np.outer(left[:, count - 1] * values[count - 1], modes[count - 1])
-        error = float((np.abs(rest).max(axis=1) / peaks).max())
-        if error <= tol or count == len(values):
+        size = np.abs(rest)
+        error = float((size.max(axis=1) / peaks).max())
+        if max(error, float((size.sum(axis=1) / sums).max())) <= tol or count == len(values):
             break
     return np.ascontiguousarray(modes[:count]), left[:, :count] * values[:count], error

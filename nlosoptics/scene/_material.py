@@ -34,6 +34,11 @@ class Material:
         return 0.0
 
     @property
+    def mirror_lobes(self) -> tuple[Material, ...]:
+        """The parts that `specular_reflectance` counts, those that reflect nothing left out."""
+        return (self,) if self.specular_reflectance > 0.0 else ()
+
+    @property
     def diffuse(self) -> Material | None:
         """The material without its mirror-like lobes; None when nothing is left."""
         return self

@@ -299,6 +299,11 @@ class SumMaterial(Material):
         return sum(part.specular_reflectance for part in self.parts)
 
     @property
+    def mirror_lobes(self) -> tuple[Material, ...]:
+        """The mirror-like parts."""
+        return tuple(lobe for part in self.parts for lobe in part.mirror_lobes)
+
+    @property
     def diffuse(self) -> Material | None:
         """The parts that are not mirror-like."""
         parts = [part for part in self.parts if part.diffuse is not None]

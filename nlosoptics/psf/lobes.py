@@ -1,0 +1,221 @@
+"""The mirror-like lobes of a wall: their roughness, and the point spread they give together."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import scipy  # loads scipy.special on first use
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import in_range, positive, vector
+from ..errors import SceneError
+from ..scene import PlanarObject, Scene, SpecularMicrofacet, Ward
+from .facet_waves import WallView, wall_view
+from .point_spreads import PointSpread, point_spread
+from .residuals import split
+from .rough_means import mean_point_spread
+from .roughness import Roughness
+from .wavefronts import Wavefront
+from .windows import shape_of, window_side
+
+Array = NDArray[np.float64]
+Lobe = SpecularMicrofacet | Ward
+#: Phase rms of a lobe's heights, rad: its point spread is that of its slopes to 1/s^2.
+ROUGH: Final = 1e3
+
+
+def lobe_roughness(lobe: Lobe, rayleigh_parameter: float, height_rms: float) -> Roughness:
+    """Heights whose slopes are those of a lobe, in the rough limit.
+
+    Parameters
+    ----------
+    lobe : SpecularMicrofacet or Ward
+        Of a slope above 0.
+    rayleigh_parameter : float
+        rms of the phase that the heights give, rad, far above 1.
+    height_rms : float
+        The same as a height, m.
+
+    Returns
+    -------
+    Roughness
+        Gaussian but for GGX, whose slopes have the characteristic function x K1(x), x = alpha
+        times the wave number: C = 1 + ln(x K1(x))/s^2.
+    """
+    length = math.sqrt(2) * height_rms / lobe.slope_rms
+    if getattr(lobe, "distribution", "beckmann") == "beckmann":
+        return Roughness(height_rms, length)
+
+    def correlation(lags: Array) -> Array:
+        # alpha = sqrt(2) slope_rms, and s/height_rms is the wave number times both cosines
+        x = np.maximum(2 * rayleigh_parameter * np.asarray(lags) / length, 1e-12)
+        fall = np.log(x * scipy.special.k1e(x)) - x
+        return np.where(np.asarray(lags) == 0, 1.0, np.maximum(1 + fall / rayleigh_parameter**2, 0))
+
+    return Roughness(height_rms, length, correlation)
+
+
+def halo_radius(lobe: Lobe, view: WallView, wave: Wavefront, tol: float) -> float:
+    """Distance in the image, m, at which the blur by a lobe's slopes falls to ``tol`` of its peak.
+
+    Slopes t have the density exp(-t^2/(2 sigma^2)), of GGX (1 + t^2/alpha^2)^-2, and turn the wave
+    by (cos_i + cos_o) M^T t.
+    """
+    far = math.sqrt(2 * math.log(1 / tol))
+    if getattr(lobe, "distribution", "") == "ggx":
+        far = math.sqrt(2 * (tol**-0.5 - 1))
+    turn = view.cos_sum * float(np.linalg.norm(view.footprint, 2)) * lobe.slope_rms
+    return far * turn * abs(wave.image_distance)
+
+
+def lobe_window(
+    scene: Scene,
+    wave: Wavefront,
+    *,
+    object_point: ArrayLike | None = None,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+) -> int:
+    """Odd side of a window outside which `lobe_point_spread` stays below ``tol`` of its peak.
+
+    Parameters
+    ----------
+    scene, wave, object_point, tol, pitch
+        As of `lobe_point_spread`.
+
+    Returns
+    -------
+    int
+        Pixels per side.
+    """
+    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    side = window_side(split(wave), pitch, tol)
+    rough, _ = _lobes(scene)
+    if not rough:
+        return side
+    view = wall_view(_seen_from(scene, object_point))
+    halo = max(halo_radius(lobe, view, wave, tol) for lobe in rough)
+    return side + 2 * math.ceil(halo / pitch)
+
+
+def lobe_point_spread(
+    scene: Scene,
+    wave: Wavefront,
+    *,
+    object_point: ArrayLike | None = None,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+) -> PointSpread:
+    """Point spread by all mirror-like lobes of the wall.
+
+    Parameters
+    ----------
+    scene : Scene
+        A wall without such a lobe is taken as a smooth mirror.
+    wave : Wavefront
+        Of the smooth wall, from `wavefront`.
+    object_point : array_like, (3,), optional
+        That of the wave, world, m; by default the hidden object's reference point.
+    tol : float
+        Wanted error, max |dI|/max I.
+    pitch : float, optional
+        Pixel side, m; the camera's image pixel by default. Values are integrals over pixels.
+    shape : int or (int, int), optional
+        (ny, nx). By default that of `lobe_window`.
+
+    Returns
+    -------
+    PointSpread
+        ``"unit-sum"``; the lobes count by their reflectances.
+
+    Raises
+    ------
+    NlosError
+        As of `point_spread`, `wall_view` and `mean_point_spread`.
+
+    Notes
+    -----
+    Microfacets are geometric optics, heights of many waves. So a lobe with a slope is the rough
+    limit of `mean_point_spread`, the wave's point spread blurred by the facets' slopes, and a
+    smooth one is the wave's alone.
+    """
+    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
+    rough, smooth = _lobes(scene)
+    if shape is None:
+        shape = lobe_window(scene, wave, object_point=object_point, tol=tol, pitch=pitch)
+    if not rough:
+        return point_spread(wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
+    view = wall_view(_seen_from(scene, object_point))
+    height = ROUGH * wave.wavelength / (2 * math.pi * view.cos_sum)
+    statistics = [lobe_roughness(lobe, ROUGH, height) for lobe in rough]
+    parts: list[tuple[float, PointSpread]] = [
+        (
+            lobe.specular_reflectance,
+            mean_point_spread(
+                wave,
+                one,
+                footprint=view.footprint,
+                cos_sum=view.cos_sum,
+                pitch=pitch,
+                shape=shape,
+                pixel_integrated=True,
+                tol=tol,
+            ),
+        )
+        for lobe, one in zip(rough, statistics, strict=True)
+    ]
+    if smooth > 0:
+        parts.append((smooth, _within(wave, pitch, shape_of(shape), tol)))
+    return _together(parts)
+
+
+def _within(wave: Wavefront, pitch: float, shape: tuple[int, int], tol: float) -> PointSpread:
+    """Smooth wall's point spread, 0 beyond the window outside which it is below ``tol``."""
+    side = window_side(split(wave), pitch, tol)
+    ny, nx = (min(n, side + (n - side) % 2) for n in shape)
+    core = point_spread(wave, pitch=pitch, shape=(ny, nx), pixel_integrated=True, tol=tol)
+    intensity = np.zeros(shape)
+    top, left = shape[0] // 2 - ny // 2, shape[1] // 2 - nx // 2
+    intensity[top : top + ny, left : left + nx] = core.intensity
+    return replace(core, intensity=intensity)
+
+
+def _lobes(scene: Scene) -> tuple[list[Lobe], float]:
+    """Mirror-like lobes with a slope, and the reflectance of those without."""
+    lobes = [p for p in scene.wall_material.mirror_lobes if isinstance(p, Lobe)]
+    smooth = sum(lobe.specular_reflectance for lobe in lobes if lobe.slope_rms == 0)
+    return [lobe for lobe in lobes if lobe.slope_rms > 0], smooth
+
+
+def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
+    """Sum of point spreads on the same pixels by their shares."""
+    total = sum(share for share, _ in parts)
+    intensity = np.sum([share / total * part.intensity for share, part in parts], axis=0)
+    first = parts[0][1]
+    errors = (share * part.error_estimate * float(part.intensity.max()) for share, part in parts)
+    return PointSpread(
+        intensity=intensity,
+        pitch=first.pitch,
+        method=" + ".join(dict.fromkeys(part.method for _, part in parts)),
+        error_estimate=sum(errors) / (total * float(intensity.max())),
+        normalisation=first.normalisation,
+        wavelength=first.wavelength,
+        f_number=first.f_number,
+        pixel_integrated=True,
+        enclosed_energy=float(intensity.sum()),
+    )
+
+
+def _seen_from(scene: Scene, object_point: ArrayLike | None) -> Scene:
+    """The scene with the picture at a point, whose chief ray then is the wall's view."""
+    if object_point is None:
+        return scene
+    if not isinstance(scene.hidden, PlanarObject):
+        raise SceneError("object_point with a mesh, which has one reference point; leave it out")
+    x, y, z = vector("object_point", object_point)
+    return replace(scene, hidden=replace(scene.hidden, position=(x, y, z)))
