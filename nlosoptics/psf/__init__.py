@@ -15,7 +15,7 @@
 - `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
   that of one drawn at random.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
-  spot radius, Zernike fit.
+  spot radius, Zernike fit; `metric_errors`: their error bars over patterns drawn at random.
 - `exchange`, `poppy_files`, `zernike_tables`: waves for other tools and from them; `whole_files`
   writes.
 """
@@ -27,6 +27,7 @@ from .exchange import PrysmPupil, from_prysm, to_prysm
 from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .huygens import SurfacePointSpread, huygens_point_spread
+from .metric_errors import MetricEstimate, metric_estimate
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
@@ -47,6 +48,7 @@ __all__ = [
     "Comparison",
     "ComparisonRow",
     "ExitPupil",
+    "MetricEstimate",
     "PointSpread",
     "PointSpreadField",
     "PrysmPupil",
@@ -74,6 +76,7 @@ __all__ = [
     "integrated_slopes",
     "isoplanatic_radius",
     "mean_point_spread",
+    "metric_estimate",
     "mtf",
     "path_difference",
     "peak_strehl",
