@@ -25,6 +25,7 @@ FIELDS: Final = ("ordering", "unit", "sign", "wavelength")
 
 COMMENT: Final = re.compile(r"[#!%]\s*(?:(\w+)\s*[:=]\s*(\S+)\s*$)?")
 NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+LISTING: Final = re.compile(r"\s*listing of zernike", re.IGNORECASE)
 #: Index and coefficient, as ``4,1.5``, ``4 1.5`` or a listing's ``Z 4  1.5 : formula``.
 LINE: Final = re.compile(rf"[zZ]?\s*(\d+)(?:\s*[,;:=]\s*|\s+)({NUMBER})\s*(?::.*)?")
 
@@ -71,7 +72,7 @@ def write_zernikes(
         Of the numbers in the file.
     sign : {"excess", "advance"}
         ``advance`` writes minus the coefficients, for tools that count a shorter path as positive,
-        such as Zemax and POPPY.
+        as POPPY does; of Zemax it is said too, which no test here can hold.
     wavelength : float, optional
         m; needed for waves.
 
@@ -118,10 +119,11 @@ def read_zernikes(
     Parameters
     ----------
     path : str or Path
-        Lines of an index and a coefficient, parted by a comma, semicolon, colon or blanks; ``Z 4
-        0.12 : formula`` is read too, and so is a heading that begins with ``index``. Comments begin
-        with # ! or %, and may say ``ordering: noll``, ``unit: nm``, ``sign: advance`` and
-        ``wavelength: 6.328e-07``.
+        Lines of an index and a coefficient, parted by a comma, semicolon, colon or blanks, under a
+        heading that begins with ``index`` or none. Comments begin with # ! or %, and may say
+        ``ordering: noll``, ``unit: nm``, ``sign: advance`` and ``wavelength: 6.328e-07``. Of
+        Zemax's ``Listing of Zernike ...`` the lines ``Z 4 0.12 : formula`` count and no others;
+        its Standard terms are Noll's, in waves.
     ordering, unit, sign : str, optional
         As of `write_zernikes`; each must be given here or by the file, and may not differ.
     wavelength : float, optional
@@ -198,6 +200,7 @@ def _parsed(path: Path, text: str) -> tuple[dict[int, tuple[int, str]], dict[str
     """Index to line and number, and what the comments say."""
     numbers: dict[int, tuple[int, str]] = {}
     said: dict[str, str] = {}
+    is_listing = LISTING.match(text) is not None
     for count, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
         if comment := COMMENT.match(line):
@@ -210,6 +213,8 @@ def _parsed(path: Path, text: str) -> tuple[dict[int, tuple[int, str]], dict[str
         if not line or (not numbers and line.lower().startswith("index")):
             continue
         found = LINE.fullmatch(line)
+        if is_listing and (found is None or line[0] != "Z"):
+            continue
         if found is None:
             raise SceneError(
                 f"{path}, line {count}: {line[:40]!r} is no index and coefficient; write 4,1.5e-8"

@@ -62,6 +62,22 @@ def test_tables_of_others_are_read(tmp_path):
     assert table.coefficients == {4: 0.25e-6, 11: -0.0125e-6, 12: -0.5e-6}
 
 
+def test_listing_counts_its_terms_alone(tmp_path):
+    """A head of title, date and figures, as OpticStudio writes it."""
+    path = tmp_path / "listing.txt"
+    path.write_text(
+        "Listing of Zernike Standard Coefficient Data\n\n"
+        "Date : 1/2/2026\n12 of 13\n"
+        "Wavelength                   :\t0.7500 \u00b5m\n"
+        "Peak to Valley (to chief)    :\t    0.5 waves\n\n"
+        "Z   1\t    0.89223784\t:\t  1\n"
+        "Z   4\t   -0.25000000\t:\t   3^(1/2) (2p^2 - 1)\n",
+        encoding="utf-8",
+    )
+    table = psf.read_zernikes(path, ordering="noll", unit="waves", sign="excess", wavelength=1e-6)
+    assert table.coefficients == approx({1: 0.89223784e-6, 4: -0.25e-6}, rel=1e-15)
+
+
 def test_sign_turns_the_wave(tmp_path):
     """Written as an advance and read as an excess, coma throws its light to the other side."""
     path = tmp_path / "table.csv"
