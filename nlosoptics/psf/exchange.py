@@ -1,6 +1,7 @@
 """Pupil maps for prysm and from it, and what it and others mean by theirs.
 
-What was found with their own transforms, and is held by tests, of a pupil map [row, column]:
+What was found with their own transforms (POPPY 1.1.2, prysm 0.21.1, HCIPy 0.7.1; tests hold the
+first two) of a pupil map [row, column]:
 
 ========  =====================  ===========================  ==============================
 tool      OPD above 0            grid of n samples            W = a u moves the spot to
