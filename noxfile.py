@@ -35,7 +35,7 @@ def tests(session: nox.Session) -> None:
 def oldest(session: nox.Session) -> None:
     """Run the tests with the minimum version of every dependency."""
     extras = PROJECT["optional-dependencies"]
-    wanted = [*PROJECT["dependencies"], *extras["views"], *extras["inverse"]]
+    wanted = [*PROJECT["dependencies"], *extras["views"], *extras["inverse"], *extras["exchange"]]
     pins = [requirement.replace(">=", "==") for requirement in wanted]
     session.install(*pins, "-e", ".[test]")
     session.run("pytest", *session.posargs)

@@ -23,6 +23,7 @@ STUB = ROOT / "nlosoptics" / "__init__.pyi"
 SUBPACKAGES = sorted(p.parent.name for p in (ROOT / "nlosoptics").glob("*/__init__.py"))
 
 HEAVY = {
+    "astropy",
     "dask",
     "ducc0",
     "matplotlib",

@@ -15,19 +15,24 @@
 - `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
   that of one drawn at random; `lobes`: that of a wall's mirror-like lobes.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
-  spot radius, Zernike fit.
+  spot radius, Zernike fit; `metric_errors`: their error bars over patterns drawn at random.
+- `exchange`, `poppy_files`, `zernike_tables`: waves for other tools and from them; `whole_files`
+  writes.
 """
 
 from .aberration import path_difference, wall_aberration, wavefront
 from .bands import band_point_spread, gaussian_band
 from .comparisons import Comparison, ComparisonRow, compare
+from .exchange import PrysmPupil, from_prysm, to_prysm
 from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .huygens import SurfacePointSpread, huygens_point_spread
 from .lobes import lobe_point_spread, lobe_window
+from .metric_errors import MetricEstimate, metric_estimate
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
+from .poppy_files import read_poppy, write_poppy
 from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
 from .rough_means import RoughPointSpread, mean_point_spread
@@ -37,20 +42,24 @@ from .slopes import integrated_slopes, wavefront_from_slopes
 from .spots import centroid, ensquared_energy, peak_strehl, ptf, spot_radius
 from .wavefronts import Removed, Wavefront
 from .windows import window_shape
+from .zernike_tables import ZernikeTable, read_zernikes, write_zernikes
 from .zernikes import zernike, zernike_order
 
 __all__ = [
     "Comparison",
     "ComparisonRow",
     "ExitPupil",
+    "MetricEstimate",
     "PointSpread",
     "PointSpreadField",
+    "PrysmPupil",
     "Removed",
     "RoughPointSpread",
     "Roughness",
     "SurfacePointSpread",
     "WallView",
     "Wavefront",
+    "ZernikeTable",
     "band_point_spread",
     "centroid",
     "compare",
@@ -60,6 +69,7 @@ __all__ = [
     "facet_reach",
     "facet_wavefront",
     "fit_zernike",
+    "from_prysm",
     "fwhm",
     "gaussian_band",
     "grid_nodes",
@@ -69,6 +79,7 @@ __all__ = [
     "lobe_point_spread",
     "lobe_window",
     "mean_point_spread",
+    "metric_estimate",
     "mtf",
     "path_difference",
     "peak_strehl",
@@ -77,16 +88,21 @@ __all__ = [
     "polar_nodes",
     "ptf",
     "pupil_slopes",
+    "read_poppy",
+    "read_zernikes",
     "rms_aberration",
     "sample_point_spread",
     "spot_radius",
     "strehl",
+    "to_prysm",
     "wall_aberration",
     "wall_view",
     "wavefront",
     "wavefront_from_rays",
     "wavefront_from_slopes",
     "window_shape",
+    "write_poppy",
+    "write_zernikes",
     "zernike",
     "zernike_order",
 ]

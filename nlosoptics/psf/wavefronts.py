@@ -252,7 +252,9 @@ class Wavefront:
             raise SamplingError(
                 f"a {self.layout} wavefront has no pupil pitch; sample it on a grid"
             )
-        return float(self.u[0, 1] - self.u[0, 0])
+        # beside the axis, where u is 0 and the difference keeps all digits
+        axis = self.u.shape[1] // 2
+        return float(self.u[0, axis] - self.u[0, axis - 1])
 
     @property
     def flux(self) -> float:

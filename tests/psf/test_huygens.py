@@ -167,6 +167,63 @@ def test_slow_beams_are_fraunhofers():
         assert errors[1] / errors[2] == approx(4, rel=0.02)
 
 
+def fraunhofer_twin(wave, waves, pupil):
+    """The wave on direction sines whose Fraunhofer image is the spherical waves' one.
+
+    On the sphere (u, v) are sines, and the field is A/cos^(1/2) on each du dv. On the plane they
+    are tangents: u = s/cos, du dv = ds dt/cos^4, and A cos^(3/2) makes it A cos^(-5/2) on ds dt.
+    """
+    d = wave.image_distance
+    sine = RADIUS if pupil == "sphere" else RADIUS / math.hypot(1, RADIUS / d)
+    s, t, weights = psf.polar_nodes(sine, 40, 144)
+    cosine = np.sqrt(1 - (s * s + t * t) / d**2)
+    u, v = (s, t) if pupil == "sphere" else (s / cosine, t / cosine)
+    path = np.zeros_like(s)
+    for j, w in waves.items():
+        path += w * WAVELENGTH * psf.zernike(j, np.hypot(u, v) / RADIUS, np.arctan2(v, u))
+    return replace(
+        wave,
+        u=s,
+        v=t,
+        weights=weights,
+        pupil_radius=sine,
+        aberration=path,
+        amplitude=cosine ** (-0.5 if pupil == "sphere" else -2.5),
+    )
+
+
+@pytest.mark.parametrize("pupil", ["plane", "sphere"])
+@pytest.mark.parametrize("waves", [{}, {8: 0.2}, {8: 0.6}, {6: 0.2, 7: -0.3, 11: 0.1}], ids=str)
+def test_cosines_are_all_that_parts_slow_beams_from_fraunhofers(waves, pupil):
+    """1/N^2 apart as the waves are written; in sines, with the cosines' powers, by lambda/a."""
+    apart = []
+    for f_number in (50, 100, 200):
+        wave = wave_at(f_number, waves)
+        options = {
+            "method": "quadrature",
+            "pitch": WAVELENGTH * f_number / 3,
+            "shape": 145,  # holds the rays of 0.6 waves of coma
+            "tol": 1e-12,
+            "normalisation": "ideal-peak",
+        }
+        flat = psf.point_spread(wave, **options)
+        middle = slice(52, 93)
+        y, x = np.meshgrid(flat.y[middle], flat.x[middle], indexing="ij")
+        points = np.stack([x, y, np.full_like(x, wave.image_distance)], axis=-1)
+        found = psf.huygens_point_spread(wave, points, pupil=pupil).intensity
+        apart.append(np.abs(found - flat.intensity[middle, middle]).max())
+        twin = psf.point_spread(fraunhofer_twin(wave, waves, pupil), **options)
+        # left is a phase of about (lambda/d) (x rho/(lambda N))^2, some 1e-4 where I is 1e-3 at
+        # N = 50, and less by (lambda/a)^2 at any N
+        assert np.abs(found - twin.intensity[middle, middle]).max() < 5e-6 / f_number
+    # what is left, on 6e-8 at least of what falls
+    assert apart[0] / apart[1] == approx(4, rel=0.05)
+    assert apart[1] / apart[2] == approx(4, rel=0.1)
+    if pupil == "sphere":
+        # |dU| <= mean |rho^2 - 1/2|/(16 N^2) = 1/(64 N^2), |dI| <= 2 |dU|
+        assert apart[1] < min(1e-6, 1 / (32 * 100**2))
+
+
 def test_method_and_function_agree_on_a_surface():
     wave = wave_at(4, {8: 0.2})
     unit = WAVELENGTH * 4

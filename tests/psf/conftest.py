@@ -1,0 +1,30 @@
+"""Fixtures of the tests of point spreads."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import types
+import warnings
+from collections.abc import Callable
+from importlib.metadata import distribution
+
+import pytest
+
+
+@pytest.fixture
+def peer(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], types.ModuleType]:
+    """Import a package of the test extra, or skip; its warnings on import are not ours."""
+
+    def load(name: str) -> types.ModuleType:
+        # prysm 0.21 asks for its own version by a module that setuptools 82 no longer has
+        lacking = "pkg_resources" not in sys.modules
+        if lacking and importlib.util.find_spec("pkg_resources") is None:
+            stand_in = types.ModuleType("pkg_resources")
+            monkeypatch.setattr(stand_in, "get_distribution", distribution, raising=False)
+            monkeypatch.setitem(sys.modules, "pkg_resources", stand_in)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return pytest.importorskip(name)
+
+    return load
