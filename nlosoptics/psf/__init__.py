@@ -12,8 +12,9 @@
 - `methods`: runs one or picks among them; `point_spreads`: `point_spread`; `comparisons`: all of
   them side by side; `bands` and `fields`: over wavelengths and over the object.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
-- `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
-  that of one drawn at random.
+- `transfers`, `halos`, `rough_means`: the mean point spread over all such walls; `screens`,
+  `rough_samples`: that of one drawn at random; `correlations`, `rough_scales`: long waves drawn,
+  short ones as their mean.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit.
 """
@@ -31,6 +32,7 @@ from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
 from .rough_means import RoughPointSpread, mean_point_spread
 from .rough_samples import sample_point_spread
+from .rough_scales import split_scale, two_scale_point_spread
 from .roughness import Roughness
 from .slopes import integrated_slopes, wavefront_from_slopes
 from .spots import centroid, ensquared_energy, peak_strehl, ptf, spot_radius
@@ -76,8 +78,10 @@ __all__ = [
     "pupil_slopes",
     "rms_aberration",
     "sample_point_spread",
+    "split_scale",
     "spot_radius",
     "strehl",
+    "two_scale_point_spread",
     "wall_aberration",
     "wall_view",
     "wavefront",
