@@ -23,8 +23,8 @@ ComplexArray = NDArray[np.complex128]
 
 #: Share of the diffuse transfer function's height that is left out.
 CUT: Final = 1e-13
-#: Times that the separations are refined by half before giving up.
-ROUNDS: Final = 5
+#: How much finer than the rule of thumb nodes may become before giving up.
+FINEST: Final = 7.0
 EPSILON: Final = 1e-12
 #: Correlation lengths over which one run of nodes follows C and its tail; further runs grow by 4.
 FIRST_RUN: Final = 8.0
@@ -127,27 +127,30 @@ class Halo:
         return np.ascontiguousarray(image.real)
 
     def converged(
-        self, at: Callable[[Array, Array], ComplexArray], coherent: Array | float, tol: float
+        self,
+        at: Callable[[Array, Array], ComplexArray],
+        coherent: Array,
+        tol: float,
+        fineness: float = 1.0,
     ) -> tuple[Array, Separations, ComplexArray, float]:
         """Diffuse light, its nodes, the transfer function there, and what the nodes miss.
 
         The latter in units of the light's own, next to which ``tol`` stands relative to the peak of
-        both parts.
+        both parts. Nodes start at ``fineness`` and are refined by half until a tenth of it is met.
         """
-        fineness = 1.0
-        nodes = self.separations(0.7)
+        nodes = self.separations(0.7 * fineness)
         coarse = self.image(nodes, at(nodes.du, nodes.dv))
-        for _ in range(ROUNDS):
+        while True:
             nodes = self.separations(fineness)
             smooth = at(nodes.du, nodes.dv)
             fine = self.image(nodes, smooth)
             # what the coarser nodes miss bounds what these do
             missed = float(np.abs(fine - coarse).max())
-            if missed <= 0.1 * tol * float(np.max(coherent + fine)):
-                break
+            enough = missed <= 0.1 * tol * float(np.max(coherent + fine))
+            if enough or 1.5 * fineness > FINEST:
+                return fine, nodes, smooth, missed
             coarse = fine
             fineness *= 1.5
-        return fine, nodes, smooth, missed
 
     def _weighted(self, du: Array, dv: Array, lag: Array, steps: Array) -> Separations:
         """Nodes with all that the sum needs of them."""

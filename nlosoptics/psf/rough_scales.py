@@ -39,6 +39,8 @@ ComplexArray = NDArray[np.complex128]
 
 #: Standard deviations of a drawn wall's phase step that the spline's error is taken for.
 STEEP: Final = 3.0
+#: Nodes to start with, relative to the rule of thumb: every wall pays for them.
+FINENESS: Final = 0.3
 
 
 def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 0.1) -> float:
@@ -241,7 +243,7 @@ class _Walls:
             self.residual, self.short, self.window, self.pixel_integrated, clear.reach, spread
         )
         found, nodes, smooth, missed = halo.converged(
-            lambda du, dv: clear.at(du, dv) * ratio(du, dv), coherent, self.tol
+            lambda du, dv: clear.at(du, dv) * ratio(du, dv), coherent, self.tol, FINENESS
         )
         lag = seen.pitch * float(np.linalg.norm(self.long.footprint, 2))
         variance = 2 * self.long.rayleigh_parameter**2 * float(self.long.roughness.structure(lag))

@@ -31,6 +31,8 @@ DENSER: Final = 1.5
 LEAST_STRIDE: Final = 4
 #: Light in the last tenth of a lattice's band, at most, for what lies between its points.
 BEYOND: Final = 1e-9
+#: C at which that light is looked at on a torus; a step of 1e-6 would pass for waves.
+NOTHING: Final = 1e-12
 #: Of the values between.
 EPSILON: Final = 1e-12
 
@@ -79,7 +81,7 @@ def stride(view: RoughView, pitch: float) -> int:
     """
     cells = math.floor(min(widest_pitch(view) / (DENSER * pitch), 1e9))
     while cells >= LEAST_STRIDE:
-        steps = _steps(_torus(view, 0, cells * pitch, 0.0)) * cells * pitch
+        steps = _steps(_torus(view, 0, cells * pitch, 0.0, NOTHING)) * cells * pitch
         light = view.diffuse_transfer(view.lags(steps, steps[:, None]))
         waves = np.abs(ducc0.fft.c2c(light.astype(np.complex128), nthreads=1))
         outer = np.abs(np.fft.fftfreq(steps.size)) > 0.45
@@ -194,12 +196,14 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
     return Screens(np.sqrt(positive), view.rayleigh_parameter, spreading)
 
 
-def _torus(view: RoughView, cells: int, pitch: float, reach: float) -> int:
-    """Lattice points a side on which the screen is periodic."""
-    independent = view.roughness.reach(INDEPENDENT)
+def _torus(
+    view: RoughView, cells: int, pitch: float, reach: float, level: float = INDEPENDENT
+) -> int:
+    """Lattice points a side on which the screen is periodic, C at the level half way round."""
+    independent = view.roughness.reach(level)
     if math.isinf(independent):
         raise SceneError(
-            f"roughness.autocorrelation stays above {INDEPENDENT:g} up to 1000 correlation "
+            f"roughness.autocorrelation stays above {level:g} up to 1000 correlation "
             "lengths; give one that ends"
         )
     gap = independent * float(np.linalg.norm(np.linalg.inv(view.footprint), 2))
