@@ -60,7 +60,10 @@ def sample_point_spread(
     seed : int
         The same seed and sampling give the same wall.
     independent_patterns : int
-        Walls whose patterns are averaged; the first is that of a single one.
+        Walls whose patterns are averaged; the first is that of a single one. An average over time
+        or partial coherence is the same: one pattern for each correlation length that a wall moves
+        by during the exposure, or for each wavelength lambda/s from the next, s the phase rms in
+        rad. Developed speckle then has the contrast ``1/sqrt(independent_patterns)``.
     footprint, cos_sum
         As of `mean_point_spread`.
     effective_distance : float or array_like (2, 2), optional

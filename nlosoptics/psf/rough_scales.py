@@ -16,7 +16,7 @@ from ..scene import Scene
 from . import mdft
 from .halos import Halo, Separations
 from .point_spreads import NORMALISATIONS, Normalisation
-from .pupil_grids import PupilGrid
+from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from .residuals import Residual, split
 from .rough_means import ALL_DIFFUSE, RoughPointSpread, image_sampling, mean_point_spread
 from .rough_samples import (
@@ -235,8 +235,11 @@ class _Walls:
     def _scattering(self, seen: PupilGrid, coherent: Array, spill: float) -> _Scattering:
         """Separations enough for the first wall, which serve the others too."""
         wave = self.residual.wavefront
-        clear = transfer(split(replace(wave, aberration=np.zeros_like(wave.aberration))))
-        ratios = LatticeRatio(np.abs(seen.values), seen.pitch)
+        flat = split(replace(wave, aberration=np.zeros_like(wave.aberration)))
+        polar = wave.layout == "polar"
+        # a softened rim passes below 0, so moduli are not the clear pupil's
+        plain = pupil_grid_from_polar(flat, seen.pitch) if polar else pupil_grid(flat)
+        clear, ratios = transfer(flat), LatticeRatio(plain.values.real, seen.pitch)
         ratio = ratios.of(seen.values)
         spread = self.residual.rays.reach + self.long.halo(wave)
         halo = Halo(
@@ -248,7 +251,10 @@ class _Walls:
         lag = seen.pitch * float(np.linalg.norm(self.long.footprint, 2))
         variance = 2 * self.long.rayleigh_parameter**2 * float(self.long.roughness.structure(lag))
         step = STEEP * math.sqrt(variance) + 2 * math.pi * seen.jump
-        share = clear.error + step ** (ORDER + 1) / 3e4 + spill
+        # as of `transfer`
+        n = 2 * wave.pupil_radius / seen.pitch
+        lattice = step ** (ORDER + 1) / 3e4 + 0.25 / n**1.5 + 0.6 * step / (2 * math.pi * n)
+        share = clear.error + lattice + spill
         error = missed + share * float(np.abs(nodes.factor * smooth).sum())
         peak = float((coherent + found).max())
         if error > self.tol * peak:

@@ -143,7 +143,7 @@ class LatticeRatio:
     Parameters
     ----------
     weights : ndarray
-        (n, n), not below 0 but for rounding.
+        (n, n), below 0 at a softened rim alone.
     pitch : float
         m.
     """

@@ -66,7 +66,7 @@ def test_ends_are_the_drawn_wall_and_the_mean(nodes, propagation):
     # s^2 (cutoff/l)^2 of the light goes elsewhere
     near = at(1e-5 * 4e-3)
     assert near.intensity == approx(sample.intensity, abs=1e-8 * sample.intensity.max(), rel=0)
-    # the long waves' phases are s l/cutoff = 1e-3; their tilt over the pupil 1e-2 of that
+    # the long waves' phases are s l/cutoff = 1e-3; their tilt over the pupil some 1e-3 of that
     far = at(1.5e3 * 4e-3)
     limit = (far.error_estimate + mean.error_estimate + 2e-5) * mean.intensity.max()
     assert far.intensity == approx(mean.intensity, abs=limit, rel=0)
@@ -87,7 +87,7 @@ def test_one_wall_is_the_sum_over_pairs_of_its_pupil_points(s, view, pixels):
         seed=5,
         effective_distance=D_EFF,
         propagation="fresnel",
-        tol=0.05,
+        tol=0.07,
         **kwargs,
     )
     long, short = roughness.split(cutoff)
@@ -116,7 +116,7 @@ def test_one_wall_is_the_sum_over_pairs_of_its_pupil_points(s, view, pixels):
         worst = max(worst, abs(found.intensity[row, column] - expected))
     # the estimate tells of the rim's cells, which both have in a different form
     assert worst < found.error_estimate * found.intensity.max()
-    assert found.error_estimate < 0.05
+    assert found.error_estimate < 0.07
 
 
 #: Rayleigh parameter, correlation length, m, and pupil samples that hold the drawn wall.
@@ -173,14 +173,14 @@ def test_halo_far_wider_than_the_window_keeps_its_energy():
     narrow = psf.two_scale_point_spread(
         wave, roughness, pitch=4 * UNIT, shape=8, pixel_integrated=True, **kwargs
     )
-    assert narrow.enclosed_energy < 0.5
+    assert narrow.enclosed_energy < 0.7
     inner = wide.intensity[28:36, 28:36]
     assert narrow.intensity == approx(inner, abs=2e-3 * inner.max(), rel=0)
 
 
 def test_walls_are_averaged():
-    wave, roughness = wave_of(), wall(2.0, 4e-3)
-    kwargs = {"pitch": UNIT / 2, "shape": 24, "effective_distance": NEAR, "tol": 0.02, **NORMAL}
+    wave, roughness = wave_of(), wall(3.0, 3e-3)
+    kwargs = {"pitch": UNIT / 2, "shape": 32, "effective_distance": NEAR, "tol": 0.02, **NORMAL}
 
     def drawn(k):
         return psf.two_scale_point_spread(
@@ -190,7 +190,8 @@ def test_walls_are_averaged():
     one, two = drawn(1), drawn(2)
     second = 2 * two.intensity - one.intensity
     assert second.min() > -1e-12
-    assert np.corrcoef(one.intensity.ravel(), second.ravel())[0, 1] < 0.6
+    # another wall: speckles elsewhere in a like halo
+    assert np.abs(second - one.intensity).max() > 0.3 * one.intensity.max()
     # each part is averaged
     assert (2 * two.coherent - one.coherent).min() > -1e-12
 
