@@ -1,9 +1,14 @@
 """Rough walls: mean against drawn patterns, ring by ring: python benchmarks/rough_walls.py.
 
-Every row is one wall: seconds of the mean and of a pattern, the largest departure of the patterns'
-average from the mean over rings of 2 lambda N that hold 2 % of the light or more, as a share of the
-ring and against the limit max(2 %, family-wise chance of 0.1 %), the latter for the worst ring, and
-how the error falls with the number of patterns.
+First table, one wall a row, all of it drawn: seconds of the mean and of a pattern; the largest
+departure of the patterns' average from the mean over eight rings of equal light, as a share of the
+ring and against the limit max(2 %, family-wise chance of 0.1 %); that chance for the
+worst known ring; and how the error falls with the number of patterns.
+
+Second table, long waves drawn and short ones as statistics: the same wall split at several scales,
+and the largest departure from the mean over the same rings as a share of the peak.
+
+Figures go to benchmarks/results/rough_walls.json too.
 """
 
 import os
@@ -12,8 +17,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import json
 import math
 import time
+from pathlib import Path
 
 import numpy as np
 from scipy import stats
@@ -22,8 +29,9 @@ from nlosoptics import psf
 
 WAVELENGTH = 632.8e-9
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": 12.5e-3, "image_distance": 50e-3}
-UNIT = 2 * WAVELENGTH
-RINGS = 10
+UNIT = 2 * WAVELENGTH  # lambda N
+BATCH = 16
+RINGS = 8
 C45 = math.cos(math.pi / 4)
 #: Object 1 m and lens 0.8 m from the wall, straight on and at 45 degrees.
 VIEWS = {
@@ -31,72 +39,164 @@ VIEWS = {
     45: {"footprint": np.diag([1 / (1.8 * C45), 1 / 1.8]), "cos_sum": 2 * C45},
 }
 DISTANCES = {0: 0.8 / 1.8, 45: np.diag([0.8 / (1.8 * C45**2), 0.8 / 1.8])}
-#: Angle, degrees; Rayleigh parameter; correlation length, m; pupil samples.
+#: Rayleigh parameter; correlation length at normal incidence, m; pupil samples; window, samples of
+#: half a lambda N.
 WALLS = (
-    (0, 0.3, 2e-3, 96),
-    (0, 1.0, 2e-3, 96),
-    (0, 3.0, 4e-3, 96),
-    (0, 10.0, 5e-3, 128),
-    (45, 0.3, 3e-3, 96),
-    (45, 1.0, 3e-3, 96),
-    (45, 3.0, 6e-3, 96),
-    (45, 10.0, 7e-3, 128),
+    (0.3, 2e-3, 96, 48),
+    (1.0, 2e-3, 96, 48),
+    (3.0, 2e-3, 96, 72),
+    (10.0, 4e-3, 112, 100),
 )
+#: Rayleigh parameter, correlation length, samples, window, of the walls that are split.
+SPLITS = ((1.0, 2e-3, 96, 48), (3.0, 2e-3, 96, 60), (10.0, 4e-3, 112, 100))
+#: Where, in correlation lengths, and the share of the walls that each takes, long waves fewest.
+CUTOFFS = ((0.3, 0.5), (1.0, 0.25), (3.0, 0.125), (10.0, 0.0625))
 
 
-def row(angle, s, length, samples, count):
-    """Figures of one wall."""
+def setting(angle, s, length, samples, shape):
+    """Wave, roughness and options of one wall; askew the footprint is wider by 1/cos."""
     view = VIEWS[angle]
     height = s * WAVELENGTH / (2 * math.pi * view["cos_sum"])
-    roughness = psf.Roughness(height, length)
+    stretch = 1.0 if angle == 0 else 1 / C45
     wave = psf.Wavefront.from_zernike({}, nodes="grid", samples=samples, **SYSTEM)
-    kwargs = {"pitch": UNIT / 2, "shape": 48, **view}
+    kwargs = {"pitch": UNIT / 2, "shape": shape, **view}
+    return wave, psf.Roughness(height, length * stretch), kwargs
+
+
+class Rings:
+    """Rings about the axis that hold equal light, together all within the window's circle."""
+
+    def __init__(self, mean):
+        radius = np.hypot(mean.y[:, None], mean.x).ravel()
+        inside = radius <= mean.x.max()
+        order = np.argsort(radius[inside], kind="stable")
+        light = np.cumsum(mean.intensity.ravel()[inside][order])
+        shares = np.arange(1, RINGS) / RINGS * light[-1]
+        edges = np.unique(radius[inside][order][np.searchsorted(light, shares)])
+        self.ring = np.searchsorted(edges, radius, side="left")
+        self.ring[~inside] = edges.size + 1
+        self.lit = np.arange(edges.size + 1)
+        self.mean = self.of(mean.intensity)
+        self.pixels = np.bincount(self.ring)[self.lit]
+
+    def of(self, intensity):
+        return np.bincount(self.ring, intensity.ravel())[self.lit]
+
+    def chance(self, batches):
+        """Departure of the batches' average that one run in a thousand passes in any ring."""
+        n = len(batches)
+        quantile = stats.t.isf(0.5e-3 / len(self.lit), n - 1)
+        return quantile * batches.std(axis=0, ddof=1) / math.sqrt(n)
+
+
+def drawn_row(angle, s, length, samples, shape, count):
+    """Figures of one wall of which all is drawn."""
+    wave, roughness, kwargs = setting(angle, s, length, samples, shape)
     start = time.perf_counter()
     mean = psf.mean_point_spread(wave, roughness, tol=0.02, **kwargs)
     middle = time.perf_counter()
-    drawn = np.stack(
-        [
-            psf.sample_point_spread(
-                wave, roughness, seed=i, effective_distance=DISTANCES[angle], **kwargs
-            ).intensity
-            for i in range(count)
-        ]
-    )
-    seconds = (time.perf_counter() - middle) / count
-    ring = (np.hypot(mean.y[:, None], mean.x) / (2 * UNIT)).astype(int).ravel()
-    sums = np.stack([np.bincount(ring, p.ravel())[:RINGS] for p in drawn])
-    expected = np.bincount(ring, mean.intensity.ravel())[:RINGS]
-    lit = expected > 0.02
-    sums, expected = sums[:, lit], expected[lit]
-    scatter = sums.std(axis=0, ddof=1) / math.sqrt(count)
-    chance = stats.norm.isf(0.5e-3 / len(expected)) * scatter
-    off = np.abs(sums.mean(axis=0) - expected)
-    limit = np.maximum(0.02 * expected, chance)
-    counts = [n for n in (1, 4, 16, 64) if n <= count // 8]
+    drawn = [
+        psf.sample_point_spread(
+            wave,
+            roughness,
+            seed=i,
+            independent_patterns=BATCH,
+            effective_distance=DISTANCES[angle],
+            **kwargs,
+        ).intensity
+        for i in range(count // BATCH)
+    ]
+    seconds = (time.perf_counter() - middle) / (count // BATCH * BATCH)
+    rings = Rings(mean)
+    batches = np.stack([rings.of(p) for p in drawn])
+    chance = rings.chance(batches)
+    off = np.abs(batches.mean(axis=0) - rings.mean)
+    counts = [n for n in (1, 4, 16) if n <= len(drawn) // 4]
     errors = []
     for n in counts:
-        groups = drawn[: count // n * n].reshape(-1, n, *mean.shape).mean(axis=1)
+        groups = np.stack(drawn[: len(drawn) // n * n]).reshape(-1, n, *mean.shape).mean(axis=1)
         errors.append(math.sqrt(np.mean((groups - mean.intensity) ** 2)))
-    slope = np.polyfit(np.log(counts), np.log(errors), 1)[0]
-    return (
-        f"{angle:5d} {s:5.1f} {1e3 * length:6.1f} {1e3 * (middle - start):8.0f} "
-        f"{1e3 * seconds:8.1f} {mean.error_estimate:9.1e} {100 * (off / expected).max():8.2f} "
-        f"{(off / limit).max():8.2f} {100 * (chance / expected).max():9.2f} {slope:7.3f}"
-    )
+    return {
+        "angle": angle,
+        "s": s,
+        "length_mm": 1e3 * roughness.correlation_length,
+        "patterns": len(drawn) * BATCH,
+        "rings": len(rings.lit),
+        "mean_ms": 1e3 * (middle - start),
+        "one_ms": 1e3 * seconds,
+        "estimate": mean.error_estimate,
+        "worst_percent": float(100 * (off / rings.mean).max()),
+        "worst_of_limit": float((off / np.maximum(0.02 * rings.mean, chance)).max()),
+        "chance_percent": float(100 * (chance / rings.mean).max()),
+        "slope": float(np.polyfit(np.log(counts), np.log(errors), 1)[0]),
+    }
+
+
+def split_row(s, length, samples, shape, cutoff, count):
+    """Figures of one wall whose long waves alone are drawn."""
+    wave, roughness, kwargs = setting(0, s, length, samples, shape)
+    mean = psf.mean_point_spread(wave, roughness, tol=0.02, **kwargs)
+    rings = Rings(mean)
+    batches = max(count // BATCH, 8)
+    start = time.perf_counter()
+    found = [
+        psf.two_scale_point_spread(
+            wave,
+            roughness,
+            seed=i,
+            cutoff=cutoff * length,
+            independent_patterns=BATCH,
+            effective_distance=DISTANCES[0],
+            propagation="fresnel",
+            tol=0.02,
+            **kwargs,
+        )
+        for i in range(batches)
+    ]
+    seconds = (time.perf_counter() - start) / (batches * BATCH)
+    sums = np.stack([rings.of(p.intensity) for p in found])
+    peak = float((rings.mean / rings.pixels).max()) * rings.pixels
+    return {
+        "s": s,
+        "length_mm": 1e3 * length,
+        "cutoff_of_length": cutoff,
+        "s_short": found[0].rayleigh_parameter,
+        "walls": batches * BATCH,
+        "rings": len(rings.lit),
+        "one_ms": 1e3 * seconds,
+        "worst_percent_of_peak": float(100 * (np.abs(sums.mean(axis=0) - rings.mean) / peak).max()),
+        "chance_percent_of_peak": float(100 * (rings.chance(sums) / peak).max()),
+    }
+
+
+def show(row, header):
+    """One line of a table, and its head before the first."""
+    if header:
+        print("  ".join(row))
+    print("  ".join(f"{value:{len(name)}.3g}" for name, value in row.items()), flush=True)
+    return row
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--patterns", type=int, default=2048)
-    count = parser.parse_args().patterns
-    if count < 64:
-        parser.error(f"--patterns = {count}; at least 64 are needed for the slope")
-    print(
-        f"{'angle':>5} {'s':>5} {'l, mm':>6} {'mean, ms':>8} {'one, ms':>8} {'estimate':>9} "
-        f"{'worst, %':>8} {'/limit':>8} {'chance, %':>9} {'slope':>7}"
+    parser.add_argument(
+        "--results", type=Path, default=Path(__file__).parent / "results" / "rough_walls.json"
     )
-    for wall in WALLS:
-        print(row(*wall, count))
+    options = parser.parse_args()
+    count = options.patterns
+    if count < 256:
+        parser.error(f"--patterns = {count}; at least 256 are needed for the slope")
+    drawn = []
+    for angle in VIEWS:
+        for wall in WALLS:
+            drawn.append(show(drawn_row(angle, *wall, count), not drawn))
+    split = []
+    for wall in SPLITS:
+        for cutoff, share in CUTOFFS:
+            split.append(show(split_row(*wall, cutoff, int(count * share)), not split))
+    options.results.parent.mkdir(parents=True, exist_ok=True)
+    options.results.write_text(json.dumps({"drawn": drawn, "split": split}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

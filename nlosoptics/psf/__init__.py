@@ -12,8 +12,9 @@
 - `methods`: runs one or picks among them; `point_spreads`: `point_spread`; `comparisons`: all of
   them side by side; `bands` and `fields`: over wavelengths and over the object.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
-- `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
-  that of one drawn at random; `lobes`: that of a wall's mirror-like lobes.
+- `transfers`, `halos`, `rough_means`: the mean point spread over all such walls; `screens`,
+  `rough_samples`: that of one drawn at random; `correlations`, `rough_scales`: long waves drawn,
+  short ones as their mean; `lobes`: the point spread of a wall's mirror-like lobes.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit; `metric_errors`: their error bars over patterns drawn at random.
 - `exchange`, `poppy_files`, `zernike_tables`: waves for other tools and from them; `whole_files`
@@ -37,6 +38,7 @@ from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
 from .rough_means import RoughPointSpread, mean_point_spread
 from .rough_samples import sample_point_spread
+from .rough_scales import split_scale, two_scale_point_spread
 from .roughness import Roughness
 from .slopes import integrated_slopes, wavefront_from_slopes
 from .spots import centroid, ensquared_energy, peak_strehl, ptf, spot_radius
@@ -92,9 +94,11 @@ __all__ = [
     "read_zernikes",
     "rms_aberration",
     "sample_point_spread",
+    "split_scale",
     "spot_radius",
     "strehl",
     "to_prysm",
+    "two_scale_point_spread",
     "wall_aberration",
     "wall_view",
     "wavefront",

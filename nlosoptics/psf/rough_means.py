@@ -6,30 +6,25 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-import ducc0
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, in_range, one_of, positive
+from .._checks import in_range, one_of, positive
 from ..errors import SamplingError
 from ..scene import Scene
+from .halos import EPSILON, Halo
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread, point_spread
 from .residuals import Residual, split
 from .rough_views import RoughView, rough_view
 from .roughness import Roughness
-from .transfers import Transfer, transfer
+from .transfers import transfer
 from .wavefronts import Wavefront
 from .windows import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
 
 Array = NDArray[np.float64]
 
-#: Share of the diffuse transfer function's height that is left out.
-CUT: Final = 1e-13
-#: Times that the separations are refined by half before giving up.
-ROUNDS: Final = 5
 #: Rayleigh parameter beyond which the smooth core, exp(-s^2), is below rounding.
 ALL_DIFFUSE: Final = 6.2
-EPSILON: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,74 +63,6 @@ class RoughPointSpread(PointSpread):
     def total_integrated_scatter(self) -> float:
         """``1 - exp(-s^2)``, the share that is scattered, into any angle."""
         return -math.expm1(-(self.rayleigh_parameter**2))
-
-
-@dataclass(frozen=True, eq=False)
-class _Halo:
-    """What the sum over separations needs."""
-
-    residual: Residual
-    smooth: Transfer
-    view: RoughView
-    window: Window
-    pixel_integrated: bool
-
-    @property
-    def per_metre(self) -> float:
-        """Radians per metre of separation and of image."""
-        wave = self.residual.wavefront
-        return 2 * math.pi / (wave.wavelength * wave.image_distance)
-
-    def counts(self) -> tuple[int, int]:
-        """Lags and half-circle directions, for waves over the window."""
-        x, y = self.window.reach_from(self.residual.shift)
-        directions = math.pi * np.arange(64) / 64
-        widest = float(np.hypot(*self._separations(directions, np.ones(1))[:2]).max())
-        v = abs(self.per_metre) * math.hypot(x, y) * widest
-        return math.ceil(0.55 * v + 64), math.ceil((v + 12 * v ** (1 / 3) + 48) / 2)
-
-    def intensity(self, n_lags: int, n_directions: int) -> tuple[Array, float]:
-        """Diffuse light of each sample, the whole plane 1, and what an error of 1 would do."""
-        fits_memory(
-            f"{n_lags} x {n_directions} separations to {self.window.shape} samples",
-            250.0 * n_lags * n_directions + 80.0 * math.prod(self.window.shape),
-            "use a smaller shape",
-        )
-        wave, pitch = self.residual.wavefront, self.window.pitch
-        theta = ducc0.misc.GL_thetas(n_lags)
-        tau = np.sin(theta / 2) ** 2
-        weight = ducc0.misc.GL_weights(n_lags, 1) / (4 * math.pi)
-        directions = math.pi * np.arange(n_directions) / n_directions
-        # denser toward the pupil's diameter, where the transfer function ends as a power 3/2
-        share = tau * (2 - tau)
-        du, dv, lag, last = self._separations(directions, share)
-        area = lag * last * (2 * (1 - tau) * weight)[:, None] * (math.pi / n_directions)
-        area /= abs(float(np.linalg.det(self.view.footprint)))
-        factor = 2 * area * self.view.diffuse_transfer(lag)
-        factor *= (pitch / (wave.wavelength * wave.image_distance)) ** 2
-        if self.pixel_integrated:
-            turns = self.per_metre * pitch / (2 * math.pi)
-            factor = factor * np.sinc(turns * du) * np.sinc(turns * dv)
-        ny, nx = self.window.shape
-        x = self.window.first[0] + (nx // 2) * pitch - self.residual.shift[0]
-        y = self.window.first[1] + (ny // 2) * pitch - self.residual.shift[1]
-        points = factor * self.smooth.at(du, dv)
-        points = points * np.exp(-1j * self.per_metre * (x * du + y * dv))
-        coord = np.stack([dv.ravel(), du.ravel()], axis=1) * (self.per_metre * pitch)
-        image = np.empty(self.window.shape, dtype=np.complex128)
-        ducc0.nufft.nu2u(
-            points=points.ravel(), coord=coord, forward=True, epsilon=EPSILON, nthreads=1, out=image
-        )
-        # opposite separations are each other's conjugate
-        return np.ascontiguousarray(image.real), float(np.abs(factor).sum())
-
-    def _separations(self, directions: Array, share: Array) -> tuple[Array, Array, Array, Array]:
-        """Separations at shares of the last lag each way, their lags, and the last lags."""
-        units = np.stack([np.cos(directions), np.sin(directions)])
-        back = np.linalg.solve(self.view.footprint, units)
-        last = np.minimum(self.view.last_lag(CUT), self.smooth.reach / np.hypot(*back))
-        lag = share[:, None] * last
-        return lag * back[0], lag * back[1], lag, last
 
 
 def mean_point_spread(
@@ -210,10 +137,15 @@ def mean_point_spread(
     share = math.exp(-(view.rayleigh_parameter**2))
     coherent = np.zeros(shape) if core is None else share * core.intensity
     smooth = transfer(residual)
-    halo = _Halo(residual, smooth, view, Window.centred(pitch, shape), pixel_integrated)
-    diffuse, error = _converged(halo, coherent, tol)
+    window = Window.centred(pitch, shape)
+    diffuse, error = np.zeros(shape), 0.0
+    if view.rayleigh_parameter > 0:
+        halo = Halo(residual, view, window, pixel_integrated, smooth.reach)
+        diffuse, nodes, _, missed = halo.converged(smooth.at, coherent, tol)
+        error = missed + float(np.abs(nodes.factor).sum()) * smooth.error
     total = coherent + diffuse
     peak = float(total.max())
+    error = error / peak + 10 * EPSILON
     if core is not None:
         error += core.error_estimate * float(coherent.max()) / peak
     if error > tol:
@@ -262,23 +194,3 @@ def image_sampling(
             f"limit {WIDEST_DEFAULT}; give a wider pitch with pixel_integrated=True, or a shape"
         )
     return pitch, (n, n)
-
-
-def _converged(halo: _Halo, coherent: Array, tol: float) -> tuple[Array, float]:
-    """Diffuse part with as many separations as it takes, and its error relative to the peak."""
-    if halo.view.rayleigh_parameter == 0:
-        return np.zeros(halo.window.shape), 0.0
-    n_lags, n_directions = halo.counts()
-    coarse, _ = halo.intensity(math.ceil(0.7 * n_lags), math.ceil(0.7 * n_directions))
-    error = math.inf
-    for _ in range(ROUNDS):
-        fine, per_error = halo.intensity(n_lags, n_directions)
-        peak = float(np.max(coherent + fine))
-        # what the coarser nodes miss bounds what these do
-        missed = float(np.abs(fine - coarse).max())
-        error = (missed + per_error * halo.smooth.error) / peak + 10 * EPSILON
-        if missed <= 0.1 * tol * peak:
-            break
-        coarse = fine
-        n_lags, n_directions = math.ceil(1.5 * n_lags), math.ceil(1.5 * n_directions)
-    return fine, error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from itertools import islice
 from typing import Final, Literal
 
@@ -20,7 +21,7 @@ from .residuals import Residual, split
 from .rough_means import image_sampling
 from .rough_views import RoughView, rough_view
 from .roughness import Roughness
-from .screens import screens, throw, widest_pitch
+from .screens import Between, screens, stride, throw, widest_pitch
 from .wavefronts import Wavefront
 from .windows import Window, check_rays
 
@@ -59,7 +60,10 @@ def sample_point_spread(
     seed : int
         The same seed and sampling give the same wall.
     independent_patterns : int
-        Walls whose patterns are averaged; the first is that of a single one.
+        Walls whose patterns are averaged; the first is that of a single one. An average over time
+        or partial coherence is the same: one pattern for each correlation length that a wall moves
+        by during the exposure, or for each wavelength lambda/s from the next, s the phase rms in
+        rad. Developed speckle then has the contrast ``1/sqrt(independent_patterns)``.
     footprint, cos_sum
         As of `mean_point_spread`.
     effective_distance : float or array_like (2, 2), optional
@@ -88,7 +92,8 @@ def sample_point_spread(
     -----
     A thin screen of Gaussian heights on the tangent plane at the chief ray, its curvature and
     obliquity in M and the effective distance. Drawn on the pupil's lattice as seen on the wall,
-    ``w = M p``, so that nothing is interpolated; see `screens.screens`. A ripple of period L comes
+    ``w = M p``, or on every so many points of it where the field between them follows from its
+    waves; see `screens.screens`. A ripple of period L comes
     to the pupil as phase times cos(q) and amplitude times sin(q), q = pi lambda d_eff/L^2 [1]_.
 
     References
@@ -102,16 +107,9 @@ def sample_point_spread(
     wave, view = rough_view(source, roughness, footprint, cos_sum, effective_distance)
     residual = split(wave)
     pitch, shape = image_sampling(residual, view, pitch, shape)
-    if not pixel_integrated and pitch > residual.nyquist_pitch * (1 + 1e-9):
-        raise SamplingError(
-            f"pitch = {pitch:.3g} m is wider than Nyquist's {residual.nyquist_pitch:.3g} m, which "
-            "loses speckles; use pixel_integrated=True"
-        )
-    check_rays(residual, pitch, shape)
-    rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape)) if pixel_integrated else None
     window = Window.centred(pitch, shape)
-    samples = window if rule is None else rule.window(pitch, shape)
-    grid = _pupil(residual, view, samples)
+    samples, rule = speckle_samples(residual, window, pixel_integrated)
+    grid = speckle_pupil(residual, view, samples)
     mean, spill = _patterns(
         residual, view, grid, samples, rule, seed=seed, patterns=patterns, propagation=propagation
     )
@@ -121,7 +119,7 @@ def sample_point_spread(
         intensity=mean * scale,
         pitch=pitch,
         method=f"{propagation} screen + mdft",
-        error_estimate=_error(residual, grid, window, mean, spill, pixel_integrated),
+        error_estimate=speckle_error(residual, grid, window, mean, spill, pixel_integrated),
         normalisation=normalisation,
         wavelength=wave.wavelength,
         f_number=wave.f_number,
@@ -130,7 +128,24 @@ def sample_point_spread(
     )
 
 
-def _pupil(residual: Residual, view: RoughView, samples: Window) -> PupilGrid:
+def speckle_samples(
+    residual: Residual, window: Window, pixel_integrated: bool
+) -> tuple[Window, PixelRule | None]:
+    """Points at which a pattern is taken, and how pixels are made of them."""
+    pitch, shape = window.pitch, window.shape
+    if not pixel_integrated and pitch > residual.nyquist_pitch * (1 + 1e-9):
+        raise SamplingError(
+            f"pitch = {pitch:.3g} m is wider than Nyquist's {residual.nyquist_pitch:.3g} m, which "
+            "loses speckles; use pixel_integrated=True"
+        )
+    check_rays(residual, pitch, shape)
+    if not pixel_integrated:
+        return window, None
+    rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
+    return rule.window(pitch, shape), rule
+
+
+def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> PupilGrid:
     """Smooth pupil function on a grid that the screen, its halo and the window allow."""
     wave = residual.wavefront
     halo = view.halo(wave)
@@ -173,10 +188,22 @@ def _patterns(
     """Mean of the patterns, 1 at the ideal peak, and the light beyond the lattice's band."""
     if view.rayleigh_parameter == 0:
         return mdft.intensity_in(residual, grid, samples, rule), 0.0
-    wave, n = residual.wavefront, grid.values.shape[0]
+    fields, between = wall_fields(residual, view, grid, seed, propagation)
+    first = next(fields)
+    total = mdft.intensity_in(residual, seen_through(grid, first, between), samples, rule)
+    for field in islice(fields, patterns - 1):
+        total += mdft.intensity_in(residual, seen_through(grid, field, between), samples, rule)
+    return total / patterns, spilled(first)
+
+
+def wall_fields(
+    residual: Residual, view: RoughView, grid: PupilGrid, seed: int, propagation: str
+) -> tuple[Iterator[ComplexArray], Between | None]:
+    """Fields of one wall after the other on a lattice, and what takes them to the grid's points."""
+    wave = residual.wavefront
     angle = view.halo(wave) / abs(wave.image_distance)
-    turn = math.pi / wave.wavelength * throw(view, angle) * angle
     reach = throw(view, angle)
+    turn = math.pi / wave.wavelength * reach * angle
     if propagation == "geometric":
         if turn > LARGEST_TURN:
             shortest = wave.wavelength / angle
@@ -186,21 +213,22 @@ def _patterns(
                 "propagation='fresnel'"
             )
         reach = 0.0
-    walls = screens(view, n, grid.pitch, wave.wavelength, reach)
-    fields = islice(walls.draw(seed), patterns)
-    first = next(fields)
-
-    def pattern(field: ComplexArray) -> Array:
-        seen = PupilGrid(grid.values * field[:n, :n], grid.pitch, grid.jump, grid.rim)
-        return mdft.intensity_in(residual, seen, samples, rule)
-
-    total = pattern(first)
-    for field in fields:
-        total += pattern(field)
-    return total / patterns, _spill(first)
+    n, step = grid.values.shape[0], stride(view, grid.pitch)
+    # the farthest pupil point lies between two of the lattice
+    cells = n if step == 1 else -(-n // step) + 1
+    walls = screens(view, cells, step * grid.pitch, wave.wavelength, reach)
+    fields = walls.draw(seed)
+    return fields, (Between(walls.heights.shape[0], step, n) if step > 1 else None)
 
 
-def _spill(field: ComplexArray) -> float:
+def seen_through(grid: PupilGrid, field: ComplexArray, between: Between | None) -> PupilGrid:
+    """Pupil function with a wall's field."""
+    n = grid.values.shape[0]
+    phases = field[:n, :n] if between is None else between(field)
+    return PupilGrid(grid.values * phases, grid.pitch, grid.jump, grid.rim)
+
+
+def spilled(field: ComplexArray) -> float:
     """Light of a screen beyond its lattice's band: ten times that in the band's last tenth.
 
     So it is for the slowest decay, of an exponential C; others fall faster.
@@ -212,7 +240,7 @@ def _spill(field: ComplexArray) -> float:
     return float(10 * share / spectrum.sum())
 
 
-def _error(
+def speckle_error(
     residual: Residual,
     grid: PupilGrid,
     window: Window,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +39,12 @@ class RoughView:
     footprint: Array
     rayleigh_parameter: float
     effective_distance: Array | None = None
+
+    def of(self, part: Roughness) -> RoughView:
+        """View of a part of the heights."""
+        whole = self.roughness.height_rms
+        share = part.height_rms / whole if whole > 0 else 0.0
+        return replace(self, roughness=part, rayleigh_parameter=share * self.rayleigh_parameter)
 
     def lags(self, du: Array, dv: Array) -> Array:
         """Distance on the wall between the points that two pupil points see, m."""

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, one_of, positive
 from ..errors import SceneError
+from .correlations import GaussianRemainder, Remainder, fall_length, smoothed
 
 Array = NDArray[np.float64]
 NAMED: Final = ("gaussian", "exponential")
@@ -34,7 +35,9 @@ class Roughness:
     autocorrelation : {"gaussian", "exponential"}, callable or array_like (2, n)
         ``C(r) = exp(-r^2/l^2)``, ``exp(-r/l)``; a function that takes lags r, m, as an array and
         returns C; or measured lags, m, rising from 0, above their values of C, 1 at lag 0.
-        Monotone cubics join them and lags beyond the last have 0.
+        Monotone cubics join them and lags beyond the last have 0. A function may have a
+        method ``structure``, which returns 1 - C with its digits at short lags, and an attribute
+        ``end``, m, the lag beyond which it is 0.
 
     Raises
     ------
@@ -103,7 +106,66 @@ class Roughness:
         if isinstance(self.autocorrelation, str):
             scaled = r / self.correlation_length
             return np.asarray(-np.expm1(-(scaled**2) if self._is_gaussian else -scaled))
-        return 1 - self.correlation(r)
+        own = getattr(self.autocorrelation, "structure", None)
+        return 1 - self.correlation(r) if own is None else np.asarray(own(r), dtype=np.float64)
+
+    def split(self, cutoff: float) -> tuple[Roughness, Roughness]:
+        """Long waves and short waves: independent heights that add up to these.
+
+        Parameters
+        ----------
+        cutoff : float
+            m, 0 to infinity. The long waves keep the share ``exp(-(pi cutoff/L)^2)`` of the power
+            of a ripple of period L, the short ones the rest.
+
+        Returns
+        -------
+        long, short : Roughness
+            Their variances and autocovariances add up to the whole's; 0 and infinity leave one of
+            them without height. The long waves of the Gaussian C are Gaussian again, of length
+            ``sqrt(l^2 + cutoff^2)`` and variance ``h^2 l^2/(l^2 + cutoff^2)``; all others have an
+            autocorrelation that is a function, with the lag of 1/e as correlation length.
+
+        Raises
+        ------
+        SceneError
+            For another C, if a part would hold less than 1e-6 of the variance; for a measured one,
+            if the cutoff is below the spacing of its lags.
+
+        Notes
+        -----
+        Of another C the long part comes from a table, to 1e-8 of the variance, and the short one
+        is what lacks to the whole.
+        """
+        if cutoff != math.inf:
+            cutoff = in_range("cutoff", cutoff, 0.0, unit="m")
+        h, length = self.height_rms, self.correlation_length
+        if cutoff == math.inf:
+            return Roughness(0.0, length), self
+        if self._is_gaussian:
+            rest = GaussianRemainder(length, cutoff)
+            if rest.held == 0:  # below rounding
+                return self, Roughness(0.0, length)
+            # next to cutoff 0 the long length stays that of the whole to the last bit
+            long = Roughness(h * math.sqrt(rest.passed), math.hypot(length, cutoff))
+            short = Roughness(h * math.sqrt(rest.held), fall_length(rest, length), rest)
+            return long, short
+        if cutoff == 0:
+            return self, Roughness(0.0, length)
+        passed = smoothed(self.correlation, length, self._end(), cutoff, self._lags(cutoff))
+        left = Remainder(self.correlation, passed)
+        found = np.abs(left(length * np.append(0.0, np.geomspace(1e-3, 1e3, 97)))).max()
+        if found > 1 + 1e-9:
+            raise SceneError(
+                f"cutoff = {cutoff:.3g} m leaves short waves with an autocorrelation up to "
+                f"{found:.6g}, limit 1: C asks there for negative power; smooth it, or use a "
+                "longer cutoff"
+            )
+        scale = fall_length(passed, math.hypot(length, cutoff))
+        return (
+            Roughness(h * math.sqrt(passed.passed), scale, passed),
+            Roughness(h * math.sqrt(1 - passed.passed), fall_length(left, length), left),
+        )
 
     def reach(self, level: float) -> float:
         """Lag beyond which ``|C|`` stays at or below a level above 0, m; infinity if none does."""
@@ -112,10 +174,15 @@ class Roughness:
             return self.correlation_length * (math.sqrt(fall) if self._is_gaussian else fall)
         if isinstance(self.autocorrelation, np.ndarray):
             return float(self.autocorrelation[0, -1])
-        lags = self.correlation_length * np.geomspace(1e-2, 1e3, 401)
+        length = self.correlation_length
+        end = getattr(self.autocorrelation, "end", math.inf)
+        # a tail may be on another scale than the fall
+        lags = np.geomspace(
+            1e-2 * length, *((1e3 * length, 401) if math.isinf(end) else (end, 1601))
+        )
         above = np.nonzero(np.abs(self.correlation(lags)) > level)[0]
         if above.size and above[-1] == lags.size - 1:
-            return math.inf
+            return math.inf if math.isinf(end) else end
         return float(lags[above[-1] + 1 if above.size else 0])
 
     def lag_of(self, structure: float) -> float:
@@ -133,9 +200,32 @@ class Roughness:
                 low = middle
         return float(high)
 
+    def _end(self) -> float:
+        """Lag beyond which C is nothing, m."""
+        end = self.reach(1e-16)
+        if math.isinf(end):
+            raise SceneError(
+                "roughness.autocorrelation stays above 1e-16 up to 1000 correlation lengths, and "
+                "a split needs all of it; give one that ends"
+            )
+        return end
+
+    def _lags(self, cutoff: float) -> Array | None:
+        """Measured lags, if these are, with the cutoff held against their spacing."""
+        if not isinstance(self.autocorrelation, np.ndarray):
+            return None
+        lags: Array = self.autocorrelation[0]
+        widest = float(np.diff(lags).max())
+        if cutoff < widest:
+            raise SceneError(
+                f"cutoff = {cutoff:.3g} m is below the spacing of the measured lags, {widest:.3g} "
+                "m, which say nothing of shorter waves; use a cutoff at least as long, or 0"
+            )
+        return lags
+
     @property
     def _is_gaussian(self) -> bool:
-        return bool(self.autocorrelation == "gaussian")
+        return isinstance(self.autocorrelation, str) and self.autocorrelation == "gaussian"
 
     @cached_property
     def _interpolant(self) -> Callable[[Array], Array]:

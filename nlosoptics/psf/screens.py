@@ -26,6 +26,15 @@ INDEPENDENT: Final = 1e-6
 NEGATIVE: Final = 2e-3
 #: ``max(1, s^2) (1 - C)`` between neighbours, at most: a pitch of l/(3 s) for the Gaussian C.
 STEP: Final = 1 / 9
+#: Share of that pitch at which a field is known between its points, and cells that this must save.
+DENSER: Final = 1.5
+LEAST_STRIDE: Final = 4
+#: Light in the last tenth of a lattice's band, at most, for what lies between its points.
+BEYOND: Final = 1e-9
+#: C at which that light is looked at on a torus; a step of 1e-6 would pass for waves.
+NOTHING: Final = 1e-12
+#: Of the values between.
+EPSILON: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +71,56 @@ class Screens:
                 field *= turn
                 ducc0.fft.c2c(field, out=field, forward=False, inorm=2, nthreads=1)
             yield field
+
+
+def stride(view: RoughView, pitch: float) -> int:
+    """Pupil cells of a pitch, m, from one point of the screen's lattice to the next.
+
+    1, unless the field is so smooth that a wider lattice holds all its waves: then every pupil
+    point follows from them.
+    """
+    cells = math.floor(min(widest_pitch(view) / (DENSER * pitch), 1e9))
+    while cells >= LEAST_STRIDE:
+        steps = _steps(_torus(view, 0, cells * pitch, 0.0, NOTHING)) * cells * pitch
+        light = view.diffuse_transfer(view.lags(steps, steps[:, None]))
+        waves = np.abs(ducc0.fft.c2c(light.astype(np.complex128), nthreads=1))
+        outer = np.abs(np.fft.fftfreq(steps.size)) > 0.45
+        if waves[outer].sum() + waves[:, outer].sum() <= BEYOND * waves.sum():
+            return cells
+        cells //= 2
+    return 1
+
+
+class Between:
+    """Fields at pupil points, from their values at every ``cells``-th of them.
+
+    Parameters
+    ----------
+    size : int
+        Points of the wide lattice a side, a period.
+    cells : int
+        As of `stride`.
+    count : int
+        Pupil points a side.
+    """
+
+    def __init__(self, size: int, cells: int, count: int) -> None:
+        turns = np.arange(count) * (2 * math.pi / (size * cells))
+        self.coord = np.stack([axis.ravel() for axis in np.meshgrid(turns, turns, indexing="ij")])
+        self.size, self.count = size, count
+
+    def __call__(self, field: ComplexArray) -> ComplexArray:
+        """(size, size) to (count, count), by the field's own waves."""
+        waves = ducc0.fft.c2c(field, inorm=2, nthreads=1)
+        values = ducc0.nufft.u2nu(
+            grid=waves,
+            coord=self.coord.T,
+            forward=False,
+            epsilon=EPSILON,
+            nthreads=1,
+            fft_order=True,
+        )
+        return np.asarray(values.reshape(self.count, self.count))
 
 
 def widest_pitch(view: RoughView) -> float:
@@ -111,22 +170,8 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
     convolution with ``exp(i k w^T d_eff^-1 w/2)`` on the wall, so it multiplies the wave of
     frequency q by ``exp(-i pi lambda q^T d_eff q)``.
     """
-    independent = view.roughness.reach(INDEPENDENT)
-    if math.isinf(independent):
-        raise SceneError(
-            f"roughness.autocorrelation stays above {INDEPENDENT:g} up to 1000 correlation "
-            "lengths; give one that ends"
-        )
-    gap = independent * float(np.linalg.norm(np.linalg.inv(view.footprint), 2))
-    least = max(cells + (2 * reach + gap) / pitch, 2 * gap / pitch)
-    fits_memory(
-        f"a screen of {least:.6g} x {least:.6g} cells, {pitch:.3g} m in the pupil",
-        100.0 * least * least,
-        "use psf.mean_point_spread, which draws none, or longer or lower roughness",
-    )
-    n = int(ducc0.fft.good_size(math.ceil(least)))
-    steps = np.arange(n, dtype=np.float64)
-    steps[(n + 1) // 2 :] -= n
+    n = _torus(view, cells, pitch, reach)
+    steps = _steps(n)
     lags = view.lags(steps * pitch, (steps * pitch)[:, None])
     spectrum = ducc0.fft.r2c(view.roughness.correlation(lags), nthreads=1).real
     # columns that stand for a frequency and its negative count twice
@@ -149,3 +194,30 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
         form = matrix[0, 0] * u**2 + 2 * matrix[0, 1] * u * v + matrix[1, 1] * v**2
         spreading = math.pi * wavelength * form
     return Screens(np.sqrt(positive), view.rayleigh_parameter, spreading)
+
+
+def _torus(
+    view: RoughView, cells: int, pitch: float, reach: float, level: float = INDEPENDENT
+) -> int:
+    """Lattice points a side on which the screen is periodic, C at the level half way round."""
+    independent = view.roughness.reach(level)
+    if math.isinf(independent):
+        raise SceneError(
+            f"roughness.autocorrelation stays above {level:g} up to 1000 correlation "
+            "lengths; give one that ends"
+        )
+    gap = independent * float(np.linalg.norm(np.linalg.inv(view.footprint), 2))
+    least = max(cells + (2 * reach + gap) / pitch, 2 * gap / pitch)
+    fits_memory(
+        f"a screen of {least:.6g} x {least:.6g} cells, {pitch:.3g} m in the pupil",
+        100.0 * least * least,
+        "use psf.mean_point_spread, which draws none, or longer or lower roughness",
+    )
+    return int(ducc0.fft.good_size(math.ceil(least)))
+
+
+def _steps(n: int) -> Array:
+    """Lattice points of a period, in pitches, from -n/2 to n/2, 0 first."""
+    steps = np.arange(n, dtype=np.float64)
+    steps[(n + 1) // 2 :] -= n
+    return steps

@@ -75,7 +75,7 @@ def transfer(residual: Residual) -> Transfer:
         lit = np.hypot(wave.u, wave.v)[amplitude > 0].max()
         edge = 2 * (float(lit) + pitch)
         reference = _cells(amplitude, float(np.sum(amplitude * wave.amplitude)) * pitch**2, pitch)
-    ratio = _lattice_ratio(pupil, weights, pitch)
+    ratio = LatticeRatio(weights, pitch).of(pupil)
     centre = float(ratio(np.zeros(1), np.zeros(1))[0].real)
     n = 2 * wave.pupil_radius / pitch
     # the spline's error for a wave that turns by jump a cell, and the cells' blunted cusp at 0
@@ -137,27 +137,38 @@ def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
     return np.asarray(np.fft.fftshift(padded))
 
 
-def _lattice_ratio(
-    pupil: ComplexArray, weights: Array, pitch: float
-) -> Callable[[Array, Array], ComplexArray]:
-    """Correlation of a pupil function over that of its weights, by spline."""
-    from scipy import ndimage
+class LatticeRatio:
+    """Correlation of pupil functions on a lattice over that of their weights, by spline.
 
-    plain = _correlation(weights).real
-    whole = plain[pupil.shape[0], pupil.shape[0]]
-    seen = plain > 1e-5 * whole
-    table = np.zeros(plain.shape, dtype=np.complex128)
-    np.divide(_correlation(pupil), plain, out=table, where=seen)
-    parts: list[Array] = [ndimage.spline_filter(part, ORDER) for part in (table.real, table.imag)]
+    Parameters
+    ----------
+    weights : ndarray
+        (n, n), below 0 at a softened rim alone.
+    pitch : float
+        m.
+    """
 
-    def at(du: Array, dv: Array) -> ComplexArray:
-        place = np.stack([dv, du]) / pitch + pupil.shape[0]
-        real, imag = (
-            ndimage.map_coordinates(part, place, order=ORDER, prefilter=False) for part in parts
-        )
-        return np.asarray(real + 1j * imag)
+    def __init__(self, weights: Array, pitch: float) -> None:
+        self.plain = _correlation(weights).real
+        self.centre, self.pitch = weights.shape[0], pitch
+        self.seen = self.plain > 1e-5 * self.plain[self.centre, self.centre]
 
-    return at
+    def of(self, pupil: ComplexArray) -> Callable[[Array, Array], ComplexArray]:
+        """Ratio at separations (du, dv), m, of a pupil function (n, n)."""
+        from scipy import ndimage
+
+        table = np.zeros(self.plain.shape, dtype=np.complex128)
+        np.divide(_correlation(pupil), self.plain, out=table, where=self.seen)
+        parts: list[Array] = [ndimage.spline_filter(p, ORDER) for p in (table.real, table.imag)]
+
+        def at(du: Array, dv: Array) -> ComplexArray:
+            place = np.stack([dv, du]) / self.pitch + self.centre
+            real, imag = (
+                ndimage.map_coordinates(part, place, order=ORDER, prefilter=False) for part in parts
+            )
+            return np.asarray(real + 1j * imag)
+
+        return at
 
 
 def _cells(amplitude: Array, energy: float, pitch: float) -> Callable[[Array, Array], Array]:
