@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory
 from ..errors import MemoryLimitError, SamplingError
-from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature
+from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature, soft_pupils
 from .pixels import PixelRule
 from .pupil_grids import PupilGrid, grid_size, pupil_grid, pupil_grid_from_polar
 from .residuals import Residual
@@ -200,6 +200,9 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 def _fft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "fft")
+    soft = _soft_fft(task)
+    if soft is not None:
+        return soft
     fft.check_padding(residual, samples.pitch)
     if residual.wavefront.layout == "polar":
         size = _polar_size(task)
@@ -222,6 +225,22 @@ def _fft(task: Task) -> tuple[Array, float]:
     )
     mean = fft.intensity_in(residual, grid, samples, size, task.rule)
     return mean, _grid_bound(task, mean, grid)
+
+
+def _soft_fft(task: Task) -> tuple[Array, float] | None:
+    """The fft of a polynomial wave, which goes on beyond its softened rim; None for another."""
+    residual, samples = task.residual, task.samples
+    found = soft_pupils.wave_polynomial(residual, task.tol)
+    if found is None:
+        return None
+    wave, misfit = found
+    size = soft_pupils.padded_size(residual, samples, task.tol)
+    mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule)
+    strongest, error = soft_pupils.block_errors(
+        residual, task.pixels, mean, size * samples.pitch
+    )
+    lost = residual.truncation + residual.wavenumber * misfit
+    return mean, task.bound(strongest, error + lost, math.inf)
 
 
 def _mdft(task: Task) -> tuple[Array, float]:

@@ -1,0 +1,200 @@
+"""Image of a polar wave whose aberration is a polynomial, by its grid with softened rims.
+
+A polynomial goes on smoothly beyond the rim, so that a rim softened for the grid (`rims`) leaves no
+error but the far tails of its kernel, and the pupil costs a few nanoseconds a cell. Image samples
+farther apart than Nyquist's fold the grid before the transform instead of a longer transform.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import ducc0
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from .._checks import fits_memory
+from . import estimates, rims
+from .fft import padded_pass
+from .nodes import polar_nodes
+from .pixels import PixelRule
+from .residuals import Residual
+from .separable import intensity
+from .windows import Window
+from .zernikes import zernike, zernike_order
+
+Array = NDArray[np.float64]
+
+#: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
+DEGREE = 10
+#: Table points of a softened rim per cell: six of them interpolate it to 2e-15.
+STEPS = 256
+
+
+def wave_polynomial(residual: Residual, tol: float) -> tuple[Array, float] | None:
+    """Residual aberration as ``sum c[i, j] (u/R)^i (v/R)^j``, m, and the most it errs at a node.
+
+    None for a wave that is not polar, whose amplitude varies, or of too high a degree for an
+    intensity error of ``tol``.
+    """
+    wave = residual.wavefront
+    if wave.layout != "polar" or not residual.is_uniform:
+        return None
+    radial, angular = residual.series.degrees(max(1e-3 * tol, 1e-13) / residual.wavenumber)
+    degree = max(2 * radial + 1, angular)
+    if degree > DEGREE:
+        return None
+    project, powers, basis = _projection(*wave.u.shape, wave.obscuration, degree)
+    # einsum without BLAS: the same bits for any thread count
+    heights = np.einsum("tp,p->t", project, residual.aberration.ravel())
+    left = residual.aberration.ravel() - np.einsum("tp,t->p", basis, heights)
+    return np.einsum("t,tij->ij", heights, powers), float(np.abs(left).max())
+
+
+@lru_cache(maxsize=8)
+def _projection(
+    n_r: int, n_theta: int, obscuration: float, degree: int
+) -> tuple[Array, Array, Array]:
+    """Least-squares weights of the nodes for each Zernike term, its powers of u and v, its values.
+
+    (terms, nodes), (terms, degree + 1, degree + 1), (terms, nodes); unit radius.
+    """
+    u, v, weights = (a.ravel() for a in polar_nodes(1.0, n_r, n_theta, obscuration))
+    count = (degree + 1) * (degree + 2) // 2
+    basis = np.array([zernike(j, np.hypot(u, v), np.arctan2(v, u)) for j in range(1, count + 1)])
+    moments = np.einsum("ip,jp,p->ij", basis, basis, weights)
+    project = np.einsum("ij,jp->ip", np.linalg.inv(moments), basis * weights)
+    powers = np.array([_powers(j, degree) for j in range(1, count + 1)])
+    for array in (project, powers, basis):
+        array.setflags(write=False)
+    return project, powers, basis
+
+
+def _powers(index: int, degree: int) -> Array:
+    """Noll's Zernike polynomial as powers of u and v, (degree + 1, degree + 1)."""
+    n, m = zernike_order(index)
+    table = np.zeros((degree + 1, degree + 1))
+    scale = math.sqrt((n + 1) * (1 if m == 0 else 2))
+    for s in range((n - abs(m)) // 2 + 1):
+        k = (n - abs(m)) // 2 - s  # r^(n - 2 s) = r^2k r^|m|
+        height = (-1) ** s * math.comb(n - s, s) * math.comb(n - 2 * s, k)
+        for a in range(k + 1):  # (u^2 + v^2)^k
+            for b in range(abs(m) + 1):  # (u + iv)^|m|, its real or imaginary part
+                if b % 2 == (m < 0):
+                    place = 2 * a + abs(m) - b, 2 * (k - a) + b
+                    sign = (-1) ** (b // 2)
+                    table[place] += scale * height * sign * math.comb(k, a) * math.comb(abs(m), b)
+    return table
+
+
+@lru_cache(maxsize=16)
+def _rim_table(radius: float) -> tuple[float, float, Array]:
+    """Where a softened rim begins and ends, cells, and its values, two points wider each way."""
+    disc = rims.SoftDisc(radius)
+    r = disc.low + (np.arange(math.ceil((disc.high - disc.low) * STEPS) + 6) - 2) / STEPS
+    place = (2 * r - disc.low - disc.high) / (disc.high - disc.low)
+    table = chebyshev.chebval(place, disc.series)
+    table.setflags(write=False)
+    return disc.low, disc.high, table
+
+
+def padded_size(residual: Residual, samples: Window, tol: float) -> int:
+    """Padded size, a fast one, whose period is expected to leave an error of ``tol``/2.
+
+    The widest that is of any use where none does.
+    """
+    reach, unit = residual.rays.reach, residual.airy_unit
+    far = np.linspace(0.0, math.hypot(*samples.reach_from(residual.shift)), 50)
+    # The spot's peak by its rms aberration or its spread, and what is left of it farther out.
+    share = residual.wavefront.weights / residual.wavefront.weights.sum()
+    variance = residual.wavenumber**2 * float(np.sum(share * residual.aberration**2))
+    peak = max(math.exp(-variance), _densest(residual) * 4 / math.pi * unit**2)
+    light = np.minimum(math.sqrt(peak), estimates.tail(np.maximum(far - reach, 0.0) / unit))
+    period = max(samples.reach_from(residual.shift)) * 2 + samples.pitch
+    widest = 6 * (period + reach) + 400 * unit
+    while period < widest:
+        error = _field_error(residual, far, period)
+        if np.max(2 * light * error + error**2) < tol / 2 * peak:
+            break
+        period *= 1.06
+    return int(ducc0.fft.good_size(math.ceil(period / samples.pitch)))
+
+
+def _densest(residual: Residual) -> float:
+    """Largest density of the rays, 1/m^2, in bins of a tenth of their reach."""
+    rays, unit = residual.rays, residual.airy_unit
+    side = max(rays.reach / 10, 1.25 * unit)
+    columns, rows = (
+        np.rint((place + rays.reach) / side).astype(np.int64) for place in (rays.x, rays.y)
+    )
+    index = columns + 32 * rows
+    return float(np.bincount(index.ravel(), weights=rays.energy.ravel()).max()) / side**2
+
+
+def _field_error(residual: Residual, distance: Array, period: float) -> Array:
+    """Bound of the field's error up to each of the rising distances from the tilt's point, m."""
+    wave = residual.wavefront
+    pitch = wave.wavelength * abs(wave.image_distance) / period
+    error = estimates.soft_rim_error(residual, pitch, distance, 0.0)
+    return np.asarray(np.maximum.accumulate(error))
+
+
+def block_errors(
+    residual: Residual, window: Window, intensity: Array, period: float
+) -> tuple[Array, Array]:
+    """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
+    starts = [np.arange(0, n, max(1, n // 16)) for n in window.shape]
+    strongest = np.maximum.reduceat(intensity, starts[0], axis=0)
+    strongest = np.maximum.reduceat(strongest, starts[1], axis=1)
+    ends = []
+    for places, first, shift in zip(
+        (window.y, window.x), starts, residual.shift[::-1], strict=True
+    ):
+        ends.append(np.maximum.reduceat(np.abs(places - shift), first))
+    far = np.hypot(ends[0][:, None], ends[1])
+    rings = np.linspace(0.0, float(far.max()), 50)
+    ring = np.minimum(np.searchsorted(rings, far), 49)
+    return strongest, _field_error(residual, rings, period)[ring]
+
+
+def intensity_in(
+    residual: Residual, wave: Array, samples: Window, size: int, rule: PixelRule | None
+) -> Array:
+    """Image intensity in a window, 1 at the ideal peak; ``wave`` as of `wave_polynomial`."""
+    from . import _pupil_kernels
+
+    pupil = residual.wavefront
+    # cells across the radius; the period is ``size`` samples
+    radius = pupil.pupil_radius * size * samples.pitch / (pupil.wavelength * abs(pupil.image_distance))
+    centre = math.ceil(radius) + rims.REACH
+    rows = min(size, 2 * centre + 1)
+    fits_memory(
+        f"the transform of {rows} x {size} samples",
+        48.0 * rows * size,
+        "use a smaller shape",
+    )
+    found = [_rim_table(radius)]
+    if pupil.obscuration > 0:
+        found.append(_rim_table(pupil.obscuration * radius))
+    lows, highs = (np.array([rim[i] for rim in found]) for i in (0, 1))
+    width = max(rim[2].size for rim in found)
+    tables = np.zeros((len(found), width))
+    for row, rim in zip(tables, found, strict=True):
+        row[: rim[2].size] = rim[2]
+    turns = wave / pupil.wavelength
+    side = math.copysign(1.0, pupil.image_distance)
+    starts = [
+        (first - shift) / samples.pitch
+        for first, shift in zip(samples.first, residual.shift, strict=True)
+    ]
+    turns[1, 0] -= side * starts[0] / size * radius
+    turns[0, 1] -= side * starts[1] / size * radius
+    values = np.zeros((rows, rows), dtype=np.complex128)
+    total = _pupil_kernels.soft_pupil(
+        turns, 1 / radius, lows, highs, float(STEPS), tables, centre, values
+    )
+    values /= total
+    passes = [padded_pass(size, 0, n, None, side > 0) for n in samples.shape[::-1]]
+    return intensity(values, passes[0], passes[1], samples.shape, rule)
