@@ -127,3 +127,45 @@ def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
                 line[column - lap * columns] += complex(real[column], imaginary[column])
             start = end
     return total
+
+
+@njit(cache=True)
+def turned(values, out):
+    """Fill ``out`` (columns, n) with the transpose of ``values`` (rows, columns), then with 0."""
+    rows, columns = values.shape
+    for i in range(columns):
+        for j in range(rows):
+            out[i, j] = values[j, i]
+        for j in range(rows, out.shape[1]):
+            out[i, j] = 0.0
+
+
+@njit(cache=True)
+def squares(field, out):
+    """Fill ``out`` (ny, nx) with the squared modulus of the transpose of ``field`` (nx, >= ny)."""
+    for first in range(0, out.shape[0], 16):
+        for i in range(out.shape[1]):
+            for j in range(first, min(first + 16, out.shape[0])):
+                value = field[i, j]
+                out[j, i] = value.real * value.real + value.imag * value.imag
+
+
+@njit(cache=True)
+def steepest(coefficients, radii, angles, out):
+    """Fill ``out`` (radii,) with the largest |dW/du| or |dW/dv| of a polynomial on each circle."""
+    n = coefficients.shape[0]
+    for k in range(radii.shape[0]):
+        most = 0.0
+        for angle in angles:
+            u, v = radii[k] * math.cos(angle), radii[k] * math.sin(angle)
+            du = dv = 0.0
+            for i in range(n - 1, -1, -1):
+                value = slope = 0.0
+                for j in range(n - 1 - i, -1, -1):
+                    slope = slope * v + value
+                    value = value * v + coefficients[i, j]
+                dv = dv * u + slope
+                if i > 0:
+                    du = du * u + i * value
+            most = max(most, abs(du), abs(dv))
+        out[k] = most

@@ -92,7 +92,7 @@ def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tupl
 
 
 def soft_rim_error(
-    residual: Residual, pitch: float, distance: Array | float, continuation: float
+    residual: Residual, pitch: float | Array, distance: Array | float, continuation: float
 ) -> Array:
     """Field error of a softened rim at distances from the tilt's point, see `edge_errors`.
 
@@ -104,8 +104,8 @@ def soft_rim_error(
     n = 2 * wave.pupil_radius / pitch
     far = np.asarray(distance) + reach
     field = 3 * rims.leak(far / period) * tail(far / unit)
-    focus = 2 * float(rims.leak(np.array(reach / period))) / max(math.pi * reach / unit, 1.0)
-    edge = 0.0
+    focus = 2 * rims.leak(np.asarray(reach / period)) / max(math.pi * reach / unit, 1.0)
+    edge: float | Array = 0.0
     if continuation > 0:
         degree = max(residual.series.degrees(1e-3 * float(np.abs(residual.aberration).max())))
         steep = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength

@@ -234,10 +234,10 @@ def _soft_fft(task: Task) -> tuple[Array, float] | None:
     if found is None:
         return None
     wave, misfit = found
-    size = soft_pupils.padded_size(residual, samples, task.tol)
+    size = soft_pupils.padded_size(residual, wave, samples, task.tol)
     mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule)
     strongest, error = soft_pupils.block_errors(
-        residual, task.pixels, mean, size * samples.pitch
+        residual, wave, task.pixels, mean, size * samples.pitch
     )
     lost = residual.truncation + residual.wavenumber * misfit
     return mean, task.bound(strongest, error + lost, math.inf)
@@ -367,6 +367,9 @@ def _period_pitch(residual: Residual, period: float) -> float:
 
 def _grid_seconds(task: Task) -> float:
     residual, samples = task.residual, task.samples
+    found = soft_pupils.wave_polynomial(residual, task.tol)
+    if found is not None:
+        return soft_pupils.seconds(residual, found[0], samples, task.tol)
     size = _polar_size(task)
     n = grid_size(residual.wavefront.pupil_radius, _period_pitch(residual, size * samples.pitch))
     return 1e-2 + 1.2e-7 * n * n + 2e-8 * size * (n + samples.shape[1])

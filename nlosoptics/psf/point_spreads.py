@@ -62,9 +62,11 @@ class PointSpread:
     enclosed_energy: float
 
     def __post_init__(self) -> None:
-        intensity = np.array(self.intensity, dtype=np.float64, order="C")
-        intensity.setflags(write=False)
-        object.__setattr__(self, "intensity", intensity)
+        given = np.asarray(self.intensity)
+        if given.flags.writeable or given.base is not None or not given.flags.c_contiguous:
+            given = np.array(given, dtype=np.float64, order="C")
+            given.setflags(write=False)
+        object.__setattr__(self, "intensity", np.asarray(given, dtype=np.float64))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -180,8 +182,10 @@ def point_spread(
     scale = 1.0
     if normalisation != "ideal-peak":
         scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
+    intensity = np.ascontiguousarray(result.mean if scale == 1.0 else result.mean * scale)
+    intensity.setflags(write=False)  # so that it need not be copied
     return PointSpread(
-        intensity=result.mean * scale,
+        intensity=intensity,
         pitch=pitch,
         method=result.method,
         error_estimate=result.error,

@@ -17,20 +17,30 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory
 from . import estimates, rims
-from .fft import padded_pass
-from .nodes import polar_nodes
+from .fits import projection
+from .nodes import frozen, polar_nodes
 from .pixels import PixelRule
 from .residuals import Residual
-from .separable import intensity
 from .windows import Window
 from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 #: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
 DEGREE = 10
 #: Table points of a softened rim per cell: six of them interpolate it to 2e-15.
 STEPS = 256
+#: Field error for the kernel's cut at `rims.REACH`, measured at 5e-13 from 20 cells a radius on.
+CUT = 1e-12
+#: Shares of a window's reach at which errors are looked up.
+RINGS = np.linspace(0.0, 1.0, 33)
+#: Cells beyond the rim, and radii and angles of circles, at which slopes are looked up there.
+BEYOND = np.arange(1.5, rims.REACH, 3.0)
+CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
+ANGLES = 2 * math.pi * np.arange(32) / 32
+#: Memory of a block of columns, few enough to stay in the cache.
+BLOCK_BYTES = 2**19
 
 
 def wave_polynomial(residual: Residual, tol: float) -> tuple[Array, float] | None:
@@ -42,7 +52,8 @@ def wave_polynomial(residual: Residual, tol: float) -> tuple[Array, float] | Non
     wave = residual.wavefront
     if wave.layout != "polar" or not residual.is_uniform:
         return None
-    radial, angular = residual.series.degrees(max(1e-3 * tol, 1e-13) / residual.wavenumber)
+    rounding = 1e-14 * float(np.abs(residual.aberration).max())
+    radial, angular = residual.series.degrees(max(1e-3 * tol / residual.wavenumber, rounding))
     degree = max(2 * radial + 1, angular)
     if degree > DEGREE:
         return None
@@ -61,15 +72,11 @@ def _projection(
 
     (terms, nodes), (terms, degree + 1, degree + 1), (terms, nodes); unit radius.
     """
-    u, v, weights = (a.ravel() for a in polar_nodes(1.0, n_r, n_theta, obscuration))
+    u, v, weights = (nodes.ravel() for nodes in polar_nodes(1.0, n_r, n_theta, obscuration))
     count = (degree + 1) * (degree + 2) // 2
     basis = np.array([zernike(j, np.hypot(u, v), np.arctan2(v, u)) for j in range(1, count + 1)])
-    moments = np.einsum("ip,jp,p->ij", basis, basis, weights)
-    project = np.einsum("ij,jp->ip", np.linalg.inv(moments), basis * weights)
     powers = np.array([_powers(j, degree) for j in range(1, count + 1)])
-    for array in (project, powers, basis):
-        array.setflags(write=False)
-    return project, powers, basis
+    return frozen(projection(basis, weights)), frozen(powers), frozen(basis)
 
 
 def _powers(index: int, degree: int) -> Array:
@@ -100,25 +107,27 @@ def _rim_table(radius: float) -> tuple[float, float, Array]:
     return disc.low, disc.high, table
 
 
-def padded_size(residual: Residual, samples: Window, tol: float) -> int:
+def padded_size(residual: Residual, wave: Array, samples: Window, tol: float) -> int:
     """Padded size, a fast one, whose period is expected to leave an error of ``tol``/2.
 
     The widest that is of any use where none does.
     """
     reach, unit = residual.rays.reach, residual.airy_unit
-    far = np.linspace(0.0, math.hypot(*samples.reach_from(residual.shift)), 50)
+    far = RINGS * math.hypot(*samples.reach_from(residual.shift))
     # The spot's peak by its rms aberration or its spread, and what is left of it farther out.
-    share = residual.wavefront.weights / residual.wavefront.weights.sum()
-    variance = residual.wavenumber**2 * float(np.sum(share * residual.aberration**2))
-    peak = max(math.exp(-variance), _densest(residual) * 4 / math.pi * unit**2)
+    weights = residual.wavefront.weights
+    variance = float(np.sum(weights * residual.aberration**2) / np.sum(weights))
+    peak = max(
+        math.exp(-variance * residual.wavenumber**2), _densest(residual) * 4 / math.pi * unit**2
+    )
     light = np.minimum(math.sqrt(peak), estimates.tail(np.maximum(far - reach, 0.0) / unit))
-    period = max(samples.reach_from(residual.shift)) * 2 + samples.pitch
-    widest = 6 * (period + reach) + 400 * unit
-    while period < widest:
-        error = _field_error(residual, far, period)
-        if np.max(2 * light * error + error**2) < tol / 2 * peak:
-            break
-        period *= 1.06
+    least = max(samples.reach_from(residual.shift)) * 2 + samples.pitch
+    widest = 6 * (least + reach) + 400 * unit
+    periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.06))
+    error = _field_error(residual, wave, far, periods[:, None])
+    error -= CUT  # no period is worth more than that
+    enough = np.max(2 * light * error + error**2, axis=1) < tol / 2 * peak
+    period = periods[np.argmax(enough)] if enough.any() else widest
     return int(ducc0.fft.good_size(math.ceil(period / samples.pitch)))
 
 
@@ -133,30 +142,48 @@ def _densest(residual: Residual) -> float:
     return float(np.bincount(index.ravel(), weights=rays.energy.ravel()).max()) / side**2
 
 
-def _field_error(residual: Residual, distance: Array, period: float) -> Array:
-    """Bound of the field's error up to each of the rising distances from the tilt's point, m."""
-    wave = residual.wavefront
-    pitch = wave.wavelength * abs(wave.image_distance) / period
+def _field_error(
+    residual: Residual, wave: Array, distance: Array, period: float | Array
+) -> Array:
+    """Bound of the field's error up to each of the rising distances from the tilt's point, m.
+
+    To that of the rim is added what leaks from beyond it, where a polynomial is steeper and the
+    softened rim, its kernel cut at each of `BEYOND`, is weaker.
+    """
+    from . import _pupil_kernels
+
+    pupil = residual.wavefront
+    pitch = pupil.wavelength * abs(pupil.image_distance) / period
     error = estimates.soft_rim_error(residual, pitch, distance, 0.0)
-    return np.asarray(np.maximum.accumulate(error))
+    slopes = np.empty_like(CIRCLES)
+    _pupil_kernels.steepest(wave, CIRCLES, ANGLES, slopes)
+    reach = abs(pupil.image_distance) / pupil.pupil_radius * slopes
+    strength = np.exp(-((math.pi * rims.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)
+    cells = pupil.pupil_radius / np.asarray(pitch)
+    landing = np.interp(1 + BEYOND / cells, CIRCLES, reach)
+    zones = strength * (2 * (BEYOND[1] - BEYOND[0]) / cells) * rims.leak(landing / period)
+    error = error + np.sum(zones, axis=-1, keepdims=np.ndim(period) > 0)
+    return np.asarray(np.maximum.accumulate(error, axis=-1)) + CUT
 
 
 def block_errors(
-    residual: Residual, window: Window, intensity: Array, period: float
+    residual: Residual, wave: Array, window: Window, intensity: Array, period: float
 ) -> tuple[Array, Array]:
     """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
-    starts = [np.arange(0, n, max(1, n // 16)) for n in window.shape]
-    strongest = np.maximum.reduceat(intensity, starts[0], axis=0)
-    strongest = np.maximum.reduceat(strongest, starts[1], axis=1)
-    ends = []
-    for places, first, shift in zip(
-        (window.y, window.x), starts, residual.shift[::-1], strict=True
-    ):
-        ends.append(np.maximum.reduceat(np.abs(places - shift), first))
-    far = np.hypot(ends[0][:, None], ends[1])
-    rings = np.linspace(0.0, float(far.max()), 50)
-    ring = np.minimum(np.searchsorted(rings, far), 49)
-    return strongest, _field_error(residual, rings, period)[ring]
+    ny, nx = window.shape
+    starts = [np.arange(0, n, max(1, n // 16)) for n in (ny, nx)]
+    rows = [intensity[i : i + max(1, ny // 16)].max(axis=0) for i in starts[0]]
+    strongest = np.maximum.reduceat(rows, starts[1], axis=1)
+    down, along = (
+        np.maximum.reduceat(np.abs(places - shift), first)
+        for places, first, shift in zip(
+            (window.y, window.x), starts, residual.shift[::-1], strict=True
+        )
+    )
+    far = np.hypot(down[:, None], along)
+    rings = RINGS * far.max()
+    ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
+    return strongest, _field_error(residual, wave, rings, period)[ring]
 
 
 def intensity_in(
@@ -166,8 +193,7 @@ def intensity_in(
     from . import _pupil_kernels
 
     pupil = residual.wavefront
-    # cells across the radius; the period is ``size`` samples
-    radius = pupil.pupil_radius * size * samples.pitch / (pupil.wavelength * abs(pupil.image_distance))
+    radius = _radius(residual, samples, size)
     centre = math.ceil(radius) + rims.REACH
     rows = min(size, 2 * centre + 1)
     fits_memory(
@@ -191,10 +217,50 @@ def intensity_in(
     ]
     turns[1, 0] -= side * starts[0] / size * radius
     turns[0, 1] -= side * starts[1] / size * radius
-    values = np.zeros((rows, rows), dtype=np.complex128)
+    values = np.zeros((rows, size), dtype=np.complex128)
     total = _pupil_kernels.soft_pupil(
-        turns, 1 / radius, lows, highs, float(STEPS), tables, centre, values
+        turns, 1 / radius, lows, highs, float(STEPS), tables, centre, values[:, :rows]
     )
-    values /= total
-    passes = [padded_pass(size, 0, n, None, side > 0) for n in samples.shape[::-1]]
-    return intensity(values, passes[0], passes[1], samples.shape, rule)
+    return _intensity(values, samples.shape, side > 0, rule) / total**2
+
+
+def _intensity(
+    values: ComplexArray, shape: tuple[int, int], forward: bool, rule: PixelRule | None
+) -> Array:
+    """|transform|^2 of rows that have the period's length, of columns padded to the same.
+
+    The first samples of the given shape, averaged over pixels when a rule is given; ``values`` is
+    overwritten.
+    """
+    from . import _pupil_kernels
+
+    rows, size = values.shape
+    ny, nx = shape
+    ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
+    energy = np.empty((ny, nx))
+    step = max(8, BLOCK_BYTES // (16 * size))
+    padded = np.empty((step, size), dtype=np.complex128)
+    for start in range(0, nx, step):
+        part = padded[: min(step, nx - start)]
+        _pupil_kernels.turned(values[:, start : start + step], part)
+        ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
+        _pupil_kernels.squares(part, energy[:, start : start + step])
+    if rule is None:
+        return energy
+    half = rule.mean(energy)
+    return rule.mean(np.ascontiguousarray(half.T)).T
+
+
+def seconds(residual: Residual, wave: Array, samples: Window, tol: float) -> float:
+    """Expected run time on one core."""
+    size = padded_size(residual, wave, samples, tol)
+    radius = _radius(residual, samples, size)
+    columns = min(size, 2 * radius) + samples.shape[1]
+    return 4e-4 + 3e-8 * radius**2 + 6e-10 * size * columns * math.log2(size)
+
+
+def _radius(residual: Residual, samples: Window, size: int) -> float:
+    """Cells across the pupil's radius for a period of ``size`` samples."""
+    pupil = residual.wavefront
+    period = size * samples.pitch
+    return pupil.pupil_radius * period / (pupil.wavelength * abs(pupil.image_distance))

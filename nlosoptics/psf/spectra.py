@@ -8,12 +8,13 @@ that makes a Legendre-Fourier series, which converges exponentially and is exact
 from __future__ import annotations
 
 import math
+from functools import cached_property, lru_cache
 
 import ducc0
 import numpy as np
 from numpy.typing import NDArray
 
-from .nodes import gauss_legendre
+from .nodes import frozen, gauss_legendre
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -38,12 +39,10 @@ class PolarSpectrum:
         waves = np.fft.rfft(values, axis=1, norm="forward")
         if self.n_theta % 2 == 0:
             waves[:, -1] /= 2  # the highest order stands for both +m and -m
-        fraction, weights = gauss_legendre(self.n_r)
+        fraction, _ = gauss_legendre(self.n_r)
         waves[:, 1::2] /= self._rho(fraction)[:, None]
-        basis = _legendre(self.n_r, fraction)
-        norms = 2 * np.arange(self.n_r) + 1
         # einsum without BLAS: the same bits for any thread count.
-        self.coefficients = np.einsum("ki,im->km", basis * weights * norms[:, None], waves)
+        self.coefficients = np.einsum("ki,im->km", _analysis(self.n_r), waves)
 
     def truncation(self) -> float:
         """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
@@ -64,7 +63,7 @@ class PolarSpectrum:
         """Values on the polar nodes (n_r, n_theta), neither fewer than the samples given."""
         fraction, _ = gauss_legendre(n_r)
         rho = self._rho(fraction)
-        value = self._sum(_legendre(self.n_r, self._fraction(rho)))
+        value = self._sum(_legendre(self._counts[0], self._fraction(rho)))
         value[:, 1::2] *= rho[:, None]
         return self._synthesis(value, n_theta)
 
@@ -139,14 +138,23 @@ class PolarSpectrum:
 
     def _sum(self, table: Array) -> ComplexArray:
         """Radial sums of the coefficients, without BLAS as above."""
-        return np.asarray(np.einsum("ki,km->im", table, self.coefficients))
+        n_k, n_m = self._counts
+        sums = np.zeros((table.shape[1], self.coefficients.shape[1]), dtype=np.complex128)
+        np.einsum("ki,km->im", table[:n_k], self.coefficients[:n_k, :n_m], out=sums[:, :n_m])
+        return sums
+
+    @cached_property
+    def _counts(self) -> tuple[int, int]:
+        """Degrees and orders that hold more than the rounding of the largest term."""
+        degree, order = self.degrees(1e-17 * float(np.abs(self.coefficients).max()))
+        return degree + 1, order + 1
 
     def _radial(self, fraction: Array) -> tuple[ComplexArray, ComplexArray]:
         return self._polynomial(self._rho(fraction))
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
         """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
-        table = _legendre(self.n_r, self._fraction(rho))
+        table = _legendre(self._counts[0], self._fraction(rho))
         value = self._sum(table)
         slope = self._sum(_legendre_slopes(table))
         slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
@@ -192,6 +200,14 @@ def values_at(
             slope = transform([s.rim_series(rim) for s in pair], angle[outside][:, None])
             values[outside] += slope * (r[outside] - rim * radius)
     return values.real, None if second is None else values.imag
+
+
+@lru_cache(maxsize=16)
+def _analysis(n: int) -> Array:
+    """Legendre series of samples at ``n`` nodes, as a matrix (n, n) that is kept, read-only."""
+    fraction, weights = gauss_legendre(n)
+    norms = 2 * np.arange(n) + 1
+    return frozen(_legendre(n, fraction) * weights * norms[:, None])
 
 
 def _legendre(n: int, fraction: Array) -> Array:

@@ -286,7 +286,8 @@ def test_normalisations(obscuration):
 
 def test_window_sums_to_the_energy_within():
     wave = zernike_wave({8: 0.1})
-    spread = psf.point_spread(wave, pitch=UNIT / 8, shape=513)
+    # the corners hold 4e-3 of the energy, which samples good to 1e-3 of the peak need not show
+    spread = psf.point_spread(wave, pitch=UNIT / 8, shape=513, tol=1e-6)
     within = psf.encircled_energy(wave, spread.x[-1])
     beyond = psf.encircled_energy(wave, spread.x[-1] * np.sqrt(2))
     assert within < spread.enclosed_energy < beyond
