@@ -141,13 +141,13 @@ def turned(values, out):
 
 
 @njit(cache=True)
-def squares(field, out):
-    """Fill ``out`` (ny, nx) with the squared modulus of the transpose of ``field`` (nx, >= ny)."""
-    for first in range(0, out.shape[0], 16):
-        for i in range(out.shape[1]):
-            for j in range(first, min(first + 16, out.shape[0])):
-                value = field[i, j]
-                out[j, i] = value.real * value.real + value.imag * value.imag
+def squares(field, scale, out):
+    """Fill ``out`` (rows, n) with ``scale |field|^2`` of the first n columns of ``field``."""
+    for i in range(out.shape[0]):
+        line = out[i]
+        for j in range(line.shape[0]):
+            value = field[i, j]
+            line[j] = scale * (value.real * value.real + value.imag * value.imag)
 
 
 @njit(cache=True)

@@ -14,6 +14,9 @@ from .windows import Window
 
 Array = NDArray[np.float64]
 
+#: Phase from peak to valley, rad, from which the mean says nothing of use.
+STEEP = 5.0
+
 
 def disc_field(v: Array) -> Array:
     """2 J1(v)/v, 1 at v = 0 (Born & Wolf, sec. 8.5.2)."""
@@ -46,6 +49,8 @@ def error_bound(residual: Residual) -> float:
     """
     wave = residual.wavefront
     if wave.layout != "polar":
+        return math.inf
+    if float(np.ptp(residual.aberration)) * residual.wavenumber > STEEP:
         return math.inf
     share = wave.weights / wave.weights.sum()
     pupil = wave.amplitude * np.exp(1j * residual.wavenumber * residual.aberration)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,14 @@ class Task:
     def level(self) -> float:
         """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
         return self.residual.pixel_share(self.pitch)
+
+    @cached_property
+    def soft(self) -> tuple[Array, float, int] | None:
+        """Polynomial of the wave, its misfit and the padded size, for the `fft`; or None."""
+        found = soft_pupils.wave_polynomial(self.residual, self.tol)
+        if found is None:
+            return None
+        return *found, soft_pupils.padded_size(self.residual, found[0], self.samples, self.tol)
 
     def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
         """`estimates.intensity_error` on these pixels."""
@@ -229,17 +238,18 @@ def _fft(task: Task) -> tuple[Array, float]:
 
 def _soft_fft(task: Task) -> tuple[Array, float] | None:
     """The fft of a polynomial wave, which goes on beyond its softened rim; None for another."""
-    residual, samples = task.residual, task.samples
-    found = soft_pupils.wave_polynomial(residual, task.tol)
-    if found is None:
+    soft = task.soft
+    if soft is None:
         return None
-    wave, misfit = found
-    size = soft_pupils.padded_size(residual, wave, samples, task.tol)
-    mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule)
+    wave, misfit, size = soft
+    residual, samples = task.residual, task.samples
+    single = task.tol >= soft_pupils.SINGLE
+    mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule, single)
     strongest, error = soft_pupils.block_errors(
         residual, wave, task.pixels, mean, size * samples.pitch
     )
     lost = residual.truncation + residual.wavenumber * misfit
+    lost += soft_pupils.SINGLE_ERROR if single else 0.0
     return mean, task.bound(strongest, error + lost, math.inf)
 
 
@@ -367,9 +377,8 @@ def _period_pitch(residual: Residual, period: float) -> float:
 
 def _grid_seconds(task: Task) -> float:
     residual, samples = task.residual, task.samples
-    found = soft_pupils.wave_polynomial(residual, task.tol)
-    if found is not None:
-        return soft_pupils.seconds(residual, found[0], samples, task.tol)
+    if task.soft is not None:
+        return soft_pupils.seconds(residual, samples, task.soft[2])
     size = _polar_size(task)
     n = grid_size(residual.wavefront.pupil_radius, _period_pitch(residual, size * samples.pitch))
     return 1e-2 + 1.2e-7 * n * n + 2e-8 * size * (n + samples.shape[1])

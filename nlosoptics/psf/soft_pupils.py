@@ -25,7 +25,6 @@ from .windows import Window
 from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 #: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
 DEGREE = 10
@@ -33,12 +32,14 @@ DEGREE = 10
 STEPS = 256
 #: Field error for the kernel's cut at `rims.REACH`, measured at 5e-13 from 20 cells a radius on.
 CUT = 1e-12
+#: Least ``tol`` for single precision, and its field error: 1e-7 measured.
+SINGLE, SINGLE_ERROR = 1e-4, 1e-6
 #: Shares of a window's reach at which errors are looked up.
-RINGS = np.linspace(0.0, 1.0, 33)
+RINGS = np.linspace(0.0, 1.0, 17)
 #: Cells beyond the rim, and radii and angles of circles, at which slopes are looked up there.
 BEYOND = np.arange(1.5, rims.REACH, 3.0)
 CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
-ANGLES = 2 * math.pi * np.arange(32) / 32
+ANGLES = 2 * math.pi * np.arange(24) / 24
 #: Memory of a block of columns, few enough to stay in the cache.
 BLOCK_BYTES = 2**19
 
@@ -123,7 +124,7 @@ def padded_size(residual: Residual, wave: Array, samples: Window, tol: float) ->
     light = np.minimum(math.sqrt(peak), estimates.tail(np.maximum(far - reach, 0.0) / unit))
     least = max(samples.reach_from(residual.shift)) * 2 + samples.pitch
     widest = 6 * (least + reach) + 400 * unit
-    periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.06))
+    periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.08))
     error = _field_error(residual, wave, far, periods[:, None])
     error -= CUT  # no period is worth more than that
     enough = np.max(2 * light * error + error**2, axis=1) < tol / 2 * peak
@@ -171,8 +172,8 @@ def block_errors(
 ) -> tuple[Array, Array]:
     """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
     ny, nx = window.shape
-    starts = [np.arange(0, n, max(1, n // 16)) for n in (ny, nx)]
-    rows = [intensity[i : i + max(1, ny // 16)].max(axis=0) for i in starts[0]]
+    starts = [np.arange(0, n, max(1, n // 8)) for n in (ny, nx)]
+    rows = [intensity[i : i + max(1, ny // 8)].max(axis=0) for i in starts[0]]
     strongest = np.maximum.reduceat(rows, starts[1], axis=1)
     down, along = (
         np.maximum.reduceat(np.abs(places - shift), first)
@@ -187,9 +188,17 @@ def block_errors(
 
 
 def intensity_in(
-    residual: Residual, wave: Array, samples: Window, size: int, rule: PixelRule | None
+    residual: Residual,
+    wave: Array,
+    samples: Window,
+    size: int,
+    rule: PixelRule | None,
+    single: bool,
 ) -> Array:
-    """Image intensity in a window, 1 at the ideal peak; ``wave`` as of `wave_polynomial`."""
+    """Image intensity in a window, 1 at the ideal peak; ``wave`` as of `wave_polynomial`.
+
+    ``single`` transforms in single precision.
+    """
     from . import _pupil_kernels
 
     pupil = residual.wavefront
@@ -217,17 +226,22 @@ def intensity_in(
     ]
     turns[1, 0] -= side * starts[0] / size * radius
     turns[0, 1] -= side * starts[1] / size * radius
-    values = np.zeros((rows, size), dtype=np.complex128)
+    # Rows are u, so that the second transform gives rows of the image.
+    values = np.zeros((rows, size), dtype=np.complex64 if single else np.complex128)
     total = _pupil_kernels.soft_pupil(
-        turns, 1 / radius, lows, highs, float(STEPS), tables, centre, values[:, :rows]
+        np.ascontiguousarray(turns.T), 1 / radius, lows, highs, float(STEPS), tables, centre, values[:, :rows]
     )
-    return _intensity(values, samples.shape, side > 0, rule) / total**2
+    return _intensity(values, samples.shape, side > 0, rule, 1 / total**2)
 
 
 def _intensity(
-    values: ComplexArray, shape: tuple[int, int], forward: bool, rule: PixelRule | None
+    values: NDArray[np.complexfloating],
+    shape: tuple[int, int],
+    forward: bool,
+    rule: PixelRule | None,
+    scale: float,
 ) -> Array:
-    """|transform|^2 of rows that have the period's length, of columns padded to the same.
+    """``scale`` |transform|^2 of columns (u) as long as the period, of rows (v) padded to the same.
 
     The first samples of the given shape, averaged over pixels when a rule is given; ``values`` is
     overwritten.
@@ -239,21 +253,20 @@ def _intensity(
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
     energy = np.empty((ny, nx))
     step = max(8, BLOCK_BYTES // (16 * size))
-    padded = np.empty((step, size), dtype=np.complex128)
-    for start in range(0, nx, step):
-        part = padded[: min(step, nx - start)]
+    padded = np.empty((step, size), dtype=values.dtype)
+    for start in range(0, ny, step):
+        part = padded[: min(step, ny - start)]
         _pupil_kernels.turned(values[:, start : start + step], part)
         ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
-        _pupil_kernels.squares(part, energy[:, start : start + step])
+        _pupil_kernels.squares(part, scale, energy[start : start + step])
     if rule is None:
         return energy
     half = rule.mean(energy)
     return rule.mean(np.ascontiguousarray(half.T)).T
 
 
-def seconds(residual: Residual, wave: Array, samples: Window, tol: float) -> float:
-    """Expected run time on one core."""
-    size = padded_size(residual, wave, samples, tol)
+def seconds(residual: Residual, samples: Window, size: int) -> float:
+    """Expected run time of `intensity_in` on one core."""
     radius = _radius(residual, samples, size)
     columns = min(size, 2 * radius) + samples.shape[1]
     return 4e-4 + 3e-8 * radius**2 + 6e-10 * size * columns * math.log2(size)
