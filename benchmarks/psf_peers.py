@@ -148,8 +148,10 @@ def timed(run, repeats):
 
 def our_rows(given, repeats, samples):
     """Rows of our transforms, those that refuse left out."""
-    jobs = [("quadrature", tol, {}) for tol in TOLS]
-    jobs += [(method, 1e-3, {}) for method in ("airy", "fft", "mdft")]
+    jobs = [("auto", tol, {}) for tol in (1e-2, 1e-3, 1e-4, 1e-6, 1e-9)]
+    jobs += [("quadrature", tol, {}) for tol in TOLS]
+    jobs += [("fft", tol, {}) for tol in TOLS]
+    jobs += [(method, 1e-3, {}) for method in ("airy", "mdft")]
     jobs += [("mdft", 1e-3, {"nodes": "grid", "samples": n}) for n in samples if n <= 2048]
     rows = []
     for method, tol, nodes in jobs:

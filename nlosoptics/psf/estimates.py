@@ -45,7 +45,7 @@ def intensity_error(
         Share of the whole energy that a pixel of mean 1 would hold.
     """
     if np.ndim(field_error) == 0:
-        intensity = np.max(intensity)  # the bound below rises with it
+        intensity = np.asarray(np.max(intensity))  # the bound below rises with it
     error = np.square(field_error)
     cross = 1.0
     if pixel > 0:

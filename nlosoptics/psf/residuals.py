@@ -165,6 +165,10 @@ class Residual:
 
     def traced(self, n_r: int, n_theta: int) -> Rays:
         """Rays of a polar wavefront from (n_r, n_theta) nodes and from the rim."""
+        wave = self.wavefront
+        if wave.u.shape == (n_r, n_theta) and self.is_uniform and not np.any(self.aberration):
+            flat = np.zeros((n_r + 1, n_theta))
+            return self._landing(flat, flat, np.vstack([wave.weights, flat[:1]]))
         n_r, n_theta = max(n_r, self.series.n_r), max(n_theta, self.series.n_theta)
         du, dv, energy = self.series.slopes(n_r, n_theta)
         if not self.is_uniform:

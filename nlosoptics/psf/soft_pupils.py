@@ -143,9 +143,7 @@ def _densest(residual: Residual) -> float:
     return float(np.bincount(index.ravel(), weights=rays.energy.ravel()).max()) / side**2
 
 
-def _field_error(
-    residual: Residual, wave: Array, distance: Array, period: float | Array
-) -> Array:
+def _field_error(residual: Residual, wave: Array, distance: Array, period: float | Array) -> Array:
     """Bound of the field's error up to each of the rising distances from the tilt's point, m.
 
     To that of the rim is added what leaks from beyond it, where a polynomial is steeper and the
@@ -229,7 +227,14 @@ def intensity_in(
     # Rows are u, so that the second transform gives rows of the image.
     values = np.zeros((rows, size), dtype=np.complex64 if single else np.complex128)
     total = _pupil_kernels.soft_pupil(
-        np.ascontiguousarray(turns.T), 1 / radius, lows, highs, float(STEPS), tables, centre, values[:, :rows]
+        np.ascontiguousarray(turns.T),
+        1 / radius,
+        lows,
+        highs,
+        float(STEPS),
+        tables,
+        centre,
+        values[:, :rows],
     )
     return _intensity(values, samples.shape, side > 0, rule, 1 / total**2)
 
@@ -248,7 +253,7 @@ def _intensity(
     """
     from . import _pupil_kernels
 
-    rows, size = values.shape
+    size = values.shape[1]
     ny, nx = shape
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
     energy = np.empty((ny, nx))

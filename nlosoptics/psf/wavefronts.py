@@ -343,9 +343,7 @@ class Wavefront:
 
 
 @lru_cache(maxsize=128)
-def _kept_mode(
-    index: int, ordering: Ordering, n_r: int, n_theta: int, obscuration: float
-) -> Array:
+def _kept_mode(index: int, ordering: Ordering, n_r: int, n_theta: int, obscuration: float) -> Array:
     """Zernike polynomial on at most `KEPT` polar nodes, kept and read-only."""
     u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
     return frozen(zernike(index, np.hypot(u, v), np.arctan2(v, u), ordering=ordering))
