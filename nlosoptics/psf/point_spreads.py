@@ -48,7 +48,8 @@ class PointSpread:
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
-        Share of the energy that passes the pupil which falls into the window.
+        Share of the energy that passes the pupil which falls into the window, good to about the
+        error that was asked for.
     """
 
     intensity: Array
@@ -107,7 +108,8 @@ def point_spread(
 
         - ``quadrature`` sums polar nodes exactly, as many as the window needs.
         - ``fft`` zero-pads a grid, ``mdft`` takes a grid to any pitch. A polar wave is put on a
-          grid for them; a grid is never put on polar nodes.
+          grid for them, by ``fft`` as fine as ``tol`` asks where the aberration is a polynomial; a
+          grid is never put on polar nodes.
         - ``nufft`` sums the nodes as they are, scattered ones and traced rays too.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is where rays land, diffraction left out; ``auto`` tries it above 20 waves
@@ -115,7 +117,7 @@ def point_spread(
         - ``huygens`` sends spherical waves to ``image_surface``; it is slow and ``auto`` leaves it
           out. See `huygens_point_spread`.
     tol : float
-        Largest max |dI|/max I that ``auto`` accepts.
+        Largest max |dI|/max I that ``auto`` accepts, and that others aim at where it saves time.
     pitch : float, optional
         Image sampling or pixel side, m. Default a quarter of lambda N; for the ``fft`` of a grid
         wavefront, the nearest fast size below half of it.
