@@ -40,7 +40,8 @@ from scipy.special import j1
 
 from nlosoptics import psf
 from nlosoptics.errors import NlosError
-from nlosoptics.psf import airy, nodes, residuals, soft_pupils, spectra, wavefronts
+from nlosoptics.psf import airy, residuals, soft_pupils, spectra, wavefronts
+from nlosoptics.psf import nodes as keepers
 from nlosoptics.psf.zernikes import zernike_order
 
 HERE = Path(__file__).parent
@@ -150,7 +151,7 @@ def timed(run, repeats):
 
 def forget():
     """Drop all that nlosoptics keeps between calls."""
-    for module in (airy, nodes, residuals, soft_pupils, spectra, wavefronts):
+    for module in (airy, keepers, residuals, soft_pupils, spectra, wavefronts):
         for function in vars(module).values():
             if hasattr(function, "cache_clear"):
                 function.cache_clear()

@@ -25,9 +25,9 @@ BEST, FAST = 2e-13, 1e-8
 
 def epsilon(n_nodes: int, window: Window, tol: float) -> float:
     """Relative accuracy to ask of the transform: all digits where they cost little."""
-    if tol > 1e-9 and n_nodes + window.shape[0] * window.shape[1] > SMALL:
-        return min(FAST, tol / 100)
-    return BEST if tol <= 1e-9 else max(min(FAST, tol / 100), BEST)
+    if n_nodes + window.shape[0] * window.shape[1] <= SMALL:
+        return BEST
+    return max(min(FAST, tol / 100), BEST)
 
 
 def n_bytes(n_nodes: int, window: Window) -> float:
