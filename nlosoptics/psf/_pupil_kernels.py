@@ -57,7 +57,7 @@ def _profile(r, low, steps, table):
     The table has two points more at either end; 1 below it and 0 beyond.
     """
     place = (r - low) * steps
-    if place <= 0.0:
+    if place < 0.0:
         return 1.0
     at = int(place)
     if at + 6 > table.shape[0]:
