@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,9 @@ from typing import Any
 from .errors import MemoryLimitError, SceneError
 
 Vector = tuple[float, float, float]
+
+#: Seconds for which a reading of the free memory holds; each costs as much as a small transform.
+FRESH = 0.25
 
 
 def real(name: str, value: Any) -> float:
@@ -110,6 +115,12 @@ def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
 
 def available_memory() -> float:
     """Bytes that can still be allocated; infinity where the system does not say."""
+    return _memory_at(int(time.monotonic() / FRESH))
+
+
+@lru_cache(maxsize=1)
+def _memory_at(moment: int) -> float:
+    """The same as read within one moment of `FRESH` seconds."""
     try:
         with Path("/proc/meminfo").open() as lines:
             for line in lines:

@@ -7,8 +7,8 @@
 - `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
 - `quadrature`, `fft`, `mdft`, `nufft`, `airy`, `geometric`, `huygens`: one transform each;
-  `pupil_grids`, `rims`, `separable`, `local_fits`, `pixels` and `windows` serve them, `estimates`
-  bounds their errors.
+  `pupil_grids`, `rims`, `soft_pupils` (polynomial waves), `separable`, `local_fits`, `pixels` and
+  `windows` serve them, `estimates` bounds their errors.
 - `methods`: runs one or picks among them; `point_spreads`: `point_spread`; `comparisons`: all of
   them side by side; `bands` and `fields`: over wavelengths and over the object.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.

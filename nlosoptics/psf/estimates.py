@@ -44,6 +44,8 @@ def intensity_error(
     level : float
         Share of the whole energy that a pixel of mean 1 would hold.
     """
+    if np.ndim(field_error) == 0:
+        intensity = np.asarray(np.max(intensity))  # the bound below rises with it
     error = np.square(field_error)
     cross = 1.0
     if pixel > 0:
@@ -81,18 +83,35 @@ def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tupl
     if grid.rim == "map":
         return np.zeros_like(distance), 0.0
     if grid.rim == "cut":
-        field = np.minimum(1.65 * (distance / period) ** 2, 2.0) * _tail(distance / unit)
-        field += _tail(np.hypot(period - dx, dy) / unit) * np.abs(np.sinc(1 - dx / period))
-        field += _tail(np.hypot(dx, period - dy) / unit) * np.abs(np.sinc(1 - dy / period))
+        field = np.minimum(1.65 * (distance / period) ** 2, 2.0) * tail(distance / unit)
+        field += tail(np.hypot(period - dx, dy) / unit) * np.abs(np.sinc(1 - dx / period))
+        field += tail(np.hypot(dx, period - dy) / unit) * np.abs(np.sinc(1 - dy / period))
         field += steep / (2 * n)
         return edges * field, edges * 0.02 * steep**2 / n
-    reach = residual.rays.reach
-    far = distance + reach
-    field = 3 * rims.leak(far / period) * _tail(far / unit)
-    focus = 2 * float(rims.leak(np.array(reach / period))) / max(math.pi * reach / unit, 1.0)
-    degree = max(residual.series.degrees(1e-3 * max(float(np.abs(residual.aberration).max()), 0.0)))
-    curvature = steep * degree * 2 / n
-    return edges * (field + focus + CONTINUATION * curvature * 2 / n), math.inf
+    return soft_rim_error(residual, grid.pitch, distance, CONTINUATION), math.inf
+
+
+def soft_rim_error(
+    residual: Residual, pitch: float | Array, distance: Array | float, continuation: float
+) -> Array:
+    """Field error of a softened rim at distances from the tilt's point, see `edge_errors`.
+
+    ``continuation`` is 0 for a wave that goes on smoothly beyond the rim.
+    """
+    wave = residual.wavefront
+    unit, reach = residual.airy_unit, residual.rays.reach
+    period = wave.wavelength * abs(wave.image_distance) / pitch
+    n = 2 * wave.pupil_radius / pitch
+    far = np.asarray(distance) + reach
+    field = 3 * rims.leak(far / period) * tail(far / unit)
+    focus = 2 * rims.leak(np.asarray(reach / period)) / max(math.pi * reach / unit, 1.0)
+    edge: float | Array = 0.0
+    if continuation > 0:
+        degree = max(residual.series.degrees(1e-3 * float(np.abs(residual.aberration).max())))
+        steep = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength
+        edge = continuation * steep * degree * (2 / n) ** 2
+    edges = 1 / (1 - wave.obscuration)  # length of both rims over area
+    return np.asarray(edges * (field + focus + edge))
 
 
 def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
@@ -112,7 +131,7 @@ def _period(residual: Residual, grid: PupilGrid) -> float:
     return wave.wavelength * abs(wave.image_distance) / grid.pitch
 
 
-def _tail(r: Array) -> Array:
+def tail(r: Array) -> Array:
     """Upper envelope of the Airy field at ``r`` Airy units."""
     v = np.maximum(math.pi * r, 1.0)
     return np.asarray(np.minimum(1.0, np.sqrt(8 / (math.pi * v**3))))

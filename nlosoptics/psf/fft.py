@@ -69,14 +69,17 @@ def intensity_in(
         whole = round(start)
         turns = (start - whole) / size * (np.arange(grid.values.shape[0]) - grid.centre)
         ramp = np.exp(-2j * math.pi * math.copysign(1, residual.wavefront.image_distance) * turns)
-        passes.append(_padded_pass(size, whole, count, ramp, residual.wavefront.image_distance > 0))
+        passes.append(padded_pass(size, whole, count, ramp, residual.wavefront.image_distance > 0))
     return intensity(grid.values, passes[0], passes[1], window.shape, rule)
 
 
-def _padded_pass(size: int, start: int, count: int, ramp: ComplexArray, forward: bool) -> Pass:
+def padded_pass(
+    size: int, start: int, count: int, ramp: ComplexArray | None, forward: bool
+) -> Pass:
     """Transform of zero-padded rows, up to a phase that the intensity does not see.
 
-    Samples from ``start`` on, the period continued where the count passes its end.
+    Samples from ``start`` on, the period continued where the count passes its end; the rows are
+    first multiplied by the ``ramp``.
     """
     # Slices, since picking single columns is as slow as the transform.
     pieces, place = [], start % size
@@ -87,8 +90,10 @@ def _padded_pass(size: int, start: int, count: int, ramp: ComplexArray, forward:
 
     def transform(rows: ComplexArray) -> ComplexArray:
         padded = np.zeros((rows.shape[0], size), dtype=np.complex128)
-        np.multiply(rows, ramp, out=padded[:, : rows.shape[1]])
+        padded[:, : rows.shape[1]] = rows if ramp is None else rows * ramp
         ducc0.fft.c2c(padded, axes=(1,), forward=forward, out=padded, nthreads=1)
+        if len(pieces) == 1:
+            return padded[:, pieces[0]]
         return np.concatenate([padded[:, piece] for piece in pieces], axis=1)
 
     return transform

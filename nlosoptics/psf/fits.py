@@ -22,3 +22,14 @@ def fitted_terms(wavefront: Wavefront, terms: Array) -> Array:
     moments = np.einsum("ip,jp,p->ij", flat, flat, weights)
     right = np.einsum("ip,p,p->i", flat, weights, wavefront.aberration.ravel())
     return np.asarray(np.linalg.pinv(moments, hermitian=True) @ right)
+
+
+def projection(terms: Array, weights: Array) -> Array:
+    """Share (n_terms, nodes) of each node's value in the coefficients of `fitted_terms`.
+
+    ``weights`` are amplitude times area, of the shape of one of the ``terms``.
+    """
+    flat = terms.reshape(len(terms), -1)
+    moments = np.einsum("ip,jp,p->ij", flat, flat, weights.ravel())
+    inverse = np.linalg.pinv(moments, hermitian=True)
+    return np.asarray(np.einsum("ij,jp,p->ip", inverse, flat, weights.ravel()))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
 from ..errors import MemoryLimitError, SamplingError
-from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature
+from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature, soft_pupils
 from .pixels import PixelRule
 from .pupil_grids import PupilGrid, grid_size, pupil_grid, pupil_grid_from_polar
 from .residuals import Residual
@@ -55,6 +56,14 @@ class Task:
         """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
         return self.residual.pixel_share(self.pitch)
 
+    @cached_property
+    def soft(self) -> tuple[Array, float, int] | None:
+        """Polynomial of the wave, its misfit and the padded size, for the `fft`; or None."""
+        found = soft_pupils.wave_polynomial(self.residual, self.tol)
+        if found is None:
+            return None
+        return *found, soft_pupils.padded_size(self.residual, found[0], self.samples, self.tol)
+
     def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
         """`estimates.intensity_error` on these pixels."""
         pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
@@ -64,7 +73,9 @@ class Task:
 
     def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
         """Intensity of a field at `samples`, averaged over pixels where asked."""
-        fine = field.real**2 + field.imag**2
+        fine = field.real**2
+        if np.iscomplexobj(field):
+            fine += field.imag**2
         if self.rule is None:
             return fine
         half = self.rule.mean(fine)
@@ -136,7 +147,7 @@ def _candidates(task: Task) -> list[tuple[float, str]]:
     found: list[tuple[float, str]] = []
     if layout == "polar":
         if airy.error_bound(residual) <= task.tol:
-            found.append((airy.seconds(task.samples), "airy"))
+            return [(airy.seconds(task.samples), "airy")]  # none is faster
         found.append((quadrature.seconds(residual, task.samples), "quadrature"))
         found.append((_grid_seconds(task), "fft"))
     elif layout == "scattered":
@@ -200,6 +211,9 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 def _fft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "fft")
+    soft = _soft_fft(task)
+    if soft is not None:
+        return soft
     fft.check_padding(residual, samples.pitch)
     if residual.wavefront.layout == "polar":
         size = _polar_size(task)
@@ -222,6 +236,23 @@ def _fft(task: Task) -> tuple[Array, float]:
     )
     mean = fft.intensity_in(residual, grid, samples, size, task.rule)
     return mean, _grid_bound(task, mean, grid)
+
+
+def _soft_fft(task: Task) -> tuple[Array, float] | None:
+    """The fft of a polynomial wave, which goes on beyond its softened rim; None for another."""
+    soft = task.soft
+    if soft is None:
+        return None
+    wave, misfit, size = soft
+    residual, samples = task.residual, task.samples
+    single = task.tol >= soft_pupils.SINGLE
+    mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule, single)
+    strongest, error = soft_pupils.block_errors(
+        residual, wave, task.pixels, mean, size * samples.pitch
+    )
+    lost = residual.truncation + residual.wavenumber * misfit
+    lost += soft_pupils.SINGLE_ERROR if single else 0.0
+    return mean, task.bound(strongest, error + lost, math.inf)
 
 
 def _mdft(task: Task) -> tuple[Array, float]:
@@ -348,6 +379,8 @@ def _period_pitch(residual: Residual, period: float) -> float:
 
 def _grid_seconds(task: Task) -> float:
     residual, samples = task.residual, task.samples
+    if task.soft is not None:
+        return soft_pupils.seconds(residual, samples, task.soft[2])
     size = _polar_size(task)
     n = grid_size(residual.wavefront.pupil_radius, _period_pitch(residual, size * samples.pitch))
     return 1e-2 + 1.2e-7 * n * n + 2e-8 * size * (n + samples.shape[1])

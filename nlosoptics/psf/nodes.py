@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import ducc0
 import numpy as np
@@ -12,14 +13,25 @@ from .._checks import fits_memory, in_range, positive, whole
 
 Array = NDArray[np.float64]
 
+#: Most nodes of a pupil that are kept for the next wave, 0.4 MB.
+KEPT = 2**14
 
+
+@lru_cache(maxsize=64)
 def gauss_legendre(n: int) -> tuple[Array, Array]:
     """Half-open fractions ``(1 + x)/2`` of the Gauss-Legendre nodes x, ascending, and weights.
 
-    The weights sum to 1. The fraction is sin^2(theta/2), which keeps its digits near 0.
+    The weights sum to 1. The fraction is sin^2(theta/2), which keeps its digits near 0. Both are
+    kept, and read-only.
     """
     theta = ducc0.misc.GL_thetas(n)
-    return np.sin(theta / 2) ** 2, ducc0.misc.GL_weights(n, 1) / (4 * math.pi)
+    return frozen(np.sin(theta / 2) ** 2), frozen(ducc0.misc.GL_weights(n, 1) / (4 * math.pi))
+
+
+def frozen(array: Array) -> Array:
+    """The array itself, from now on read-only."""
+    array.setflags(write=False)
+    return array
 
 
 def polar_nodes(
@@ -44,16 +56,34 @@ def polar_nodes(
         (n_r, n_theta); m, m and m^2. The weights sum to the pupil's area.
     """
     positive("radius", radius, unit="m")
-    whole("n_r", n_r)
-    whole("n_theta", n_theta)
+    n_r, n_theta = whole("n_r", n_r), whole("n_theta", n_theta)
     fits_memory(f"{n_r} x {n_theta} pupil nodes", 80.0 * n_r * n_theta, "use fewer")
-    inner = _inner(obscuration) ** 2
+    obscuration = _inner(obscuration)
+    if n_r * n_theta > KEPT:
+        return _polar_nodes(radius, n_r, n_theta, obscuration)
+    u, v, weights = kept_polar_nodes(radius, n_r, n_theta, obscuration)
+    return u.copy(), v.copy(), weights.copy()
+
+
+def _polar_nodes(
+    radius: float, n_r: int, n_theta: int, obscuration: float
+) -> tuple[Array, Array, Array]:
+    inner = obscuration**2
     fraction, weight = gauss_legendre(n_r)
     r = radius * np.sqrt(inner + (1 - inner) * fraction)
     angle = 2 * math.pi * np.arange(n_theta) / n_theta
     area = math.pi * radius**2 * (1 - inner) / n_theta
     weights = np.repeat((area * weight)[:, None], n_theta, axis=1)
     return r[:, None] * np.cos(angle), r[:, None] * np.sin(angle), weights
+
+
+@lru_cache(maxsize=16)
+def kept_polar_nodes(
+    radius: float, n_r: int, n_theta: int, obscuration: float
+) -> tuple[Array, Array, Array]:
+    """`polar_nodes` of checked arguments, at most `KEPT` nodes, kept and read-only."""
+    u, v, weights = _polar_nodes(radius, n_r, n_theta, obscuration)
+    return frozen(u), frozen(v), frozen(weights)
 
 
 def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[Array, Array, Array]:

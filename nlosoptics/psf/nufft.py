@@ -61,21 +61,24 @@ def image_field(
     ndarray of complex, (ny, nx)
     """
     wave = residual.wavefront
-    per_metre = 2 * math.pi / (wave.wavelength * wave.image_distance)
+    from . import _pupil_kernels
+
+    per_metre = 1 / (wave.wavelength * wave.image_distance)
     ny, nx = window.shape
     # The transform's modes run from -n//2, so its mode 0 is sample n//2.
     x = window.first[0] + (nx // 2) * window.pitch - residual.shift[0]
     y = window.first[1] + (ny // 2) * window.pitch - residual.shift[1]
-    phase = -per_metre * (x * u + y * v)
-    phase += residual.wavenumber * path
-    points = np.exp(1j * phase)
-    points *= size
+    turns = (-per_metre * x) * u
+    turns -= (per_metre * y) * v
+    turns += path / wave.wavelength
+    points = np.empty(u.size, dtype=np.complex128)
+    _pupil_kernels.phasors(turns.ravel(), size.ravel(), points.real, points.imag)
     coord = np.empty((u.size, 2))
     coord[:, 0], coord[:, 1] = v.ravel(), u.ravel()
-    coord *= per_metre * window.pitch
+    coord *= 2 * math.pi * per_metre * window.pitch
     image = np.empty(window.shape, dtype=np.complex128)
     ducc0.nufft.nu2u(
-        points=points.ravel(),
+        points=points,
         coord=coord,
         forward=True,
         epsilon=epsilon,

@@ -48,7 +48,8 @@ class PointSpread:
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
-        Share of the energy that passes the pupil which falls into the window.
+        Share of the energy that passes the pupil which falls into the window, good to about the
+        error that was asked for.
     """
 
     intensity: Array
@@ -62,9 +63,11 @@ class PointSpread:
     enclosed_energy: float
 
     def __post_init__(self) -> None:
-        intensity = np.array(self.intensity, dtype=np.float64, order="C")
-        intensity.setflags(write=False)
-        object.__setattr__(self, "intensity", intensity)
+        given = np.asarray(self.intensity)
+        if given.flags.writeable or given.base is not None or not given.flags.c_contiguous:
+            given = np.array(given, dtype=np.float64, order="C")
+            given.setflags(write=False)
+        object.__setattr__(self, "intensity", np.asarray(given, dtype=np.float64))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -105,7 +108,8 @@ def point_spread(
 
         - ``quadrature`` sums polar nodes exactly, as many as the window needs.
         - ``fft`` zero-pads a grid, ``mdft`` takes a grid to any pitch. A polar wave is put on a
-          grid for them; a grid is never put on polar nodes.
+          grid for them, by ``fft`` as fine as ``tol`` asks where the aberration is a polynomial; a
+          grid is never put on polar nodes.
         - ``nufft`` sums the nodes as they are, scattered ones and traced rays too.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is where rays land, diffraction left out; ``auto`` tries it above 20 waves
@@ -113,7 +117,7 @@ def point_spread(
         - ``huygens`` sends spherical waves to ``image_surface``; it is slow and ``auto`` leaves it
           out. See `huygens_point_spread`.
     tol : float
-        Largest max |dI|/max I that ``auto`` accepts.
+        Largest max |dI|/max I that ``auto`` accepts, and that others aim at where it saves time.
     pitch : float, optional
         Image sampling or pixel side, m. Default a quarter of lambda N; for the ``fft`` of a grid
         wavefront, the nearest fast size below half of it.
@@ -180,8 +184,10 @@ def point_spread(
     scale = 1.0
     if normalisation != "ideal-peak":
         scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
+    intensity = np.ascontiguousarray(result.mean if scale == 1.0 else result.mean * scale)
+    intensity.setflags(write=False)  # so that it need not be copied
     return PointSpread(
-        intensity=result.mean * scale,
+        intensity=intensity,
         pitch=pitch,
         method=result.method,
         error_estimate=result.error,

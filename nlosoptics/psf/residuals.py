@@ -6,13 +6,14 @@ The tilt is an exact shift of the image; only what is left needs sampling.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .fits import fitted_terms
+from .fits import fitted_terms, projection
 from .local_fits import LocalFits, local_fits
+from .nodes import KEPT, frozen, kept_polar_nodes
 from .spectra import PolarSpectrum
 from .wavefronts import Wavefront
 
@@ -38,7 +39,7 @@ class Rays:
     energy: Array
     slope: float
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Half the side of the square that holds every ray, m."""
         return float(max(np.abs(self.x).max(), np.abs(self.y).max()))
@@ -164,6 +165,10 @@ class Residual:
 
     def traced(self, n_r: int, n_theta: int) -> Rays:
         """Rays of a polar wavefront from (n_r, n_theta) nodes and from the rim."""
+        wave = self.wavefront
+        if wave.u.shape == (n_r, n_theta) and self.is_uniform and not np.any(self.aberration):
+            flat = np.zeros((n_r + 1, n_theta))
+            return self._landing(flat, flat, np.vstack([wave.weights, flat[:1]]))
         n_r, n_theta = max(n_r, self.series.n_r), max(n_theta, self.series.n_theta)
         du, dv, energy = self.series.slopes(n_r, n_theta)
         if not self.is_uniform:
@@ -216,7 +221,26 @@ class Residual:
 def split(wavefront: Wavefront) -> Residual:
     """Take piston and tilt, the least-squares plane weighted by amplitude, out of a wavefront."""
     scale = wavefront.pupil_radius
-    plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
-    fit = fitted_terms(wavefront, plane)
-    aberration = wavefront.aberration - np.einsum("i,i...->...", fit, plane)
+    size = wavefront.u.size
+    if wavefront.layout == "polar" and size <= KEPT and np.ptp(wavefront.amplitude) == 0:
+        plane, project = _kept_plane(*wavefront.u.shape, wavefront.obscuration)
+        # einsum without BLAS: the same bits for any thread count
+        fit = np.einsum("ip,p->i", project, wavefront.aberration.ravel())
+    else:
+        plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
+        fit = fitted_terms(wavefront, plane)
+    aberration = wavefront.aberration - fit[0]
+    aberration -= fit[1] * plane[1]
+    aberration -= fit[2] * plane[2]
     return Residual(wavefront, (float(fit[1] / scale), float(fit[2] / scale)), aberration)
+
+
+@lru_cache(maxsize=16)
+def _kept_plane(n_r: int, n_theta: int, obscuration: float) -> tuple[Array, Array]:
+    """Piston and tilts (3, n_r, n_theta) of even light, and what a node counts in each (3, nodes).
+
+    Kept, and read-only.
+    """
+    u, v, weights = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
+    plane = np.stack([np.ones_like(u), u, v])
+    return frozen(plane), frozen(projection(plane, weights))

@@ -51,7 +51,7 @@ class SoftDisc:
     def __call__(self, r: Array) -> Array:
         """Values at the radii ``r``."""
         value = np.where(r < self.radius, 1.0, 0.0)
-        near = (r > self.low) & (r < self.high)
+        near = (r >= self.low) & (r < self.high)
         place = (2 * r[near] - self.low - self.high) / (self.high - self.low)
         value[near] = chebyshev.chebval(place, self.series)
         return value

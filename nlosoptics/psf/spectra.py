@@ -8,12 +8,13 @@ that makes a Legendre-Fourier series, which converges exponentially and is exact
 from __future__ import annotations
 
 import math
+from functools import cached_property, lru_cache
 
 import ducc0
 import numpy as np
 from numpy.typing import NDArray
 
-from .nodes import gauss_legendre
+from .nodes import KEPT, frozen, gauss_legendre
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -38,12 +39,10 @@ class PolarSpectrum:
         waves = np.fft.rfft(values, axis=1, norm="forward")
         if self.n_theta % 2 == 0:
             waves[:, -1] /= 2  # the highest order stands for both +m and -m
-        fraction, weights = gauss_legendre(self.n_r)
+        fraction, _ = gauss_legendre(self.n_r)
         waves[:, 1::2] /= self._rho(fraction)[:, None]
-        basis = _legendre(self.n_r, fraction)
-        norms = 2 * np.arange(self.n_r) + 1
         # einsum without BLAS: the same bits for any thread count.
-        self.coefficients = np.einsum("ki,im->km", basis * weights * norms[:, None], waves)
+        self.coefficients = _product(_analysis(self.n_r), waves)
 
     def truncation(self) -> float:
         """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
@@ -64,7 +63,7 @@ class PolarSpectrum:
         """Values on the polar nodes (n_r, n_theta), neither fewer than the samples given."""
         fraction, _ = gauss_legendre(n_r)
         rho = self._rho(fraction)
-        value = self._sum(_legendre(self.n_r, self._fraction(rho)))
+        value = self._sum(_legendre(self._counts[0], self._fraction(rho)))
         value[:, 1::2] *= rho[:, None]
         return self._synthesis(value, n_theta)
 
@@ -80,11 +79,15 @@ class PolarSpectrum:
         """
         fraction, weights = gauss_legendre(n_r)
         fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
-        values, per_r = self._radial(fraction)
-        r = (self.radius * self._rho(fraction))[:, None]
+        if n_r * n_theta <= KEPT:
+            tables = _kept_tables(self._counts[0], n_r)
+        else:
+            tables = _tables(self._counts[0], fraction)
+        rho = self._rho(fraction)
+        values, per_r = self._from_tables(tables, rho)
         order = np.arange(values.shape[1])
         d_r = self._synthesis(per_r, n_theta)
-        d_theta = self._synthesis(1j * order * values, n_theta) / r
+        d_theta = self._synthesis(1j * order * values, n_theta) / (self.radius * rho)[:, None]
         angle = 2 * math.pi * np.arange(n_theta) / n_theta
         c, s = np.cos(angle), np.sin(angle)
         share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
@@ -139,16 +142,26 @@ class PolarSpectrum:
 
     def _sum(self, table: Array) -> ComplexArray:
         """Radial sums of the coefficients, without BLAS as above."""
-        return np.asarray(np.einsum("ki,km->im", table, self.coefficients))
+        n_k, n_m = self._counts
+        sums = np.zeros((table.shape[1], self.coefficients.shape[1]), dtype=np.complex128)
+        sums[:, :n_m] = _product(table[:n_k].T, self.coefficients[:n_k, :n_m])
+        return sums
 
-    def _radial(self, fraction: Array) -> tuple[ComplexArray, ComplexArray]:
-        return self._polynomial(self._rho(fraction))
+    @cached_property
+    def _counts(self) -> tuple[int, int]:
+        """Degrees and orders that hold more than the rounding of the largest term."""
+        degree, order = self.degrees(1e-17 * float(np.abs(self.coefficients).max()))
+        return degree + 1, order + 1
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
         """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
-        table = _legendre(self.n_r, self._fraction(rho))
-        value = self._sum(table)
-        slope = self._sum(_legendre_slopes(table))
+        return self._from_tables(_tables(self._counts[0], self._fraction(rho)), rho)
+
+    def _from_tables(
+        self, tables: tuple[Array, Array], rho: Array
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """The same by `_tables` of rho."""
+        value, slope = (self._sum(table) for table in tables)
         slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
         slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]
         value[:, 1::2] *= rho[:, None]
@@ -192,6 +205,33 @@ def values_at(
             slope = transform([s.rim_series(rim) for s in pair], angle[outside][:, None])
             values[outside] += slope * (r[outside] - rim * radius)
     return values.real, None if second is None else values.imag
+
+
+@lru_cache(maxsize=16)
+def _analysis(n: int) -> Array:
+    """Legendre series of samples at ``n`` nodes, as a matrix (n, n) that is kept, read-only."""
+    fraction, weights = gauss_legendre(n)
+    norms = 2 * np.arange(n) + 1
+    return frozen(_legendre(n, fraction) * weights * norms[:, None])
+
+
+def _product(table: Array, waves: ComplexArray) -> ComplexArray:
+    """Matrix product of a real with a complex matrix; einsum without BLAS, as above."""
+    parts = np.ascontiguousarray(waves).view(np.float64)
+    return np.asarray(np.einsum("ij,jk->ik", table, parts)).view(np.complex128)
+
+
+@lru_cache(maxsize=32)
+def _kept_tables(n: int, n_r: int) -> tuple[Array, Array]:
+    """`_tables` of ``n_r`` nodes and the rim, kept and read-only."""
+    table, slopes = _tables(n, np.append(gauss_legendre(n_r)[0], 1.0))
+    return frozen(table), frozen(slopes)
+
+
+def _tables(n: int, fraction: Array) -> tuple[Array, Array]:
+    """Legendre polynomials and their slopes, (n, len(fraction))."""
+    table = _legendre(n, fraction)
+    return table, _legendre_slopes(table)
 
 
 def _legendre(n: int, fraction: Array) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, one_of, positive, real, whole
 from ..errors import SamplingError, SceneError
-from .nodes import fitting_pitch, grid_nodes, polar_nodes
+from .nodes import KEPT, fitting_pitch, frozen, grid_nodes, kept_polar_nodes, polar_nodes
 from .spectra import PolarSpectrum
 from .zernikes import ORDERINGS, Ordering, zernike, zernike_order
 
@@ -172,11 +173,18 @@ class Wavefront:
                     f"{degree // 2 + 1} x {2 * degree + 1} or more"
                 )
             u, v, weights = polar_nodes(pupil_radius, n_r, n_theta, obscuration)
-        rho, theta = np.hypot(u, v) / pupil_radius, np.arctan2(v, u)
         aberration = np.zeros_like(u)
+        rho = theta = aberration
+        kept = nodes == "polar" and u.size <= KEPT
+        if not kept:
+            rho, theta = np.hypot(u, v) / pupil_radius, np.arctan2(v, u)
         for index, value in coefficients.items():
             height = real(f"coefficients[{index}]", value)
-            aberration += height * zernike(index, rho, theta, ordering=ordering)
+            if kept:
+                mode = _kept_mode(index, ordering, *u.shape, float(obscuration))
+            else:
+                mode = zernike(index, rho, theta, ordering=ordering)
+            aberration += height * mode
         return cls(
             u=u,
             v=v,
@@ -319,7 +327,8 @@ class Wavefront:
             return
         rows, columns = self.u.shape
         if self.layout == "polar":
-            u, v, _ = polar_nodes(self.pupil_radius, rows, columns, self.obscuration)
+            make = kept_polar_nodes if self.u.size <= KEPT else polar_nodes
+            u, v, _ = make(self.pupil_radius, rows, columns, self.obscuration)
             remedy = "take them from psf.polar_nodes"
         else:
             if rows != columns or rows < 2:
@@ -333,6 +342,13 @@ class Wavefront:
                 f"wavefront.u, v are {error:.3g} m off the nodes of layout '{self.layout}', limit "
                 f"{1e-9 * self.pupil_radius:.1g} m; {remedy}"
             )
+
+
+@lru_cache(maxsize=128)
+def _kept_mode(index: int, ordering: Ordering, n_r: int, n_theta: int, obscuration: float) -> Array:
+    """Zernike polynomial on at most `KEPT` polar nodes, kept and read-only."""
+    u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
+    return frozen(zernike(index, np.hypot(u, v), np.arctan2(v, u), ordering=ordering))
 
 
 def _owned(name: str, values: Any, layout: Layout) -> Array:

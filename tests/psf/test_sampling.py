@@ -88,8 +88,12 @@ def test_energy_needs_nyquist_or_pixels(nodes, normalisation):
         psf.point_spread(wave, pitch=UNIT, shape=17, normalisation=normalisation)
     points = psf.point_spread(wave, method="mdft", pitch=UNIT, shape=17, normalisation="ideal-peak")
     assert points.intensity.max() == approx(1.0)
-    with pytest.raises(SamplingError, match="padding Q below 2"):
-        psf.point_spread(wave, method="fft", pitch=UNIT, shape=17, normalisation="ideal-peak")
+    kwargs = {"method": "fft", "pitch": UNIT, "shape": 17, "normalisation": "ideal-peak"}
+    if nodes == "polar":  # its pupil is folded
+        assert psf.point_spread(wave, **kwargs).intensity.max() == approx(1.0)
+    else:
+        with pytest.raises(SamplingError, match="padding Q below 2"):
+            psf.point_spread(wave, **kwargs)
     psf.point_spread(wave, pitch=UNIT / 2, shape=17, normalisation=normalisation)
 
 

@@ -286,7 +286,8 @@ def test_normalisations(obscuration):
 
 def test_window_sums_to_the_energy_within():
     wave = zernike_wave({8: 0.1})
-    spread = psf.point_spread(wave, pitch=UNIT / 8, shape=513)
+    # the corners hold 4e-3 of the energy, which samples good to 1e-3 of the peak need not show
+    spread = psf.point_spread(wave, pitch=UNIT / 8, shape=513, tol=1e-6)
     within = psf.encircled_energy(wave, spread.x[-1])
     beyond = psf.encircled_energy(wave, spread.x[-1] * np.sqrt(2))
     assert within < spread.enclosed_energy < beyond
@@ -398,6 +399,8 @@ for nodes in ("polar", "grid"):
     for method in ("quadrature", "fft", "mdft") if nodes == "polar" else ("fft", "mdft"):
         s = psf.point_spread(w, method=method)
         print(nodes, method, hashlib.sha256(s.intensity.tobytes()).hexdigest())
+    s = psf.point_spread(w, tol=1e-6 if nodes == "polar" else 0.1)
+    print(nodes, "auto", hashlib.sha256(s.intensity.tobytes()).hexdigest())
     s = psf.point_spread(w, pitch=5e-6, shape=21, pixel_integrated=True, tol=0.1)
     print(nodes, "pixels", hashlib.sha256(s.intensity.tobytes()).hexdigest())
 """
@@ -407,7 +410,13 @@ def test_same_bits_for_any_thread_count():
     results = []
     for threads in ("1", "2"):
         counts = dict.fromkeys(
-            ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), threads
+            (
+                "OMP_NUM_THREADS",
+                "OPENBLAS_NUM_THREADS",
+                "MKL_NUM_THREADS",
+                "NUMBA_NUM_THREADS",
+            ),
+            threads,
         )
         done = subprocess.run(
             [sys.executable, "-c", HASHES],
@@ -418,7 +427,7 @@ def test_same_bits_for_any_thread_count():
         )
         results.append(done.stdout)
     assert results[0] == results[1]
-    assert len(results[0].splitlines()) == 7
+    assert len(results[0].splitlines()) == 9
 
 
 def test_results_are_owned_and_read_only():

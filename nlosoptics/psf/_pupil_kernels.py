@@ -1,0 +1,175 @@
+"""Pupil functions of polynomial waves on a grid, and phasors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+#: Adding it rounds a double of less than 2^51 to a whole number; no call, so loops keep vectors.
+WHOLE = 6755399441055744.0
+
+
+@njit(cache=True)
+def phasors(turns, size, real, imaginary):
+    """Fill ``real`` and ``imaginary`` (n,) with ``size exp(2 pi i turns)``, to 3e-16.
+
+    Half turns are taken off, which is exact, and the rest is a Taylor series up to pi/2.
+    """
+    for i in range(turns.shape[0]):
+        halves = (2.0 * turns[i] + WHOLE) - WHOLE
+        odd = halves - 2.0 * ((0.5 * halves + WHOLE) - WHOLE)
+        strength = size[i] * (1.0 - 2.0 * odd * odd)
+        x = 2.0 * math.pi * (turns[i] - 0.5 * halves)
+        s = x * x
+        cosine = 1.0 / 1124000727777607680000.0
+        cosine = 1.0 / 2432902008176640000.0 - s * cosine
+        cosine = 1.0 / 6402373705728000.0 - s * cosine
+        cosine = 1.0 / 20922789888000.0 - s * cosine
+        cosine = 1.0 / 87178291200.0 - s * cosine
+        cosine = 1.0 / 479001600.0 - s * cosine
+        cosine = 1.0 / 3628800.0 - s * cosine
+        cosine = 1.0 / 40320.0 - s * cosine
+        cosine = 1.0 / 720.0 - s * cosine
+        cosine = 1.0 / 24.0 - s * cosine
+        cosine = 0.5 - s * cosine
+        cosine = 1.0 - s * cosine
+        sine = 1.0 / 51090942171709440000.0
+        sine = 1.0 / 121645100408832000.0 - s * sine
+        sine = 1.0 / 355687428096000.0 - s * sine
+        sine = 1.0 / 1307674368000.0 - s * sine
+        sine = 1.0 / 6227020800.0 - s * sine
+        sine = 1.0 / 39916800.0 - s * sine
+        sine = 1.0 / 362880.0 - s * sine
+        sine = 1.0 / 5040.0 - s * sine
+        sine = 1.0 / 120.0 - s * sine
+        sine = 1.0 / 6.0 - s * sine
+        sine = x * (1.0 - s * sine)
+        real[i] = strength * cosine
+        imaginary[i] = strength * sine
+
+
+@njit(cache=True)
+def _profile(r, low, steps, table):
+    """Softened rim at the radius ``r`` by six points of its table, ``steps`` a cell from ``low``.
+
+    The table has two points more at either end; 1 below it and 0 beyond.
+    """
+    place = (r - low) * steps
+    if place < 0.0:
+        return 1.0
+    at = int(place)
+    if at + 6 > table.shape[0]:
+        return 0.0
+    t = place - at
+    # Lagrange's weights of the points -2 to 3
+    a, b, d, e, f = t + 2.0, t + 1.0, t - 1.0, t - 2.0, t - 3.0
+    value = table[at] * (b * t * d * e * f) / -120.0 + table[at + 1] * (a * t * d * e * f) / 24.0
+    value += (
+        table[at + 2] * (a * b * d * e * f) / -12.0 + table[at + 3] * (a * b * t * e * f) / 12.0
+    )
+    value += (
+        table[at + 4] * (a * b * t * d * f) / -24.0 + table[at + 5] * (a * b * t * d * e) / 120.0
+    )
+    return value
+
+
+@njit(cache=True)
+def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
+    """Add a pupil with softened rims to ``out`` (rows, columns), wrapped; return its sum.
+
+    The phase, turns, is ``sum coefficients[i, j] u^i v^j``, u and v in ``step`` a cell from
+    ``centre``. ``tables`` (1 or 2, n) are the softened rims, outer and inner, of `_profile`.
+    """
+    rows, columns = out.shape
+    n = 2 * centre + 1
+    degree = coefficients.shape[0] - 1
+    turns, size = np.empty(n), np.empty(n)
+    real, imaginary = np.empty(n), np.empty(n)
+    across = np.empty(degree + 1)
+    total = 0.0
+    for row in range(n):
+        y = float(row - centre)
+        if abs(y) >= highs[0]:
+            continue
+        half = min(centre, int(math.sqrt(highs[0] * highs[0] - y * y)))
+        first, last = centre - half, centre + half + 1
+        flat = -1
+        if abs(y) < lows[0]:
+            flat = int(math.sqrt(lows[0] * lows[0] - y * y))
+        for column in range(first, last):
+            x = abs(column - centre)
+            if x < flat:
+                size[column] = 1.0
+            else:
+                size[column] = _profile(math.sqrt(x * x + y * y), lows[0], steps, tables[0])
+        if tables.shape[0] > 1 and abs(y) < highs[1]:
+            inside = int(math.sqrt(highs[1] * highs[1] - y * y))
+            for column in range(max(first, centre - inside), min(last, centre + inside + 1)):
+                x = column - centre
+                size[column] -= _profile(math.sqrt(x * x + y * y), lows[1], steps, tables[1])
+        v = y * step
+        for i in range(degree + 1):
+            across[i] = coefficients[i, degree - i]
+            for j in range(degree - i - 1, -1, -1):
+                across[i] = across[i] * v + coefficients[i, j]
+        for column in range(first, last):
+            u = (column - centre) * step
+            value = across[degree]
+            for i in range(degree - 1, -1, -1):
+                value = value * u + across[i]
+            turns[column] = value
+            total += size[column]
+        phasors(turns[first:last], size[first:last], real[first:last], imaginary[first:last])
+        line = out[row % rows]
+        start = first
+        while start < last:
+            lap = start // columns
+            end = min(last, (lap + 1) * columns)
+            for column in range(start, end):
+                line[column - lap * columns] += complex(real[column], imaginary[column])
+            start = end
+    return total
+
+
+@njit(cache=True)
+def turned(values, out):
+    """Fill ``out`` (columns, n) with the transpose of ``values`` (rows, columns), then with 0."""
+    rows, columns = values.shape
+    for i in range(columns):
+        for j in range(rows):
+            out[i, j] = values[j, i]
+        for j in range(rows, out.shape[1]):
+            out[i, j] = 0.0
+
+
+@njit(cache=True)
+def squares(field, scale, out):
+    """Fill ``out`` (rows, n) with ``scale |field|^2`` of the first n columns of ``field``."""
+    for i in range(out.shape[0]):
+        line = out[i]
+        for j in range(line.shape[0]):
+            value = field[i, j]
+            line[j] = scale * (value.real * value.real + value.imag * value.imag)
+
+
+@njit(cache=True)
+def steepest(coefficients, radii, angles, out):
+    """Fill ``out`` (radii,) with the largest |dW/du| or |dW/dv| of a polynomial on each circle."""
+    n = coefficients.shape[0]
+    for k in range(radii.shape[0]):
+        most = 0.0
+        for angle in angles:
+            u, v = radii[k] * math.cos(angle), radii[k] * math.sin(angle)
+            du = dv = 0.0
+            for i in range(n - 1, -1, -1):
+                value = slope = 0.0
+                for j in range(n - 1 - i, -1, -1):
+                    slope = slope * v + value
+                    value = value * v + coefficients[i, j]
+                dv = dv * u + slope
+                if i > 0:
+                    du = du * u + i * value
+            most = max(most, abs(du), abs(dv))
+        out[k] = most

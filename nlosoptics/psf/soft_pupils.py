@@ -1,0 +1,287 @@
+"""Image of a polar wave whose aberration is a polynomial, by its grid with softened rims.
+
+A polynomial goes on smoothly beyond the rim, so that a rim softened for the grid (`rims`) leaves no
+error but the far tails of its kernel, and the pupil costs a few nanoseconds a cell. Image samples
+farther apart than Nyquist's fold the grid before the transform instead of a longer transform.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import ducc0
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from .._checks import fits_memory
+from . import estimates, rims
+from .fits import projection
+from .nodes import frozen, polar_nodes
+from .pixels import PixelRule
+from .residuals import Residual
+from .windows import Window
+from .zernikes import zernike, zernike_order
+
+Array = NDArray[np.float64]
+
+#: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
+DEGREE = 10
+#: Table points of a softened rim per cell: six of them interpolate it to 2e-15.
+STEPS = 256
+#: Field error for the kernel's cut at `rims.REACH`, measured at half of it from 26 cells a radius
+#: on; below, it grows with the fourth power, 5e-10 at 5 cells.
+CUT = 1e-12
+#: Least ``tol`` for single precision, and its field error: 1e-7 measured.
+SINGLE, SINGLE_ERROR = 1e-4, 1e-6
+#: Shares of a window's reach at which errors are looked up.
+RINGS = np.linspace(0.0, 1.0, 17)
+#: Cells beyond the rim, and radii and angles of circles, at which slopes are looked up there.
+BEYOND = np.arange(1.5, rims.REACH, 3.0)
+CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
+ANGLES = 2 * math.pi * np.arange(24) / 24
+#: Memory of a block of columns, few enough to stay in the cache.
+BLOCK_BYTES = 2**19
+
+
+def wave_polynomial(residual: Residual, tol: float) -> tuple[Array, float] | None:
+    """Residual aberration as ``sum c[i, j] (u/R)^i (v/R)^j``, m, and the most it errs at a node.
+
+    None for a wave that is not polar, whose amplitude varies, or of too high a degree for an
+    intensity error of ``tol``.
+    """
+    wave = residual.wavefront
+    if wave.layout != "polar" or not residual.is_uniform:
+        return None
+    rounding = 1e-14 * float(np.abs(residual.aberration).max())
+    radial, angular = residual.series.degrees(max(1e-3 * tol / residual.wavenumber, rounding))
+    degree = max(2 * radial + 1, angular)
+    if degree > DEGREE:
+        return None
+    project, powers, basis = _projection(*wave.u.shape, wave.obscuration, degree)
+    # einsum without BLAS: the same bits for any thread count
+    heights = np.einsum("tp,p->t", project, residual.aberration.ravel())
+    left = residual.aberration.ravel() - np.einsum("tp,t->p", basis, heights)
+    return np.einsum("t,tij->ij", heights, powers), float(np.abs(left).max())
+
+
+@lru_cache(maxsize=8)
+def _projection(
+    n_r: int, n_theta: int, obscuration: float, degree: int
+) -> tuple[Array, Array, Array]:
+    """Least-squares weights of the nodes for each Zernike term, its powers of u and v, its values.
+
+    (terms, nodes), (terms, degree + 1, degree + 1), (terms, nodes); unit radius.
+    """
+    u, v, weights = (nodes.ravel() for nodes in polar_nodes(1.0, n_r, n_theta, obscuration))
+    count = (degree + 1) * (degree + 2) // 2
+    basis = np.array([zernike(j, np.hypot(u, v), np.arctan2(v, u)) for j in range(1, count + 1)])
+    powers = np.array([_powers(j, degree) for j in range(1, count + 1)])
+    return frozen(projection(basis, weights)), frozen(powers), frozen(basis)
+
+
+def _powers(index: int, degree: int) -> Array:
+    """Noll's Zernike polynomial as powers of u and v, (degree + 1, degree + 1)."""
+    n, m = zernike_order(index)
+    table = np.zeros((degree + 1, degree + 1))
+    scale = math.sqrt((n + 1) * (1 if m == 0 else 2))
+    for s in range((n - abs(m)) // 2 + 1):
+        k = (n - abs(m)) // 2 - s  # r^(n - 2 s) = r^2k r^|m|
+        height = (-1) ** s * math.comb(n - s, s) * math.comb(n - 2 * s, k)
+        for a in range(k + 1):  # (u^2 + v^2)^k
+            for b in range(abs(m) + 1):  # (u + iv)^|m|, its real or imaginary part
+                if b % 2 == (m < 0):
+                    place = 2 * a + abs(m) - b, 2 * (k - a) + b
+                    sign = (-1) ** (b // 2)
+                    table[place] += scale * height * sign * math.comb(k, a) * math.comb(abs(m), b)
+    return table
+
+
+@lru_cache(maxsize=16)
+def _rim_table(radius: float) -> tuple[float, float, Array]:
+    """Where a softened rim begins and ends, cells, and its values, two points wider each way."""
+    disc = rims.SoftDisc(radius)
+    r = np.abs(disc.low + (np.arange(math.ceil((disc.high - disc.low) * STEPS) + 6) - 2) / STEPS)
+    place = (2 * r - disc.low - disc.high) / (disc.high - disc.low)
+    table = chebyshev.chebval(place, disc.series)
+    table.setflags(write=False)
+    return disc.low, disc.high, table
+
+
+def padded_size(residual: Residual, wave: Array, samples: Window, tol: float) -> int:
+    """Padded size, a fast one, whose period is expected to leave an error of ``tol``/2.
+
+    The widest that is of any use where none does.
+    """
+    reach, unit = residual.rays.reach, residual.airy_unit
+    far = RINGS * math.hypot(*samples.reach_from(residual.shift))
+    # The spot's peak by its rms aberration or its spread, and what is left of it farther out.
+    weights = residual.wavefront.weights
+    variance = float(np.sum(weights * residual.aberration**2) / np.sum(weights))
+    peak = max(
+        math.exp(-variance * residual.wavenumber**2), _densest(residual) * 4 / math.pi * unit**2
+    )
+    light = np.minimum(math.sqrt(peak), estimates.tail(np.maximum(far - reach, 0.0) / unit))
+    least = max(samples.reach_from(residual.shift)) * 2 + samples.pitch
+    widest = 6 * (least + reach) + 400 * unit
+    periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.08))
+    error = _field_error(residual, wave, far, periods[:, None])
+    error -= CUT  # no period is worth more than that
+    enough = np.max(2 * light * error + error**2, axis=1) < tol / 2 * peak
+    period = periods[np.argmax(enough)] if enough.any() else widest
+    return int(ducc0.fft.good_size(math.ceil(period / samples.pitch)))
+
+
+def _densest(residual: Residual) -> float:
+    """Largest density of the rays, 1/m^2, in bins of a tenth of their reach."""
+    rays, unit = residual.rays, residual.airy_unit
+    side = max(rays.reach / 10, 1.25 * unit)
+    columns, rows = (
+        np.rint((place + rays.reach) / side).astype(np.int64) for place in (rays.x, rays.y)
+    )
+    index = columns + 32 * rows
+    return float(np.bincount(index.ravel(), weights=rays.energy.ravel()).max()) / side**2
+
+
+def _field_error(residual: Residual, wave: Array, distance: Array, period: float | Array) -> Array:
+    """Bound of the field's error up to each of the rising distances from the tilt's point, m.
+
+    To that of the rim is added what leaks from beyond it, where a polynomial is steeper and the
+    softened rim, its kernel cut at each of `BEYOND`, is weaker.
+    """
+    from . import _pupil_kernels
+
+    pupil = residual.wavefront
+    pitch = pupil.wavelength * abs(pupil.image_distance) / period
+    error = estimates.soft_rim_error(residual, pitch, distance, 0.0)
+    slopes = np.empty_like(CIRCLES)
+    _pupil_kernels.steepest(wave, CIRCLES, ANGLES, slopes)
+    reach = abs(pupil.image_distance) / pupil.pupil_radius * slopes
+    strength = np.exp(-((math.pi * rims.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)
+    cells = pupil.pupil_radius / np.asarray(pitch)
+    landing = np.interp(1 + BEYOND / cells, CIRCLES, reach)
+    zones = strength * (2 * (BEYOND[1] - BEYOND[0]) / cells) * rims.leak(landing / period)
+    error = error + np.sum(zones, axis=-1, keepdims=np.ndim(period) > 0)
+    return (
+        np.asarray(np.maximum.accumulate(error, axis=-1)) + CUT * np.maximum(1.0, 30 / cells) ** 4
+    )
+
+
+def block_errors(
+    residual: Residual, wave: Array, window: Window, intensity: Array, period: float
+) -> tuple[Array, Array]:
+    """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
+    ny, nx = window.shape
+    starts = [np.arange(0, n, max(1, n // 8)) for n in (ny, nx)]
+    rows = [intensity[i : i + max(1, ny // 8)].max(axis=0) for i in starts[0]]
+    strongest = np.maximum.reduceat(rows, starts[1], axis=1)
+    down, along = (
+        np.maximum.reduceat(np.abs(places - shift), first)
+        for places, first, shift in zip(
+            (window.y, window.x), starts, residual.shift[::-1], strict=True
+        )
+    )
+    far = np.hypot(down[:, None], along)
+    rings = RINGS * far.max()
+    ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
+    return strongest, _field_error(residual, wave, rings, period)[ring]
+
+
+def intensity_in(
+    residual: Residual,
+    wave: Array,
+    samples: Window,
+    size: int,
+    rule: PixelRule | None,
+    single: bool,
+) -> Array:
+    """Image intensity in a window, 1 at the ideal peak; ``wave`` as of `wave_polynomial`.
+
+    ``single`` transforms in single precision.
+    """
+    from . import _pupil_kernels
+
+    pupil = residual.wavefront
+    radius = _radius(residual, samples, size)
+    centre = math.ceil(radius) + rims.REACH
+    rows = min(size, 2 * centre + 1)
+    fits_memory(
+        f"the transform of {rows} x {size} samples",
+        48.0 * rows * size,
+        "use a smaller shape",
+    )
+    found = [_rim_table(radius)]
+    if pupil.obscuration > 0:
+        found.append(_rim_table(pupil.obscuration * radius))
+    lows, highs = (np.array([rim[i] for rim in found]) for i in (0, 1))
+    width = max(rim[2].size for rim in found)
+    tables = np.zeros((len(found), width))
+    for row, rim in zip(tables, found, strict=True):
+        row[: rim[2].size] = rim[2]
+    turns = wave / pupil.wavelength
+    side = math.copysign(1.0, pupil.image_distance)
+    starts = [
+        (first - shift) / samples.pitch
+        for first, shift in zip(samples.first, residual.shift, strict=True)
+    ]
+    turns[1, 0] -= side * starts[0] / size * radius
+    turns[0, 1] -= side * starts[1] / size * radius
+    # Rows are u, so that the second transform gives rows of the image.
+    values = np.zeros((rows, size), dtype=np.complex64 if single else np.complex128)
+    total = _pupil_kernels.soft_pupil(
+        np.ascontiguousarray(turns.T),
+        1 / radius,
+        lows,
+        highs,
+        float(STEPS),
+        tables,
+        centre,
+        values[:, :rows],
+    )
+    return _intensity(values, samples.shape, side > 0, rule, 1 / total**2)
+
+
+def _intensity(
+    values: NDArray[np.complexfloating],
+    shape: tuple[int, int],
+    forward: bool,
+    rule: PixelRule | None,
+    scale: float,
+) -> Array:
+    """``scale`` |transform|^2 of columns (u) as long as the period, of rows (v) padded to the same.
+
+    The first samples of the given shape, averaged over pixels when a rule is given; ``values`` is
+    overwritten.
+    """
+    from . import _pupil_kernels
+
+    size = values.shape[1]
+    ny, nx = shape
+    ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
+    energy = np.empty((ny, nx))
+    step = max(8, BLOCK_BYTES // (16 * size))
+    padded = np.empty((step, size), dtype=values.dtype)
+    for start in range(0, ny, step):
+        part = padded[: min(step, ny - start)]
+        _pupil_kernels.turned(values[:, start : start + step], part)
+        ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
+        _pupil_kernels.squares(part, scale, energy[start : start + step])
+    if rule is None:
+        return energy
+    half = rule.mean(energy)
+    return rule.mean(np.ascontiguousarray(half.T)).T
+
+
+def seconds(residual: Residual, samples: Window, size: int) -> float:
+    """Expected run time of `intensity_in` on one core."""
+    radius = _radius(residual, samples, size)
+    columns = min(size, 2 * radius) + samples.shape[1]
+    return 4e-4 + 3e-8 * radius**2 + 6e-10 * size * columns * math.log2(size)
+
+
+def _radius(residual: Residual, samples: Window, size: int) -> float:
+    """Cells across the pupil's radius for a period of ``size`` samples."""
+    pupil = residual.wavefront
+    period = size * samples.pitch
+    return pupil.pupil_radius * period / (pupil.wavelength * abs(pupil.image_distance))
