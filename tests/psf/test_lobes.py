@@ -77,10 +77,10 @@ def test_ggx_has_its_own_tails(flat_scene):
 def test_narrow_slopes_tend_to_the_smooth_lobe(flat_scene):
     wave = psf.wavefront(flat_scene)
     smooth = psf.lobe_point_spread(flat_scene, wave, shape=9, pitch=10e-6)
-    scene = rough(flat_scene, SpecularMicrofacet(0.05, 1e-7))
+    scene = rough(flat_scene, SpecularMicrofacet(0.05, 1e-6))
     found = psf.lobe_point_spread(scene, wave, shape=9, pitch=10e-6)
-    # a thousandth of a pixel of blur, and both estimates
-    limit = 2e-3 + found.error_estimate + smooth.error_estimate
+    # a two-hundredth of a pixel of blur, and both estimates
+    limit = 5e-3 + found.error_estimate + smooth.error_estimate
     assert np.abs(found.intensity - smooth.intensity).max() < limit * smooth.intensity.max()
 
 

@@ -1,0 +1,80 @@
+"""Fields as coarse as an image allows: against fields that are much finer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import nlosoptics as nlos
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.imaging import ForwardModel, image_field
+from nlosoptics.imaging.image_fields import picture_frame, rms_difference
+from nlosoptics.psf import point_spread_field
+from nlosoptics.scene import ConcaveWall, MeshObject, WavyWall
+
+
+@pytest.fixture(scope="module")
+def scene(examples):
+    return nlos.Scene.load(examples / "scenes" / "letter_speckle.toml").resized(128)
+
+
+@pytest.mark.parametrize(
+    "wall", [ConcaveWall(6.0), WavyWall(1e-6, 0.12, 0.3)], ids=["hollow", "wavy"]
+)
+def test_error_bounds_that_of_the_image(scene, wall):
+    scene = replace(scene, wall=wall)
+    picture = picture_frame(scene)
+    exact = ForwardModel(
+        point_spread_field(scene, 16, tol=1e-5, checks=0), shape=picture.shape
+    ).forward(picture)
+    one = point_spread_field(scene, 1, tol=1e-5, checks=0)
+    alone = rms_difference(ForwardModel(one, shape=picture.shape).forward(picture), exact)
+    counts = []
+    for tol in (1e-2, 1e-3, 1e-4):
+        field, error = image_field(scene, tol=tol)
+        found = ForwardModel(field, shape=picture.shape).forward(picture)
+        true = rms_difference(found, exact)
+        # the estimate is the coarser grid's error; its point spreads are held to tol as well
+        assert true <= error + 0.5 * tol
+        assert true < tol
+        counts.append(field.weights[0].size)
+    assert counts == sorted(counts)
+    # one point spread would not do
+    assert alone > 1e-2
+    assert counts[-1] > counts[0]
+
+
+def test_mean_is_that_over_the_picture(scene):
+    field = point_spread_field(replace(scene, wall=ConcaveWall(6.0)), 4, checks=0)
+    places = np.random.default_rng(1).uniform(-1, 1, (4000, 2))
+    drawn = np.tensordot(field.at(*places.T).mean(axis=1), field.modes, 1)
+    # 4000 draws leave 1/60 of the spread between point spreads
+    assert np.abs(field.mean() - drawn).max() < 0.05 * drawn.max()
+
+
+def test_frame_is_the_picture_upright_on_the_wall(scene):
+    frame = picture_frame(scene)
+    picture = scene.hidden.reflectance
+    assert frame.shape[0] / frame.shape[1] == pytest.approx(
+        scene.hidden.size[1] / scene.hidden.size[0], rel=0.05
+    )
+    assert frame.mean() == pytest.approx(picture.mean(), rel=0.05)
+    upper = picture[: len(picture) // 2].mean() / picture.mean()
+    assert frame[len(frame) // 2 :].mean() / frame.mean() == pytest.approx(upper, rel=0.05)
+    black = replace(scene, hidden=replace(scene.hidden, image=np.zeros((4, 4))))
+    assert np.all(picture_frame(black) == 1.0)
+
+
+def test_too_few_nodes_are_refused(scene):
+    with pytest.raises(SamplingError, match=r"still changes by .* 2 x 2 point spreads"):
+        image_field(replace(scene, wall=ConcaveWall(6.0)), tol=1e-4, most_nodes=2)
+
+
+def test_a_mesh_has_no_field(scene):
+    import trimesh
+
+    solid = MeshObject(trimesh.creation.box((0.1, 0.1, 0.1)), position=scene.hidden.position)
+    with pytest.raises(SceneError, match="PlanarObject"):
+        image_field(replace(scene, hidden=solid))
