@@ -139,6 +139,8 @@ def _candidates(task: Task) -> list[tuple[float, str]]:
             found.append((airy.seconds(task.samples), "airy"))
         found.append((quadrature.seconds(residual, task.samples), "quadrature"))
         found.append((_grid_seconds(task), "fft"))
+    elif layout == "cells":
+        found.append((quadrature.seconds(residual, task.samples), "quadrature"))
     elif layout == "scattered":
         found = [(nufft.seconds(residual.wavefront.u.size, task.samples), "nufft")]
     else:
@@ -167,8 +169,8 @@ def _airy(task: Task) -> tuple[Array, float]:
     residual = task.residual
     if residual.wavefront.layout != "polar":
         raise SamplingError(
-            "the closed form needs a polar wavefront, whose rim is known exactly; sample it with "
-            "nodes='polar', or use method='mdft'"
+            "the closed form needs a polar wavefront, whose rim is a circle; sample it with "
+            f"nodes='polar', or use method='{_sum_of(residual)}'"
         )
     bound = airy.error_bound(residual)
     if math.isinf(bound):
@@ -183,12 +185,11 @@ def _airy(task: Task) -> tuple[Array, float]:
 
 def _quadrature(task: Task) -> tuple[Array, float]:
     residual = task.residual
-    layout = residual.wavefront.layout
-    if layout != "polar":
-        other = "mdft" if layout == "grid" else "nufft"
+    if not residual.wavefront.is_spectral:
         raise SamplingError(
-            f"quadrature needs a polar wavefront and this one is {layout}, which has lost its rim; "
-            f"sample it with nodes='polar', or use method='{other}'"
+            "quadrature needs a polar wavefront, or one of cells, and this one is "
+            f"{residual.wavefront.layout}, which has lost its rim; sample it with nodes='polar' or "
+            f"'cells', or use method='{_sum_of(residual)}'"
         )
     epsilon = quadrature.epsilon(residual, task.samples, task.tol)
     mean = task.means(quadrature.field(residual, task.samples, epsilon))
@@ -199,7 +200,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 
 def _fft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
-    _check_not_scattered(residual, "fft")
+    _check_grid(residual, "fft")
     fft.check_padding(residual, samples.pitch)
     if residual.wavefront.layout == "polar":
         size = _polar_size(task)
@@ -226,7 +227,7 @@ def _fft(task: Task) -> tuple[Array, float]:
 
 def _mdft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
-    _check_not_scattered(residual, "mdft")
+    _check_grid(residual, "mdft")
     if residual.wavefront.layout == "polar":
         period = _polar_size(task) * samples.pitch
         grid = pupil_grid_from_polar(residual, _period_pitch(residual, period))
@@ -245,24 +246,36 @@ def _mdft(task: Task) -> tuple[Array, float]:
     return mean, _grid_bound(task, mean, grid)
 
 
-def _check_not_scattered(residual: Residual, method: str) -> None:
-    if residual.wavefront.layout == "scattered":
+def _check_grid(residual: Residual, method: str) -> None:
+    layout = residual.wavefront.layout
+    if layout == "scattered":
         raise SamplingError(
             f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
             "sample it with nodes='polar' or 'grid'"
         )
+    if layout == "cells":
+        raise SamplingError(
+            f"{method} needs a grid, and this wavefront is sampled on cells; use "
+            "method='quadrature', or sample it with nodes='grid'"
+        )
+
+
+def _sum_of(residual: Residual) -> str:
+    """Transform that takes a layout's nodes as they are."""
+    layout = residual.wavefront.layout
+    return {"cells": "quadrature", "grid": "mdft"}.get(layout, "nufft")
 
 
 def _nufft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     wave = residual.wavefront
-    if wave.layout == "polar":
+    if wave.is_spectral:
         need = quadrature.node_counts(residual, samples, NEGLIGIBLE)
         if need != wave.u.shape:
+            now, wanted = (" x ".join(map(str, n)) for n in (wave.u.shape, need))
             raise SamplingError(
-                f"{wave.u.shape[0]} x {wave.u.shape[1]} polar nodes are too few for this window, "
-                f"which needs {need[0]} x {need[1]}; use wavefront.resampled{need}, a smaller "
-                "shape, or method='quadrature'"
+                f"{now} {wave.layout} nodes are too few for this window, which needs {wanted}; use "
+                f"wavefront.resampled{need[-2:]}, a smaller shape, or method='quadrature'"
             )
     else:
         _check_jump(task, *residual.grid_jump())
@@ -270,7 +283,7 @@ def _nufft(task: Task) -> tuple[Array, float]:
     epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
     mean = task.means(nufft.field(residual, samples, epsilon))
     rounding = 20 * epsilon
-    if wave.layout == "polar":
+    if wave.is_spectral:
         lost = residual.truncation + 10 * NEGLIGIBLE
         return mean, task.bound(mean, lost, lost**2) + rounding
     if wave.layout == "grid":

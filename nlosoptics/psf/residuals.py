@@ -11,6 +11,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import SamplingError
+from .cell_spectra import CellSpectrum
 from .fits import fitted_terms
 from .local_fits import LocalFits, local_fits
 from .spectra import PolarSpectrum
@@ -87,6 +89,8 @@ class Residual:
     def half_width(self) -> float:
         """Farthest light in u or v from the axis, m; it limits the image's bandwidth."""
         wave = self.wavefront
+        if wave.aperture is not None:
+            return wave.aperture.half_width
         if wave.layout == "polar":
             return wave.pupil_radius
         lit = wave.amplitude * wave.weights > 0
@@ -116,16 +120,30 @@ class Residual:
         return bool(np.ptp(self.wavefront.amplitude) == 0)
 
     @cached_property
-    def series(self) -> PolarSpectrum:
-        """Legendre-Fourier series of the residual aberration of a polar wavefront."""
-        wave = self.wavefront
-        return PolarSpectrum(self.aberration, wave.pupil_radius, wave.obscuration)
+    def series(self) -> PolarSpectrum | CellSpectrum:
+        """Series of the residual aberration of a polar wavefront or one of cells."""
+        return self.wavefront.series(self.aberration)
 
     @cached_property
-    def amplitude_series(self) -> PolarSpectrum:
+    def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
         """The same of the amplitude."""
-        wave = self.wavefront
-        return PolarSpectrum(wave.amplitude, wave.pupil_radius, wave.obscuration)
+        return self.wavefront.series(self.wavefront.amplitude)
+
+    @property
+    def polar_series(self) -> tuple[PolarSpectrum, PolarSpectrum | None]:
+        """Series of a polar wavefront's residual aberration, and of its amplitude if it varies.
+
+        Raises
+        ------
+        SamplingError
+            If the wavefront is not polar.
+        """
+        pair = self.series, None if self.is_uniform else self.amplitude_series
+        if isinstance(pair[0], CellSpectrum) or isinstance(pair[1], CellSpectrum):
+            raise SamplingError(
+                "this wavefront of cells cannot be put on a grid; sample it with nodes='grid'"
+            )
+        return pair[0], pair[1]
 
     @cached_property
     def local(self) -> LocalFits:
@@ -142,8 +160,8 @@ class Residual:
 
     @cached_property
     def truncation(self) -> float:
-        """Relative error of the pupil function for lack of polar nodes, at worst."""
-        if self.wavefront.layout != "polar":
+        """Relative error of the pupil function for lack of polar or cell nodes, at worst."""
+        if not self.wavefront.is_spectral:
             return 0.0
         amplitude = 0.0
         if not self.is_uniform:
@@ -152,9 +170,9 @@ class Residual:
 
     @cached_property
     def rays(self) -> Rays:
-        """One ray from every node, and from the rim of a polar wavefront."""
+        """One ray from every node, and from the rims of a polar wavefront or of patches."""
         wave = self.wavefront
-        if wave.layout == "polar":
+        if wave.is_spectral:
             return self.traced(*wave.u.shape)
         if wave.layout == "scattered":
             lit = self.local.indices
@@ -162,12 +180,13 @@ class Residual:
             return self._landing(du, dv, wave.amplitude[lit] ** 2 * wave.weights[lit])
         return self._landing(*self._grid_slopes())
 
-    def traced(self, n_r: int, n_theta: int) -> Rays:
-        """Rays of a polar wavefront from (n_r, n_theta) nodes and from the rim."""
-        n_r, n_theta = max(n_r, self.series.n_r), max(n_theta, self.series.n_theta)
-        du, dv, energy = self.series.slopes(n_r, n_theta)
+    def traced(self, *counts: int) -> Rays:
+        """Rays from nodes of a shape (see `Wavefront.nodes`), or the present ones, and rims."""
+        counts = tuple(max(pair) for pair in zip(counts, self.wavefront.u.shape, strict=True))
+        du, dv, energy = self.series.slopes(*counts)
         if not self.is_uniform:
-            energy[:-1] *= self.amplitude_series.at_nodes(n_r, n_theta) ** 2
+            inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
+            energy[inner] *= self.amplitude_series.at_nodes(*counts) ** 2
         return self._landing(du, dv, energy)
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:

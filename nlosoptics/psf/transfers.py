@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
+from ..errors import SamplingError
 from .nodes import grid_nodes
 from .residuals import Residual
 from .spectra import values_at
@@ -54,6 +55,11 @@ def transfer(residual: Residual) -> Transfer:
     from a lattice, so that the rim's share of the error divides out.
     """
     wave = residual.wavefront
+    if wave.layout not in ("polar", "grid"):
+        raise SamplingError(
+            f"the transfer function needs a polar wavefront or a grid, and this one is "
+            f"{wave.layout}; sample it with nodes='grid'"
+        )
     if wave.layout == "polar":
         radius, inner = wave.pupil_radius, wave.obscuration * wave.pupil_radius
 
@@ -117,8 +123,7 @@ def _on_grid(residual: Residual) -> tuple[ComplexArray, Array, float]:
     fits_memory(f"the transfer function of {n} x {n} cells", 400.0 * n * n, "use less aberration")
     u, v, weights = grid_nodes(wave.pupil_radius, n + 1 - n % 2, wave.obscuration)
     lit = weights > 0
-    amplitude = None if residual.is_uniform else residual.amplitude_series
-    path, size = values_at(residual.series, amplitude, u[lit], v[lit], 1e-10)
+    path, size = values_at(*residual.polar_series, u[lit], v[lit], 1e-10)
     pupil = np.zeros(u.shape, dtype=np.complex128)
     pupil[lit] = weights[lit] * np.exp(1j * residual.wavenumber * path)
     if size is not None:

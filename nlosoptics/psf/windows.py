@@ -117,7 +117,7 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     Parameters
     ----------
     wavefront : Wavefront
-        Polar or grid.
+        Of any layout.
     pitch : float
         Pixel side, m.
     tol : float
