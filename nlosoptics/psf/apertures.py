@@ -364,6 +364,29 @@ class Aperture:
         half = self.half_width if radius is None else positive("radius", radius, unit="m")
         pitch = fitting_pitch(half, n)
         axis = (np.arange(n, dtype=np.float64) - n // 2) * pitch
+        total, _, owners = self.grid_shares(n, pitch)
+        v, u = np.meshgrid(axis, axis, indexing="ij")
+        return u, v, total * pitch**2, owners
+
+    def grid_shares(self, samples: int, pitch: float) -> tuple[Array, Array, NDArray[np.int64]]:
+        """Shares of a grid's squares inside, the largest of one cell, and whose that is.
+
+        Parameters
+        ----------
+        samples : int
+            Squares per side, n.
+        pitch : float
+            m; square [n//2, n//2] is about the axis.
+
+        Returns
+        -------
+        total, largest : ndarray
+            (n, n).
+        owners : ndarray of int
+            (n, n), 0 where none has any.
+        """
+        n = samples
+        axis = (np.arange(n, dtype=np.float64) - n // 2) * pitch
         total, most = np.zeros((n, n)), np.zeros((n, n))
         owners = np.zeros((n, n), dtype=np.int64)
         for index, cell in enumerate(self.cells):
@@ -377,8 +400,7 @@ class Aperture:
             total[y, x] += part
             owners[y, x] = np.where(part > most[y, x], index, owners[y, x])
             most[y, x] = np.maximum(most[y, x], part)
-        v, u = np.meshgrid(axis, axis, indexing="ij")
-        return u, v, np.minimum(total, 1.0) * pitch**2, owners
+        return np.minimum(total, 1.0), most, owners
 
     def contains(self, u: ArrayLike, v: ArrayLike) -> Bools:
         """Whether points (u, v), m, lie within, of the broadcast shape."""

@@ -249,6 +249,11 @@ def _nodes(residual: Residual, points: Array) -> tuple[_Nodes, _Nodes | None]:
         counts = node_counts(residual, points)
         more = (math.ceil(1.3 * n) for n in counts[-2:])
         return _refined(residual, counts), _refined(residual, (*counts[:-2], *more))
+    if wave.aperture is not None:
+        raise SamplingError(
+            "spherical waves from the grid of an aperture have no reference to judge their error "
+            "by; sample it with nodes='cells'"
+        )
     _check_steps(residual, points)
     lit = wave.amplitude * wave.weights > 0
     own = _gathered(

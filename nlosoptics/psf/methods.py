@@ -25,6 +25,8 @@ Surface = Callable[[Array, Array], Array]
 LEAST_SAMPLES = 512
 #: Waves, peak to valley, below which rays are not tried.
 MANY_WAVES = 20
+#: Pixel in Airy units, up to which beats are taken not to average out.
+NO_BEATS = 0.8
 #: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
 NEGLIGIBLE = 1e-10
 
@@ -58,6 +60,8 @@ class Task:
     def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
         """`estimates.intensity_error` on these pixels."""
         pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
+        if self.residual.wavefront.aperture is not None:
+            pixel = min(pixel, NO_BEATS)  # its lobes may be wider than the Airy unit says
         return estimates.intensity_error(
             intensity, field_error, energy_error, pixel=pixel, level=self.level
         )

@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 #: Longest piece of an arc, rad: on it a few Gauss-Legendre nodes are exact to rounding.
 LONGEST = math.pi / 2 * (1 + 1e-12)
 
+#: Share of a grid's square that counts as none.
+SLIVER = 1e-12
+
 
 @dataclass(frozen=True, eq=False)
 class Curve:
@@ -216,7 +219,9 @@ def shares(outline: Iterable[Curve], x: Array, y: Array, pitch: float) -> Array:
         np.add.at(own, (row * nx + column)[inside], -right[inside])
         np.add.at(passed, row * (nx + 1) + np.maximum(column + 1, 0), -total)
     cover = np.cumsum(passed.reshape(ny, nx + 1), axis=1)[:, :nx]
-    return np.clip(own.reshape(ny, nx) + cover, 0.0, 1.0)
+    found = own.reshape(ny, nx) + cover
+    # sums of many curves leave rounding where there is nothing
+    return np.where(found < SLIVER, 0.0, np.minimum(found, 1.0))
 
 
 def within(outline: Sequence[Curve], u: Array, v: Array) -> NDArray[np.bool_]:

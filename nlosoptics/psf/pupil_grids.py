@@ -52,7 +52,8 @@ def pupil_grid(residual: Residual) -> PupilGrid:
     wave = residual.wavefront
     size = wave.amplitude * wave.weights / residual.amplitude_sum
     values = size * np.exp(1j * residual.wavenumber * residual.aberration)
-    rim: Literal["cut", "map"] = "cut" if np.ptp(wave.weights) > 0 else "map"
+    cut = wave.aperture is not None or np.ptp(wave.weights) > 0
+    rim: Literal["cut", "map"] = "cut" if cut else "map"
     return PupilGrid(values, wave.pupil_pitch, residual.grid_jump()[0], rim)
 
 

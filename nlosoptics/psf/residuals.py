@@ -193,17 +193,52 @@ class Residual:
         d = self.wavefront.image_distance
         return Rays(du * d, dv * d, energy / energy.sum(), float(np.hypot(du, dv).max()))
 
+    @cached_property
+    def _grid_cells(self) -> tuple[NDArray[np.int64], float]:
+        """Labels of a grid's squares, the same within a cell, and what `mixed_area` counts.
+
+        Squares that cells share have labels of their own, since whose wave they hold is chance.
+        """
+        wave = self.wavefront
+        if wave.aperture is None or len(wave.aperture.cells) == 1:
+            return np.zeros(wave.u.shape, dtype=np.int64), 0.0
+        total, most, owners = wave.aperture.grid_shares(wave.u.shape[0], wave.pupil_pitch)
+        shared = total - most
+        labels = np.where(shared > 1e-9, -1 - np.arange(owners.size).reshape(owners.shape), owners)
+        # how far apart the waves of neighbours in different cells are
+        wide = 0.0
+        phase = np.exp(1j * self.wavenumber * self.aberration)
+        for axis in (0, 1):
+            step = np.abs(np.diff(phase, axis=axis))
+            lit = np.take(total, range(1, len(total)), axis) > 0
+            lit &= np.take(total, range(len(total) - 1), axis) > 0
+            across = lit & (np.diff(owners, axis=axis) != 0)
+            wide = max(wide, float(np.max(step, where=across, initial=0.0)))
+        return labels, wide * float(np.sum(shared) / np.sum(total))
+
+    @property
+    def mixed_area(self) -> float:
+        """Share of the pupil in squares of a grid that hold the wave of another of its cells.
+
+        Times the largest difference of neighbouring cells' pupil functions, 2 at most.
+        """
+        return self._grid_cells[1]
+
     def grid_jump(self) -> tuple[float, tuple[int, ...]]:
-        """Largest step of the residual between lit neighbours, waves, and its pixel or node."""
+        """Largest step of the residual between lit neighbours, waves, and its pixel or node.
+
+        Cells of an aperture may stand at any height.
+        """
         wave = self.wavefront
         if wave.layout == "scattered":
             node = int(self.local.indices[self.local.jump_at])
             return self.local.jump / wave.wavelength, (node,)
-        lit = wave.amplitude * wave.weights > 0
+        lit, (owners, _) = wave.amplitude * wave.weights > 0, self._grid_cells
         worst, where = 0.0, (0, 0)
         for axis in (0, 1):
             jump = np.abs(np.diff(self.aberration, axis=axis))
             both = lit[1:] & lit[:-1] if axis == 0 else lit[:, 1:] & lit[:, :-1]
+            both = both & (np.diff(owners, axis=axis) == 0)
             jump = np.where(both, jump, 0.0)
             if jump.size and jump.max() > worst:
                 worst = float(jump.max())
@@ -219,9 +254,10 @@ class Residual:
         slopes = []
         for axis in (1, 0):
             surface = np.moveaxis(self.aberration, axis, 1)
-            mask = np.moveaxis(lit, axis, 1)
-            step = np.where(mask[:, 1:] & mask[:, :-1], np.diff(surface, axis=1), 0.0)
-            count = (mask[:, 1:] & mask[:, :-1]).astype(np.float64)
+            mask, owner = np.moveaxis(lit, axis, 1), np.moveaxis(self._grid_cells[0], axis, 1)
+            both = mask[:, 1:] & mask[:, :-1] & (np.diff(owner, axis=1) == 0)
+            step = np.where(both, np.diff(surface, axis=1), 0.0)
+            count = both.astype(np.float64)
             total, pairs = np.zeros_like(surface), np.zeros_like(surface)
             total[:, 1:] += step
             total[:, :-1] += step

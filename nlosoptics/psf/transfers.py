@@ -15,6 +15,7 @@ from .._checks import fits_memory
 from ..errors import SamplingError
 from .nodes import grid_nodes
 from .residuals import Residual
+from .rim_tails import edge_ratio
 from .spectra import values_at
 
 Array = NDArray[np.float64]
@@ -85,7 +86,7 @@ def transfer(residual: Residual) -> Transfer:
     centre = float(ratio(np.zeros(1), np.zeros(1))[0].real)
     n = 2 * wave.pupil_radius / pitch
     # the spline's error for a wave that turns by jump a cell, and the cells' blunted cusp at 0
-    cusp = 0.3 / (n * (1 - wave.obscuration)) if wave.layout == "grid" else 0.0
+    cusp = 0.3 * edge_ratio(wave) / n if wave.layout == "grid" else 0.0
     error = (2 * math.pi * jump) ** (ORDER + 1) / 3e4 + cusp
     # the ratio's, measured on waves of low order: at contact, and along the rim
     error += residual.truncation + 0.25 / n**1.5 + 0.6 * jump / n
