@@ -152,9 +152,10 @@ def _free_arcs(i: int, centres: Array, radii: Array) -> list[tuple[int, float, f
     for j in range(len(radii)):
         step = centres[j] - centres[i]
         apart = float(np.hypot(*step))
-        # crossing circles alone; others hold each other or are apart
-        if j == i or not abs(radii[i] - radii[j]) < apart < radii[i] + radii[j]:
-            continue
+        if j == i or apart + radii[i] <= radii[j] * (1 + TOUCHING):
+            continue  # it holds the whole of this circle
+        if not abs(radii[i] - radii[j]) < apart < radii[i] + radii[j]:
+            return []  # it is within, or they are apart
         cosine = (apart**2 + radii[i] ** 2 - radii[j] ** 2) / (2 * apart * radii[i])
         half, middle = math.acos(min(1.0, max(-1.0, cosine))), math.atan2(step[1], step[0])
         cuts += [(middle - half) % (2 * math.pi), (middle + half) % (2 * math.pi)]

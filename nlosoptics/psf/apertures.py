@@ -299,6 +299,11 @@ class Aperture:
         return Curve.stack([a for a, _ in pairs]), Curve.stack([b for _, b in pairs])
 
     @cached_property
+    def patch_areas(self) -> Array:
+        """Area of every patch, (n_patches,), m^2."""
+        return np.asarray(self.nodes(12, 12)[2].sum(axis=(1, 2)))
+
+    @cached_property
     def patch_size(self) -> tuple[float, float]:
         """Longest lines along s and along t of any patch, m."""
         a, b = self.patches

@@ -14,6 +14,9 @@ Array = NDArray[np.float64]
 
 #: Nearest to s = 0 that slopes are taken, where a patch may come to a point.
 NEAREST = 1e-3
+#: Times the last terms' rms: those that lack, those that they are taken for on too few nodes, and
+#: a Jacobian that weighs a part of a patch more than its mean.
+LACK = 4.0
 #: Of the largest coefficient; below it they are rounding.
 ROUNDING = 4e-16
 
@@ -37,11 +40,12 @@ class CellSpectrum:
         self.coefficients = np.einsum("mj,pkj->pkm", sides[1], half)
 
     def truncation(self) -> float:
-        """Sum of the highest coefficients of the worst patch, about an eighth each way."""
-        size = np.abs(self.coefficients)
-        n_k, n_m = (max(2, n // 8) for n in size.shape[1:])
-        high = size[:, -n_k:].sum(axis=(1, 2)) + size[:, :-n_k, -n_m:].sum(axis=(1, 2))
-        return float(high.max())
+        """Some times the rms of the highest terms, about an eighth each way, over the pupil."""
+        k, m = (2 * np.arange(n) + 1 for n in self.shape[1:])
+        power = self.coefficients**2 / (k[:, None] * m)
+        n_k, n_m = (max(2, n // 8) for n in self.shape[1:])
+        high = power[:, -n_k:].sum(axis=(1, 2)) + power[:, :-n_k, -n_m:].sum(axis=(1, 2))
+        return LACK * float(np.sum(self.aperture.patch_areas * np.sqrt(high)) / self.aperture.area)
 
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Highest degrees in s and t of a coefficient above the threshold and above rounding."""

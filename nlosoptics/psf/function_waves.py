@@ -30,7 +30,7 @@ MOST_NODES: Final = 1_000_000
 #: Radii that are tried in turn on polar nodes, with four times as many angles.
 RADII: Final = (24, 48, 96, 192)
 #: What the series may lack of the phase, rad, and of the amplitude.
-NEGLIGIBLE: Final = 1e-10
+NEGLIGIBLE: Final = 1e-11
 
 
 @dataclass(frozen=True, eq=False)

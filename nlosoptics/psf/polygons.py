@@ -25,7 +25,7 @@ def simple_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
     Raises
     ------
     SceneError
-        If it has fewer than 3 corners or too many, no area, or crosses itself.
+        If it has fewer than 3 corners or too many, no area, or meets itself.
     """
     try:
         corners = np.array(vertices, dtype=np.float64)
@@ -46,6 +46,9 @@ def simple_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
         raise SceneError(
             f"{what}[{worst}] = {corners[worst].tolist()} m is given twice in a row; leave one out"
         )
+    far = corners[int(np.argmax(np.hypot(*(corners - corners[0]).T)))] - corners[0]
+    if np.abs(cross(far, corners - corners[0])).max() <= 1e-12 * size**2:
+        raise SceneError(f"{what} lie in a line and have no area; move a corner off it")
     pair = _crossing(corners, after)
     if pair is not None:
         raise SceneError(
@@ -53,8 +56,6 @@ def simple_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
             "corners of a polygon that does not cross itself, in order"
         )
     area = float(np.sum(cross(corners - corners[0], after - corners[0]))) / 2
-    if abs(area) <= 1e-12 * size**2:
-        raise SceneError(f"{what} enclose {abs(area):.3g} m^2; give corners that are not in a line")
     return corners if area > 0 else corners[::-1].copy()
 
 

@@ -443,7 +443,8 @@ class Wavefront:
     def truncation(self) -> tuple[float, float]:
         """What the nodes may miss of the aberration, m, and of the amplitude; polar and cells.
 
-        The sum of the highest terms of the series, about an eighth of them each way.
+        By the highest terms of the series, about an eighth of them each way: their sum on polar
+        nodes, four times their rms on cells.
         """
         return (
             self.series(self.aberration).truncation(),
