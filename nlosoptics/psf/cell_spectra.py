@@ -17,8 +17,8 @@ NEAREST = 1e-3
 #: Times the last terms' rms: those that lack, those that they are taken for on too few nodes, and
 #: a Jacobian that weighs a part of a patch more than its mean.
 LACK = 4.0
-#: Of the largest coefficient; below it they are rounding.
-ROUNDING = 4e-16
+#: rms of a term over the largest; below it a coefficient is rounding.
+ROUNDING = 1e-15
 
 
 class CellSpectrum:
@@ -50,7 +50,8 @@ class CellSpectrum:
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Highest degrees in s and t of a coefficient above the threshold and above rounding."""
         size = np.abs(self.coefficients).max(axis=0)
-        above = size > max(threshold, ROUNDING * float(size.max()))
+        k, m = (np.sqrt(2 * np.arange(n) + 1) for n in self.shape[1:])
+        above = (size > threshold) & (size > ROUNDING * float(size.max()) * k[:, None] * m)
         along_s, along_t = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(along_s.max(initial=0)), int(along_t.max(initial=0))
 
