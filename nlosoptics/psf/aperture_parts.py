@@ -94,39 +94,54 @@ def _between(inner: Curve, outer: Curve) -> tuple[list[Curve], list[Sides]]:
     return outline, list(zip(inners, outers, strict=True))
 
 
-def common_outline(discs: Iterable[tuple[Any, Any]]) -> tuple[list[Curve], Array]:
-    """Arcs, counterclockwise, about what discs have in common, and a point well within."""
+def common_outline(
+    discs: Iterable[tuple[Any, Any]], corners: Array | None = None
+) -> tuple[list[Curve], Array]:
+    """Curves, counterclockwise, about what discs have in common, and a point well within.
+
+    ``corners`` (n, 2), counterclockwise, are those of a convex polygon that counts as well.
+    """
     centres, radii = _checked_discs(discs)
-    arcs: list[tuple[int, float, float]] = []
-    for i in range(len(radii)):
-        arcs += _free_arcs(i, centres, radii)
-    if not arcs:
-        raise SceneError(
-            f"the {len(radii)} discs have no area in common; move their centres closer together"
-        )
-    places = [
-        centres[i] + radii[i] * np.array([math.cos((a + b) / 2), math.sin((a + b) / 2)])
-        for i, a, b in arcs
-    ]
-    if len(arcs) == 1:
-        middle = centres[arcs[0][0]]
-    else:
-        # the corners' mean with the arcs' middles: within, as the outline is convex
-        ends = [
-            centres[i] + radii[i] * np.array([math.cos(e), math.sin(e)])
-            for i, a, b in arcs
-            for e in (a, b)
-        ]
-        middle = np.mean(places + ends, axis=0)
-    order = np.argsort([math.atan2(*(p - middle)[::-1]) for p in places])
     pieces = [
-        piece
-        for k in order
-        for piece in Curve.circle(
-            centres[arcs[k][0]], float(radii[arcs[k][0]]), *arcs[k][1:]
-        ).parts()
+        Curve.circle(centres[i], float(radii[i]), low, high)
+        for i in range(len(radii))
+        for low, high in _free_arcs(i, centres, radii, corners)
     ]
-    return pieces, np.asarray(middle)
+    whole = len(pieces) == 1 and abs(float(pieces[0].turn)) > 6
+    if corners is not None:
+        pieces += _free_sides(corners, centres, radii)
+    if not pieces:
+        raise SceneError(
+            "the discs and sides given have no area in common; move their centres closer together"
+        )
+    middle = pieces[0].base if whole else _middle(pieces)
+    order = np.argsort([math.atan2(*(p.at([0.5])[0] - middle)[::-1]) for p in pieces])
+    return [part for k in order for part in pieces[int(k)].parts()], np.asarray(middle)
+
+
+def _middle(pieces: Sequence[Curve]) -> Array:
+    """Mean of the ends and middles of a convex outline's pieces, which lies within."""
+    return np.asarray(np.mean([p.at([0.0, 0.5, 1.0]) for p in pieces], axis=(0, 1)))
+
+
+def _free_sides(corners: Array, centres: Array, radii: Array) -> list[Curve]:
+    """Parts of a convex polygon's sides that lie within all discs."""
+    found = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        low, high = 0.0, 1.0
+        step = b - a
+        for c, r in zip(centres, radii, strict=True):
+            # |a + t step - c| = r
+            square, half, rest = step @ step, (a - c) @ step, (a - c) @ (a - c) - r * r
+            root = half * half - square * rest
+            if root <= 0:
+                high = -1.0
+                break
+            low = max(low, (-half - math.sqrt(root)) / square)
+            high = min(high, (-half + math.sqrt(root)) / square)
+        if high - low > TOUCHING:
+            found.append(Curve.line(a + low * step, a + high * step))
+    return found
 
 
 def _checked_discs(discs: Iterable[tuple[Any, Any]]) -> tuple[Array, Array]:
@@ -146,8 +161,10 @@ def _checked_discs(discs: Iterable[tuple[Any, Any]]) -> tuple[Array, Array]:
     return np.stack([c for c, _ in kept]), np.array([r for _, r in kept])
 
 
-def _free_arcs(i: int, centres: Array, radii: Array) -> list[tuple[int, float, float]]:
-    """Arcs of circle i, as (i, low, high) in rad, that lie within all other discs."""
+def _free_arcs(
+    i: int, centres: Array, radii: Array, corners: Array | None
+) -> list[tuple[float, float]]:
+    """Arcs of circle i, from one angle to another, within all other discs and a polygon."""
     cuts: list[float] = []
     for j in range(len(radii)):
         step = centres[j] - centres[i]
@@ -158,29 +175,39 @@ def _free_arcs(i: int, centres: Array, radii: Array) -> list[tuple[int, float, f
             return []  # it is within, or they are apart
         cosine = (apart**2 + radii[i] ** 2 - radii[j] ** 2) / (2 * apart * radii[i])
         half, middle = math.acos(min(1.0, max(-1.0, cosine))), math.atan2(step[1], step[0])
-        cuts += [(middle - half) % (2 * math.pi), (middle + half) % (2 * math.pi)]
-    cuts = sorted(cuts) or [0.0]
-    found: list[tuple[int, float, float]] = []
+        cuts += [middle - half, middle + half]
+    sides: list[tuple[Array, Array]] = []
+    if corners is not None:
+        sides = list(zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True))
+    for corner, along in sides:
+        inward = np.array([-along[1], along[0]]) / math.hypot(*along)
+        depth = float((centres[i] - corner) @ inward) / radii[i]
+        if abs(depth) < 1:
+            half, middle = math.acos(-depth), math.atan2(inward[1], inward[0])
+            cuts += [middle - half, middle + half]
+    cuts = sorted({c % (2 * math.pi) for c in cuts}) or [0.0]
+    found: list[tuple[float, float]] = []
     for low, high in zip(cuts, [*cuts[1:], cuts[0] + 2 * math.pi], strict=True):
         middle = (low + high) / 2
         point = centres[i] + radii[i] * np.array([math.cos(middle), math.sin(middle)])
-        inside = np.hypot(*(point - centres).T) <= radii * (1 + TOUCHING)
-        if high - low > 1e-9 and inside.all():
-            found.append((i, low, high))
+        inside = bool(np.all(np.hypot(*(point - centres).T) <= radii * (1 + TOUCHING)))
+        inside &= all(a[0] * (point - c)[1] >= a[1] * (point - c)[0] for c, a in sides)
+        if high - low > 1e-9 and inside:
+            found.append((low, high))
     # arcs that follow one another at a cut of a disc that takes nothing are one
     return _joined(found)
 
 
-def _joined(arcs: list[tuple[int, float, float]]) -> list[tuple[int, float, float]]:
-    joined: list[tuple[int, float, float]] = []
-    for i, low, high in arcs:
-        if joined and joined[-1][2] == low:
-            joined[-1] = (i, joined[-1][1], high)
+def _joined(arcs: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    joined: list[tuple[float, float]] = []
+    for low, high in arcs:
+        if joined and joined[-1][1] == low:
+            joined[-1] = (joined[-1][0], high)
         else:
-            joined.append((i, low, high))
-    if len(joined) > 1 and joined[0][1] + 2 * math.pi == joined[-1][2]:
-        last = joined.pop()
-        joined[0] = (last[0], last[1], joined[0][2] + 2 * math.pi)
+            joined.append((low, high))
+    if len(joined) > 1 and joined[0][0] + 2 * math.pi == joined[-1][1]:
+        low, _ = joined.pop()
+        joined[0] = (low, joined[0][1] + 2 * math.pi)
     return joined
 
 

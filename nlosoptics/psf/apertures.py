@@ -16,7 +16,7 @@ from ..errors import SceneError
 from . import aperture_parts as parts
 from .nodes import fitting_pitch, gauss_legendre
 from .outlines import Curve, box, cross, lengths, moments, shares, within
-from .polygons import Sides, sees_all, simple_polygon, straight_sides
+from .polygons import Sides, convex_polygon, sees_all, simple_polygon, straight_sides
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -212,15 +212,20 @@ class Aperture:
         )
 
     @classmethod
-    def discs(cls, discs: Iterable[tuple[Point, float]]) -> Aperture:
+    def discs(
+        cls, discs: Iterable[tuple[Point, float]], *, within: ArrayLike | None = None
+    ) -> Aperture:
         """What discs have in common, as a lens barrel leaves of an oblique beam.
 
         Parameters
         ----------
         discs : iterable of ((float, float), float)
             Centre and radius of each, m.
+        within : array_like, optional
+            Corners (n, 2), m, of a convex polygon that cuts them too.
         """
-        outer, middle = parts.common_outline(discs)
+        corners = None if within is None else convex_polygon(within, "within")
+        outer, middle = parts.common_outline(discs, corners)
         return cls((_ring(outer, middle, 0.0),))
 
     @classmethod

@@ -59,6 +59,18 @@ def simple_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
     return corners if area > 0 else corners[::-1].copy()
 
 
+def convex_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
+    """`simple_polygon` that has no corner turned inward."""
+    corners = simple_polygon(vertices, what)
+    along = np.roll(corners, -1, axis=0) - corners
+    turn = cross(np.roll(along, 1, axis=0), along)
+    if turn.min() < -1e-12 * np.ptp(corners, axis=0).max() ** 2:
+        raise SceneError(
+            f"{what}: corner {int(np.argmin(turn))} is turned inward; give a convex polygon"
+        )
+    return corners
+
+
 def _crossing(a: Array, b: Array) -> tuple[int, int] | None:
     """Two sides from a (n, 2) to b that meet elsewhere than at a shared corner."""
     n = len(a)

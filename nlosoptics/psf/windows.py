@@ -168,6 +168,8 @@ def _peak_pixel(residual: Residual, pitch: float) -> float:
     index = rows * (columns.max() + 1) + columns
     bins = np.bincount(index.ravel(), weights=rays.energy.ravel())
     airy = min(1.0, math.pi / 4 * (pitch / unit) ** 2)
+    if residual.wavefront.aperture is not None:
+        airy = min(1.0, residual.pixel_share(pitch))
     return float(min(bins.max() * min(1.0, (pitch / side) ** 2), airy))
 
 
