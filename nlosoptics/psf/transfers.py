@@ -86,7 +86,8 @@ def transfer(residual: Residual) -> Transfer:
     centre = float(ratio(np.zeros(1), np.zeros(1))[0].real)
     n = 2 * wave.pupil_radius / pitch
     # the spline's error for a wave that turns by jump a cell, and the cells' blunted cusp at 0
-    cusp = 0.3 * edge_ratio(wave) / n if wave.layout == "grid" else 0.0
+    cusp = (0.3 if wave.aperture is None else 0.6) * edge_ratio(wave) / n
+    cusp = cusp if wave.layout == "grid" else 0.0
     error = (2 * math.pi * jump) ** (ORDER + 1) / 3e4 + cusp
     # the ratio's, measured on waves of low order: at contact, and along the rim
     error += residual.truncation + 0.25 / n**1.5 + 0.6 * jump / n

@@ -12,6 +12,7 @@ from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.psf import quadrature
 from nlosoptics.psf.residuals import split
+from nlosoptics.psf.transfers import transfer
 from nlosoptics.psf.windows import Window
 
 WAVELENGTH, DISTANCE = 632.8e-9, 50e-3
@@ -151,6 +152,21 @@ def test_equal_discs_and_discs_that_cut_nothing():
     assert whole.area == approx(np.pi, rel=1e-14)
     twice = psf.Aperture.discs([((0, 0), 1.0), ((1, 0), 1.0), ((0.5, 0.1), 5.0)])
     assert twice.area == approx(2 * np.pi / 3 - np.sqrt(3) / 2, rel=1e-14)
+
+
+def test_discs_within_a_polygon():
+    slit = [(-0.5, -2), (0.5, -2), (0.5, 2), (-0.5, 2)]
+    cut = psf.Aperture.discs([((0, 0), 1.0)], within=slit)
+    # two sectors of 60 degrees and four right triangles
+    assert cut.area == approx(np.pi / 3 + np.sqrt(3) / 2, rel=1e-14)
+    corners = psf.Aperture.discs(
+        [((0, 0), 1.0)], within=0.8 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    )
+    segment = np.arccos(0.8) - 0.8 * 0.6
+    assert corners.area == approx(np.pi - 4 * segment, rel=1e-14)
+    assert corners.nodes(20, 20)[2].sum() == approx(corners.area, rel=1e-14)
+    inside = psf.Aperture.discs([((0, 0), 9.0), ((1, 0), 9.0)], within=slit)
+    assert inside.area == approx(4.0, rel=1e-14)
 
 
 def test_hexagons_stand_a_gap_apart():
@@ -373,6 +389,18 @@ def test_segments_on_a_grid():
     assert psf.centroid(grid) == approx(psf.centroid(of(aperture, **terms)), abs=2e-7)
 
 
+@pytest.mark.parametrize("samples", [128, 256])
+def test_transfer_function_of_a_box_on_a_grid(samples):
+    """The common area of displaced boxes, a product of triangles."""
+    grid = of(APERTURES["box"], nodes="grid", samples=samples)
+    found = transfer(split(grid))
+    du, dv = np.random.default_rng(0).uniform(-11 * MM, 11 * MM, (2, 2000))
+    closed = np.clip(1 - np.abs(du) / (10 * MM), 0, 1) * np.clip(1 - np.abs(dv) / (6 * MM), 0, 1)
+    assert np.abs(found.at(du, dv) - closed).max() < found.error < 0.01
+    with pytest.raises(SamplingError, match="nodes='grid'"):
+        transfer(split(of(APERTURES["box"])))
+
+
 # energy
 
 
@@ -479,6 +507,11 @@ def test_table_of_transforms():
         (lambda: psf.Aperture.discs([((0, 0), 1), ((3, 0), 1)]), "no area in common"),
         (lambda: psf.Aperture.discs([((0, 0), 1), ((2, 0), 1)]), "no area in common"),
         (lambda: psf.Aperture.discs([(0.0, 1)]), "is not a point"),
+        (
+            lambda: psf.Aperture.discs([((0, 0), 1)], within=[(2, 2), (3, 2), (2, 3)]),
+            "no area in common",
+        ),
+        (lambda: psf.Aperture.discs([((0, 0), 1)], within=HOOK), "is turned inward"),
         (lambda: psf.Aperture.discs([((0, math.inf), 1)]), r"centre\[1\] = inf is not finite"),
         (lambda: psf.Aperture.round(1.0, vanes=4, vane_width=1.5), "meet 1.061 m from the axis"),
         (lambda: psf.Aperture.round(1.0, vanes=1, vane_width=0.1), "hangs in the air"),
