@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from .apertures import Aperture
 from .nodes import gauss_legendre
 from .outlines import cross
-from .spectra import legendre, legendre_slopes
+from .spectra import _legendre, _legendre_slopes
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,7 @@ class CellSpectrum:
     def __init__(self, values: Array, aperture: Aperture) -> None:
         self.aperture = aperture
         self.shape = values.shape
+        self.n_r, self.n_theta = values.shape[1:]  # of each patch, as `PolarSpectrum` calls them
         sides = [_analysis(n) for n in values.shape[1:]]
         # einsum without BLAS: the same bits for any thread count
         half = np.einsum("ki,pij->pkj", sides[0], values)
@@ -58,7 +59,7 @@ class CellSpectrum:
     def at_nodes(self, n_patches: int, n_s: int, n_t: int) -> Array:
         """Values on the aperture's nodes (n_patches, n_s, n_t)."""
         tables = [
-            legendre(n, gauss_legendre(count)[0])
+            _legendre(n, gauss_legendre(count)[0])
             for n, count in zip(self.shape[1:], (n_s, n_t), strict=True)
         ]
         return self._sum(*tables)
@@ -75,11 +76,11 @@ class CellSpectrum:
         """
         (s, w_s), (t, w_t) = gauss_legendre(n_s), gauss_legendre(n_t)
         s, t = np.concatenate([[NEAREST], s, [1.0]]), np.concatenate([[0.0], t, [1.0]])
-        tables = [legendre(n, x) for n, x in zip(self.shape[1:], (s, t), strict=True)]
+        tables = [_legendre(n, x) for n, x in zip(self.shape[1:], (s, t), strict=True)]
         _, along_s, along_t = self.aperture.map(s, t)
         jacobian = cross(along_s, along_t)
-        by_s = self._sum(legendre_slopes(tables[0]), tables[1])
-        by_t = self._sum(tables[0], legendre_slopes(tables[1]))
+        by_s = self._sum(_legendre_slopes(tables[0]), tables[1])
+        by_t = self._sum(tables[0], _legendre_slopes(tables[1]))
         du = (by_s * along_t[..., 1] - by_t * along_s[..., 1]) / jacobian
         dv = (by_t * along_s[..., 0] - by_s * along_t[..., 0]) / jacobian
         share = np.zeros_like(du)
@@ -94,4 +95,4 @@ class CellSpectrum:
 def _analysis(n: int) -> Array:
     """Matrix (n, n) from values on n Gauss-Legendre nodes to Legendre coefficients."""
     fraction, weights = gauss_legendre(n)
-    return np.asarray((2 * np.arange(n) + 1)[:, None] * legendre(n, fraction) * weights)
+    return np.asarray((2 * np.arange(n) + 1)[:, None] * _legendre(n, fraction) * weights)

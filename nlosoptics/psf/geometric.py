@@ -144,8 +144,8 @@ def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]
 def _ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:
     """Rings and spokes whose rays land about a quarter of a pixel apart."""
     n_r = 4 * residual.rays.reach / window.pitch + 64
-    n_r = max(residual.aberration.shape[0], math.ceil(share * min(n_r, MOST_RADII)))
-    return n_r, max(residual.aberration.shape[1], 4 * n_r)
+    n_r = max(residual.series.n_r, math.ceil(share * min(n_r, MOST_RADII)))
+    return n_r, max(residual.series.n_theta, 4 * n_r)
 
 
 def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
@@ -175,7 +175,7 @@ def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
         (t * over_r[0] + c * over_arc[0]) / d,
         (t * over_r[1] + c * over_arc[1]) / d,
     )
-    doubt = abs(d) * residual.series.truncation() * residual.aberration.shape[0] / wave.pupil_radius
+    doubt = abs(d) * residual.series.truncation() * residual.series.n_r / wave.pupil_radius
     yield _Boxes(
         rays.x[:-1].ravel(),
         rays.y[:-1].ravel(),

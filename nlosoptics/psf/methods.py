@@ -98,6 +98,11 @@ class Result:
 
 def transform(task: Task, method: str) -> Result:
     """Run one transform."""
+    if method in ("fft", "mdft") and task.residual.wavefront.layout == "cells":
+        raise SamplingError(
+            f"{method} needs a grid, and this wavefront is sampled on cells; use "
+            "method='quadrature', or sample it with nodes='grid'"
+        )
     if method == "huygens":
         return _huygens(task)
     run: dict[str, Callable[[Task], tuple[Array, float]]] = {
@@ -204,7 +209,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 
 def _fft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
-    _check_grid(residual, "fft")
+    _check_not_scattered(residual, "fft")
     fft.check_padding(residual, samples.pitch)
     if residual.wavefront.layout == "polar":
         size = _polar_size(task)
@@ -231,7 +236,7 @@ def _fft(task: Task) -> tuple[Array, float]:
 
 def _mdft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
-    _check_grid(residual, "mdft")
+    _check_not_scattered(residual, "mdft")
     if residual.wavefront.layout == "polar":
         period = _polar_size(task) * samples.pitch
         grid = pupil_grid_from_polar(residual, _period_pitch(residual, period))
@@ -250,17 +255,11 @@ def _mdft(task: Task) -> tuple[Array, float]:
     return mean, _grid_bound(task, mean, grid)
 
 
-def _check_grid(residual: Residual, method: str) -> None:
-    layout = residual.wavefront.layout
-    if layout == "scattered":
+def _check_not_scattered(residual: Residual, method: str) -> None:
+    if residual.wavefront.layout == "scattered":
         raise SamplingError(
             f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
             "sample it with nodes='polar' or 'grid'"
-        )
-    if layout == "cells":
-        raise SamplingError(
-            f"{method} needs a grid, and this wavefront is sampled on cells; use "
-            "method='quadrature', or sample it with nodes='grid'"
         )
 
 

@@ -40,7 +40,7 @@ class PolarSpectrum:
             waves[:, -1] /= 2  # the highest order stands for both +m and -m
         fraction, weights = gauss_legendre(self.n_r)
         waves[:, 1::2] /= self._rho(fraction)[:, None]
-        basis = legendre(self.n_r, fraction)
+        basis = _legendre(self.n_r, fraction)
         norms = 2 * np.arange(self.n_r) + 1
         # einsum without BLAS: the same bits for any thread count.
         self.coefficients = np.einsum("ki,im->km", basis * weights * norms[:, None], waves)
@@ -64,7 +64,7 @@ class PolarSpectrum:
         """Values on the polar nodes (n_r, n_theta), neither fewer than the samples given."""
         fraction, _ = gauss_legendre(n_r)
         rho = self._rho(fraction)
-        value = self._sum(legendre(self.n_r, self._fraction(rho)))
+        value = self._sum(_legendre(self.n_r, self._fraction(rho)))
         value[:, 1::2] *= rho[:, None]
         return self._synthesis(value, n_theta)
 
@@ -146,9 +146,9 @@ class PolarSpectrum:
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
         """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
-        table = legendre(self.n_r, self._fraction(rho))
+        table = _legendre(self.n_r, self._fraction(rho))
         value = self._sum(table)
-        slope = self._sum(legendre_slopes(table))
+        slope = self._sum(_legendre_slopes(table))
         slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
         slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]
         value[:, 1::2] *= rho[:, None]
@@ -194,7 +194,7 @@ def values_at(
     return values.real, None if second is None else values.imag
 
 
-def legendre(n: int, fraction: Array) -> Array:
+def _legendre(n: int, fraction: Array) -> Array:
     """P_k(2 f - 1) for k < n, (n, len(f))."""
     x = 2 * fraction - 1
     table = np.ones((n, x.size))
@@ -205,7 +205,7 @@ def legendre(n: int, fraction: Array) -> Array:
     return table
 
 
-def legendre_slopes(table: Array) -> Array:
+def _legendre_slopes(table: Array) -> Array:
     """Slopes d P_k(2 f - 1)/df of its table, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
     n = len(table)
     slopes = np.zeros_like(table)

@@ -22,7 +22,7 @@ from .function_waves import (
     segment_terms,
     values_on,
 )
-from .nodes import fitting_pitch, polar_nodes
+from .nodes import fitting_pitch, grid_nodes, polar_nodes
 from .spectra import PolarSpectrum
 from .zernikes import ORDERINGS, Ordering, zernike, zernike_order
 
@@ -172,48 +172,54 @@ class Wavefront:
         Wavefront
         """
         one_of("ordering", ordering, ORDERINGS)
+        nodes = nodes_of(nodes, aperture, obscuration, samples)
         positive("pupil_radius", pupil_radius, unit="m")
-        layout = nodes_of(nodes, aperture, obscuration, samples)
-        heights = {j: real(f"coefficients[{j}]", value) for j, value in coefficients.items()}
-        degree = max((zernike_order(j, ordering)[0] for j in heights), default=0)
-
-        def fill(at: PupilNodes) -> tuple[Array, Array]:
-            rho, theta = np.hypot(at.u, at.v) / pupil_radius, np.arctan2(at.v, at.u)
-            path = np.zeros_like(at.u)
-            for index, height in heights.items():
-                path += height * zernike(index, rho, theta, ordering=ordering)
-            return path, np.ones_like(at.u)
-
-        if layout == "polar":
+        if aperture is not None:
+            return cls.from_function(
+                lambda u, v: _zernike_sum(coefficients, u, v, pupil_radius, ordering),
+                wavelength=wavelength,
+                image_distance=image_distance,
+                pupil_radius=pupil_radius,
+                aperture=aperture,
+                nodes=nodes,
+                samples=samples,
+            )
+        orders = [zernike_order(index, ordering) for index in coefficients]
+        degree = max((n for n, _ in orders), default=0)
+        if nodes == "grid":
+            if isinstance(samples, tuple):
+                raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
+            cells = 512 if samples is None else whole("samples", samples, 2)
+            u, v, weights = grid_nodes(pupil_radius, cells, obscuration)
+        else:
             # Enough that the tail of the spectrum is seen to vanish.
-            samples = (max(24, degree), max(96, 4 * degree)) if samples is None else samples
-            n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
+            n_r, n_theta = max(24, degree), max(96, 4 * degree)
+            if isinstance(samples, tuple):
+                n_r, n_theta = samples
+            elif samples is not None:
+                n_r, n_theta = samples, 4 * samples
             if n_r < degree // 2 + 1 or n_theta < 2 * degree + 1:
                 raise SamplingError(
                     f"{n_r} x {n_theta} polar nodes cannot hold Zernike degree {degree}; use "
                     f"{degree // 2 + 1} x {2 * degree + 1} or more"
                 )
-        found, path, amplitude = sampled(
-            layout,
-            samples,
-            fill,
-            wavenumber=2 * np.pi / positive("wavelength", wavelength, unit="m"),
-            radius=pupil_radius,
-            obscuration=obscuration,
-            aperture=aperture,
-        )
+            u, v, weights = polar_nodes(pupil_radius, n_r, n_theta, obscuration)
+        rho, theta = np.hypot(u, v) / pupil_radius, np.arctan2(v, u)
+        aberration = np.zeros_like(u)
+        for index, value in coefficients.items():
+            height = real(f"coefficients[{index}]", value)
+            aberration += height * zernike(index, rho, theta, ordering=ordering)
         return cls(
-            u=found.u,
-            v=found.v,
-            aberration=path,
-            amplitude=amplitude,
-            weights=found.weights,
+            u=u,
+            v=v,
+            aberration=aberration,
+            amplitude=np.ones_like(u),
+            weights=weights,
             wavelength=wavelength,
             image_distance=image_distance,
             pupil_radius=pupil_radius,
             obscuration=obscuration,
-            layout=layout,
-            aperture=aperture,
+            layout=nodes,
         )
 
     @classmethod
@@ -476,16 +482,11 @@ class Wavefront:
         """Refuse coordinates that are not those of the layout."""
         if self.layout == "scattered":
             return
-        rows, columns = self.u.shape[-2:]
         if self.layout == "cells" and self.aperture is not None:
-            u, v, _ = self.aperture.nodes(rows, columns)
-            if u.shape != self.u.shape:
-                raise SceneError(
-                    f"wavefront.u has shape {self.u.shape}; the aperture's {len(u)} patches need "
-                    f"{u.shape}"
-                )
-            remedy = "take them from aperture.nodes"
-        elif self.layout == "polar":
+            self._check_cells(self.aperture)
+            return
+        rows, columns = self.u.shape
+        if self.layout == "polar":
             u, v, _ = polar_nodes(self.pupil_radius, rows, columns, self.obscuration)
             remedy = "take them from psf.polar_nodes"
         else:
@@ -500,6 +501,33 @@ class Wavefront:
                 f"wavefront.u, v are {error:.3g} m off the nodes of layout '{self.layout}', limit "
                 f"{1e-9 * self.pupil_radius:.1g} m; {remedy}"
             )
+
+    def _check_cells(self, aperture: Aperture) -> None:
+        u, v, _ = aperture.nodes(*self.u.shape[1:])
+        if u.shape != self.u.shape:
+            raise SceneError(
+                f"wavefront.u has shape {self.u.shape}; the aperture's {len(u)} patches need "
+                f"{u.shape}"
+            )
+        error = max(float(np.abs(self.u - u).max()), float(np.abs(self.v - v).max()))
+        limit = 1e-9 * aperture.bounding_radius
+        if not error <= limit:
+            raise SceneError(
+                f"wavefront.u, v are {error:.3g} m off the nodes of layout 'cells', limit "
+                f"{limit:.1g} m; take them from aperture.nodes"
+            )
+
+
+def _zernike_sum(
+    coefficients: Mapping[int, float], u: Array, v: Array, radius: float, ordering: Ordering
+) -> Array:
+    """Sum of Zernike polynomials of the unit disc of a radius, m, at (u, v), m."""
+    rho, theta = np.hypot(u, v) / radius, np.arctan2(v, u)
+    total = np.zeros_like(u)
+    for index, value in coefficients.items():
+        height = real(f"coefficients[{index}]", value)
+        total += height * zernike(index, rho, theta, ordering=ordering)
+    return total
 
 
 def _owned(name: str, values: Any, layout: Layout) -> Array:
