@@ -188,14 +188,13 @@ def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
 
 def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
     """Cells of a fine mesh of every patch."""
-    wave, aperture = residual.wavefront, residual.wavefront.aperture
+    wave, aperture = residual.wavefront, residual.aperture
     n = _patch_rays(residual, window, share)
     n_patches = len(residual.aberration)
     fits_memory(f"{n_patches} x {n} x {n} rays", 400.0 * n_patches * n * n, "use a wider pitch")
     rays = residual.traced(n_patches, n, n)
     fraction, weights = gauss_legendre(n)
     s, t = np.concatenate([[NEAREST], fraction, [1.0]]), np.concatenate([[0.0], fraction, [1.0]])
-    assert aperture is not None  # of every wavefront of cells
     _, along_s, along_t = (a[:, 1:-1, 1:-1] for a in aperture.map(s, t))
     inner = np.s_[:, 1:-1, 1:-1]
     over_s = [np.gradient(a, s, axis=1)[inner] for a in (rays.x, rays.y)]

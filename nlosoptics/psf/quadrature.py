@@ -46,8 +46,7 @@ def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int
     With v the phase along the longest line of any patch, ``v/4 + 3.1 v^(1/3) + 6`` Gauss-Legendre
     nodes integrate exp(i v s) to 1e-15; the map's own bend and the degree of the series are added.
     """
-    aperture, n_patches = residual.wavefront.aperture, len(residual.aberration)
-    assert aperture is not None  # of every wavefront of cells
+    n_patches = len(residual.aberration)
     degrees = residual.series.degrees(threshold / residual.wavenumber)
     if not residual.is_uniform:
         more = residual.amplitude_series.degrees(threshold)
@@ -57,7 +56,7 @@ def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int
         for own, degree, v in zip(
             residual.wavefront.u.shape[1:],
             degrees,
-            (residual.wavenumber * slope * size for size in aperture.patch_size),
+            (residual.wavenumber * slope * size for size in residual.aperture.patch_size),
             strict=True,
         )
     ]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SamplingError
+from .apertures import Aperture
 from .cell_spectra import CellSpectrum
 from .fits import fitted_terms
 from .local_fits import LocalFits, local_fits
@@ -128,6 +129,20 @@ class Residual:
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
         """The same of the amplitude."""
         return self.wavefront.series(self.wavefront.amplitude)
+
+    @property
+    def aperture(self) -> Aperture:
+        """Outline of the pupil of a wavefront that has one.
+
+        Raises
+        ------
+        SamplingError
+            If it has none.
+        """
+        aperture = self.wavefront.aperture
+        if aperture is None:
+            raise SamplingError("this wavefront has no aperture; sample it with nodes='cells'")
+        return aperture
 
     @property
     def polar_series(self) -> tuple[PolarSpectrum, PolarSpectrum | None]:

@@ -160,8 +160,8 @@ class Wavefront:
             grid is what the Fourier transforms take.
         samples : int or (int, int), optional
             Polar: radii, with four times as many angles, or (radii, angles); default at least
-            24 x 96. Cells: nodes per patch along s and t; default at least 16 x 16, and more
-            where arcs need them. Grid: cells per side, default 512.
+            24 x 96. Cells: nodes per patch along s and t; 12 x 12 by default, and more
+            where the wave needs them. Grid: cells per side, default 512.
         obscuration : float
             Inner radius as a fraction of the outer.
         aperture : Aperture, optional

@@ -328,7 +328,7 @@ def test_round_aperture_is_the_polar_pupil():
 def test_resampling_changes_nothing():
     wave = of(APERTURES["arrow"], bumpy)
     finer = wave.resampled(40, 44)
-    assert finer.u.shape == (6, 40, 44) or finer.u.shape[1:] == (40, 44)
+    assert finer.u.shape[1:] == (40, 44)
     assert finer.aberration == approx(bumpy(finer.u, finer.v), abs=1e-11 * WAVELENGTH)
     window = {"pitch": 0.6e-6, "shape": 48}
     straight = psf.point_spread(finer, method="nufft", **window)
