@@ -196,7 +196,9 @@ def wavefront(
     # the lens is the exit pupil, or the cone from the image through it, inverted if behind
     zoom = pupil.image_distance / scene.image_distance
     radius = _reach(scene, pupil, o) * abs(zoom)
-    aperture = _aperture(scene, o, radius, zoom) if nodes == "cells" else None
+    aperture = None
+    if isinstance(nodes, str) and nodes == "cells":
+        aperture = _aperture(scene, o, radius, zoom)
     layout, u, v, weights = _pupil_nodes(nodes, samples, radius, aperture)
     if layout == "polar" and pupil.stop == "wall":
         raise SamplingError(
