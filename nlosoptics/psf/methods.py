@@ -197,8 +197,8 @@ def _quadrature(task: Task) -> tuple[Array, float]:
     if not residual.wavefront.is_spectral:
         raise SamplingError(
             "quadrature needs a polar wavefront, or one of cells, and this one is "
-            f"{residual.wavefront.layout}, which has lost its rim; sample it with nodes='polar' or "
-            f"'cells', or use method='{_sum_of(residual)}'"
+            f"{residual.wavefront.layout}, which has lost its rim; sample it with "
+            f"nodes='cells' or nodes='polar', or use method='{_sum_of(residual)}'"
         )
     epsilon = quadrature.epsilon(residual, task.samples, task.tol)
     mean = task.means(quadrature.field(residual, task.samples, epsilon))
