@@ -4,7 +4,8 @@
 - `slopes`, `facet_waves`: the wave of given slopes, and of a wall of random facets; how the pupil
   sees the wall.
 - `ray_waves`, `tessellation`: the wave of traced rays, and the area of each.
-- `wavefronts`, `nodes`, `zernikes`, `spectra`: the sampled wave.
+- `wavefronts`, `nodes`, `zernikes`, `spectra`, `function_waves`: the sampled wave.
+- `apertures`, `aperture_parts`, `polygons`, `outlines`, `cell_spectra`: pupils of any outline.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
 - `quadrature`, `fft`, `mdft`, `nufft`, `airy`, `geometric`, `huygens`: one transform each;
   `pupil_grids`, `rims`, `soft_pupils` (polynomial waves), `separable`, `local_fits`, `pixels` and
@@ -22,6 +23,7 @@
 """
 
 from .aberration import path_difference, wall_aberration, wavefront
+from .apertures import Aperture
 from .bands import band_point_spread, gaussian_band
 from .comparisons import Comparison, ComparisonRow, compare
 from .exchange import PrysmPupil, from_prysm, to_prysm
@@ -48,6 +50,7 @@ from .zernike_tables import ZernikeTable, read_zernikes, write_zernikes
 from .zernikes import zernike, zernike_order
 
 __all__ = [
+    "Aperture",
     "Comparison",
     "ComparisonRow",
     "ExitPupil",

@@ -12,6 +12,7 @@ from .._checks import one_of, real, vector
 from ..errors import CausticError, NotWaveGradeError, SamplingError, SceneError
 from ..scene import MeshWall, Scene, Wall
 from .aiming import aim, pupil_points, stationary_points
+from .apertures import Aperture
 from .fits import fitted_terms
 from .nodes import grid_nodes, polar_nodes
 from .obstruction import hides
@@ -20,6 +21,7 @@ from .wavefronts import Layout, Removed, Wavefront
 
 Array = NDArray[np.float64]
 POLAR_SAMPLES = (24, 96)
+CELL_SAMPLES = (24, 24)
 GRID_SAMPLES = 256
 
 
@@ -151,11 +153,12 @@ def wavefront(
     scene : Scene
     object_point : array_like, (3,), optional
         World, m; by default the hidden object's reference point.
-    nodes : {"polar", "grid"} or array_like (n, 2)
-        Pupil nodes; an array holds (u, v) in the exit pupil, m.
+    nodes : {"polar", "cells", "grid"} or array_like (n, 2)
+        Pupil nodes; an array holds (u, v) in the exit pupil, m. Cells follow the edge of a flat
+        wall that cuts the cone, a grid that of any.
     samples : int or (int, int), optional
-        Polar: radii, with four times as many angles, or (radii, angles), default (24, 96). Grid:
-        cells per side, default 256.
+        Polar: radii, with four times as many angles, or (radii, angles), default (24, 96). Cells:
+        nodes of each patch along both sides, default (24, 24). Grid: cells per side, default 256.
     reference : {"mirror_image", "best_focus"}
         Remove the chief ray's piston and tilt, which shift the image exactly; or fit and remove
         defocus as well. ``removed`` reports them.
@@ -171,7 +174,8 @@ def wavefront(
     CausticError, NotWaveGradeError
         Where W is undefined or the wall is not known well enough.
     SamplingError
-        If the wall's edge cuts the cone and polar nodes are asked for.
+        If the wall's edge cuts the cone and polar nodes are asked for, or cells where the wall is
+        curved.
     SceneError
         If occluders cut a part of the cone; cut as a whole, it keeps its wave, and the image its
         shadow.
@@ -192,11 +196,14 @@ def wavefront(
     # the lens is the exit pupil, or the cone from the image through it, inverted if behind
     zoom = pupil.image_distance / scene.image_distance
     radius = _reach(scene, pupil, o) * abs(zoom)
-    layout, u, v, weights = _pupil_nodes(nodes, samples, radius)
+    aperture = None
+    if isinstance(nodes, str) and nodes == "cells":
+        aperture = _aperture(scene, o, radius, zoom)
+    layout, u, v, weights = _pupil_nodes(nodes, samples, radius, aperture)
     if layout == "polar" and pupil.stop == "wall":
         raise SamplingError(
             "the wall is the stop and its outline is a rectangle, which polar nodes cannot follow; "
-            "use nodes='grid'"
+            "use nodes='cells', or nodes='grid' for a curved wall"
         )
     lit = weights > 0
     on_lens = np.stack([u[lit], v[lit]], axis=1) / zoom
@@ -220,6 +227,7 @@ def wavefront(
         image_distance=pupil.image_distance,
         pupil_radius=radius,
         layout=layout,
+        aperture=aperture,
         removed=Removed(piston=float(rays.excess[0]), tilt=(tilt[0] / zoom, tilt[1] / zoom)),
     )
     return _best_focus(result) if reference == "best_focus" else result
@@ -230,18 +238,51 @@ def _reach(scene: Scene, pupil: ExitPupil, o: Array) -> float:
     lens_radius = scene.camera.stop_diameter / 2
     if pupil.stop == "lens" or scene.wall.size is None:
         return lens_radius
-    half_x, half_y = (side / 2 for side in scene.wall.size)
-    corners = np.array([[x, y, 0.0] for x in (-half_x, half_x) for y in (-half_y, half_y)])
+    # curved walls send their corners a little elsewhere
+    return min(lens_radius, 1.1 * float(np.linalg.norm(_corners(scene, o)[0], axis=1).max()))
+
+
+def _corners(scene: Scene, o: Array) -> tuple[Array, Array]:
+    """Where light from O by a flat wall's corners meets the lens's plane, and how far along.
+
+    Corners (4, 2), m along the camera's axes, in turn; and the shares (4,) of the straight line
+    from the mirrored O by each corner, 1 at the corner, below 0 where it leads away from the lens.
+    """
+    half_x, half_y = (side / 2 for side in scene.wall.size or (math.inf, math.inf))
+    corners = np.array([[1, 1, 0.0], [-1, 1, 0.0], [-1, -1, 0.0], [1, -1, 0.0]])
     centre, axis = np.array(scene.camera.position), scene.camera.axis
     mirrored = o * (1.0, 1.0, -1.0)
-    lines = corners - mirrored
-    on_lens = mirrored + ((centre - mirrored) @ axis / (lines @ axis))[:, None] * lines
-    # curved walls send their corners a little elsewhere
-    return min(lens_radius, 1.1 * float(np.linalg.norm(on_lens - centre, axis=1).max()))
+    lines = corners * (half_x, half_y, 1.0) - mirrored
+    share = (centre - mirrored) @ axis / (lines @ axis)
+    e1, e2, _ = scene.camera.frame
+    on_lens = (mirrored + share[:, None] * lines - centre) @ np.stack([e1, e2], axis=1)
+    return on_lens, share
+
+
+def _aperture(scene: Scene, o: Array, radius: float, zoom: float) -> Aperture:
+    """The lens as far as light from O by a flat wall reaches it, in the exit pupil."""
+    disc = ((0.0, 0.0), min(radius, abs(zoom) * scene.camera.stop_diameter / 2))
+    if scene.wall.size is None:
+        return Aperture.discs([disc])
+    if not scene.wall.is_flat:
+        raise SamplingError(
+            "nodes = 'cells' follow the edge of a flat wall, and this one is curved; use "
+            "nodes='grid', or 'polar' where the wall holds the whole cone"
+        )
+    corners, share = _corners(scene, o)
+    if share.min() <= 0:
+        raise SamplingError(
+            "light by a corner of the wall never meets the lens's plane, so the edge has no closed "
+            "image there; use nodes='grid'"
+        )
+    return Aperture.discs([disc], within=corners * zoom)
 
 
 def _pupil_nodes(
-    nodes: str | ArrayLike, samples: int | tuple[int, int] | None, radius: float
+    nodes: str | ArrayLike,
+    samples: int | tuple[int, int] | None,
+    radius: float,
+    aperture: Aperture | None,
 ) -> tuple[Layout, Array, Array, Array]:
     """Layout, coordinates and areas of the pupil nodes asked for."""
     if not isinstance(nodes, str):
@@ -252,7 +293,11 @@ def _pupil_nodes(
         u, v = points[:, 0].copy(), points[:, 1].copy()
         area = math.pi * radius**2 / len(u)
         return "scattered", u, v, np.where(np.hypot(u, v) <= radius * (1 + 1e-9), area, 0.0)
-    one_of("nodes", nodes, ("polar", "grid"))
+    one_of("nodes", nodes, ("polar", "cells", "grid"))
+    if aperture is not None:
+        samples = CELL_SAMPLES if samples is None else samples
+        n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
+        return "cells", *aperture.nodes(n_s, n_t)
     if nodes == "grid":
         if isinstance(samples, tuple):
             raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
@@ -265,12 +310,14 @@ def _pupil_nodes(
 
 def _share_on_wall(wall: Wall, hits: Array, lit: NDArray[np.bool_], layout: Layout) -> Array:
     """Part of every node's area whose light meets the wall."""
+    if layout == "cells":
+        return np.ones(lit.shape)  # they follow the edge
     share = np.zeros(lit.shape)
     share[lit] = wall.contains(hits[:, 0], hits[:, 1])
     if layout == "polar" and not share.all():
         raise SamplingError(
             f"the wall's edge cuts {100 * (1 - share.mean()):.1f} % of the pupil, which polar "
-            "nodes cannot follow; use nodes='grid'"
+            "nodes cannot follow; use nodes='cells', or nodes='grid' for a curved wall"
         )
     if layout == "grid" and wall.size is not None:
         index = np.cumsum(lit).reshape(lit.shape) - 1

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from . import rims
+from . import rim_tails, rims
 from .pupil_grids import PupilGrid
 from .residuals import Residual
 
@@ -70,11 +70,14 @@ def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tupl
     - A softened rim errs by `rims.leak` twice, damping and repeat, and by the aberration's
       curvature, which is not continued beyond the rim.
     - A map is taken at its word: its samples are the pupil, and their sum is exact.
+
+    The rims of an aperture send light by `rim_tails.tail`, whose repeats add up to 3.3 of the
+    first, and a square of the grid that two of its cells share counts as one's.
     """
     wave = residual.wavefront
     unit = residual.airy_unit
     n = 2 * wave.pupil_radius / grid.pitch
-    edges = 1 / (1 - wave.obscuration)  # length of both rims over area
+    edges = rim_tails.edge_ratio(wave)
     period = _period(residual, grid)
     shift = residual.shift
     dx, dy = np.abs(x - shift[0]), np.abs(y - shift[1])[:, None]
@@ -82,6 +85,17 @@ def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tupl
     steep = 2 * math.pi * grid.jump
     if grid.rim == "map":
         return np.zeros_like(distance), 0.0
+    if wave.aperture is not None:
+        aperture, scale = wave.aperture, wave.wavelength * abs(wave.image_distance)
+        field = np.minimum(1.65 * (distance / period) ** 2, 2.0) * rim_tails.tail(
+            aperture, dx / scale, dy / scale
+        )
+        for a, b, along in ((period - dx, dy, dx), (dx, period - dy, dy)):
+            repeat = rim_tails.tail(aperture, a / scale, b / scale)
+            field += 3.3 * repeat * np.abs(np.sinc(1 - along / period))
+        mixed = residual.mixed_area
+        field += edges * steep / (2 * n) + mixed
+        return field, math.inf
     if grid.rim == "cut":
         field = np.minimum(1.65 * (distance / period) ** 2, 2.0) * tail(distance / unit)
         field += tail(np.hypot(period - dx, dy) / unit) * np.abs(np.sinc(1 - dx / period))
@@ -121,7 +135,7 @@ def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
     """
     if grid.rim != "cut":
         return 0.0
-    edges = 1 / (1 - residual.wavefront.obscuration)
+    edges = rim_tails.edge_ratio(residual.wavefront)
     return 1.34 * residual.airy_unit * pixel / _period(residual, grid) ** 2 * edges
 
 

@@ -16,8 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
+from ..errors import SamplingError
+from .cell_spectra import NEAREST
 from .local_fits import LocalFits, terms
 from .nodes import gauss_legendre
+from .outlines import cross
 from .residuals import Residual
 from .windows import Window
 
@@ -75,6 +78,8 @@ def seconds(residual: Residual, window: Window) -> float:
     if residual.wavefront.layout == "polar":
         n_r, n_theta = _ray_counts(residual, window)
         return 2e-2 + 4e-7 * n_r * n_theta
+    if residual.wavefront.layout == "cells":
+        return 2e-2 + 4e-7 * len(residual.aberration) * _patch_rays(residual, window) ** 2
     return 2e-2 + 2e-5 * residual.wavefront.u.size
 
 
@@ -126,6 +131,13 @@ def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]
     """Boxes of all rays, or of a share of them along each side."""
     if residual.wavefront.layout == "polar":
         return _polar_boxes(residual, window, share)
+    if residual.wavefront.layout == "cells":
+        return _cell_boxes(residual, window, share)
+    if residual.wavefront.aperture is not None and len(residual.wavefront.aperture.cells) > 1:
+        raise SamplingError(
+            "the rays of a grid have slopes between neighbours, which the cells of its aperture "
+            "do not share; sample it with nodes='cells'"
+        )
     return _local_boxes(residual, window, share)
 
 
@@ -172,6 +184,49 @@ def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
         _blur(residual, uu.ravel(), uv.ravel(), vv.ravel(), doubt),
         rays.energy[:-1].ravel(),
     )
+
+
+def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
+    """Cells of a fine mesh of every patch."""
+    wave, aperture = residual.wavefront, residual.aperture
+    n = _patch_rays(residual, window, share)
+    n_patches = len(residual.aberration)
+    fits_memory(f"{n_patches} x {n} x {n} rays", 400.0 * n_patches * n * n, "use a wider pitch")
+    rays = residual.traced(n_patches, n, n)
+    fraction, weights = gauss_legendre(n)
+    s, t = np.concatenate([[NEAREST], fraction, [1.0]]), np.concatenate([[0.0], fraction, [1.0]])
+    _, along_s, along_t = (a[:, 1:-1, 1:-1] for a in aperture.map(s, t))
+    inner = np.s_[:, 1:-1, 1:-1]
+    over_s = [np.gradient(a, s, axis=1)[inner] for a in (rays.x, rays.y)]
+    over_t = [np.gradient(a, t, axis=2)[inner] for a in (rays.x, rays.y)]
+    width_x, width_y = (
+        np.hypot(a * weights[:, None], b * weights) for a, b in zip(over_s, over_t, strict=True)
+    )
+    d = wave.image_distance
+    scale = d * cross(along_s, along_t)
+    uu, uv, vv = (
+        (over_s[0] * along_t[..., 1] - over_t[0] * along_s[..., 1]) / scale,
+        (over_t[0] * along_s[..., 0] - over_s[0] * along_t[..., 0]) / scale,
+        (over_t[1] * along_s[..., 0] - over_s[1] * along_t[..., 0]) / scale,
+    )
+    most, least = max(residual.aberration.shape[1:]), min(aperture.patch_size)
+    doubt = abs(d) * residual.series.truncation() * most / least
+    yield _Boxes(
+        rays.x[inner].ravel(),
+        rays.y[inner].ravel(),
+        width_x.ravel(),
+        width_y.ravel(),
+        _blur(residual, uu.ravel(), uv.ravel(), vv.ravel(), doubt),
+        rays.energy[inner].ravel(),
+    )
+
+
+def _patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
+    """Rays along each side of a patch, about a quarter of a pixel apart."""
+    n_patches, *own = residual.aberration.shape
+    n = 4 * residual.rays.reach / window.pitch + 64
+    wanted = math.ceil(share * min(n, 2 * MOST_RADII / math.sqrt(n_patches)))
+    return int(max(*own, wanted))
 
 
 def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, one_of
 from ..errors import SamplingError, SceneError
-from .nodes import polar_nodes
+from . import quadrature
 from .residuals import Residual, split
 from .wavefronts import Wavefront
 
@@ -89,7 +89,8 @@ def huygens_point_spread(
     Parameters
     ----------
     wavefront : Wavefront
-        Any layout; polar nodes are refined as the points need. ``removed`` is not put back.
+        Any layout; polar nodes and cells are refined as the points need. ``removed`` is not put
+        back.
     points : array_like
         (..., 3), m, see `SurfacePointSpread`; on the image's side of the pupil.
     normalisation : {"ideal-peak", "irradiance"}
@@ -202,10 +203,13 @@ def check_points(wave: Wavefront, points: Array, pupil: Pupil) -> None:
         )
 
 
-def node_counts(residual: Residual, points: Array) -> tuple[int, int]:
-    """Polar nodes for the phase slopes toward the points; see `quadrature.node_counts`."""
+def node_counts(residual: Residual, points: Array) -> tuple[int, ...]:
+    """Shape of the nodes for the phase slopes toward points; see `quadrature.node_counts`."""
     wave = residual.wavefront
     slope = steepness(residual, points) + residual.rays.slope
+    if wave.layout == "cells":
+        n_patches, n_s, n_t = quadrature.cell_counts(residual, slope, 1e-9)
+        return n_patches, n_s + 8, n_t + 8
     v = residual.wavenumber * wave.pupil_radius * slope
     degree_r, degree_theta = residual.series.degrees(1e-9 / residual.wavenumber)
     if not residual.is_uniform:
@@ -239,19 +243,22 @@ def steepness(residual: Residual, points: Array) -> float:
 
 def seconds(residual: Residual, points: Array) -> float:
     """Expected run time on two cores, order of magnitude."""
-    polar = residual.wavefront.layout == "polar"
-    count = math.prod(node_counts(residual, points)) if polar else residual.wavefront.u.size
+    refined = residual.wavefront.is_spectral
+    count = math.prod(node_counts(residual, points)) if refined else residual.wavefront.u.size
     return 1e-2 + 1.5e-8 * count * len(points)
 
 
 def _nodes(residual: Residual, points: Array) -> tuple[_Nodes, _Nodes | None]:
     """Nodes to sum over, and better ones for the error estimate; none where there is no error."""
     wave = residual.wavefront
-    if wave.layout == "polar":
-        n_r, n_theta = node_counts(residual, points)
-        return (
-            _refined(residual, n_r, n_theta),
-            _refined(residual, math.ceil(1.3 * n_r), math.ceil(1.3 * n_theta)),
+    if wave.is_spectral:
+        counts = node_counts(residual, points)
+        more = (math.ceil(1.3 * n) for n in counts[-2:])
+        return _refined(residual, counts), _refined(residual, (*counts[:-2], *more))
+    if wave.aperture is not None:
+        raise SamplingError(
+            "spherical waves from the grid of an aperture have no reference to judge their error "
+            "by; sample it with nodes='cells'"
         )
     _check_steps(residual, points)
     lit = wave.amplitude * wave.weights > 0
@@ -274,17 +281,19 @@ def _nodes(residual: Residual, points: Array) -> tuple[_Nodes, _Nodes | None]:
     return own, _gathered(residual, a, b, path + doubt, amplitude, weights)
 
 
-def _refined(residual: Residual, n_r: int, n_theta: int) -> _Nodes:
+def _refined(residual: Residual, counts: tuple[int, ...]) -> _Nodes:
     wave = residual.wavefront
     fits_memory(
-        f"{n_r} x {n_theta} pupil nodes", 150.0 * n_r * n_theta, "give points nearer to the focus"
+        f"{' x '.join(map(str, counts))} pupil nodes",
+        150.0 * math.prod(counts),
+        "give points nearer to the focus",
     )
-    u, v, weights = polar_nodes(wave.pupil_radius, n_r, n_theta, wave.obscuration)
+    u, v, weights = wave.nodes(*counts)
     if residual.is_uniform:
         amplitude = np.full_like(u, wave.amplitude.flat[0])
     else:
-        amplitude = residual.amplitude_series.at_nodes(n_r, n_theta)
-    return _gathered(residual, u, v, residual.series.at_nodes(n_r, n_theta), amplitude, weights)
+        amplitude = residual.amplitude_series.at_nodes(*counts)
+    return _gathered(residual, u, v, residual.series.at_nodes(*counts), amplitude, weights)
 
 
 def _gathered(

@@ -26,6 +26,8 @@ Surface = Callable[[Array, Array], Array]
 LEAST_SAMPLES = 512
 #: Waves, peak to valley, below which rays are not tried.
 MANY_WAVES = 20
+#: Pixel in Airy units, up to which beats are taken not to average out.
+NO_BEATS = 0.8
 #: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
 NEGLIGIBLE = 1e-10
 
@@ -67,6 +69,8 @@ class Task:
     def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
         """`estimates.intensity_error` on these pixels."""
         pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
+        if self.residual.wavefront.aperture is not None:
+            pixel = min(pixel, NO_BEATS)  # its lobes may be wider than the Airy unit says
         return estimates.intensity_error(
             intensity, field_error, energy_error, pixel=pixel, level=self.level
         )
@@ -105,6 +109,11 @@ class Result:
 
 def transform(task: Task, method: str) -> Result:
     """Run one transform."""
+    if method in ("fft", "mdft") and task.residual.wavefront.layout == "cells":
+        raise SamplingError(
+            f"{method} needs a grid, and this wavefront is sampled on cells; use "
+            "method='quadrature', or sample it with nodes='grid'"
+        )
     if method == "huygens":
         return _huygens(task)
     run: dict[str, Callable[[Task], tuple[Array, float]]] = {
@@ -150,6 +159,8 @@ def _candidates(task: Task) -> list[tuple[float, str]]:
             return [(airy.seconds(task.samples), "airy")]  # none is faster
         found.append((quadrature.seconds(residual, task.samples), "quadrature"))
         found.append((_grid_seconds(task), "fft"))
+    elif layout == "cells":
+        found.append((quadrature.seconds(residual, task.samples), "quadrature"))
     elif layout == "scattered":
         found = [(nufft.seconds(residual.wavefront.u.size, task.samples), "nufft")]
     else:
@@ -178,8 +189,8 @@ def _airy(task: Task) -> tuple[Array, float]:
     residual = task.residual
     if residual.wavefront.layout != "polar":
         raise SamplingError(
-            "the closed form needs a polar wavefront, whose rim is known exactly; sample it with "
-            "nodes='polar', or use method='mdft'"
+            "the closed form needs a polar wavefront, whose rim is a circle; sample it with "
+            f"nodes='polar', or use method='{_sum_of(residual)}'"
         )
     bound = airy.error_bound(residual)
     if math.isinf(bound):
@@ -194,12 +205,11 @@ def _airy(task: Task) -> tuple[Array, float]:
 
 def _quadrature(task: Task) -> tuple[Array, float]:
     residual = task.residual
-    layout = residual.wavefront.layout
-    if layout != "polar":
-        other = "mdft" if layout == "grid" else "nufft"
+    if not residual.wavefront.is_spectral:
         raise SamplingError(
-            f"quadrature needs a polar wavefront and this one is {layout}, which has lost its rim; "
-            f"sample it with nodes='polar', or use method='{other}'"
+            "quadrature needs a polar wavefront, or one of cells, and this one is "
+            f"{residual.wavefront.layout}, which has lost its rim; sample it with "
+            f"nodes='cells' or nodes='polar', or use method='{_sum_of(residual)}'"
         )
     epsilon = quadrature.epsilon(residual, task.samples, task.tol)
     mean = task.means(quadrature.field(residual, task.samples, epsilon))
@@ -284,16 +294,22 @@ def _check_not_scattered(residual: Residual, method: str) -> None:
         )
 
 
+def _sum_of(residual: Residual) -> str:
+    """Transform that takes a layout's nodes as they are."""
+    layout = residual.wavefront.layout
+    return {"cells": "quadrature", "grid": "mdft"}.get(layout, "nufft")
+
+
 def _nufft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     wave = residual.wavefront
-    if wave.layout == "polar":
+    if wave.is_spectral:
         need = quadrature.node_counts(residual, samples, NEGLIGIBLE)
         if need != wave.u.shape:
+            now, wanted = (" x ".join(map(str, n)) for n in (wave.u.shape, need))
             raise SamplingError(
-                f"{wave.u.shape[0]} x {wave.u.shape[1]} polar nodes are too few for this window, "
-                f"which needs {need[0]} x {need[1]}; use wavefront.resampled{need}, a smaller "
-                "shape, or method='quadrature'"
+                f"{now} {wave.layout} nodes are too few for this window, which needs {wanted}; use "
+                f"wavefront.resampled{need[-2:]}, a smaller shape, or method='quadrature'"
             )
     else:
         _check_jump(task, *residual.grid_jump())
@@ -301,7 +317,7 @@ def _nufft(task: Task) -> tuple[Array, float]:
     epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
     mean = task.means(nufft.field(residual, samples, epsilon))
     rounding = 20 * epsilon
-    if wave.layout == "polar":
+    if wave.is_spectral:
         lost = residual.truncation + 10 * NEGLIGIBLE
         return mean, task.bound(mean, lost, lost**2) + rounding
     if wave.layout == "grid":

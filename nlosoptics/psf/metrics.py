@@ -14,7 +14,7 @@ from .._checks import fits_memory, one_of, whole
 from ..errors import SamplingError, SceneError
 from . import quadrature
 from .fits import fitted_terms
-from .nodes import circle_shares, gauss_legendre, polar_nodes
+from .nodes import circle_shares, gauss_legendre
 from .point_spreads import PointSpread
 from .residuals import Residual, split
 from .wavefronts import Wavefront
@@ -32,7 +32,8 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     Parameters
     ----------
     wavefront : Wavefront
-        Polar (exact: more nodes are taken where the phase needs them) or a grid (as sampled).
+        Polar or cells (exact: more nodes are taken where the phase needs them), or a grid or
+        scattered (as sampled).
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms fitted by least squares, weighted by amplitude, and taken out first. Without tilt
         and defocus in it, this is the value at the reference point, not at the peak.
@@ -43,7 +44,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
         ``|sum A w exp(ikW)|^2 / (sum A w)^2``.
     """
     residual = split(_without(wavefront, remove))
-    if residual.wavefront.layout == "polar":
+    if residual.wavefront.is_spectral:
         centre = Window.centred(residual.airy_unit, (1, 1))
         pupil, weights = pupil_function(residual, *quadrature.node_counts(residual, centre))
         total = complex(np.sum(pupil * weights))
@@ -142,8 +143,8 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         residual = split(source)
         if source.layout != "polar":
             raise SamplingError(
-                "the energy of a grid wavefront is summed over its point spread; give "
-                "psf.point_spread(wavefront), or sample it with nodes='polar'"
+                f"the energy of a {source.layout} wavefront is summed over its point spread; give "
+                "psf.point_spread(wavefront), or sample a round pupil with nodes='polar'"
             )
         values = [_energy_within(residual, float(r)) for r in radii.ravel()]
         return np.array(values).reshape(radii.shape)
@@ -245,15 +246,15 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     return replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1))
 
 
-def pupil_function(residual: Residual, n_r: int, n_theta: int) -> tuple[ComplexArray, Array]:
-    """A exp(ikW), tilt included, and weights on polar nodes."""
+def pupil_function(residual: Residual, *counts: int) -> tuple[ComplexArray, Array]:
+    """A exp(ikW), tilt included, and weights on nodes of a shape, see `Wavefront.nodes`."""
     wave = residual.wavefront
-    u, v, weights = polar_nodes(wave.pupil_radius, n_r, n_theta, wave.obscuration)
-    path = residual.series.at_nodes(n_r, n_theta) + residual.tilt[0] * u + residual.tilt[1] * v
+    u, v, weights = wave.nodes(*counts)
+    path = residual.series.at_nodes(*counts) + residual.tilt[0] * u + residual.tilt[1] * v
     amplitude = (
         np.full_like(u, wave.amplitude.flat[0])
         if residual.is_uniform
-        else residual.amplitude_series.at_nodes(n_r, n_theta)
+        else residual.amplitude_series.at_nodes(*counts)
     )
     return amplitude * np.exp(1j * residual.wavenumber * path), weights
 
@@ -295,7 +296,8 @@ def _overlap(residual: Residual, frequency: float, azimuth: float) -> float:
     if shift >= 2 * a:
         return 0.0
     v = 2 * residual.wavenumber * residual.rays.slope * a
-    n = math.ceil(0.6 * v) + 32 + residual.series.n_r
+    series, amplitude = residual.polar_series
+    n = math.ceil(0.6 * v) + 32 + series.n_r
     fraction, share = gauss_legendre(n)
     # Across: y = a sin t; along: half width a cos t - shift/2. Both are smooth up to the tips.
     widest = math.acos(shift / (2 * a))
@@ -309,9 +311,9 @@ def _overlap(residual: Residual, frequency: float, azimuth: float) -> float:
     for side in (0.5, -0.5):
         p = along + side * shift
         u, w = c * p - s * across, s * p + c * across
-        pupil = np.exp(1j * residual.wavenumber * residual.series.at(u, w, 1e-13))
-        if not residual.is_uniform:
-            pupil = pupil * residual.amplitude_series.at(u, w, 1e-13)
+        pupil = np.exp(1j * residual.wavenumber * series.at(u, w, 1e-13))
+        if amplitude is not None:
+            pupil = pupil * amplitude.at(u, w, 1e-13)
         pair.append(pupil)
     total = abs(complex(np.sum(area * pair[0] * np.conj(pair[1]))))
     if residual.is_uniform:

@@ -106,10 +106,10 @@ def point_spread(
     method : str
         ``auto`` is the cheapest whose estimated error is at most ``tol``.
 
-        - ``quadrature`` sums polar nodes exactly, as many as the window needs.
+        - ``quadrature`` sums polar nodes, or those of cells, exactly, as many as the window needs.
         - ``fft`` zero-pads a grid, ``mdft`` takes a grid to any pitch. A polar wave is put on a
           grid for them, by ``fft`` as fine as ``tol`` asks where the aberration is a polynomial; a
-          grid is never put on polar nodes.
+          grid is never put on polar nodes, nor cells on a grid.
         - ``nufft`` sums the nodes as they are, scattered ones and traced rays too.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is where rays land, diffraction left out; ``auto`` tries it above 20 waves

@@ -52,7 +52,8 @@ def pupil_grid(residual: Residual) -> PupilGrid:
     wave = residual.wavefront
     size = wave.amplitude * wave.weights / residual.amplitude_sum
     values = size * np.exp(1j * residual.wavenumber * residual.aberration)
-    rim: Literal["cut", "map"] = "cut" if np.ptp(wave.weights) > 0 else "map"
+    cut = wave.aperture is not None or np.ptp(wave.weights) > 0
+    rim: Literal["cut", "map"] = "cut" if cut else "map"
     return PupilGrid(values, wave.pupil_pitch, residual.grid_jump()[0], rim)
 
 
@@ -74,7 +75,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     largest = residual.wavenumber * float(np.abs(residual.aberration).max())
     # The phase to 1e-8 rad.
     epsilon = float(np.clip(1e-8 / max(largest, 1.0), 1e-13, 1e-8))
-    amplitude = None if residual.is_uniform else residual.amplitude_series
+    series, amplitude = residual.polar_series
     values = np.zeros((n, n), dtype=np.complex128)
     total = 0.0
     block = max(1, BLOCK // n)
@@ -90,7 +91,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
             pupil = part.astype(np.complex128)
         else:
             u, v = axis[columns] * pitch, y[rows, 0] * pitch
-            path, transmitted = values_at(residual.series, amplitude, u, v, epsilon)
+            path, transmitted = values_at(series, amplitude, u, v, epsilon)
             if transmitted is not None:
                 part = part * transmitted
             pupil = part * np.exp(1j * residual.wavenumber * path)

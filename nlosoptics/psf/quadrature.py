@@ -1,4 +1,4 @@
-"""Exact sum over polar pupil nodes, by a non-uniform fast Fourier transform."""
+"""Exact sum over polar pupil nodes or those of cells, by a non-uniform fast Fourier transform."""
 
 from __future__ import annotations
 
@@ -9,24 +9,26 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory
 from . import nufft
-from .nodes import polar_nodes
 from .residuals import Residual
 from .windows import Window
 
 ComplexArray = NDArray[np.complex128]
 
 
-def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, int]:
-    """Radii and angles at which the rule has converged to rounding.
+def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, ...]:
+    """Shape of the nodes (see `Wavefront.nodes`) with which the rule has converged to rounding.
 
     With v the largest phase slope across the radius, ``0.29 v + 7`` Gauss-Legendre radii and
     ``v + 12 v^(1/3)`` angles integrate exp(i v rho cos) to 3e-15; the degree of the aberration's
-    own series is added, as far as its terms pass the ``threshold``, rad.
+    own series is added, as far as its terms pass the ``threshold``, rad. Patches of cells, see
+    `cell_counts`.
     """
     wave = residual.wavefront
     r_max = math.hypot(*window.reach_from(residual.shift))
-    v = math.pi * r_max / residual.airy_unit
-    v += residual.wavenumber * residual.rays.slope * wave.pupil_radius
+    slope = r_max / abs(wave.image_distance) + residual.rays.slope
+    if wave.layout == "cells":
+        return cell_counts(residual, slope, threshold)
+    v = residual.wavenumber * slope * wave.pupil_radius
     degree_r, degree_theta = residual.series.degrees(threshold / residual.wavenumber)
     if not residual.is_uniform:
         more_r, more_theta = residual.amplitude_series.degrees(threshold)
@@ -38,22 +40,43 @@ def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) ->
     )
 
 
+def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int, int, int]:
+    """The same of patches, for the largest slope dW/du of the whole phase.
+
+    With v the phase along the longest line of any patch, ``v/4 + 3.1 v^(1/3) + 6`` Gauss-Legendre
+    nodes integrate exp(i v s) to 1e-15; the map's own bend and the degree of the series are added.
+    """
+    n_patches = len(residual.aberration)
+    degrees = residual.series.degrees(threshold / residual.wavenumber)
+    if not residual.is_uniform:
+        more = residual.amplitude_series.degrees(threshold)
+        degrees = degrees[0] + more[0], degrees[1] + more[1]
+    counts = [
+        max(own, math.ceil(v / 4 + 3.1 * v ** (1 / 3) + 6 + degree / 2))
+        for own, degree, v in zip(
+            residual.wavefront.u.shape[1:],
+            degrees,
+            (residual.wavenumber * slope * size for size in residual.aperture.patch_size),
+            strict=True,
+        )
+    ]
+    return n_patches, counts[0], counts[1]
+
+
 def epsilon(residual: Residual, window: Window, tol: float) -> float:
     """Relative accuracy to ask of the transform: all digits where they cost little."""
-    n_r, n_theta = node_counts(residual, window)
-    return nufft.epsilon(n_r * n_theta, window, tol)
+    return nufft.epsilon(math.prod(node_counts(residual, window)), window, tol)
 
 
 def n_bytes(residual: Residual, window: Window) -> float:
     """Peak memory of `field`."""
-    n_r, n_theta = node_counts(residual, window)
-    return nufft.n_bytes(n_r * n_theta, window)
+    return nufft.n_bytes(math.prod(node_counts(residual, window)), window)
 
 
 def seconds(residual: Residual, window: Window) -> float:
     """Expected run time of `field` on one core, order of magnitude."""
-    n_r, n_theta = node_counts(residual, window)
-    return 1e-3 + 2e-7 * n_r * n_theta + 6e-8 * window.shape[0] * window.shape[1]
+    n_nodes = math.prod(node_counts(residual, window))
+    return 1e-3 + 2e-7 * n_nodes + 6e-8 * window.shape[0] * window.shape[1]
 
 
 def field(residual: Residual, window: Window, epsilon: float = nufft.BEST) -> ComplexArray:
@@ -63,18 +86,19 @@ def field(residual: Residual, window: Window, epsilon: float = nufft.BEST) -> Co
     ``epsilon`` is the error of the transform, rms relative to the field's.
     """
     wave = residual.wavefront
-    n_r, n_theta = node_counts(residual, window)
+    counts = node_counts(residual, window)
     fits_memory(
-        f"quadrature over {n_r} x {n_theta} nodes to {window.shape[0]} x {window.shape[1]} points",
+        f"quadrature over {' x '.join(map(str, counts))} nodes to {window.shape[0]} x "
+        f"{window.shape[1]} points",
         n_bytes(residual, window),
         "use a smaller shape, or method='fft'",
     )
-    u, v, weights = polar_nodes(wave.pupil_radius, n_r, n_theta, wave.obscuration)
+    u, v, weights = wave.nodes(*counts)
     path = np.zeros_like(u)
     if np.any(residual.aberration):
-        path = residual.series.at_nodes(n_r, n_theta)
+        path = residual.series.at_nodes(*counts)
     if residual.is_uniform:
         size = weights / weights.sum()
     else:
-        size = residual.amplitude_series.at_nodes(n_r, n_theta) * weights / residual.amplitude_sum
+        size = residual.amplitude_series.at_nodes(*counts) * weights / residual.amplitude_sum
     return nufft.image_field(residual, u, v, path, size, window, epsilon)

@@ -11,6 +11,9 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import SamplingError
+from .apertures import Aperture
+from .cell_spectra import CellSpectrum
 from .fits import fitted_terms, projection
 from .local_fits import LocalFits, local_fits
 from .nodes import KEPT, frozen, kept_polar_nodes
@@ -88,6 +91,8 @@ class Residual:
     def half_width(self) -> float:
         """Farthest light in u or v from the axis, m; it limits the image's bandwidth."""
         wave = self.wavefront
+        if wave.aperture is not None:
+            return wave.aperture.half_width
         if wave.layout == "polar":
             return wave.pupil_radius
         lit = wave.amplitude * wave.weights > 0
@@ -117,16 +122,44 @@ class Residual:
         return bool(np.ptp(self.wavefront.amplitude) == 0)
 
     @cached_property
-    def series(self) -> PolarSpectrum:
-        """Legendre-Fourier series of the residual aberration of a polar wavefront."""
-        wave = self.wavefront
-        return PolarSpectrum(self.aberration, wave.pupil_radius, wave.obscuration)
+    def series(self) -> PolarSpectrum | CellSpectrum:
+        """Series of the residual aberration of a polar wavefront or one of cells."""
+        return self.wavefront.series(self.aberration)
 
     @cached_property
-    def amplitude_series(self) -> PolarSpectrum:
+    def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
         """The same of the amplitude."""
-        wave = self.wavefront
-        return PolarSpectrum(wave.amplitude, wave.pupil_radius, wave.obscuration)
+        return self.wavefront.series(self.wavefront.amplitude)
+
+    @property
+    def aperture(self) -> Aperture:
+        """Outline of the pupil of a wavefront that has one.
+
+        Raises
+        ------
+        SamplingError
+            If it has none.
+        """
+        aperture = self.wavefront.aperture
+        if aperture is None:
+            raise SamplingError("this wavefront has no aperture; sample it with nodes='cells'")
+        return aperture
+
+    @property
+    def polar_series(self) -> tuple[PolarSpectrum, PolarSpectrum | None]:
+        """Series of a polar wavefront's residual aberration, and of its amplitude if it varies.
+
+        Raises
+        ------
+        SamplingError
+            If the wavefront is not polar.
+        """
+        pair = self.series, None if self.is_uniform else self.amplitude_series
+        if isinstance(pair[0], CellSpectrum) or isinstance(pair[1], CellSpectrum):
+            raise SamplingError(
+                "this wavefront of cells cannot be put on a grid; sample it with nodes='grid'"
+            )
+        return pair[0], pair[1]
 
     @cached_property
     def local(self) -> LocalFits:
@@ -143,8 +176,8 @@ class Residual:
 
     @cached_property
     def truncation(self) -> float:
-        """Relative error of the pupil function for lack of polar nodes, at worst."""
-        if self.wavefront.layout != "polar":
+        """Relative error of the pupil function for lack of polar or cell nodes, at worst."""
+        if not self.wavefront.is_spectral:
             return 0.0
         amplitude = 0.0
         if not self.is_uniform:
@@ -153,9 +186,9 @@ class Residual:
 
     @cached_property
     def rays(self) -> Rays:
-        """One ray from every node, and from the rim of a polar wavefront."""
+        """One ray from every node, and from the rims of a polar wavefront or of patches."""
         wave = self.wavefront
-        if wave.layout == "polar":
+        if wave.is_spectral:
             return self.traced(*wave.u.shape)
         if wave.layout == "scattered":
             lit = self.local.indices
@@ -163,33 +196,70 @@ class Residual:
             return self._landing(du, dv, wave.amplitude[lit] ** 2 * wave.weights[lit])
         return self._landing(*self._grid_slopes())
 
-    def traced(self, n_r: int, n_theta: int) -> Rays:
-        """Rays of a polar wavefront from (n_r, n_theta) nodes and from the rim."""
+    def traced(self, *counts: int) -> Rays:
+        """Rays from nodes of a shape (see `Wavefront.nodes`), or the present ones, and rims."""
         wave = self.wavefront
-        if wave.u.shape == (n_r, n_theta) and self.is_uniform and not np.any(self.aberration):
-            flat = np.zeros((n_r + 1, n_theta))
+        polar = wave.layout == "polar"
+        if polar and wave.u.shape == counts and self.is_uniform and not np.any(self.aberration):
+            flat = np.zeros((counts[0] + 1, counts[1]))
             return self._landing(flat, flat, np.vstack([wave.weights, flat[:1]]))
-        n_r, n_theta = max(n_r, self.series.n_r), max(n_theta, self.series.n_theta)
-        du, dv, energy = self.series.slopes(n_r, n_theta)
+        counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
+        du, dv, energy = self.series.slopes(*counts)
         if not self.is_uniform:
-            energy[:-1] *= self.amplitude_series.at_nodes(n_r, n_theta) ** 2
+            inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
+            energy[inner] *= self.amplitude_series.at_nodes(*counts) ** 2
         return self._landing(du, dv, energy)
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
         d = self.wavefront.image_distance
         return Rays(du * d, dv * d, energy / energy.sum(), float(np.hypot(du, dv).max()))
 
+    @cached_property
+    def _grid_cells(self) -> tuple[NDArray[np.int64], float]:
+        """Labels of a grid's squares, the same within a cell, and what `mixed_area` counts.
+
+        Squares that cells share have labels of their own, since whose wave they hold is chance.
+        """
+        wave = self.wavefront
+        if wave.aperture is None or len(wave.aperture.cells) == 1:
+            return np.zeros(wave.u.shape, dtype=np.int64), 0.0
+        total, most, owners = wave.aperture.grid_shares(wave.u.shape[0], wave.pupil_pitch)
+        shared = total - most
+        labels = np.where(shared > 1e-9, -1 - np.arange(owners.size).reshape(owners.shape), owners)
+        # how far apart the waves of neighbours in different cells are
+        wide = 0.0
+        phase = np.exp(1j * self.wavenumber * self.aberration)
+        for axis in (0, 1):
+            step = np.abs(np.diff(phase, axis=axis))
+            lit = np.take(total, range(1, len(total)), axis) > 0
+            lit &= np.take(total, range(len(total) - 1), axis) > 0
+            across = lit & (np.diff(owners, axis=axis) != 0)
+            wide = max(wide, float(np.max(step, where=across, initial=0.0)))
+        return labels, wide * float(np.sum(shared) / np.sum(total))
+
+    @property
+    def mixed_area(self) -> float:
+        """Share of the pupil in squares of a grid that hold the wave of another of its cells.
+
+        Times the largest difference of neighbouring cells' pupil functions, 2 at most.
+        """
+        return self._grid_cells[1]
+
     def grid_jump(self) -> tuple[float, tuple[int, ...]]:
-        """Largest step of the residual between lit neighbours, waves, and its pixel or node."""
+        """Largest step of the residual between lit neighbours, waves, and its pixel or node.
+
+        Cells of an aperture may stand at any height.
+        """
         wave = self.wavefront
         if wave.layout == "scattered":
             node = int(self.local.indices[self.local.jump_at])
             return self.local.jump / wave.wavelength, (node,)
-        lit = wave.amplitude * wave.weights > 0
+        lit, (owners, _) = wave.amplitude * wave.weights > 0, self._grid_cells
         worst, where = 0.0, (0, 0)
         for axis in (0, 1):
             jump = np.abs(np.diff(self.aberration, axis=axis))
             both = lit[1:] & lit[:-1] if axis == 0 else lit[:, 1:] & lit[:, :-1]
+            both = both & (np.diff(owners, axis=axis) == 0)
             jump = np.where(both, jump, 0.0)
             if jump.size and jump.max() > worst:
                 worst = float(jump.max())
@@ -205,9 +275,10 @@ class Residual:
         slopes = []
         for axis in (1, 0):
             surface = np.moveaxis(self.aberration, axis, 1)
-            mask = np.moveaxis(lit, axis, 1)
-            step = np.where(mask[:, 1:] & mask[:, :-1], np.diff(surface, axis=1), 0.0)
-            count = (mask[:, 1:] & mask[:, :-1]).astype(np.float64)
+            mask, owner = np.moveaxis(lit, axis, 1), np.moveaxis(self._grid_cells[0], axis, 1)
+            both = mask[:, 1:] & mask[:, :-1] & (np.diff(owner, axis=1) == 0)
+            step = np.where(both, np.diff(surface, axis=1), 0.0)
+            count = both.astype(np.float64)
             total, pairs = np.zeros_like(surface), np.zeros_like(surface)
             total[:, 1:] += step
             total[:, :-1] += step

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import SamplingError, SceneError
 from . import quadrature
 from .metrics import pupil_function, spectrum_along
-from .nodes import polar_nodes
 from .point_spreads import PointSpread, point_spread
 from .residuals import split
 from .wavefronts import Wavefront
@@ -49,7 +48,7 @@ def spot_radius(wavefront: Wavefront) -> float:
     Parameters
     ----------
     wavefront : Wavefront
-        Polar or grid.
+        Of any layout.
     """
     rays = split(wavefront).rays
     x, y = (float((rays.energy * v).sum()) for v in (rays.x, rays.y))
@@ -129,7 +128,7 @@ def peak_strehl(wavefront: Wavefront) -> float:
     Parameters
     ----------
     wavefront : Wavefront
-        Polar, or a grid as sampled.
+        Polar or cells, or a grid as sampled.
 
     Returns
     -------
@@ -142,9 +141,9 @@ def peak_strehl(wavefront: Wavefront) -> float:
     centred = replace(wave, aberration=residual.aberration)
     found = point_spread(centred, pitch=unit / 3, normalisation="ideal-peak", tol=0.05)
     row, column = np.unravel_index(int(np.argmax(found.intensity)), found.shape)
-    if wave.layout == "polar":
+    if wave.is_spectral:
         counts = quadrature.node_counts(split(centred), Window.centred(unit / 3, found.shape))
-        u, v, weights = polar_nodes(wave.pupil_radius, *counts, wave.obscuration)
+        u, v, weights = wave.nodes(*counts)
         pupil, _ = pupil_function(split(centred), *counts)
         pupil = pupil * weights
     else:

@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
+from ..errors import SamplingError
 from .nodes import grid_nodes
 from .residuals import Residual
+from .rim_tails import edge_ratio
 from .spectra import values_at
 
 Array = NDArray[np.float64]
@@ -54,6 +56,11 @@ def transfer(residual: Residual) -> Transfer:
     from a lattice, so that the rim's share of the error divides out.
     """
     wave = residual.wavefront
+    if wave.layout not in ("polar", "grid"):
+        raise SamplingError(
+            f"the transfer function needs a polar wavefront or a grid, and this one is "
+            f"{wave.layout}; sample it with nodes='grid'"
+        )
     if wave.layout == "polar":
         radius, inner = wave.pupil_radius, wave.obscuration * wave.pupil_radius
 
@@ -79,7 +86,8 @@ def transfer(residual: Residual) -> Transfer:
     centre = float(ratio(np.zeros(1), np.zeros(1))[0].real)
     n = 2 * wave.pupil_radius / pitch
     # the spline's error for a wave that turns by jump a cell, and the cells' blunted cusp at 0
-    cusp = 0.3 / (n * (1 - wave.obscuration)) if wave.layout == "grid" else 0.0
+    cusp = (0.3 if wave.aperture is None else 0.6) * edge_ratio(wave) / n
+    cusp = cusp if wave.layout == "grid" else 0.0
     error = (2 * math.pi * jump) ** (ORDER + 1) / 3e4 + cusp
     # the ratio's, measured on waves of low order: at contact, and along the rim
     error += residual.truncation + 0.25 / n**1.5 + 0.6 * jump / n
@@ -117,8 +125,7 @@ def _on_grid(residual: Residual) -> tuple[ComplexArray, Array, float]:
     fits_memory(f"the transfer function of {n} x {n} cells", 400.0 * n * n, "use less aberration")
     u, v, weights = grid_nodes(wave.pupil_radius, n + 1 - n % 2, wave.obscuration)
     lit = weights > 0
-    amplitude = None if residual.is_uniform else residual.amplitude_series
-    path, size = values_at(residual.series, amplitude, u[lit], v[lit], 1e-10)
+    path, size = values_at(*residual.polar_series, u[lit], v[lit], 1e-10)
     pupil = np.zeros(u.shape, dtype=np.complex128)
     pupil[lit] = weights[lit] * np.exp(1j * residual.wavenumber * path)
     if size is not None:

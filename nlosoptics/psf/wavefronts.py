@@ -12,12 +12,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, one_of, positive, real, whole
 from ..errors import SamplingError, SceneError
+from .apertures import Aperture
+from .cell_spectra import CellSpectrum
+from .function_waves import (
+    Nodes,
+    PupilFunction,
+    PupilNodes,
+    nodes_of,
+    sampled,
+    segment_terms,
+    values_on,
+)
 from .nodes import KEPT, fitting_pitch, frozen, grid_nodes, kept_polar_nodes, polar_nodes
 from .spectra import PolarSpectrum
 from .zernikes import ORDERINGS, Ordering, zernike, zernike_order
 
 Array = NDArray[np.float64]
-Layout = Literal["polar", "grid", "scattered"]
+Layout = Literal["polar", "cells", "grid", "scattered"]
+LAYOUTS = ("polar", "cells", "grid", "scattered")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +59,8 @@ class Wavefront:
     ----------
     u, v : ndarray
         Pupil coordinates, m, parallel to the image's x and y. Polar: (n_r, n_theta), radii at
-        Gauss-Legendre nodes of r^2, angles 2 pi j/n_theta. Grid: (n, n), rows are v,
-        ``(arange(n) - n//2) * pitch``. Scattered: (n,).
+        Gauss-Legendre nodes of r^2, angles 2 pi j/n_theta. Cells: (n_patches, n_s, n_t), see
+        `Aperture.nodes`. Grid: (n, n), rows are v, ``(arange(n) - n//2) * pitch``. Scattered: (n,).
     aberration : ndarray
         W, m, positive where the wave has gone a longer path than the reference.
     amplitude : ndarray
@@ -61,12 +73,15 @@ class Wavefront:
     image_distance : float
         From pupil to image, m; negative when the pupil lies behind the image.
     pupil_radius : float
-        m.
+        What the F-number and the flux refer to, m.
     obscuration : float
         Inner radius of an annular pupil as a fraction of the outer.
-    layout : {"polar", "grid", "scattered"}
+    layout : {"polar", "cells", "grid", "scattered"}
     removed : Removed
         What ``aberration`` no longer holds.
+    aperture : Aperture, optional
+        Outline of the pupil, where it is not a disc or ring: that of ``cells``, or what the
+        weights of a grid follow.
 
     Notes
     -----
@@ -84,10 +99,11 @@ class Wavefront:
     obscuration: float = 0.0
     layout: Layout
     removed: Removed = field(default_factory=Removed)
+    aperture: Aperture | None = None
 
     def __post_init__(self) -> None:
         put = object.__setattr__
-        one_of("wavefront.layout", self.layout, ("polar", "grid", "scattered"))
+        one_of("wavefront.layout", self.layout, LAYOUTS)
         hint = "give metres in vacuum"
         in_range("wavefront.wavelength", self.wavelength, 1e-8, 1e-3, unit="m", remedy=hint)
         positive("wavefront.pupil_radius", self.pupil_radius, unit="m")
@@ -96,6 +112,7 @@ class Wavefront:
             raise SceneError("wavefront.image_distance = 0 m; the pupil cannot lie in the image")
         for name in ("wavelength", "image_distance", "pupil_radius", "obscuration"):
             put(self, name, float(getattr(self, name)))
+        self._check_aperture()
         for name in ("u", "v", "aberration", "amplitude", "weights"):
             put(self, name, _owned(name, getattr(self, name), self.layout))
             if getattr(self, name).shape != self.u.shape:
@@ -124,11 +141,12 @@ class Wavefront:
         pupil_radius: float,
         image_distance: float,
         ordering: Ordering = "noll",
-        nodes: Literal["polar", "grid"] = "polar",
+        nodes: Nodes | None = None,
         samples: int | tuple[int, int] | None = None,
         obscuration: float = 0.0,
+        aperture: Aperture | None = None,
     ) -> Wavefront:
-        """Sample a sum of Zernike polynomials on a clear round or annular pupil.
+        """Sample a sum of Zernike polynomials on a clear pupil, round unless an aperture is given.
 
         Parameters
         ----------
@@ -136,23 +154,37 @@ class Wavefront:
             Index to coefficient, m. For Noll and OSA it is the rms over the full disc; for Fringe
             the value at the rim. An obscured pupil keeps the polynomials of the full disc.
         wavelength, pupil_radius, image_distance : float
-            m.
+            m. The polynomials' unit disc has the pupil radius, whatever the aperture.
         ordering : {"noll", "osa", "fringe"}
-        nodes : {"polar", "grid"}
-            Polar nodes are exact and few; a grid is what the Fourier transforms take.
+        nodes : {"polar", "cells", "grid"}, optional
+            Polar nodes, or those of an aperture's cells, are exact and few, and the default; a
+            grid is what the Fourier transforms take.
         samples : int or (int, int), optional
             Polar: radii, with four times as many angles, or (radii, angles); default at least
-            24 x 96. Grid: cells per side, default 512.
+            24 x 96. Cells: nodes per patch along s and t; 12 x 12 by default, and more
+            where the wave needs them. Grid: cells per side, default 512.
         obscuration : float
             Inner radius as a fraction of the outer.
+        aperture : Aperture, optional
+            Outline of the pupil, m.
 
         Returns
         -------
         Wavefront
         """
         one_of("ordering", ordering, ORDERINGS)
-        one_of("nodes", nodes, ("polar", "grid"))
+        nodes = nodes_of(nodes, aperture, obscuration, samples)
         positive("pupil_radius", pupil_radius, unit="m")
+        if aperture is not None:
+            return cls.from_function(
+                lambda u, v: _zernike_sum(coefficients, u, v, pupil_radius, ordering),
+                wavelength=wavelength,
+                image_distance=image_distance,
+                pupil_radius=pupil_radius,
+                aperture=aperture,
+                nodes=nodes,
+                samples=samples,
+            )
         orders = [zernike_order(index, ordering) for index in coefficients]
         degree = max((n for n, _ in orders), default=0)
         if nodes == "grid":
@@ -196,6 +228,97 @@ class Wavefront:
             pupil_radius=pupil_radius,
             obscuration=obscuration,
             layout=nodes,
+        )
+
+    @classmethod
+    def from_function(
+        cls,
+        aberration: PupilFunction | None = None,
+        *,
+        wavelength: float,
+        image_distance: float,
+        pupil_radius: float | None = None,
+        aperture: Aperture | None = None,
+        amplitude: PupilFunction | None = None,
+        pistons: ArrayLike | None = None,
+        tilts: ArrayLike | None = None,
+        nodes: Nodes | None = None,
+        samples: int | tuple[int, int] | None = None,
+        obscuration: float = 0.0,
+    ) -> Wavefront:
+        """Sample functions of the pupil's coordinates on a pupil of any outline.
+
+        Parameters
+        ----------
+        aberration : callable, optional
+            W(u, v), m, of arrays (n,) of u and v, m; smooth over each cell. Default 0.
+        wavelength, image_distance : float
+            m.
+        pupil_radius : float, optional
+            m; default the aperture's bounding radius. Without an aperture, the disc's own.
+        aperture : Aperture, optional
+            Outline; default a disc or ring.
+        amplitude : callable, optional
+            A(u, v), relative. Default 1.
+        pistons : array_like, (n_cells,), optional
+            Path of each of the aperture's cells, m, added to the aberration. A mirror's segment
+            that stands back by h adds 2 h.
+        tilts : array_like, (n_cells, 2), optional
+            Slopes dW/du and dW/dv of each cell about its centroid, added as well.
+        nodes : {"polar", "cells", "grid"}, optional
+            As of `from_zernike`.
+        samples : int or (int, int), optional
+            As of `from_zernike`, but by default as many, up to a limit, as the functions need:
+            what the nodes lack is in the error estimate of every point spread.
+        obscuration : float
+            Of a ring.
+
+        Returns
+        -------
+        Wavefront
+
+        Raises
+        ------
+        SceneError
+            If a function gives no finite number for every node, or an option does not fit.
+        """
+        layout = nodes_of(nodes, aperture, obscuration, samples)
+        if pupil_radius is None:
+            if aperture is None:
+                raise SceneError("pupil_radius is missing; give it, or an aperture")
+            pupil_radius = aperture.bounding_radius
+        positive("pupil_radius", pupil_radius, unit="m")
+        moved = segment_terms(aperture, pistons, tilts)
+
+        def fill(at: PupilNodes) -> tuple[Array, Array]:
+            path = moved(at)
+            if aberration is not None:
+                path = path + values_on("aberration", aberration, at)
+            if amplitude is None:
+                return path, np.ones_like(at.u)
+            return path, values_on("amplitude", amplitude, at)
+
+        found, path, size = sampled(
+            layout,
+            samples,
+            fill,
+            wavenumber=2 * np.pi / positive("wavelength", wavelength, unit="m"),
+            radius=pupil_radius,
+            obscuration=obscuration,
+            aperture=aperture,
+        )
+        return cls(
+            u=found.u,
+            v=found.v,
+            aberration=path,
+            amplitude=size,
+            weights=found.weights,
+            wavelength=wavelength,
+            image_distance=image_distance,
+            pupil_radius=pupil_radius,
+            obscuration=obscuration,
+            layout=layout,
+            aperture=aperture,
         )
 
     @classmethod
@@ -270,60 +393,107 @@ class Wavefront:
         disc = np.pi * self.pupil_radius**2
         return float(np.sum(self.amplitude**2 * self.weights) / disc)
 
-    def resampled(self, n_r: int, n_theta: int) -> Wavefront:
-        """The same wave on more polar nodes, by its Legendre-Fourier series.
+    @property
+    def is_spectral(self) -> bool:
+        """Whether the nodes hold a series, so that more of them can be had: polar and cells."""
+        return self.layout in ("polar", "cells")
+
+    def nodes(self, *counts: int) -> tuple[Array, Array, Array]:
+        """Places and areas of as many nodes of the same pupil; polar and cells.
 
         Parameters
         ----------
-        n_r, n_theta : int
-            Neither below the present count.
+        *counts : int
+            Shape: (n_r, n_theta) of a polar wavefront, (n_patches, n_s, n_t) of cells.
+
+        Returns
+        -------
+        u, v, weights : ndarray
+        """
+        self._require_spectral("have more nodes")
+        if self.aperture is not None:
+            return self.aperture.nodes(*counts[1:])
+        n_r, n_theta = counts
+        return polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
+
+    def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
+        """Series of a function given on the nodes; polar and cells."""
+        self._require_spectral("have a series")
+        if self.aperture is not None:
+            return CellSpectrum(values, self.aperture)
+        return PolarSpectrum(values, self.pupil_radius, self.obscuration)
+
+    def resampled(self, *counts: int) -> Wavefront:
+        """The same wave on more nodes, by its series; polar and cells.
+
+        Parameters
+        ----------
+        *counts : int
+            n_r, n_theta of a polar wavefront, n_s, n_t of each patch of cells; none below the
+            present one.
 
         Returns
         -------
         Wavefront
         """
-        self._require_polar("be resampled")
-        old_r, old_theta = self.u.shape
-        if whole("n_r", n_r) < old_r or whole("n_theta", n_theta) < old_theta:
+        self._require_spectral("be resampled")
+        old = self.u.shape[-2:]
+        new = tuple(whole("count", n) for n in counts)
+        if len(new) != 2 or any(n < o for n, o in zip(new, old, strict=True)):
+            given = " x ".join(map(str, new))
             raise SamplingError(
-                f"{n_r} x {n_theta} polar nodes are fewer than the present {old_r} x {old_theta}; "
+                f"{given} {self.layout} nodes are fewer than the present {old[0]} x {old[1]}; "
                 "resampling only refines"
             )
-        u, v, weights = polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
+        shape = (*self.u.shape[:-2], *new)
+        u, v, weights = self.nodes(*shape)
         return replace(
             self,
             u=u,
             v=v,
             weights=weights,
-            aberration=self._series(self.aberration).at_nodes(n_r, n_theta),
-            amplitude=np.maximum(self._series(self.amplitude).at_nodes(n_r, n_theta), 0.0),
+            aberration=self.series(self.aberration).at_nodes(*shape),
+            amplitude=np.maximum(self.series(self.amplitude).at_nodes(*shape), 0.0),
         )
 
     def truncation(self) -> tuple[float, float]:
-        """What the polar nodes may miss of the aberration, m, and of the amplitude.
+        """What the nodes may miss of the aberration, m, and of the amplitude; polar and cells.
 
-        The sum of the highest terms of the Legendre-Fourier series, about an eighth of them each
-        way.
+        By the highest terms of the series, about an eighth of them each way: their sum on polar
+        nodes, four times their rms on cells.
         """
-        self._require_polar("have a series")
         return (
-            self._series(self.aberration).truncation(),
-            self._series(self.amplitude).truncation(),
+            self.series(self.aberration).truncation(),
+            self.series(self.amplitude).truncation(),
         )
 
-    def _series(self, values: Array) -> PolarSpectrum:
-        return PolarSpectrum(values, self.pupil_radius, self.obscuration)
-
-    def _require_polar(self, what: str) -> None:
-        if self.layout != "polar":
+    def _require_spectral(self, what: str) -> None:
+        if not self.is_spectral:
             raise SamplingError(
-                f"only a polar wavefront can {what}, this one is {self.layout}; sample it with "
-                "nodes='polar'"
+                f"only a polar wavefront, or one of cells, can {what}, this one is {self.layout}; "
+                "sample it with nodes='polar' or 'cells'"
+            )
+
+    def _check_aperture(self) -> None:
+        if self.aperture is None and self.layout == "cells":
+            raise SceneError("wavefront.aperture is missing, whose cells hold the nodes; give it")
+        if self.aperture is not None and self.layout not in ("cells", "grid"):
+            raise SceneError(
+                f"wavefront.aperture with layout '{self.layout}', which does not follow it; use "
+                "'cells' or 'grid'"
+            )
+        if self.aperture is not None and self.obscuration != 0:
+            raise SceneError(
+                f"wavefront.obscuration = {self.obscuration:g} beside an aperture; give it to the "
+                "aperture"
             )
 
     def _check_nodes(self) -> None:
         """Refuse coordinates that are not those of the layout."""
         if self.layout == "scattered":
+            return
+        if self.layout == "cells" and self.aperture is not None:
+            self._check_cells(self.aperture)
             return
         rows, columns = self.u.shape
         if self.layout == "polar":
@@ -343,6 +513,33 @@ class Wavefront:
                 f"{1e-9 * self.pupil_radius:.1g} m; {remedy}"
             )
 
+    def _check_cells(self, aperture: Aperture) -> None:
+        u, v, _ = aperture.nodes(*self.u.shape[1:])
+        if u.shape != self.u.shape:
+            raise SceneError(
+                f"wavefront.u has shape {self.u.shape}; the aperture's {len(u)} patches need "
+                f"{u.shape}"
+            )
+        error = max(float(np.abs(self.u - u).max()), float(np.abs(self.v - v).max()))
+        limit = 1e-9 * aperture.bounding_radius
+        if not error <= limit:
+            raise SceneError(
+                f"wavefront.u, v are {error:.3g} m off the nodes of layout 'cells', limit "
+                f"{limit:.1g} m; take them from aperture.nodes"
+            )
+
+
+def _zernike_sum(
+    coefficients: Mapping[int, float], u: Array, v: Array, radius: float, ordering: Ordering
+) -> Array:
+    """Sum of Zernike polynomials of the unit disc of a radius, m, at (u, v), m."""
+    rho, theta = np.hypot(u, v) / radius, np.arctan2(v, u)
+    total = np.zeros_like(u)
+    for index, value in coefficients.items():
+        height = real(f"coefficients[{index}]", value)
+        total += height * zernike(index, rho, theta, ordering=ordering)
+    return total
+
 
 @lru_cache(maxsize=128)
 def _kept_mode(index: int, ordering: Ordering, n_r: int, n_theta: int, obscuration: float) -> Array:
@@ -357,7 +554,7 @@ def _owned(name: str, values: Any, layout: Layout) -> Array:
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         raise SceneError(f"wavefront.{name} is not an array of real numbers") from None
-    dimension = 1 if layout == "scattered" else 2
+    dimension = {"scattered": 1, "cells": 3}.get(layout, 2)
     if array.ndim != dimension or array.size == 0:
         raise SceneError(
             f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs {dimension} "

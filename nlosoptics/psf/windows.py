@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
+from . import rim_tails
 from .residuals import Residual, split
 from .wavefronts import Wavefront
 
@@ -112,12 +113,13 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     """Odd side of a window outside which a point spread stays below ``tol`` of its peak.
 
     Rays are binned into pixels, and beyond the last of them the diffraction tail of a round pupil,
-    at most 2 lambda N/(pi^3 r^3) per area, is followed until a pixel of it is below ``tol``.
+    at most 2 lambda N/(pi^3 r^3) per area, or the spikes of an aperture's straight edges, is
+    followed until a pixel of it is below ``tol``.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Polar or grid.
+        Of any layout.
     pitch : float
         Pixel side, m.
     tol : float
@@ -138,6 +140,11 @@ def window_side(residual: Residual, pitch: float, tol: float) -> int:
     peak = _peak_pixel(residual, pitch)
     # Energy per pixel at the distance r from the last ray, and solved for r.
     tail = (2 * residual.airy_unit * pitch**2 / (math.pi**3 * tol * peak)) ** (1 / 3)
+    wave = residual.wavefront
+    if wave.aperture is not None:
+        scale = wave.wavelength * abs(wave.image_distance)
+        tail *= rim_tails.edge_ratio(wave) ** (1 / 3)
+        tail = max(tail, rim_tails.reach(wave.aperture, scale, pitch, tol * peak))
     half = _ray_reach(residual) + tail
     return int(2 * math.ceil(max(half / pitch - 0.5, 0.0)) + 1)
 
@@ -151,12 +158,18 @@ def _peak_pixel(residual: Residual, pitch: float) -> float:
         # Several rays a bin, or single rays pass for peaks.
         n_r = min(max(24, math.ceil(4 * rays.reach / side)), 400)
         rays = residual.traced(n_r, 4 * n_r)
+    elif residual.wavefront.layout == "cells":
+        shape = residual.wavefront.u.shape
+        n = min(max(shape[1], math.ceil(4 * rays.reach / side)), math.ceil(700 / shape[0] ** 0.5))
+        rays = residual.traced(shape[0], n, n)
     columns = np.round(rays.x / side).astype(np.int64)
     rows = np.round(rays.y / side).astype(np.int64)
     columns, rows = columns - columns.min(), rows - rows.min()
     index = rows * (columns.max() + 1) + columns
     bins = np.bincount(index.ravel(), weights=rays.energy.ravel())
     airy = min(1.0, math.pi / 4 * (pitch / unit) ** 2)
+    if residual.wavefront.aperture is not None:
+        airy = min(1.0, residual.pixel_share(pitch))
     return float(min(bins.max() * min(1.0, (pitch / side) ** 2), airy))
 
 

@@ -57,6 +57,11 @@ def wavefront(
     drawn: Any
     if wavefront.layout == "grid":
         drawn = axes.pcolormesh(u, v, values, shading="nearest", rasterized=True, **style)
+    elif wavefront.layout == "cells":
+        for patch in range(len(u)):
+            drawn = axes.pcolormesh(
+                u[patch], v[patch], values[patch], shading="gouraud", rasterized=True, **style
+            )
     else:
         # triangles close the seam at angle zero and the gap at the centre
         drawn = axes.tripcolor(u[lit], v[lit], values[lit], shading="gouraud", **style)

@@ -43,7 +43,7 @@ def test_bends_are_those_of_the_wave(flat_scene, wall):
 
 def test_flat_wall_leaves_the_focus(flat_scene):
     scene = replace(flat_scene, wall=FlatWall())
-    point = scene.object_point + (0.0, 0.0, 0.2)
+    point = scene.object_point + np.array([0.0, 0.0, 0.2])
     bend = wave_bends(scene, point[None])[0]
     exact = fitted(scene, point)
     assert np.abs(bend - exact).max() < 0.05 * np.abs(exact).max()

@@ -231,3 +231,46 @@ def test_same_bits_for_any_number_of_threads(flat_scene):
     all_threads = psf.wavefront(scene)
     assert np.array_equal(one.aberration, all_threads.aberration)
     assert np.array_equal(one.amplitude, all_threads.amplitude)
+
+
+def test_cells_follow_the_edge_of_a_flat_wall():
+    """Squares of a grid carry the edge as seen at the pupil's centre, cells carry it as it is."""
+    scene = facing_scene(FlatWall(size=0.01), stop=0.5)
+    wave = psf.wavefront(scene, nodes="cells")
+    zero = 632.8e-9 * scene.image_distance / 0.02  # of the pattern
+    spread = psf.point_spread(wave, pitch=zero / 8, shape=64, normalisation="ideal-peak", tol=1e-9)
+    assert spread.method == "quadrature"
+    expected = np.sinc(spread.x / zero) ** 2 * np.sinc(spread.y / zero)[:, None] ** 2
+    # rays are a little sparser at the corners, (10 mm/2 m)^2
+    assert spread.intensity == approx(expected, abs=5e-5)
+
+
+@pytest.mark.parametrize("aim", [(-0.1, 0.0, 0.0), (-0.1, 0.02, 0.0)])
+def test_a_cone_that_an_edge_cuts(flat_scene, aim):
+    camera = replace(flat_scene.camera, aim=aim)
+    narrow = replace(flat_scene, wall=FlatWall(size=(0.34, 1.0)), camera=camera)
+    wave = psf.wavefront(narrow, nodes="cells")
+    grid = psf.wavefront(narrow, nodes="grid", samples=512)
+    # the squares' footprint across the edge is that at the pupil's centre
+    assert wave.flux == approx(grid.flux, rel=2e-4)
+    assert wave.pupil_radius == grid.pupil_radius
+    # W of a flat wall is the defocus of where the camera looks: smooth, and held to rounding
+    path, amplitude = wave.truncation()
+    assert 2 * math.pi / wave.wavelength * path < 1e-9
+    assert amplitude < 1e-9
+    pitch = wave.wavelength * wave.f_number / 4
+    spread = psf.point_spread(wave, pitch=pitch, shape=64, tol=1e-6)
+    squares = psf.point_spread(grid, method="mdft", pitch=pitch, shape=64)
+    change = np.abs(spread.intensity - squares.intensity).max() / spread.intensity.max()
+    assert change < 1e-3
+
+
+def test_cells_of_an_uncut_cone_are_the_disc(flat_scene):
+    polar, cells = (psf.wavefront(flat_scene, nodes=nodes) for nodes in ("polar", "cells"))
+    assert cells.flux == approx(polar.flux, rel=1e-12)
+    assert psf.strehl(cells) == approx(psf.strehl(polar), rel=1e-10)
+
+
+def test_cells_of_a_curved_wall_are_refused(flat_scene):
+    with pytest.raises(SamplingError, match="this one is curved"):
+        psf.wavefront(replace(flat_scene, wall=ConcaveWall(5.0, size=1.0)), nodes="cells")

@@ -171,7 +171,7 @@ def wave_with(**changes):
         ({"image_distance": math.inf}, "image_distance = inf is not finite"),
         ({"pupil_radius": 0.0}, "pupil_radius = 0 m"),
         ({"obscuration": 1.0}, "obscuration = 1 is out of range"),
-        ({"layout": "hexagonal"}, "one of polar, grid, scattered"),
+        ({"layout": "hexagonal"}, "one of polar, cells, grid, scattered"),
         ({"aberration": np.zeros((4, 11))}, r"aberration has shape \(4, 11\) and u has \(4, 12\)"),
         ({"aberration": np.full((4, 12), np.nan)}, r"aberration = nan at \(0, 0\)"),
         ({"amplitude": np.full((4, 12), -1.0)}, r"amplitude = -1 at \(0, 0\) is below 0"),

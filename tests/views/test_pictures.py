@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from nlosoptics import views
+from nlosoptics import psf, views
 from nlosoptics.psf.wavefronts import Wavefront
 from nlosoptics.scene import Scene
 
@@ -75,6 +75,21 @@ def test_wavefront_is_drawn_in_waves_and_mm(layout: Literal["polar", "grid"]) ->
     # the outermost node lies within one node spacing of the rim
     assert 0.95 < high < 1.05
     assert axes.get_xlim()[1] == pytest.approx(12.5, rel=0.1)
+
+
+def test_wavefront_of_cells_is_drawn_patch_by_patch() -> None:
+    """Colours are shared, and nothing is drawn across the gap."""
+    pair = psf.Aperture.union(
+        psf.Aperture.polygon([(-3e-3, -1e-3), (-1e-3, -1e-3), (-1e-3, 1e-3), (-3e-3, 1e-3)]),
+        psf.Aperture.polygon([(1e-3, -1e-3), (3e-3, -1e-3), (3e-3, 1e-3), (1e-3, 1e-3)]),
+    )
+    wave = psf.Wavefront.from_function(
+        aperture=pair, pistons=[-1e-6, 2e-6], wavelength=1e-6, image_distance=0.05
+    )
+    left, right = views.wavefront(wave).collections
+    assert left.get_clim() == right.get_clim() == (-2.0, 2.0)
+    assert left.get_array().min() == left.get_array().max() == -1.0
+    assert left.get_coordinates()[..., 0].max() < -0.9
 
 
 def test_wavefront_in_nm() -> None:
