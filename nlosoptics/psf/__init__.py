@@ -9,8 +9,9 @@
 - `quadrature`, `fft`, `mdft`, `nufft`, `airy`, `geometric`, `huygens`: one transform each;
   `pupil_grids`, `rims`, `separable`, `local_fits`, `pixels` and `windows` serve them, `estimates`
   bounds their errors.
-- `methods`: runs one or picks among them; `point_spreads`: `point_spread`; `comparisons`: all of
-  them side by side; `bands` and `fields`: over wavelengths and over the object.
+- `methods`: runs one of them; `choices` picks the cheapest that does, by `costs` and what `regimes`
+  says of the wave; `point_spreads`: `point_spread`; `comparisons`: all of them side by side;
+  `bands` and `fields`: over wavelengths and over the object.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
   that of one drawn at random.
@@ -29,6 +30,7 @@ from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
 from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
+from .regimes import Regime
 from .rough_means import RoughPointSpread, mean_point_spread
 from .rough_samples import sample_point_spread
 from .roughness import Roughness
@@ -44,6 +46,7 @@ __all__ = [
     "ExitPupil",
     "PointSpread",
     "PointSpreadField",
+    "Regime",
     "Removed",
     "RoughPointSpread",
     "Roughness",

@@ -45,15 +45,20 @@ def intensity_error(
         Share of the whole energy that a pixel of mean 1 would hold.
     """
     error = np.square(field_error)
-    cross = 1.0
     if pixel > 0:
         error = np.minimum(error, energy_error / level)
-        # The cross term beats over about lambda N, and a wide pixel averages the beats. Measured
-        # on defocus, the aberration with the most regular beats; others stay well below.
-        cross = min(1.0, 0.8 / pixel)
-    difference = 2 * cross * np.sqrt(intensity * error) + error
+    difference = 2 * beat(pixel) * np.sqrt(intensity * error) + error
     floor = ROUNDING if pixel == 0 else FILTER
     return float(np.max(difference) / np.max(intensity)) + floor
+
+
+def beat(pixel: float) -> float:
+    """What a pixel, Airy units wide, leaves of a field's beats with its error; 1 for points.
+
+    The cross term beats over about lambda N, and a wide pixel averages the beats. Measured on
+    defocus, the aberration with the most regular beats; others stay well below.
+    """
+    return min(1.0, 0.8 / pixel) if pixel > 0 else 1.0
 
 
 def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tuple[Array, float]:
@@ -86,13 +91,22 @@ def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tupl
         field += _tail(np.hypot(dx, period - dy) / unit) * np.abs(np.sinc(1 - dy / period))
         field += steep / (2 * n)
         return edges * field, edges * 0.02 * steep**2 / n
-    reach = residual.rays.reach
-    far = distance + reach
+    return soft_rim_error(residual, grid.pitch, distance), math.inf
+
+
+def soft_rim_error(residual: Residual, pitch: float, distance: Array | float) -> Array:
+    """Field error of a softened rim at distances from the tilt's point, see `edge_errors`."""
+    wave = residual.wavefront
+    unit, reach = residual.airy_unit, residual.rays.reach
+    period = wave.wavelength * abs(wave.image_distance) / pitch
+    n = 2 * wave.pupil_radius / pitch
+    far = np.asarray(distance) + reach
     field = 3 * rims.leak(far / period) * _tail(far / unit)
     focus = 2 * float(rims.leak(np.array(reach / period))) / max(math.pi * reach / unit, 1.0)
-    degree = max(residual.series.degrees(1e-3 * max(float(np.abs(residual.aberration).max()), 0.0)))
-    curvature = steep * degree * 2 / n
-    return edges * (field + focus + CONTINUATION * curvature * 2 / n), math.inf
+    degree = max(residual.series.degrees(1e-3 * float(np.abs(residual.aberration).max())))
+    curvature = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength * degree * 2 / n
+    edges = 1 / (1 - wave.obscuration)
+    return np.asarray(edges * (field + focus + CONTINUATION * curvature * 2 / n))
 
 
 def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:

@@ -1,4 +1,4 @@
-"""One runner for each transform, and the choice among them."""
+"""One runner for each transform; `choices` picks among them."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
-from ..errors import MemoryLimitError, SamplingError
+from ..errors import SamplingError
 from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature
 from .pixels import PixelRule
-from .pupil_grids import PupilGrid, grid_size, pupil_grid, pupil_grid_from_polar
+from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from .residuals import Residual
 from .windows import Window
 
@@ -23,8 +23,6 @@ Surface = Callable[[Array, Array], Array]
 
 #: Fewest pupil samples across when a polar wave is put on a grid.
 LEAST_SAMPLES = 512
-#: Waves, peak to valley, below which rays are not tried.
-MANY_WAVES = 20
 #: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
 NEGLIGIBLE = 1e-10
 
@@ -55,11 +53,15 @@ class Task:
         """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
         return self.residual.pixel_share(self.pitch)
 
+    @property
+    def pixel(self) -> float:
+        """Pixel side, Airy units; 0 for point samples."""
+        return 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
+
     def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
         """`estimates.intensity_error` on these pixels."""
-        pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
         return estimates.intensity_error(
-            intensity, field_error, energy_error, pixel=pixel, level=self.level
+            intensity, field_error, energy_error, pixel=self.pixel, level=self.level
         )
 
     def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
@@ -108,61 +110,6 @@ def transform(task: Task, method: str) -> Result:
     return Result(method, mean, error, task.level)
 
 
-def automatic(task: Task) -> Result:
-    """Cheapest transform whose estimate is within tol."""
-    reached = math.inf
-    refusals = []
-    for _, method in sorted(_candidates(task)):
-        try:
-            result = transform(task, method)
-        except (SamplingError, MemoryLimitError) as refusal:
-            refusals.append(refusal)
-            continue
-        if result.error <= task.tol:
-            return result
-        reached = min(reached, result.error)
-    if math.isinf(reached):
-        raise refusals[-1]
-    raise SamplingError(
-        f"no transform reaches tol = {task.tol:g}, the best estimate is {reached:.2g}; use tol = "
-        f"{reached:.2g}, or more pupil nodes (now {' x '.join(map(str, _counts(task)))})"
-    )
-
-
-def _candidates(task: Task) -> list[tuple[float, str]]:
-    """Expected seconds, or an order, and name of each transform that may do."""
-    residual = task.residual
-    layout = residual.wavefront.layout
-    found: list[tuple[float, str]] = []
-    if layout == "polar":
-        if airy.error_bound(residual) <= task.tol:
-            found.append((airy.seconds(task.samples), "airy"))
-        found.append((quadrature.seconds(residual, task.samples), "quadrature"))
-        found.append((_grid_seconds(task), "fft"))
-    elif layout == "scattered":
-        found = [(nufft.seconds(residual.wavefront.u.size, task.samples), "nufft")]
-    else:
-        # The same sum; fft is the faster where the pitch fits it.
-        found = [(1.0, "fft"), (2.0, "mdft")] if task.rule is None else [(1.0, "mdft")]
-    if _rays_may_do(task):
-        order = 3.0 if layout == "grid" else geometric.seconds(residual, task.pixels)
-        found.append((order, "geometric"))
-    return found
-
-
-def _rays_may_do(task: Task) -> bool:
-    """Whether rays are worth trying: many waves, on pixels wide enough for ``tol``."""
-    if task.rule is None or geometric.least_error(task.residual, task.pitch) > task.tol:
-        return False
-    wave = task.residual.wavefront
-    lit = wave.amplitude * wave.weights > 0
-    return float(np.ptp(task.residual.aberration[lit])) > MANY_WAVES * wave.wavelength
-
-
-def _counts(task: Task) -> tuple[int, ...]:
-    return task.residual.wavefront.u.shape
-
-
 def _airy(task: Task) -> tuple[Array, float]:
     residual = task.residual
     if residual.wavefront.layout != "polar":
@@ -202,8 +149,8 @@ def _fft(task: Task) -> tuple[Array, float]:
     _check_not_scattered(residual, "fft")
     fft.check_padding(residual, samples.pitch)
     if residual.wavefront.layout == "polar":
-        size = _polar_size(task)
-        grid = pupil_grid_from_polar(residual, _period_pitch(residual, size * samples.pitch))
+        size = polar_size(task)
+        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, size))
         _check_jump(task, grid.jump, None)
     else:
         if task.rule is not None:
@@ -228,8 +175,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "mdft")
     if residual.wavefront.layout == "polar":
-        period = _polar_size(task) * samples.pitch
-        grid = pupil_grid_from_polar(residual, _period_pitch(residual, period))
+        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
         _check_jump(task, grid.jump, None)
     else:
         _check_jump(task, *residual.grid_jump())
@@ -327,7 +273,7 @@ def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
     return bound + estimates.damping_error(task.residual, grid, task.pitch)
 
 
-def _polar_size(task: Task) -> int:
+def polar_size(task: Task) -> int:
     """Padded size for a polar wave: period over image samples, wide enough for window and rays."""
     residual, samples = task.residual, task.samples
     reach = max(samples.reach_from(residual.shift))
@@ -341,16 +287,10 @@ def _polar_size(task: Task) -> int:
     return int(np.ceil(period / samples.pitch - 1e-9))
 
 
-def _period_pitch(residual: Residual, period: float) -> float:
-    wave = residual.wavefront
-    return wave.wavelength * abs(wave.image_distance) / period
-
-
-def _grid_seconds(task: Task) -> float:
-    residual, samples = task.residual, task.samples
-    size = _polar_size(task)
-    n = grid_size(residual.wavefront.pupil_radius, _period_pitch(residual, size * samples.pitch))
-    return 1e-2 + 1.2e-7 * n * n + 2e-8 * size * (n + samples.shape[1])
+def grid_period_pitch(task: Task, size: int) -> float:
+    """Pupil pitch of a polar wave on a grid whose image repeats after ``size`` samples, m."""
+    wave = task.residual.wavefront
+    return wave.wavelength * abs(wave.image_distance) / (size * task.samples.pitch)
 
 
 def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:

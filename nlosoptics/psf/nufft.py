@@ -139,8 +139,3 @@ def reference(
     image = image_field(residual, u, v_, path, share, window, epsilon)
     concentration = total**2 / float(np.sum(amplitude**2 * weights))
     return image, concentration, residual.wavenumber * float(np.sum(share * doubt))
-
-
-def seconds(n_nodes: int, window: Window) -> float:
-    """Expected run time of `field` on one core, order of magnitude."""
-    return 1e-3 + 2e-7 * n_nodes + 6e-8 * window.shape[0] * window.shape[1]

@@ -50,12 +50,6 @@ def n_bytes(residual: Residual, window: Window) -> float:
     return nufft.n_bytes(n_r * n_theta, window)
 
 
-def seconds(residual: Residual, window: Window) -> float:
-    """Expected run time of `field` on one core, order of magnitude."""
-    n_r, n_theta = node_counts(residual, window)
-    return 1e-3 + 2e-7 * n_r * n_theta + 6e-8 * window.shape[0] * window.shape[1]
-
-
 def field(residual: Residual, window: Window, epsilon: float = nufft.BEST) -> ComplexArray:
     """Image field, 1 at the axis without aberration.
 

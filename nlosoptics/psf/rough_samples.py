@@ -16,6 +16,7 @@ from . import estimates, mdft
 from .pixels import PixelRule, pixel_rule
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread
 from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
+from .regimes import regime
 from .residuals import Residual, split
 from .rough_means import image_sampling
 from .rough_views import RoughView, rough_view
@@ -127,6 +128,8 @@ def sample_point_spread(
         f_number=wave.f_number,
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(mean.sum()) * level,
+        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
+        reason=f"{propagation} was asked for: a screen on the pupil's lattice, one chirp a pattern",
     )
 
 
