@@ -1,4 +1,4 @@
-"""Point spreads by other means than the library's: sums over many nodes, direct sums, one large OTF.
+"""Point spreads by other means than the library's: sums over many nodes or samples, one large OTF.
 
 Zernike polynomials, nodes and normalisations are written anew here, from their definitions.
 """
@@ -8,9 +8,12 @@ import math
 import ducc0
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from scipy import fft
 
 #: Pupil nodes and image points beyond which a reference is out of reach.
-MOST_NODES, MOST_POINTS, MOST_SIDE = 6e6, 4e5, 7000
+MOST_NODES, MOST_POINTS, MOST_SIDE = 9e6, 3e5, 7000
+#: Side of the lattice of separations.
+MOST_LATTICE = 3000
 
 
 class OutOfReachError(Exception):
@@ -58,16 +61,20 @@ class Wave:
         r = np.linspace(max(self.obscuration, 0.01), 1, 60)[:, None]
         t = np.linspace(0, 2 * math.pi, 180)
         x, y, h = r * np.cos(t), r * np.sin(t), 1e-5
-        return 2 * math.pi * float(
-            np.hypot(
-                (self.waves(x + h, y) - self.waves(x - h, y)) / (2 * h),
-                (self.waves(x, y + h) - self.waves(x, y - h)) / (2 * h),
-            ).max()
+        return (
+            2
+            * math.pi
+            * float(
+                np.hypot(
+                    (self.waves(x + h, y) - self.waves(x - h, y)) / (2 * h),
+                    (self.waves(x, y + h) - self.waves(x, y - h)) / (2 * h),
+                ).max()
+            )
         )
 
     def nodes(self, v, more):
         """u/a, v/a and areas over a^2, Gauss-Legendre in the radius and equal angles."""
-        n_r, n_t = math.ceil(more * (0.55 * v + 40)), math.ceil(more * (1.1 * v + 90))
+        n_r, n_t = math.ceil(more * (0.4 * v + 40)), math.ceil(more * (1.05 * v + 120))
         if n_r * n_t > MOST_NODES:
             raise OutOfReachError(f"{n_r} x {n_t} nodes")
         t, w = leggauss(n_r) if n_r < 1500 else _gauss(n_r)
@@ -94,12 +101,12 @@ def field(wave, x, y, more=1.0):
     # an even spread of rounding: the transform's grid holds the product of both extents
     if 4 * far > MOST_SIDE:
         raise OutOfReachError(f"{4 * far:.3g} samples across")
-    out = ducc0.nufft.nu2nu(
+    out = ducc0.nufft.experimental.nu2nu(
         points_in=points,
         coord_in=np.stack([u, v], axis=1),
         coord_out=targets,
         forward=True,
-        epsilon=1e-13,
+        epsilon=3e-13,
         nthreads=1,
     )
     return out, float(size.sum()), float((size * wave.amplitude(u, v)).sum())
@@ -131,7 +138,7 @@ def continuous(wave, spread, rows, columns):
     y = spread.y[rows][:, None, None] + step[:, None]
     x, y = (a.ravel() for a in np.broadcast_arrays(x, y))
     found = []
-    for more in (0.85, 1.0):
+    for more in (1.0, 1.1):
         image, total, energy = field(wave, x, y, more)
         image = np.abs(image.reshape(len(rows), len(step), len(step))) ** 2
         scale = scale_of(wave, spread.normalisation, spread.pitch, total, energy)
@@ -154,9 +161,7 @@ def sampled(front, wave, spread):
     total = float(size.sum()) / wave.radius**2
     energy = float((size * front.amplitude).sum()) / wave.radius**2
     image = np.abs(across @ pupil @ along.T) ** 2 / wave.radius**4
-    image = np.einsum(
-        "ipjq,p,q->ij", image.reshape(ny, len(step), nx, len(step)), weight, weight
-    )
+    image = np.einsum("ipjq,p,q->ij", image.reshape(ny, len(step), nx, len(step)), weight, weight)
     return image * scale_of(wave, spread.normalisation, spread.pitch, total, energy)
 
 
@@ -180,40 +185,58 @@ def clear_otf(d, inner):
 
 
 def rough(wave, spread, s, correlation, footprint, halo):
-    """Mean of rough walls on one large grid of separations, energy per pixel of a plane of 1.
+    """Mean of rough walls, energy per pixel of a plane of 1, and the doubt.
 
-    The smooth wave's departure from the clear pupil's closed form is transformed from a window of
-    its point spread; the tails of both are the same.
+    From two large grids of separations, whose periods differ. The smooth wave's departure from the
+    clear pupil's closed form is transformed from a window of its point spread: the tails of both
+    are the same.
     """
     unit = wave.wavelength * abs(wave.distance) / (2 * wave.radius)
     m = math.ceil(spread.pitch / (0.45 * unit))
     m += 1 - m % 2  # pixel centres on the lattice
     fine = spread.pitch / m
     half = max(spread.shape) * spread.pitch / 2 + wave.steepest() / math.pi * unit
-    n = int(ducc0.fft.good_size(math.ceil(max(2 * (half + 2.5 * halo) / fine, 400 * unit / fine))))
-    n += n % 2
-    if n > MOST_SIDE:
+    n = math.ceil(max(2 * (half + 4 * halo), 1800 * unit) / fine)
+    if 2 * half / fine > 0.6 * MOST_LATTICE:
         raise OutOfReachError(f"{n} samples across")
-    f = np.fft.fftfreq(n, fine)  # cycles per m of image
-    du, dv = (f * wave.wavelength * abs(wave.distance) for _ in range(2))
-    d = np.hypot(dv[:, None], du) / wave.radius
-    otf = clear_otf(d, wave.obscuration).astype(complex)
+    departure = None
     if any(wave.coefficients.values()):
-        otf += _departure(wave, n, fine)
-    lag = np.hypot(footprint[0] * du, footprint[1] * dv[:, None])
-    otf *= np.exp(-(s**2) * (1 - correlation(lag)))
+        departure = _departure(wave, min(n, 1536), fine)
+    images = []
+    for count in (0.75 * min(n, MOST_LATTICE), min(n, MOST_LATTICE)):
+        size = 2 * int(ducc0.fft.good_size(math.ceil(count / 2)))
+        images.append(_on_lattice(wave, spread, size, m, departure, s, correlation, footprint))
+    return images[1], float(np.abs(images[1] - images[0]).max())
+
+
+def _on_lattice(wave, spread, n, m, departure, s, correlation, footprint):
+    fine = spread.pitch / m
+    # an image is real: half the separations do; cycles per m of image
+    fx, fy = np.fft.rfftfreq(n, fine), np.fft.fftfreq(n, fine)[:, None]
+    du, dv = (f * wave.wavelength * abs(wave.distance) for f in (fx, fy))
+    d = np.hypot(dv, du) / wave.radius
+    lit = d < 2
+    otf = np.zeros(d.shape, complex)
+    otf[lit] = clear_otf(d[lit], wave.obscuration)
+    if departure is not None:
+        size = len(departure)
+        padded = np.zeros((n, n))
+        padded[:size, :size] = departure
+        otf += fft.rfft2(np.roll(padded, (-(size // 2),) * 2, axis=(0, 1)))
+        otf[~lit] = 0
+    if s:
+        lag = np.hypot(footprint[0] * du, footprint[1] * dv)[lit]
+        otf[lit] *= np.exp(-(s**2) * (1 - correlation(lag)))
     if spread.pixel_integrated:
-        otf *= np.sinc(f * spread.pitch) * np.sinc(f * spread.pitch)[:, None]
-    otf *= d < 2
-    image = np.fft.ifft2(otf).real * m**2
+        otf *= np.sinc(fx * spread.pitch) * np.sinc(fy * spread.pitch)
+    image = fft.irfft2(otf, (n, n)) * m**2
     rows, columns = (m * (np.arange(k) - k // 2) % n for k in spread.shape)
     return image[np.ix_(rows, columns)]
 
 
-def _departure(wave, n, fine):
-    """Transform of the smooth spread less the clear one, on the lattice of separations."""
+def _departure(wave, size, fine):
+    """Smooth spread less the clear one, energy per sample."""
     turns = wave.radius / (wave.wavelength * wave.distance)
-    size = min(n, 1536)
     axis = (np.arange(size) - size // 2) * fine
     u, v, w = wave.nodes(2 * math.pi * abs(turns) * abs(axis[0]) * 1.5 + wave.steepest(), 1.0)
     images = []
@@ -228,7 +251,4 @@ def _departure(wave, n, fine):
         )
         images.append(np.abs(out) ** 2)
     energy = math.pi * (1 - wave.obscuration**2)
-    difference = (images[0] - images[1]) * (turns * fine) ** 2 / energy
-    padded = np.zeros((n, n))
-    padded[:size, :size] = difference
-    return np.fft.fft2(np.roll(padded, (-(size // 2),) * 2, axis=(0, 1)))
+    return (images[0] - images[1]) * (turns * fine) ** 2 / energy

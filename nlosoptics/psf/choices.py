@@ -131,7 +131,9 @@ def _rays(task: Task, regime: Regime) -> Candidate:
         ruled_out = f"{regime.peak_to_valley:.3g} waves are few for rays, limit {MANY_WAVES}"
     elif least > task.tol:
         ruled_out = f"rays err by {least:.2g} or more on pixels of {regime.pixel:.3g} lambda N"
-    return Candidate(costs.rays(task.residual, task.pixels), "geometric", ruled_out)
+    if ruled_out:  # what rays of a map would cost takes a fit about every node
+        return Candidate(math.inf, "geometric", ruled_out)
+    return Candidate(costs.rays(task.residual, task.pixels), "geometric")
 
 
 def _reason(taken: Candidate, tol: float, notes: list[str], rest: list[Candidate]) -> str:
@@ -179,7 +181,7 @@ def _too_long(
     fits_memory(
         f"a point spread that needs {ny} x {nx} samples",
         32.0 * ny * nx,
-        "use fewer or narrower pixels",
+        "use a smaller shape, or a larger tol on wide pixels, at which rays do",
     )
     remedies = [f"max_seconds = {_rounded_up(cheapest.seconds)}"]
     if task.rule is None:

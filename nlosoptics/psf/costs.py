@@ -59,9 +59,9 @@ def scattered_sum(residual: Residual, window: Window) -> float:
     """Of scattered nodes, and of the same wave on polar nodes that tells their error."""
     v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
     v += residual.wavenumber * residual.rays.slope * residual.wavefront.pupil_radius
-    nodes = (0.29 * v + 19) * (v + 12 * v ** (1 / 3) + 24)
+    nodes = (0.29 * v + 19) * (v + 12 * math.cbrt(v) + 24)
     return (
-        sum_over_nodes(len(residual.wavefront.u), window)
+        sum_over_nodes(float(len(residual.wavefront.u)), window)
         + sum_over_nodes(nodes, window)
         + 4e-6 * nodes
     )
@@ -72,7 +72,8 @@ def rays(residual: Residual, window: Window) -> float:
     if residual.wavefront.layout == "polar":
         n_r, n_theta = ray_counts(residual, window)
         return 5e-3 + 6e-7 * n_r * n_theta
-    return 5e-3 + 4e-7 * most_cells(residual, window) ** 2 * len(residual.local.indices)
+    n_nodes = len(residual.local.indices)
+    return 5e-3 + (3e-5 + 4e-7 * most_cells(residual, window) ** 2) * n_nodes
 
 
 def _points(window: Window) -> float:

@@ -61,6 +61,16 @@ def beat(pixel: float) -> float:
     return min(1.0, 0.8 / pixel) if pixel > 0 else 1.0
 
 
+def transform_error(intensity: Array, epsilon: float, *, pixel: float) -> float:
+    """Error of an intensity by a non-uniform transform of relative accuracy ``epsilon``.
+
+    The transform's error is noise of ``epsilon`` times the field's rms, at most; a pixel averages
+    it. Measured from 0.3 to 30 waves, epsilon from 1e-5 to 1e-10: a fifth of this or less.
+    """
+    spread = math.sqrt(float(np.mean(intensity)) / float(np.max(intensity)))
+    return 2 * epsilon * spread * min(1.0, 1 / pixel if pixel > 0 else 1.0)
+
+
 def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tuple[Array, float]:
     """Field and energy error of a sampled pupil edge, for `intensity_error`.
 

@@ -64,6 +64,10 @@ class Task:
             intensity, field_error, energy_error, pixel=self.pixel, level=self.level
         )
 
+    def transform_error(self, mean: Array, epsilon: float) -> float:
+        """`estimates.transform_error` on these pixels."""
+        return estimates.transform_error(mean, epsilon, pixel=self.pixel)
+
     def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
         """Intensity of a field at `samples`, averaged over pixels where asked."""
         fine = field.real**2 + field.imag**2
@@ -140,8 +144,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
     epsilon = quadrature.epsilon(residual, task.samples, task.tol)
     mean = task.means(quadrature.field(residual, task.samples, epsilon))
     lost = residual.truncation
-    rounding = 20 * epsilon
-    return mean, task.bound(mean, lost, lost**2) + rounding
+    return mean, task.bound(mean, lost, lost**2) + task.transform_error(mean, epsilon)
 
 
 def _fft(task: Task) -> tuple[Array, float]:
@@ -215,7 +218,7 @@ def _nufft(task: Task) -> tuple[Array, float]:
         _check_period(task)
     epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
     mean = task.means(nufft.field(residual, samples, epsilon))
-    rounding = 20 * epsilon
+    rounding = task.transform_error(mean, epsilon)
     if wave.layout == "polar":
         lost = residual.truncation + 10 * NEGLIGIBLE
         return mean, task.bound(mean, lost, lost**2) + rounding
