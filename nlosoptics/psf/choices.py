@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from .._checks import fits_memory
 from ..errors import MemoryLimitError, NlosError, SamplingError
 from . import airy, costs, estimates, geometric
+from .estimates import rounded_up
 from .methods import Result, Task, grid_period_pitch, polar_size, transform
 from .regimes import Regime
 
@@ -163,7 +164,7 @@ def _refusal(
     if math.isfinite(reached):
         return SamplingError(
             f"no transform reaches tol = {task.tol:g}, the best estimate is {reached:.2g}; use "
-            f"tol = {_rounded_up(reached)}, or more pupil nodes (now {counts})"
+            f"tol = {rounded_up(reached)}, or more pupil nodes (now {counts})"
         )
     if refusals:
         return refusals[-1]
@@ -183,12 +184,12 @@ def _too_long(
         32.0 * ny * nx,
         "use a smaller shape, or a larger tol on wide pixels, at which rays do",
     )
-    remedies = [f"max_seconds = {_rounded_up(cheapest.seconds)}"]
+    remedies = [f"max_seconds = {rounded_up(cheapest.seconds)}"]
     if task.rule is None:
         remedies.append("a wider pitch with pixel_integrated=True")
     least = geometric.least_error(task.residual, task.pitch)
     if math.isfinite(reached):
-        remedies.append(f"tol = {_rounded_up(reached)}")
+        remedies.append(f"tol = {rounded_up(reached)}")
     elif task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         remedies.append(f"a tol well above {least:.2g}, at which rays do")
     if max(ny, nx) * task.samples.pitch > 3 * task.residual.rays.reach:
@@ -198,12 +199,6 @@ def _too_long(
         f"about {cheapest.seconds:.2g} s, limit max_seconds = {max_seconds:g}; use "
         + ", or ".join(remedies)
     )
-
-
-def _rounded_up(value: float) -> str:
-    """Two digits, not below the value."""
-    step = 10.0 ** (math.floor(math.log10(value)) - 1)
-    return f"{math.ceil(value / step) * step:.2g}"
 
 
 def _first_clause(refusal: NlosError) -> str:

@@ -140,3 +140,9 @@ def _tail(r: Array) -> Array:
     """Upper envelope of the Airy field at ``r`` Airy units."""
     v = np.maximum(math.pi * r, 1.0)
     return np.asarray(np.minimum(1.0, np.sqrt(8 / (math.pi * v**3))))
+
+
+def rounded_up(value: float) -> str:
+    """Two digits, not below the value: what a refusal asks for must do."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / step) * step:.2g}"

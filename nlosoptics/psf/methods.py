@@ -129,7 +129,8 @@ def _airy(task: Task) -> tuple[Array, float]:
         )
     samples = task.samples
     fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
-    return task.means(airy.field(residual, samples)), bound
+    filtering = 0.0 if task.rule is None else estimates.FILTER
+    return task.means(airy.field(residual, samples)), bound + filtering
 
 
 def _quadrature(task: Task) -> tuple[Array, float]:

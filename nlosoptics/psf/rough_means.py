@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import fits_memory, in_range, one_of, positive
 from ..errors import SamplingError
 from ..scene import Scene
+from .estimates import rounded_up
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread, point_spread
 from .regimes import regime
 from .residuals import Residual, split
@@ -220,7 +221,7 @@ def mean_point_spread(
     if error > tol:
         raise SamplingError(
             f"the mean of the rough wall reaches an error of {error:.2g}, limit tol = {tol:g}; use "
-            f"tol = {error:.2g}, or more pupil nodes"
+            f"tol = {rounded_up(1.5 * error)}, or more pupil nodes"
         )
     scale = {
         "unit-sum": 1.0,
