@@ -11,9 +11,9 @@ from numpy.polynomial.legendre import leggauss
 from scipy import fft
 
 #: Pupil nodes and image points beyond which a reference is out of reach.
-MOST_NODES, MOST_POINTS, MOST_SIDE = 9e6, 3e5, 7000
+MOST_NODES, MOST_POINTS, MOST_SIDE = 4e6, 1e5, 6000
 #: Side of the lattice of separations.
-MOST_LATTICE = 3000
+MOST_LATTICE = 2400
 
 
 class OutOfReachError(Exception):
@@ -201,7 +201,7 @@ def rough(wave, spread, s, correlation, footprint, halo):
         raise OutOfReachError(f"{n} samples across")
     departure = None
     if any(wave.coefficients.values()):
-        departure = _departure(wave, min(n, 1536), fine)
+        departure = _departure(wave, min(n, 1024), fine)
     images = []
     for count in (0.75 * min(n, MOST_LATTICE), min(n, MOST_LATTICE)):
         size = 2 * int(ducc0.fft.good_size(math.ceil(count / 2)))

@@ -31,15 +31,17 @@ def sum_over_nodes(n_nodes: float, window: Window) -> float:
 def polar_sum(residual: Residual, window: Window) -> float:
     """Of quadrature, its nodes' aberration included."""
     n_r, n_theta = quadrature.node_counts(residual, window)
-    return sum_over_nodes(1.4 * n_r * n_theta, window)
+    # aberration, and amplitude if there is one, at every node
+    each = 1.4 if residual.is_uniform else 3.0
+    return sum_over_nodes(each * n_r * n_theta, window)
 
 
 def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int) -> float:
     """Of a polar wave put on a grid of the pupil and padded to ``size``."""
     n = grid_size(residual.wavefront.pupil_radius, pupil_pitch)
     ny, nx = window.shape
-    each = 1.2e-7 if residual.is_uniform else 1.6e-7
-    return 2e-2 + each * n * n + 2.5e-8 * size * (n + nx) + 1e-8 * ny * nx
+    each = 2.5e-7 if residual.is_uniform else 3.5e-7
+    return 2e-2 + each * n * n + 4e-8 * size * (n + nx) + 1e-8 * ny * nx
 
 
 def map_fft(residual: Residual, window: Window, size: int) -> float:
