@@ -27,6 +27,7 @@ WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
 WIDEST = 400
 #: Rounding of a reference, relative to the peak.
 ROUNDING = 1e-12
+KINDS = ("polar", "grid", "scattered", "map", "rough")
 MIXES = {
     "defocus": (4,),
     "astigmatism": (5, 6),
@@ -121,13 +122,12 @@ def _front(wave, u, v, weights, layout):
     )
 
 
-def screen_front(rng, wave, samples, rms):
+def screen_front(rng, wave, samples, rms, length):
     """A map with a correlated random screen on top of the wave."""
     front = grid_front(wave, samples)
     fx = np.fft.fftfreq(samples)
-    length = rng.uniform(0.05, 0.3) * samples
     noise = np.fft.fft2(rng.normal(size=(samples, samples)))
-    noise *= np.exp(-((math.pi * length / 2) ** 2) * (fx[:, None] ** 2 + fx**2))
+    noise *= np.exp(-((math.pi * length * samples / 2) ** 2) * (fx[:, None] ** 2 + fx**2))
     screen = np.fft.ifft2(noise).real
     screen *= rms * WAVELENGTH / screen.std()
     return psf.Wavefront.from_map(
@@ -140,43 +140,34 @@ def screen_front(rng, wave, samples, rms):
     )
 
 
-def steepest_sample(front):
-    """Largest step of a map between lit samples, waves per radius."""
-    lit = front.amplitude > 0
-    steps = [np.diff(front.aberration, axis=a)[np.diff(lit, axis=a) == 0] for a in (0, 1)]
-    return max(float(np.abs(s).max()) for s in steps) / WAVELENGTH / front.pupil_pitch * RADIUS
-
-
 def draw(seed, index, max_seconds, kind=None):
     """One case, the same for the same numbers."""
     rng = np.random.default_rng((seed, index))
-    kinds = ("polar", "grid", "scattered", "map", "rough")
-    kind = kind or str(rng.choice(kinds, p=(0.4, 0.15, 0.15, 0.15, 0.15)))
+    drawn = str(rng.choice(KINDS, p=(0.4, 0.15, 0.15, 0.15, 0.15)))
+    kind = kind or drawn
     waves = 0.0 if rng.random() < 0.1 else float(10 ** rng.uniform(-3, 3))
     if kind == "rough":
         waves = min(waves, float(10 ** rng.uniform(-1, 0.7)))
     wave, facts = wave_of(rng, waves, kind)
     slope = wave.steepest() / (2 * math.pi)  # waves per radius
-    if kind in ("polar", "rough"):
-        front = polar_front(wave)
-    elif kind == "grid":
-        front = grid_front(wave, int(np.clip(4 * slope * rng.uniform(1, 4), 128, 600)))
-    elif kind == "scattered":
-        front = scattered_front(rng, wave, int(np.clip(40 * slope**2, 2000, 20000)))
-    else:
-        samples, rms = int(rng.integers(64, 257)), float(10 ** rng.uniform(-2, 0.3))
-        front = screen_front(rng, wave, samples, rms)
-    unit = WAVELENGTH * abs(wave.distance) / (2 * RADIUS)
+    screen = 0.0, 1.0
     if kind == "map":
-        slope = steepest_sample(front)
+        screen = float(10 ** rng.uniform(-2, 0)), float(rng.uniform(0.1, 0.4))
+        slope += 4 * screen[0] / screen[1]
+    unit = WAVELENGTH * abs(wave.distance) / (2 * RADIUS)
     reach = 2 * slope * unit + 4 * unit
     widest = 80 if kind == "rough" else WIDEST
     pitch = max(float(10 ** rng.uniform(-1, 2)) * unit, 2 * reach / widest)
     integrated = bool(pitch > 0.45 * unit or rng.random() < 0.5)
     n = 2 * math.ceil(reach * rng.uniform(1, 1.5) / pitch + 2) + 1
     tol = float(10 ** rng.uniform(-8, -2))
+    if kind in ("grid", "scattered") and rng.random() < 0.6:
+        tol = float(10 ** rng.uniform(-3.5, -2))  # what nodes that lost their rim are for
+    # cells across that keep the repeats off the window
+    across = 1.1 * ((n + 1) / 2 * pitch + reach) / unit * rng.uniform(1, 2)
+    front = front_of(rng, kind, wave, max(4.4 * slope, across), screen)
     facts |= {"kind": kind, "waves": _short(waves), "pixel": _short(pitch / unit), "shape": n}
-    facts |= {"integrated": integrated, "tol": _short(tol)}
+    facts |= {"integrated": integrated, "tol": _short(tol), "nodes": front.u.size}
     options = {"pitch": pitch, "shape": n, "pixel_integrated": integrated, "tol": tol}
     options["normalisation"] = str(rng.choice(("unit-sum", "ideal-peak", "flux")))
     if kind == "rough":
@@ -185,8 +176,19 @@ def draw(seed, index, max_seconds, kind=None):
     return Case(facts, wave, front, options)
 
 
+def front_of(rng, kind, wave, across, screen):
+    """The wave in a layout, with so many cells across where they count and are not too many."""
+    if kind in ("polar", "rough"):
+        return polar_front(wave)
+    if kind == "grid":
+        return grid_front(wave, int(np.clip(across, 128, 700)))
+    if kind == "scattered":
+        return scattered_front(rng, wave, int(np.clip(0.8 * across**2, 2000, 30000)))
+    return screen_front(rng, wave, int(np.clip(across, 64, 400)), *screen)
+
+
 def _roughness(rng, facts, wave):
-    s = float(rng.choice((0.0, 10 ** rng.uniform(-1, 1.48))))
+    s = 0.0 if rng.random() < 0.1 else float(10 ** rng.uniform(-1, 1.48))
     m = float(rng.uniform(0.3, 0.8))
     length = float(rng.uniform(0.15, 1.0)) * RADIUS * m
     name = str(rng.choice(("gaussian", "exponential")))

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from . import quadrature
-from .geometric import most_cells, ray_counts
+from .geometric import MOST_RAYS, most_cells, ray_counts
 from .pupil_grids import grid_size
 from .residuals import Residual
 from .windows import Window
@@ -74,8 +76,16 @@ def rays(residual: Residual, window: Window) -> float:
     if residual.wavefront.layout == "polar":
         n_r, n_theta = ray_counts(residual, window)
         return 5e-3 + 6e-7 * n_r * n_theta
-    n_nodes = len(residual.local.indices)
-    return 5e-3 + (3e-5 + 4e-7 * most_cells(residual, window) ** 2) * n_nodes
+    wave = residual.wavefront
+    if wave.layout == "scattered":
+        n_nodes, cells = len(residual.local.indices), most_cells(residual, window)
+    else:
+        # their fits take longer than any guess of what they would say
+        n_nodes = int(np.count_nonzero(wave.amplitude * wave.weights))
+        step = 8 * residual.rays.reach / len(wave.u)
+        most = math.isqrt(max(1, MOST_RAYS // n_nodes))
+        cells = max(min(most, math.ceil(2 * step / window.pitch)), 1)
+    return 5e-3 + (3e-5 + 1e-6 * cells**2) * n_nodes
 
 
 def _points(window: Window) -> float:

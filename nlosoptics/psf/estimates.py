@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ def intensity_error(
     field_error: Array | float,
     energy_error: float,
     *,
+    spill: Array | float = 0.0,
     pixel: float,
     level: float,
 ) -> float:
@@ -38,7 +40,9 @@ def intensity_error(
     field_error : ndarray or float
         Bound of the field's error, 1 at the ideal peak.
     energy_error : float
-        Bound of the erring field's energy, as a share of the whole.
+        Bound of that erring field's energy, as a share of the whole.
+    spill : ndarray or float
+        Further error of the field, whose energy has no bound but its own.
     pixel : float
         Pixel side in Airy units, lambda N; 0 for point samples.
     level : float
@@ -47,6 +51,7 @@ def intensity_error(
     error = np.square(field_error)
     if pixel > 0:
         error = np.minimum(error, energy_error / level)
+    error = np.square(np.sqrt(error) + spill)
     difference = 2 * beat(pixel) * np.sqrt(intensity * error) + error
     floor = ROUNDING if pixel == 0 else FILTER
     return float(np.max(difference) / np.max(intensity)) + floor
@@ -71,37 +76,57 @@ def transform_error(intensity: Array, epsilon: float, *, pixel: float) -> float:
     return 2 * epsilon * spread * min(1.0, 1 / pixel if pixel > 0 else 1.0)
 
 
-def edge_errors(residual: Residual, grid: PupilGrid, x: Array, y: Array) -> tuple[Array, float]:
-    """Field and energy error of a sampled pupil edge, for `intensity_error`.
+@dataclass(frozen=True, eq=False)
+class EdgeErrors:
+    """Arguments of `intensity_error` for a pupil's sampled edge."""
+
+    field: Array | float
+    energy: float
+    spill: Array | float = 0.0
+
+
+def edge_errors(
+    residual: Residual, grid: PupilGrid, x: Array, y: Array, half: float = 0.0
+) -> EdgeErrors:
+    """Error of a sampled pupil edge on samples or on pixels of half width ``half``, m.
 
     A rim sends light a distance s from where its rays land, in amplitude as an Airy disc's tail, or
     as a ring's focus in the middle of a symmetric spot.
 
     - Cells cut by the rim act from their centre, with weights that are the rim convolved with a
       cell. What arrives at s is damped by sinc(s/P), P the period of the image,
-      1 - sinc <= 1.65 (s/P)^2, and so are its repeats.
+      1 - sinc <= 1.65 (s/P)^2, and so are its repeats; of a wide pixel the edge next to a repeat
+      has the most, and the rest less by the distance over the width.
     - A softened rim errs by `rims.leak` twice, damping and repeat, and by the aberration's
       curvature, which is not continued beyond the rim.
     - A map is taken at its word: its samples are the pupil, and their sum is exact.
     """
-    wave = residual.wavefront
     unit = residual.airy_unit
-    n = 2 * wave.pupil_radius / grid.pitch
-    edges = 1 / (1 - wave.obscuration)  # length of both rims over area
-    period = _period(residual, grid)
+    if grid.rim == "map":
+        return EdgeErrors(0.0, 0.0)
     shift = residual.shift
     dx, dy = np.abs(x - shift[0]), np.abs(y - shift[1])[:, None]
-    distance = np.hypot(dy, dx)
+    if grid.rim == "soft":
+        return EdgeErrors(soft_rim_error(residual, grid.pitch, np.hypot(dy, dx)), math.inf)
+    period = _period(residual, grid)
+    n = 2 * residual.wavefront.pupil_radius / grid.pitch
+    edges = 1 / (1 - residual.wavefront.obscuration)  # length of both rims over area
     steep = 2 * math.pi * grid.jump
-    if grid.rim == "map":
-        return np.zeros_like(distance), 0.0
-    if grid.rim == "cut":
-        field = np.minimum(1.65 * (distance / period) ** 2, 2.0) * _tail(distance / unit)
-        field += _tail(np.hypot(period - dx, dy) / unit) * np.abs(np.sinc(1 - dx / period))
-        field += _tail(np.hypot(dx, period - dy) / unit) * np.abs(np.sinc(1 - dy / period))
-        field += steep / (2 * n)
-        return edges * field, edges * 0.02 * steep**2 / n
-    return soft_rim_error(residual, grid.pitch, distance), math.inf
+    dx, dy = dx + half, dy + half
+    distance = np.hypot(dy, dx)
+
+    def repeat(s: Array) -> Array:
+        share = np.sqrt(np.minimum(1.0, s / (2 * half))) if half > 0 else 1.0
+        return _tail(s / unit) * share
+
+    spill = np.minimum(1.65 * (distance / period) ** 2, 2.0) * _tail(distance / unit)
+    spill += repeat(np.hypot(np.maximum(period - dx, 0.0), dy - half)) * np.abs(
+        np.sinc(1 - dx / period)
+    )
+    spill += repeat(np.hypot(dx - half, np.maximum(period - dy, 0.0))) * np.abs(
+        np.sinc(1 - dy / period)
+    )
+    return EdgeErrors(edges * steep / (2 * n), edges * 0.02 * steep**2 / n, edges * spill)
 
 
 def soft_rim_error(residual: Residual, pitch: float, distance: Array | float) -> Array:

@@ -58,10 +58,21 @@ class Task:
         """Pixel side, Airy units; 0 for point samples."""
         return 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
 
-    def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
+    def bound(
+        self,
+        intensity: Array,
+        field_error: Array | float,
+        energy_error: float,
+        spill: Array | float = 0.0,
+    ) -> float:
         """`estimates.intensity_error` on these pixels."""
         return estimates.intensity_error(
-            intensity, field_error, energy_error, pixel=self.pixel, level=self.level
+            intensity,
+            field_error,
+            energy_error,
+            spill=spill,
+            pixel=self.pixel,
+            level=self.level,
         )
 
     def transform_error(self, mean: Array, epsilon: float) -> float:
@@ -269,9 +280,10 @@ def _geometric(task: Task) -> tuple[Array, float]:
 
 
 def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
-    field, energy = estimates.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y)
+    half = 0.0 if task.rule is None else task.pitch / 2
+    found = estimates.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y, half)
     lost = task.residual.truncation
-    bound = task.bound(mean, field + lost, energy + lost**2)
+    bound = task.bound(mean, found.field + lost, found.energy + lost**2, found.spill)
     if task.rule is None:
         return bound
     return bound + estimates.damping_error(task.residual, grid, task.pitch)
@@ -318,6 +330,8 @@ def _check_period(task: Task) -> None:
     wave = residual.wavefront
     period = wave.wavelength * abs(wave.image_distance) / residual.spacing
     need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
+    if task.rule is not None:  # as far as the pixels' edges, and the core of the repeat itself
+        need += task.pitch / 2 + residual.airy_unit
     if need > period * (1 + 1e-9):
         n = wave.u.shape[0]
         more = (need / period) ** (2 if wave.layout == "scattered" else 1)

@@ -225,7 +225,8 @@ def _error(
 ) -> float:
     """Expected error relative to the peak, of the rim's sampling and of light that is folded."""
     wave = residual.wavefront
-    rim, energy = estimates.edge_errors(residual, grid, window.x, window.y)
+    edge = estimates.edge_errors(residual, grid, window.x, window.y)
+    rim, energy = edge.field + edge.spill, edge.energy
     # the screen spreads the rim's error over the window, and what is folded over the period
     period = wave.wavelength * abs(wave.image_distance) / grid.pitch
     folded = spill / residual.pixel_share(period)

@@ -153,6 +153,24 @@ def test_rays_that_are_tried_and_fall_short_are_named():
 # what is refused
 
 
+@pytest.mark.parametrize("samples", [200, 215, 225, 240, 300])
+def test_wide_pixels_of_a_grid_see_no_repeat(samples):
+    """The outermost pixel's edge lies 209 lambda N out; a grid of n cells repeats after n of them.
+
+    Its core adds nothing where it is let in: refused, or within the estimate.
+    """
+    kwargs = {"pitch": 59.7 * UNIT, "shape": 7, "pixel_integrated": True, "tol": 0.5}
+    wave = zernike_wave(nodes="grid", samples=samples)
+    if samples < 210:
+        with pytest.raises(SamplingError, match="repeat the spot"):
+            psf.point_spread(wave, **kwargs)
+        return
+    spread = psf.point_spread(wave, **kwargs)
+    truth = psf.point_spread(zernike_wave(), **kwargs)
+    error = np.abs(spread.intensity - truth.intensity).max() / truth.intensity.max()
+    assert error <= spread.error_estimate < 0.5
+
+
 def test_absurd_costs_are_refused_before_anything_runs(monkeypatch):
     wave = defocus(300.0)
     kwargs = {"pitch": 60 * UNIT, "shape": 41, "pixel_integrated": True}
