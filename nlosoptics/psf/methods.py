@@ -242,11 +242,13 @@ def _nufft(task: Task) -> tuple[Array, float]:
 def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
     """What the nodes' own areas err by, from the same wave on polar nodes."""
     wave = task.residual.wavefront
-    field, concentration, doubt = nufft.reference(task.residual, task.samples, epsilon)
+    field, total, true_energy, doubt = nufft.reference(task.residual, task.samples, epsilon)
     better = task.means(field)
     energy = float(np.sum(wave.amplitude**2 * wave.weights))
-    share = concentration * energy / task.residual.amplitude_sum**2
-    worst = max(float(np.abs(better * s - mean).max()) for s in (1.0, share))
+    flux = (total / task.residual.amplitude_sum) ** 2
+    # relative to the ideal peak, to the clear disc's light, and to the light that passes
+    levels = (1.0, flux, flux * energy / true_energy)
+    worst = max(float(np.abs(better * level - mean).max()) for level in levels)
     return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
 
 
