@@ -304,7 +304,7 @@ def study(case, seed, index):
         return {**row, "again": refusal}
     row |= {"asked": _short(case.options["tol"])}
     predicted = re.search(r"about ([0-9.e+-]+) s", spread.reason)
-    if predicted and "refusal" not in row:
+    if predicted and case.rough is None and "refusal" not in row:
         row |= {"predicted": float(predicted[1])}
     row |= {"method": spread.method, "estimate": _short(spread.error_estimate)}
     try:

@@ -316,14 +316,26 @@ def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
         wave = task.residual.wavefront
         n = wave.u.shape[0]
         where, need = "", math.ceil(n * jump / 0.5)
-        if wave.layout == "scattered":
-            where, need = f" at node {pixel}", math.ceil(n * (jump / 0.5) ** 2)
-        elif pixel is not None:
-            where = f" at pixel {pixel}"
+        if wave.layout != "polar":
+            where = f" at {'pixel' if wave.layout == 'grid' else 'node'} {pixel}"
+            power = 2 if wave.layout == "scattered" else 1
+            # as many as the window takes, too
+            more = max(jump / 0.5, _period_share(task))
+            need = math.ceil(n * more**power)
         raise SamplingError(
             f"aberration jumps {jump:.2f} waves{where}, limit 0.50; use {need} or more pupil "
             f"samples (now {n}), or polar nodes"
         )
+
+
+def _period_share(task: Task) -> float:
+    """Distance from which the window needs the repeats to stay away, over theirs."""
+    residual = task.residual
+    wave = residual.wavefront
+    need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
+    if task.rule is not None:  # as far as the pixels' edges, and the core of the repeat itself
+        need += task.pitch / 2 + residual.airy_unit
+    return need * residual.spacing / (wave.wavelength * abs(wave.image_distance))
 
 
 def _check_period(task: Task) -> None:
@@ -331,9 +343,7 @@ def _check_period(task: Task) -> None:
     residual = task.residual
     wave = residual.wavefront
     period = wave.wavelength * abs(wave.image_distance) / residual.spacing
-    need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
-    if task.rule is not None:  # as far as the pixels' edges, and the core of the repeat itself
-        need += task.pitch / 2 + residual.airy_unit
+    need = _period_share(task) * period
     if need > period * (1 + 1e-9):
         n = wave.u.shape[0]
         more = (need / period) ** (2 if wave.layout == "scattered" else 1)
