@@ -8,10 +8,11 @@
 - `apertures`, `aperture_parts`, `polygons`, `outlines`, `cell_spectra`: pupils of any outline.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
 - `quadrature`, `fft`, `mdft`, `nufft`, `airy`, `geometric`, `huygens`: one transform each;
-  `pupil_grids`, `rims`, `soft_pupils` (polynomial waves), `separable`, `local_fits`, `pixels` and
-  `windows` serve them, `estimates` bounds their errors.
-- `methods`: runs one or picks among them; `point_spreads`: `point_spread`; `comparisons`: all of
-  them side by side; `bands` and `fields`: over wavelengths and over the object.
+  `pupil_grids`, `rims`, `rim_tails`, `soft_pupils` (polynomial waves), `separable`, `local_fits`,
+  `pixels` and `windows` serve them, `estimates` bounds their errors.
+- `methods`: runs one of them; `choices` picks the cheapest that does, by `costs` and what `regimes`
+  says of the wave; `point_spreads`: `point_spread`; `comparisons`: all of them side by side;
+  `bands` and `fields`: over wavelengths and over the object.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `halos`, `rough_means`: the mean point spread over all such walls; `screens`,
   `rough_samples`: that of one drawn at random; `correlations`, `rough_scales`: long waves drawn,
@@ -38,6 +39,7 @@ from .point_spreads import PointSpread, point_spread
 from .poppy_files import read_poppy, write_poppy
 from .pupils import ExitPupil, exit_pupil
 from .ray_waves import wavefront_from_rays
+from .regimes import Regime
 from .rough_means import RoughPointSpread, mean_point_spread
 from .rough_samples import sample_point_spread
 from .rough_scales import split_scale, two_scale_point_spread
@@ -58,6 +60,7 @@ __all__ = [
     "PointSpread",
     "PointSpreadField",
     "PrysmPupil",
+    "Regime",
     "Removed",
     "RoughPointSpread",
     "Roughness",

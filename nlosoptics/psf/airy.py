@@ -96,8 +96,3 @@ def error_bound(residual: Residual) -> float:
     if delta > 0.4:
         return math.inf
     return ((1 - scale) + 2 * delta + delta**2) / (scale * (1 - delta) ** 2) + ROUNDING
-
-
-def seconds(window: Window) -> float:
-    """Expected run time of `field` on one core."""
-    return 2e-4 + 1e-8 * window.shape[0] * window.shape[1]

@@ -79,7 +79,8 @@ def band_point_spread(
     Returns
     -------
     PointSpread
-        ``wavelength`` is the weighted mean, ``error_estimate`` the largest.
+        ``wavelength`` is the weighted mean, ``error_estimate`` the largest; ``regime`` and
+        ``reason`` are those of the first.
 
     Raises
     ------

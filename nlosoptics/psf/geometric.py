@@ -73,16 +73,6 @@ def least_error(residual: Residual, pitch: float) -> float:
     return RIM * residual.airy_unit / pitch
 
 
-def seconds(residual: Residual, window: Window) -> float:
-    """Expected run time of `density`, order of magnitude."""
-    if residual.wavefront.layout == "polar":
-        n_r, n_theta = _ray_counts(residual, window)
-        return 2e-2 + 4e-7 * n_r * n_theta
-    if residual.wavefront.layout == "cells":
-        return 2e-2 + 4e-7 * len(residual.aberration) * _patch_rays(residual, window) ** 2
-    return 2e-2 + 2e-5 * residual.wavefront.u.size
-
-
 def density(residual: Residual, window: Window) -> tuple[Array, float]:
     """Share of the light in each pixel of a window, and its error against the wave.
 
@@ -141,7 +131,7 @@ def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]
     return _local_boxes(residual, window, share)
 
 
-def _ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:
+def ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:
     """Rings and spokes whose rays land about a quarter of a pixel apart."""
     n_r = 4 * residual.rays.reach / window.pitch + 64
     n_r = max(residual.series.n_r, math.ceil(share * min(n_r, MOST_RADII)))
@@ -151,7 +141,7 @@ def _ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple
 def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
     """Cells of a fine polar mesh."""
     wave = residual.wavefront
-    n_r, n_theta = _ray_counts(residual, window, share)
+    n_r, n_theta = ray_counts(residual, window, share)
     fits_memory(f"{n_r} x {n_theta} rays", 250.0 * n_r * n_theta, "use a wider pitch")
     rays = residual.traced(n_r, n_theta)
     fraction, weights = gauss_legendre(n_r)
@@ -189,7 +179,7 @@ def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
 def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
     """Cells of a fine mesh of every patch."""
     wave, aperture = residual.wavefront, residual.aperture
-    n = _patch_rays(residual, window, share)
+    n = patch_rays(residual, window, share)
     n_patches = len(residual.aberration)
     fits_memory(f"{n_patches} x {n} x {n} rays", 400.0 * n_patches * n * n, "use a wider pitch")
     rays = residual.traced(n_patches, n, n)
@@ -221,7 +211,7 @@ def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_B
     )
 
 
-def _patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
+def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
     """Rays along each side of a patch, about a quarter of a pixel apart."""
     n_patches, *own = residual.aberration.shape
     n = 4 * residual.rays.reach / window.pitch + 64
@@ -239,9 +229,7 @@ def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
     d = wave.image_distance
     uu, uv, vv = fits.bends.T
     wide = side * np.hypot(uu, uv), side * np.hypot(uv, vv)
-    most = math.isqrt(max(1, MOST_RAYS // len(side)))
-    cells = 2 * abs(d) * float(max(w.max() for w in wide)) / window.pitch
-    cells = max(math.ceil(share * min(most, math.ceil(cells))), 1)
+    cells = most_cells(residual, window, share)
     doubt = abs(d) * fits.misfit / side.clip(min=1e-12 * wave.pupil_radius)
     blur = _blur(residual, uu, uv, vv, doubt)
     steps = (np.arange(cells) + 0.5) / cells - 0.5
@@ -250,6 +238,17 @@ def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
             du, dv = _slopes(fits, a * side / fits.scale, b * side / fits.scale)
             width_x, width_y = (abs(d) * w / cells for w in wide)
             yield _Boxes(d * du, d * dv, width_x, width_y, blur, energy / cells**2)
+
+
+def most_cells(residual: Residual, window: Window, share: float = 1.0) -> int:
+    """Parts along each side of a node's cell, so that rays land half a pixel apart."""
+    wave, fits = residual.wavefront, residual.local
+    uu, uv, vv = fits.bends.T
+    wide = np.maximum(np.hypot(uu, uv), np.hypot(uv, vv))
+    widest = float(np.max(np.sqrt(wave.weights.ravel()[fits.indices]) * wide))
+    cells = math.ceil(2 * abs(wave.image_distance) * widest / window.pitch)
+    most = math.isqrt(max(1, MOST_RAYS // len(fits.indices)))
+    return max(math.ceil(share * min(most, cells)), 1)
 
 
 def _slopes(fits: LocalFits, x: Array, y: Array) -> tuple[Array, Array]:

@@ -208,6 +208,8 @@ def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
         f_number=first.f_number,
         pixel_integrated=True,
         enclosed_energy=float(intensity.sum()),
+        regime=first.regime,
+        reason="; ".join(dict.fromkeys(part.reason for _, part in parts)),
     )
 
 

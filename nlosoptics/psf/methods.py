@@ -1,4 +1,4 @@
-"""One runner for each transform, and the choice among them."""
+"""One runner for each transform; `choices` picks among them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
-from ..errors import MemoryLimitError, SamplingError
+from ..errors import SamplingError
 from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature, soft_pupils
 from .pixels import PixelRule
-from .pupil_grids import PupilGrid, grid_size, pupil_grid, pupil_grid_from_polar
+from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from .residuals import Residual
 from .windows import Window
 
@@ -24,8 +24,6 @@ Surface = Callable[[Array, Array], Array]
 
 #: Fewest pupil samples across when a polar wave is put on a grid.
 LEAST_SAMPLES = 512
-#: Waves, peak to valley, below which rays are not tried.
-MANY_WAVES = 20
 #: Pixel in Airy units, up to which beats are taken not to average out.
 NO_BEATS = 0.8
 #: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
@@ -58,6 +56,15 @@ class Task:
         """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
         return self.residual.pixel_share(self.pitch)
 
+    @property
+    def pixel(self) -> float:
+        """Pixel side, Airy units; 0 for point samples.
+
+        Of an aperture at most `NO_BEATS`: its lobes may be wider than the Airy unit says.
+        """
+        pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
+        return pixel if self.residual.wavefront.aperture is None else min(pixel, NO_BEATS)
+
     @cached_property
     def soft(self) -> tuple[Array, float, int] | None:
         """Polynomial of the wave, its misfit and the padded size, for the `fft`; or None."""
@@ -66,14 +73,26 @@ class Task:
             return None
         return *found, soft_pupils.padded_size(self.residual, found[0], self.samples, self.tol)
 
-    def bound(self, intensity: Array, field_error: Array | float, energy_error: float) -> float:
+    def bound(
+        self,
+        intensity: Array,
+        field_error: Array | float,
+        energy_error: float,
+        spill: Array | float = 0.0,
+    ) -> float:
         """`estimates.intensity_error` on these pixels."""
-        pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
-        if self.residual.wavefront.aperture is not None:
-            pixel = min(pixel, NO_BEATS)  # its lobes may be wider than the Airy unit says
         return estimates.intensity_error(
-            intensity, field_error, energy_error, pixel=pixel, level=self.level
+            intensity,
+            field_error,
+            energy_error,
+            spill=spill,
+            pixel=self.pixel,
+            level=self.level,
         )
+
+    def transform_error(self, mean: Array, epsilon: float) -> float:
+        """`estimates.transform_error` on these pixels."""
+        return estimates.transform_error(mean, epsilon, pixel=self.pixel)
 
     def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
         """Intensity of a field at `samples`, averaged over pixels where asked."""
@@ -128,63 +147,6 @@ def transform(task: Task, method: str) -> Result:
     return Result(method, mean, error, task.level)
 
 
-def automatic(task: Task) -> Result:
-    """Cheapest transform whose estimate is within tol."""
-    reached = math.inf
-    refusals = []
-    for _, method in sorted(_candidates(task)):
-        try:
-            result = transform(task, method)
-        except (SamplingError, MemoryLimitError) as refusal:
-            refusals.append(refusal)
-            continue
-        if result.error <= task.tol:
-            return result
-        reached = min(reached, result.error)
-    if math.isinf(reached):
-        raise refusals[-1]
-    raise SamplingError(
-        f"no transform reaches tol = {task.tol:g}, the best estimate is {reached:.2g}; use tol = "
-        f"{reached:.2g}, or more pupil nodes (now {' x '.join(map(str, _counts(task)))})"
-    )
-
-
-def _candidates(task: Task) -> list[tuple[float, str]]:
-    """Expected seconds, or an order, and name of each transform that may do."""
-    residual = task.residual
-    layout = residual.wavefront.layout
-    found: list[tuple[float, str]] = []
-    if layout == "polar":
-        if airy.error_bound(residual) <= task.tol:
-            return [(airy.seconds(task.samples), "airy")]  # none is faster
-        found.append((quadrature.seconds(residual, task.samples), "quadrature"))
-        found.append((_grid_seconds(task), "fft"))
-    elif layout == "cells":
-        found.append((quadrature.seconds(residual, task.samples), "quadrature"))
-    elif layout == "scattered":
-        found = [(nufft.seconds(residual.wavefront.u.size, task.samples), "nufft")]
-    else:
-        # The same sum; fft is the faster where the pitch fits it.
-        found = [(1.0, "fft"), (2.0, "mdft")] if task.rule is None else [(1.0, "mdft")]
-    if _rays_may_do(task):
-        order = 3.0 if layout == "grid" else geometric.seconds(residual, task.pixels)
-        found.append((order, "geometric"))
-    return found
-
-
-def _rays_may_do(task: Task) -> bool:
-    """Whether rays are worth trying: many waves, on pixels wide enough for ``tol``."""
-    if task.rule is None or geometric.least_error(task.residual, task.pitch) > task.tol:
-        return False
-    wave = task.residual.wavefront
-    lit = wave.amplitude * wave.weights > 0
-    return float(np.ptp(task.residual.aberration[lit])) > MANY_WAVES * wave.wavelength
-
-
-def _counts(task: Task) -> tuple[int, ...]:
-    return task.residual.wavefront.u.shape
-
-
 def _airy(task: Task) -> tuple[Array, float]:
     residual = task.residual
     if residual.wavefront.layout != "polar":
@@ -200,7 +162,8 @@ def _airy(task: Task) -> tuple[Array, float]:
         )
     samples = task.samples
     fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
-    return task.means(airy.field(residual, samples)), bound
+    filtering = 0.0 if task.rule is None else estimates.FILTER
+    return task.means(airy.field(residual, samples)), bound + filtering
 
 
 def _quadrature(task: Task) -> tuple[Array, float]:
@@ -214,8 +177,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
     epsilon = quadrature.epsilon(residual, task.samples, task.tol)
     mean = task.means(quadrature.field(residual, task.samples, epsilon))
     lost = residual.truncation
-    rounding = 20 * epsilon
-    return mean, task.bound(mean, lost, lost**2) + rounding
+    return mean, task.bound(mean, lost, lost**2) + task.transform_error(mean, epsilon)
 
 
 def _fft(task: Task) -> tuple[Array, float]:
@@ -226,8 +188,8 @@ def _fft(task: Task) -> tuple[Array, float]:
         return soft
     fft.check_padding(residual, samples.pitch)
     if residual.wavefront.layout == "polar":
-        size = _polar_size(task)
-        grid = pupil_grid_from_polar(residual, _period_pitch(residual, size * samples.pitch))
+        size = polar_size(task)
+        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, size))
         _check_jump(task, grid.jump, None)
     else:
         if task.rule is not None:
@@ -269,8 +231,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "mdft")
     if residual.wavefront.layout == "polar":
-        period = _polar_size(task) * samples.pitch
-        grid = pupil_grid_from_polar(residual, _period_pitch(residual, period))
+        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
         _check_jump(task, grid.jump, None)
     else:
         _check_jump(task, *residual.grid_jump())
@@ -316,7 +277,7 @@ def _nufft(task: Task) -> tuple[Array, float]:
         _check_period(task)
     epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
     mean = task.means(nufft.field(residual, samples, epsilon))
-    rounding = 20 * epsilon
+    rounding = task.transform_error(mean, epsilon)
     if wave.is_spectral:
         lost = residual.truncation + 10 * NEGLIGIBLE
         return mean, task.bound(mean, lost, lost**2) + rounding
@@ -328,11 +289,13 @@ def _nufft(task: Task) -> tuple[Array, float]:
 def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
     """What the nodes' own areas err by, from the same wave on polar nodes."""
     wave = task.residual.wavefront
-    field, concentration, doubt = nufft.reference(task.residual, task.samples, epsilon)
+    field, total, true_energy, doubt = nufft.reference(task.residual, task.samples, epsilon)
     better = task.means(field)
     energy = float(np.sum(wave.amplitude**2 * wave.weights))
-    share = concentration * energy / task.residual.amplitude_sum**2
-    worst = max(float(np.abs(better * s - mean).max()) for s in (1.0, share))
+    flux = (total / task.residual.amplitude_sum) ** 2
+    # relative to the ideal peak, to the clear disc's light, and to the light that passes
+    levels = (1.0, flux, flux * energy / true_energy)
+    worst = max(float(np.abs(better * level - mean).max()) for level in levels)
     return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
 
 
@@ -366,15 +329,16 @@ def _geometric(task: Task) -> tuple[Array, float]:
 
 
 def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
-    field, energy = estimates.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y)
+    half = 0.0 if task.rule is None else task.pitch / 2
+    found = estimates.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y, half)
     lost = task.residual.truncation
-    bound = task.bound(mean, field + lost, energy + lost**2)
+    bound = task.bound(mean, found.field + lost, found.energy + lost**2, found.spill)
     if task.rule is None:
         return bound
     return bound + estimates.damping_error(task.residual, grid, task.pitch)
 
 
-def _polar_size(task: Task) -> int:
+def polar_size(task: Task) -> int:
     """Padded size for a polar wave: period over image samples, wide enough for window and rays."""
     residual, samples = task.residual, task.samples
     reach = max(samples.reach_from(residual.shift))
@@ -388,18 +352,10 @@ def _polar_size(task: Task) -> int:
     return int(np.ceil(period / samples.pitch - 1e-9))
 
 
-def _period_pitch(residual: Residual, period: float) -> float:
-    wave = residual.wavefront
-    return wave.wavelength * abs(wave.image_distance) / period
-
-
-def _grid_seconds(task: Task) -> float:
-    residual, samples = task.residual, task.samples
-    if task.soft is not None:
-        return soft_pupils.seconds(residual, samples, task.soft[2])
-    size = _polar_size(task)
-    n = grid_size(residual.wavefront.pupil_radius, _period_pitch(residual, size * samples.pitch))
-    return 1e-2 + 1.2e-7 * n * n + 2e-8 * size * (n + samples.shape[1])
+def grid_period_pitch(task: Task, size: int) -> float:
+    """Pupil pitch of a polar wave on a grid whose image repeats after ``size`` samples, m."""
+    wave = task.residual.wavefront
+    return wave.wavelength * abs(wave.image_distance) / (size * task.samples.pitch)
 
 
 def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
@@ -407,14 +363,26 @@ def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
         wave = task.residual.wavefront
         n = wave.u.shape[0]
         where, need = "", math.ceil(n * jump / 0.5)
-        if wave.layout == "scattered":
-            where, need = f" at node {pixel}", math.ceil(n * (jump / 0.5) ** 2)
-        elif pixel is not None:
-            where = f" at pixel {pixel}"
+        if wave.layout != "polar":
+            where = f" at {'pixel' if wave.layout == 'grid' else 'node'} {pixel}"
+            power = 2 if wave.layout == "scattered" else 1
+            # as many as the window takes, too
+            more = max(jump / 0.5, _period_share(task))
+            need = math.ceil(n * more**power)
         raise SamplingError(
             f"aberration jumps {jump:.2f} waves{where}, limit 0.50; use {need} or more pupil "
             f"samples (now {n}), or polar nodes"
         )
+
+
+def _period_share(task: Task) -> float:
+    """Distance from which the window needs the repeats to stay away, over theirs."""
+    residual = task.residual
+    wave = residual.wavefront
+    need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
+    if task.rule is not None:  # as far as the pixels' edges, and the core of the repeat itself
+        need += task.pitch / 2 + residual.airy_unit
+    return need * residual.spacing / (wave.wavelength * abs(wave.image_distance))
 
 
 def _check_period(task: Task) -> None:
@@ -422,7 +390,7 @@ def _check_period(task: Task) -> None:
     residual = task.residual
     wave = residual.wavefront
     period = wave.wavelength * abs(wave.image_distance) / residual.spacing
-    need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
+    need = _period_share(task) * period
     if need > period * (1 + 1e-9):
         n = wave.u.shape[0]
         more = (need / period) ** (2 if wave.layout == "scattered" else 1)

@@ -127,7 +127,10 @@ def circle_shares(x: Array, y: Array, pitch: float, radius: float) -> Array:
     edges_x = np.append(x - pitch / 2, x[-1] + pitch / 2)
     edges_y = np.append(y - pitch / 2, y[-1] + pitch / 2)
     corner = _corner_areas(edges_x, edges_y, radius)
-    return np.clip(np.diff(np.diff(corner, axis=0), axis=1) / pitch**2, 0.0, 1.0)
+    share = np.diff(np.diff(corner, axis=0), axis=1) / pitch**2
+    # cells outside hold the rounding of areas up to radius^2, which must not pass for light
+    share[share < 4 * np.finfo(np.float64).eps * (radius / pitch) ** 2] = 0.0
+    return np.clip(share, 0.0, 1.0)
 
 
 def _corner_areas(x: Array, y: Array, radius: float) -> Array:

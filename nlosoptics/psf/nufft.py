@@ -112,7 +112,7 @@ def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexA
 
 def reference(
     residual: Residual, window: Window, epsilon: float
-) -> tuple[ComplexArray, float, float]:
+) -> tuple[ComplexArray, float, float, float]:
     """Field of the same wave without the error of its scattered nodes.
 
     The wave is interpolated to polar nodes of the round or annular pupil that it samples.
@@ -121,8 +121,8 @@ def reference(
     -------
     field : ndarray of complex, (ny, nx)
         1 at the axis without aberration.
-    concentration : float
-        Squared integral of the amplitude over its energy, m^2.
+    total, energy : float
+        Integrals of the amplitude and of its square, m^2.
     doubt : float
         Error of the field for that of the interpolation.
     """
@@ -140,10 +140,5 @@ def reference(
     total = float(np.sum(amplitude * weights))
     share = amplitude * weights / total
     image = image_field(residual, u, v_, path, share, window, epsilon)
-    concentration = total**2 / float(np.sum(amplitude**2 * weights))
-    return image, concentration, residual.wavenumber * float(np.sum(share * doubt))
-
-
-def seconds(n_nodes: int, window: Window) -> float:
-    """Expected run time of `field` on one core, order of magnitude."""
-    return 1e-3 + 2e-7 * n_nodes + 6e-8 * window.shape[0] * window.shape[1]
+    energy = float(np.sum(amplitude**2 * weights))
+    return image, total, energy, residual.wavenumber * float(np.sum(share * doubt))

@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from .._checks import fits_memory, in_range, one_of, positive
 from ..errors import SamplingError, SceneError
 from . import fft
-from .methods import Surface, Task, automatic, transform
+from .choices import automatic
+from .methods import Surface, Task, transform
 from .pixels import pixel_rule
+from .regimes import Regime, regime
 from .residuals import Residual, split
 from .wavefronts import Wavefront
 from .windows import Window, check_rays, default_shape, shape_of, window_side
@@ -50,6 +52,10 @@ class PointSpread:
     enclosed_energy : float
         Share of the energy that passes the pupil which falls into the window, good to about the
         error that was asked for.
+    regime : Regime
+        What kind of wave it is, in numbers.
+    reason : str
+        Why this method, and what rules the others out or what they would have cost, in one line.
     """
 
     intensity: Array
@@ -61,6 +67,8 @@ class PointSpread:
     f_number: float
     pixel_integrated: bool
     enclosed_energy: float
+    regime: Regime
+    reason: str
 
     def __post_init__(self) -> None:
         given = np.asarray(self.intensity)
@@ -96,6 +104,7 @@ def point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
     image_surface: Surface | None = None,
+    max_seconds: float = 60.0,
 ) -> PointSpread:
     """Point spread of an exit-pupil wave.
 
@@ -134,6 +143,9 @@ def point_spread(
         Height z(x, y) over the image plane away from the pupil's plane along +z, m, of arrays of x
         and y, m; for ``huygens`` only, with a shape. The intensity there counts per area of the
         image plane.
+    max_seconds : float
+        Predicted seconds on one core beyond which ``auto`` refuses before it computes anything; a
+        named method is run whatever it takes.
 
     Returns
     -------
@@ -145,7 +157,7 @@ def point_spread(
         If an option is out of range or does not fit the method.
     SamplingError
         If the wave is sampled too coarsely, the window too narrow for its rays or the pitch too
-        wide, or if no transform reaches ``tol``.
+        wide, if no transform reaches ``tol``, or if that would take more than ``max_seconds``.
     MemoryLimitError
         Before anything is allocated that would not fit.
 
@@ -164,6 +176,7 @@ def point_spread(
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
+    positive("max_seconds", max_seconds, unit="s")
     _check_surface(method, shape, image_surface)
     residual = split(wavefront)
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
@@ -180,7 +193,11 @@ def point_spread(
         32.0 * shape[0] * shape[1],
         "use a smaller shape",
     )
-    result = automatic(task) if method == "auto" else transform(task, method)
+    kind = regime(residual, pitch)
+    if method == "auto":
+        result, reason = automatic(task, kind, max_seconds)
+    else:
+        result, reason = transform(task, method), f"{method} was asked for"
     scale = 1.0
     if normalisation != "ideal-peak":
         scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
@@ -196,6 +213,8 @@ def point_spread(
         f_number=wavefront.f_number,
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(np.sum(result.mean)) * result.level,
+        regime=kind,
+        reason=reason,
     )
 
 

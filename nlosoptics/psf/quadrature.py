@@ -73,12 +73,6 @@ def n_bytes(residual: Residual, window: Window) -> float:
     return nufft.n_bytes(math.prod(node_counts(residual, window)), window)
 
 
-def seconds(residual: Residual, window: Window) -> float:
-    """Expected run time of `field` on one core, order of magnitude."""
-    n_nodes = math.prod(node_counts(residual, window))
-    return 1e-3 + 2e-7 * n_nodes + 6e-8 * window.shape[0] * window.shape[1]
-
-
 def field(residual: Residual, window: Window, epsilon: float = nufft.BEST) -> ComplexArray:
     """Image field, 1 at the axis without aberration.
 

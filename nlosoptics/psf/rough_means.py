@@ -12,8 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import in_range, one_of, positive
 from ..errors import SamplingError
 from ..scene import Scene
+from .estimates import rounded_up
 from .halos import EPSILON, Halo
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread, point_spread
+from .regimes import regime
 from .residuals import Residual, split
 from .rough_views import RoughView, rough_view
 from .roughness import Roughness
@@ -151,7 +153,7 @@ def mean_point_spread(
     if error > tol:
         raise SamplingError(
             f"the mean of the rough wall reaches an error of {error:.2g}, limit tol = {tol:g}; use "
-            f"tol = {error:.2g}, or more pupil nodes"
+            f"tol = {rounded_up(1.5 * error)}, or more pupil nodes"
         )
     scale = {
         "unit-sum": 1.0,
@@ -170,7 +172,21 @@ def mean_point_spread(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(total.sum()),
         rayleigh_parameter=view.rayleigh_parameter,
+        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
+        reason=_reason(view, core),
     )
+
+
+def _reason(view: RoughView, core: PointSpread | None) -> str:
+    """Why halo and core were computed as they were."""
+    s = view.rayleigh_parameter
+    if s == 0:
+        halo = "the wall is smooth"
+    else:
+        halo = f"separations carry {100 * -math.expm1(-(s**2)):.3g} % of the light, s = {s:.3g} rad"
+    if core is None:
+        return f"{halo}; no core: exp(-s^2) is below rounding"
+    return f"{halo}; core: {core.reason}"
 
 
 def image_sampling(

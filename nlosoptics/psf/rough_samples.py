@@ -17,6 +17,7 @@ from . import estimates, mdft
 from .pixels import PixelRule, pixel_rule
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread
 from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
+from .regimes import regime
 from .residuals import Residual, split
 from .rough_means import image_sampling
 from .rough_views import RoughView, rough_view
@@ -125,6 +126,8 @@ def sample_point_spread(
         f_number=wave.f_number,
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(mean.sum()) * level,
+        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
+        reason=f"{propagation} was asked for: a screen on the pupil's lattice, one chirp a pattern",
     )
 
 
@@ -250,7 +253,8 @@ def speckle_error(
 ) -> float:
     """Expected error relative to the peak, of the rim's sampling and of light that is folded."""
     wave = residual.wavefront
-    rim, energy = estimates.edge_errors(residual, grid, window.x, window.y)
+    edge = estimates.edge_errors(residual, grid, window.x, window.y)
+    rim, energy = edge.field + edge.spill, edge.energy
     # the screen spreads the rim's error over the window, and what is folded over the period
     period = wave.wavelength * abs(wave.image_distance) / grid.pitch
     folded = spill / residual.pixel_share(period)

@@ -17,6 +17,7 @@ from . import mdft
 from .halos import Halo, Separations
 from .point_spreads import NORMALISATIONS, Normalisation
 from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
+from .regimes import regime
 from .residuals import Residual, split
 from .rough_means import ALL_DIFFUSE, RoughPointSpread, image_sampling, mean_point_spread
 from .rough_samples import (
@@ -185,6 +186,9 @@ def two_scale_point_spread(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float((coherent + diffuse).sum()),
         rayleigh_parameter=short.rayleigh_parameter,
+        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
+        reason=f"two scales were asked for: {propagation} screens of the long waves, "
+        "separations of the short",
     )
 
 

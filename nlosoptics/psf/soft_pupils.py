@@ -273,13 +273,6 @@ def _intensity(
     return rule.mean(np.ascontiguousarray(half.T)).T
 
 
-def seconds(residual: Residual, samples: Window, size: int) -> float:
-    """Expected run time of `intensity_in` on one core."""
-    radius = _radius(residual, samples, size)
-    columns = min(size, 2 * radius) + samples.shape[1]
-    return 4e-4 + 3e-8 * radius**2 + 6e-10 * size * columns * math.log2(size)
-
-
 def _radius(residual: Residual, samples: Window, size: int) -> float:
     """Cells across the pupil's radius for a period of ``size`` samples."""
     pupil = residual.wavefront
