@@ -14,6 +14,7 @@
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `rough_means`: the mean point spread over all such walls; `screens`, `rough_samples`:
   that of one drawn at random.
+- `hybrids`: waves for a wall's mirror-like lobes, rays for the rest.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit.
 """
@@ -24,6 +25,7 @@ from .comparisons import Comparison, ComparisonRow, compare
 from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .huygens import SurfacePointSpread, huygens_point_spread
+from .hybrids import HybridPointSpread, hybrid_point_spread
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
 from .point_spreads import PointSpread, point_spread
@@ -42,6 +44,7 @@ __all__ = [
     "Comparison",
     "ComparisonRow",
     "ExitPupil",
+    "HybridPointSpread",
     "PointSpread",
     "PointSpreadField",
     "Removed",
@@ -63,6 +66,7 @@ __all__ = [
     "gaussian_band",
     "grid_nodes",
     "huygens_point_spread",
+    "hybrid_point_spread",
     "integrated_slopes",
     "isoplanatic_radius",
     "mean_point_spread",

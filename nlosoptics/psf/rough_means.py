@@ -71,7 +71,7 @@ class RoughPointSpread(PointSpread):
 
 
 @dataclass(frozen=True, eq=False)
-class _Halo:
+class Halo:
     """What the sum over separations needs."""
 
     residual: Residual
@@ -210,8 +210,8 @@ def mean_point_spread(
     share = math.exp(-(view.rayleigh_parameter**2))
     coherent = np.zeros(shape) if core is None else share * core.intensity
     smooth = transfer(residual)
-    halo = _Halo(residual, smooth, view, Window.centred(pitch, shape), pixel_integrated)
-    diffuse, error = _converged(halo, coherent, tol)
+    halo = Halo(residual, smooth, view, Window.centred(pitch, shape), pixel_integrated)
+    diffuse, error = converged(halo, coherent, tol)
     total = coherent + diffuse
     peak = float(total.max())
     if core is not None:
@@ -264,7 +264,7 @@ def image_sampling(
     return pitch, (n, n)
 
 
-def _converged(halo: _Halo, coherent: Array, tol: float) -> tuple[Array, float]:
+def converged(halo: Halo, coherent: Array, tol: float) -> tuple[Array, float]:
     """Diffuse part with as many separations as it takes, and its error relative to the peak."""
     if halo.view.rayleigh_parameter == 0:
         return np.zeros(halo.window.shape), 0.0

@@ -27,14 +27,13 @@ from ._surround_kernels import (
     DRAW_BEAM,
     DRAW_LENS,
     DRAW_PIXEL,
+    LENS,
     NOTHING,
     WALL,
     dot,
     three,
 )
 from .surroundings import GROUPS, UNIT
-
-AIM = 0.5  # share of the light that is sent to where the wall is a mirror; one binary digit
 
 
 @njit(cache=True, inline="always")
@@ -69,11 +68,10 @@ def _along(a, b, n, x, y, z):
 
 
 @njit(cache=True, nogil=True)
-def shine(sampler, first, source, box, directions, aims, aimed):
+def shine(sampler, first, source, box, share, directions, aims, aimed):
     """Directions of light that leaves a source, or points (x, y) of the wall that it is aimed at.
 
-    ``box`` is (low x, low y, width, height) of the part of the wall that gets the share `AIM`, or
-    of no width.
+    ``box`` is (low x, low y, width, height) of the part of the wall that the ``share`` is aimed at.
     """
     n = three(source, 3)
     a, b = _across(n)
@@ -82,13 +80,11 @@ def shine(sampler, first, source, box, directions, aims, aimed):
         group, index = ray % GROUPS, ray // GROUPS
         u = draw(sampler, group, index, ray, DRAW_BEAM)
         v = draw(sampler, group, index, ray, DRAW_BEAM + 1)
-        aimed[i] = False
-        if box[2] > 0.0:
-            aimed[i] = u < AIM
-            u = u / AIM if aimed[i] else (u - AIM) / (1.0 - AIM)
+        aimed[i] = u < share
         if aimed[i]:
-            aims[i, 0], aims[i, 1] = box[0] + u * box[2], box[1] + v * box[3]
+            aims[i, 0], aims[i, 1] = box[0] + u / share * box[2], box[1] + v * box[3]
             continue
+        u = (u - share) / (1.0 - share)
         if source[6] > 0.0:
             z, turn = 1.0 - 2.0 * u, 2.0 * math.pi * v
             r = math.sqrt(max(0.0, 1.0 - z * z))
@@ -116,7 +112,7 @@ def toward(source, aims, aimed, directions, reach, live):
 
 
 @njit(cache=True, nogil=True)
-def arrive(source, box, directions, reach, live, hits, new):
+def arrive(source, box, share, directions, reach, live, hits, new):
     """First vertices of a source's light; both ways of drawing them share it by the balance."""
     distance, kind, normal, _ = hits
     for i in range(new.shape[0]):
@@ -129,13 +125,13 @@ def arrive(source, box, directions, reach, live, hits, new):
         cosine, intensity = -dot(d, n), _intensity(source, d)
         if cosine <= 0.0 or intensity <= 0.0:
             continue
-        density = intensity
+        density = intensity * (1.0 - share)
         p = (source[0] + t * d[0], source[1] + t * d[1], source[2] + t * d[2])
-        if box[2] > 0.0:
-            density *= 1.0 - AIM
-            x, y = p[0] - box[0], p[1] - box[1]
-            if 0.0 <= x <= box[2] and 0.0 <= y <= box[3]:
-                density += AIM / (box[2] * box[3]) * n[2] * t * t / cosine
+        x, y = p[0] - box[0], p[1] - box[1]
+        if share > 0.0 and 0.0 <= x <= box[2] and 0.0 <= y <= box[3]:
+            density += share / (box[2] * box[3]) * n[2] * t * t / cosine
+        if density <= 0.0:
+            continue  # aimed light that rounding takes out of its box
         for k in range(3):
             new[i, k], new[i, 3 + k], new[i, 6 + k] = p[k], n[k], -d[k]
         new[i, POWER], new[i, DENSITY] = intensity / density, density * cosine / (t * t)
@@ -305,13 +301,30 @@ def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, 
 
 
 @njit(cache=True, nogil=True)
+def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
+    """Power of the mirror image's rays that enter the lens, and where they land."""
+    camera, axis = world.camera, three(world.camera, 9)
+    distance, kind = hits[0], hits[1]
+    for i in range(value.size):
+        value[i] = 0.0
+        d = three(directions[i], 0)
+        at_lens = -dot(d, axis)
+        if kind[i] != LENS or powers[i] <= 0.0 or at_lens <= 0.0 or at_lens < camera[17]:
+            continue
+        t = distance[i]
+        p = (origins[i, 0] + t * d[0], origins[i, 1] + t * d[1], origins[i, 2] + t * d[2])
+        value[i], imaged[i] = powers[i] * camera[18], 1.0
+        x[i], y[i] = _landing(camera, p, (-d[0], -d[1], -d[2]))
+
+
+@njit(cache=True, nogil=True)
 def lens_hits(
-    world, counted, glossy, image, old, leave, new, fates, by_mirrors, value, x, y, imaged
+    world, counted, glossy, first_one, old, leave, new, fates, by_mirrors, value, x, y, imaged
 ):
     """Power of walks that find the lens, where it lands, and the imaged share.
 
-    Of what smooth mirrors send, light that met nothing else counts (``by_mirrors``, kept up to
-    date here), but for one reflection unless ``image``. Connections have the rest.
+    Of what smooth mirrors send, light that met nothing else (``by_mirrors``, kept up to date here)
+    counts from the second reflection on; `image_hits` has the first, and connections the rest.
     """
     lobes, matt = counted
     camera = world.camera
@@ -328,7 +341,7 @@ def lens_hits(
             continue
         sent = new[i, POWER] * (1.0 if fates[i] == paths.DETECTED else camera[18])
         if mirror:
-            value[i] = sent if image and by_mirrors[i] else 0.0
+            value[i] = sent if by_mirrors[i] and not first_one else 0.0
             imaged[i] = 1.0
         elif glossy and leave[i, LOBE] > 0.0:
             incident, n, p = three(old[i], 6), three(old[i], 3), three(old[i], 0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from .surroundings import GROUPS
 from .tracing import BLOCK
 
 Array = NDArray[np.float64]
+#: Share of the light that is aimed at where glossy lobes send it to the lens; one binary digit.
+AIM: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -29,8 +32,10 @@ class Task:
     job : Job
     source : ndarray, (7,)
         Position, normal, and 1 for even light; see `_point_kernels`.
-    box : ndarray, (4,)
-        Rectangle of the wall that light is aimed at.
+    image_box, gloss_box : ndarray, (4,)
+        Rectangles of the wall, low x and y, width and height, that smooth mirrors show the point
+        to the lens by, and glossy mirror-like lobes for the most part; without area where there are
+        none.
     matt : ndarray, (n, 4)
         The wall's lobes that are not mirror-like.
     mirror_image : bool
@@ -43,7 +48,8 @@ class Task:
 
     job: Job
     source: Array
-    box: Array
+    image_box: Array
+    gloss_box: Array
     matt: Array
     mirror_image: bool
     window: tuple[float, float, float, int]
@@ -71,6 +77,8 @@ def flux_of(
     block = _Block(task, first, end - first)
     most, plan = task.job.max_bounces, task.job.around.plan
     world, sampler = task.job.around.world, task.job.sampler
+    if task.mirror_image and task.image_box.all():
+        block.image()
     light = block.start()
     eyes = list(block.mirrored(block.look_around())) if task.mirrors else []
     for depth, eye in enumerate(eyes, start=1):
@@ -95,7 +103,7 @@ def flux_of(
             world,
             counted,
             plan.glossy,
-            image,
+            bounce == 1,
             light,
             block.rays.leave,
             onward,
@@ -169,12 +177,26 @@ class _Block:
         self.sums = np.zeros((self.rays.sums.shape[0], task.columns))
         self.kept: list[tuple[NDArray[np.int64], Array]] = []
 
+    def image(self) -> None:
+        """Book the image that smooth mirrors make by one reflection."""
+        rays, powers, world = self.rays, np.empty(self.n), self.task.job.around.world
+        light = self._shine(self.task.image_box, 1.0)
+        kernels.mirrored(world, light, rays.origins, rays.directions, powers, rays.live)
+        hits = rays._hits(light)
+        found = (self.value, *self.at, self.imaged)
+        kernels.image_hits(world, rays.directions, rays.origins, powers, hits, *found)
+        self.book(1)
+        self.keep()
+
     def start(self) -> Array:
         """First vertices of the point's light."""
+        return self._shine(self.task.gloss_box, AIM if self.task.gloss_box.all() else 0.0)
+
+    def _shine(self, box: Array, share: float) -> Array:
         task, rays, n = self.task, self.rays, self.n
         aims, aimed = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         kernels.shine(
-            task.job.sampler, self.first, task.source, task.box, rays.directions, aims, aimed
+            task.job.sampler, self.first, task.source, box, share, rays.directions, aims, aimed
         )
         if aimed.any():
             wall = task.job.scene.wall
@@ -184,7 +206,7 @@ class _Block:
         rays.origins[:] = task.source[:3]
         light = np.zeros((n, light_kernels.VERTEX))
         hits = rays._hits(None)
-        kernels.arrive(task.source, task.box, rays.directions, reach, rays.live, hits, light)
+        kernels.arrive(task.source, box, share, rays.directions, reach, rays.live, hits, light)
         rays._settle(light)
         return light
 

@@ -143,9 +143,9 @@ def trace_point(
     Notes
     -----
     For the flux, vertices of the light are joined to points of the lens; where a lobe is glossy,
-    half of the light is aimed at where the wall is a mirror, and walks that find the lens share
-    the paths by the balance heuristic (Veach 1997, ch. 9). The mirror image goes to the pixels from
-    there; for all else every pixel has rays of its own, from the lens to what the pixel sees, which
+    half of the light is aimed at where the wall shows the point, and walks that find the lens share
+    the paths by the balance heuristic (Veach 1997, ch. 9). Smooth mirrors have rays of their own,
+    aimed at their image. Mirror-like lobes reach the pixels from there; for all else every pixel has rays of its own, from the lens to what the pixel sees, which
     are joined to the point and to vertices of its light. Behind the thin lens light lands where its
     ray meets the plane in focus, drawn back through the lens's centre, so a wall out of focus is
     blurred. The hidden object itself is not in the way. Light that meets smooth mirrors alone, two
@@ -160,11 +160,13 @@ def trace_point(
     job = job_of(alone, max_bounces, "sobol", seed)
     pitch, (ny, nx), first = _window(alone, pitch, shape, first)
     each = min(max(LEAST, n_rays // (ny * nx)), 1 << 16)
+    image_box, gloss_box = _boxes(alone)
     matt = alone.wall_material.diffuse
     task = Task(
         job=job,
-        source=_source(scene, alone, emission),
-        box=_aim(alone),
+        source=np.array([*alone.object_point, *point_normal(scene), emission == "isotropic"]),
+        image_box=image_box,
+        gloss_box=gloss_box,
         matt=np.zeros((0, 4)) if matt is None else matt._lobes(),
         mirror_image=mirror_image,
         window=(first[0] - pitch / 2, first[1] - pitch / 2, pitch, nx),
@@ -226,12 +228,11 @@ def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
     return replace(scene, hidden=speck, camera=camera)
 
 
-def _source(scene: Scene, alone: Scene, emission: str) -> Array:
-    """Position, normal, and whether the point shines alike into all directions, (7,)."""
-    normal = np.array([0.0, 0.0, -1.0])
+def point_normal(scene: Scene) -> Array:
+    """Direction about which a point of the object shines: the picture's normal, a mesh's -z."""
     if isinstance(scene.hidden, PlanarObject):
-        normal = scene.hidden.axes[2]
-    return np.array([*alone.object_point, *normal, float(emission == "isotropic")])
+        return np.array(scene.hidden.axes[2])
+    return np.array([0.0, 0.0, -1.0])
 
 
 def mirror_lobes(material: Material) -> list[tuple[float, float]]:
@@ -244,29 +245,32 @@ def mirror_lobes(material: Material) -> list[tuple[float, float]]:
     ]
 
 
-def _aim(scene: Scene) -> Array:
-    """Rectangle of wall (low x, low y, width, height) that sends a mirror image to the lens.
+def _boxes(scene: Scene) -> tuple[Array, Array]:
+    """Where the wall shows the point to the lens, by smooth mirrors and by glossy lobes.
 
-    No width where no lobe is mirror-like or there is no such image.
+    Rectangles (low x, low y, width, height), m; of no width without such a lobe or such an image.
     """
-    material = scene.wall_material
-    slopes = [slope for _, slope in mirror_lobes(material)]
+    slopes = [slope for _, slope in mirror_lobes(scene.wall_material)]
+    none = np.zeros(4)
     if not slopes:
-        return np.zeros(4)
+        return none, none
     try:
         lit = lens_footprint(scene.wall, scene.object_point, scene.camera)
     except SceneError:  # no image; the light finds the wall by itself
-        return np.zeros(4)
-    # facets three standard deviations off send light this far along the wall
+        return none, none
     middle = lit.points.mean(axis=0)
     legs = [float(np.linalg.norm(p - middle)) for p in (scene.object_point, scene.camera.position)]
+    # facets three standard deviations off send light this far along the wall
     reach = 6.0 * max(slopes) * legs[0] * legs[1] / sum(legs)
-    margin = reach + 0.02 * (lit.high - lit.low) + 1e-6
-    low, high = lit.low - margin, lit.high + margin
-    if scene.wall.size is not None:
-        edge = np.array(scene.wall.size) / 2
-        low, high = np.maximum(low, -edge), np.minimum(high, edge)
-    return np.array([*low, *(high - low)])
+    boxes = [none, none]
+    for k, (wanted, more) in enumerate(((min(slopes) == 0.0, 0.0), (reach > 0.0, reach))):
+        margin = more + 0.02 * (lit.high - lit.low) + 1e-6
+        low, high = lit.low - margin, lit.high + margin
+        if scene.wall.size is not None:
+            edge = np.array(scene.wall.size) / 2
+            low, high = np.maximum(low, -edge), np.minimum(high, edge)
+        boxes[k] = np.array([*low, *(high - low)]) if wanted else none
+    return boxes[0], boxes[1]
 
 
 def _window(
