@@ -145,7 +145,8 @@ def trace_point(
     For the flux, vertices of the light are joined to points of the lens; where a lobe is glossy,
     half of the light is aimed at where the wall shows the point, and walks that find the lens share
     the paths by the balance heuristic (Veach 1997, ch. 9). Smooth mirrors have rays of their own,
-    aimed at their image. Mirror-like lobes reach the pixels from there; for all else every pixel has rays of its own, from the lens to what the pixel sees, which
+    aimed at their image. What one reflection by mirror-like lobes brings reaches the pixels from
+    there. For all else every pixel has rays of its own, from the lens to what the pixel sees, which
     are joined to the point and to vertices of its light. Behind the thin lens light lands where its
     ray meets the plane in focus, drawn back through the lens's centre, so a wall out of focus is
     blurred. The hidden object itself is not in the way. Light that meets smooth mirrors alone, two
