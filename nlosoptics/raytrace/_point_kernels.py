@@ -140,20 +140,16 @@ def arrive(source, box, share, directions, reach, live, hits, new):
 
 @njit(cache=True, inline="always")
 def _lens_point(camera, sampler, group, index, ray):
-    """Even point of the lens, in its own axes and in the world."""
+    """Even point of the lens."""
     u, v = disc(
         draw(sampler, group, index, ray, DRAW_LENS),
         draw(sampler, group, index, ray, DRAW_LENS + 1),
     )
     u, v = u * camera[12], v * camera[12]
     return (
-        u,
-        v,
-        (
-            camera[0] + u * camera[3] + v * camera[6],
-            camera[1] + u * camera[4] + v * camera[7],
-            camera[2] + u * camera[5] + v * camera[8],
-        ),
+        camera[0] + u * camera[3] + v * camera[6],
+        camera[1] + u * camera[4] + v * camera[7],
+        camera[2] + u * camera[5] + v * camera[8],
     )
 
 
@@ -178,7 +174,7 @@ def look_around(world, sampler, first, origins, directions, powers):
     for i in range(powers.size):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
-        _, _, point = _lens_point(camera, sampler, group, index, ray)
+        point = _lens_point(camera, sampler, group, index, ray)
         x, y = disc(
             draw(sampler, group, index, ray, DRAW_PIXEL),
             draw(sampler, group, index, ray, DRAW_PIXEL + 1),
@@ -195,6 +191,8 @@ def look_around(world, sampler, first, origins, directions, powers):
 def look_at_pixels(world, sampler, first, each, window, origins, directions, powers):
     """Rays from the lens to what pixels see, ``each`` rays a pixel; W per unit radiance.
 
+    Every other ray starts and lands opposite to the one before, about the centres of lens and
+    pixel: what varies evenly over a pixel cancels in such a pair.
     ``window`` is (low x, low y, pitch, columns) on the detector's plane.
     """
     camera = world.camera
@@ -203,18 +201,27 @@ def look_at_pixels(world, sampler, first, each, window, origins, directions, pow
     area = math.pi * (camera[12] * pitch / camera[14]) ** 2 * camera[18]
     for i in range(powers.size):
         ray = first + i
-        group, index = ray % GROUPS, ray // GROUPS
         row, column = ray // each // columns, ray // each % columns
-        u, v, point = _lens_point(camera, sampler, group, index, ray)
-        x = low_x + pitch * (column + draw(sampler, group, index, ray, DRAW_PIXEL))
-        y = low_y + pitch * (row + draw(sampler, group, index, ray, DRAW_PIXEL + 1))
+        sign = 1.0
+        if ray % 2 == 1:
+            sign, ray = -1.0, ray - 1
+        group, index = ray % GROUPS, ray // GROUPS
+        u, v = disc(
+            draw(sampler, group, index, ray, DRAW_LENS),
+            draw(sampler, group, index, ray, DRAW_LENS + 1),
+        )
+        u, v = sign * camera[12] * u, sign * camera[12] * v
+        x = sign * (draw(sampler, group, index, ray, DRAW_PIXEL) - 0.5)
+        y = sign * (draw(sampler, group, index, ray, DRAW_PIXEL + 1) - 0.5)
+        x, y = low_x + pitch * (column + 0.5 + x), low_y + pitch * (row + 0.5 + y)
         # toward where the pixel's point is in focus
         a, b = -x * zoom - u, -y * zoom - v
         norm = math.sqrt(a * a + b * b + c * c)
         cosine = c / norm
         d = _along(three(camera, 3), three(camera, 6), three(camera, 9), a, b, c)
         for k in range(3):
-            origins[i, k], directions[i, k] = point[k], d[k] / norm
+            origins[i, k] = camera[k] + u * camera[3 + k] + v * camera[6 + k]
+            directions[i, k] = d[k] / norm
         powers[i] = area * cosine**4 if cosine >= camera[17] else 0.0
 
 
@@ -279,7 +286,7 @@ def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, 
         if a[SURFACE] != WALL:
             continue
         group, index = ray % GROUPS, ray // GROUPS
-        _, _, p = _lens_point(camera, sampler, group, index, ray)
+        p = _lens_point(camera, sampler, group, index, ray)
         d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
         square = dot(d, d)
         r = math.sqrt(square)

@@ -43,7 +43,7 @@ class Task:
         Low x and y, pitch and columns of the pixels.
     rows : int
     each : int
-        Rays of a pixel.
+        Rays of a pixel, even.
     """
 
     job: Job
@@ -131,13 +131,14 @@ def pixels_of(task: Task, first: int, end: int) -> tuple[Array, Array, Counter[s
     for start in range(first, end, at_once):
         count = min(at_once, end - start)
         found, asked = _seen_by_pixels(task, start * task.each, count * task.each)
-        found = found.reshape(count, task.each)
+        found = found.reshape(count, task.each // 2, 2).mean(axis=2)
         mean = found.mean(axis=1)
         means.append(mean)
         variances.append(((found - mean[:, None]) ** 2).sum(axis=1))
         counts += asked
     del counts["rays"]
-    scale = task.each * (task.each - 3)  # Student's factor as of `mean_of`
+    pairs = task.each // 2
+    scale = pairs * (pairs - 3)  # Student's factor as of `mean_of`
     return np.concatenate(means), np.concatenate(variances) / scale, counts
 
 

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Emission = Literal["lambertian", "isotropic"]
 EMISSIONS = ("lambertian", "isotropic")
-#: Least rays of a pixel: fewer do not tell its standard error.
-LEAST = 8
+#: Least rays of a pixel: fewer pairs of them do not tell its standard error.
+LEAST = 16
 SPECK = 1e-9  # m, the size of what is left of the object
 
 
@@ -121,7 +121,7 @@ def trace_point(
     first : (float, float), optional
         Centre (x, y) of pixel [0, 0], m; by default the pixels are centred on the camera's axis.
     n_rays : int
-        Rays for the flux, and for the pixels together; a pixel gets at least 8 of its own.
+        Rays for the flux, and for the pixels together; a pixel gets at least 16 of its own.
     max_bounces : int
         Reflections by the wall, 1 to 64; further ones occur on walls that see themselves alone.
     seed : int
@@ -160,7 +160,7 @@ def trace_point(
     alone = point_scene(scene, object_point)
     job = job_of(alone, max_bounces, "sobol", seed)
     pitch, (ny, nx), first = _window(alone, pitch, shape, first)
-    each = min(max(LEAST, n_rays // (ny * nx)), 1 << 16)
+    each = min(max(LEAST, n_rays // (ny * nx) // 2 * 2), 1 << 16)
     image_box, gloss_box = _boxes(alone)
     matt = alone.wall_material.diffuse
     task = Task(
@@ -184,8 +184,10 @@ def trace_point(
         if progress is not None:
             progress("flux", min(1.0, counts["rays"] / n_rays))
     energy, variance = np.zeros(ny * nx), np.zeros(ny * nx)
-    done = 0
-    for mean, square, asked in in_blocks(pixels_of, task, 0, ny * nx):
+    done, number = 0, job.sampler
+    # Sobol points would give neighbours the same errors
+    alike = replace(job, sampler=(number[0], number[1][:, :0], number[2][:, :0]))
+    for mean, square, asked in in_blocks(pixels_of, replace(task, job=alike), 0, ny * nx):
         energy[done : done + len(mean)], variance[done : done + len(mean)] = mean, square
         done += len(mean)
         counts += asked
