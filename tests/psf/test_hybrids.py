@@ -42,14 +42,13 @@ WINDOW = {"pitch": 18e-6, "shape": 41}
 
 def wall_scene(material, wall=None, **camera):
     """A small stop, so that pixels are not many Airy discs wide."""
-    options = {"pixels": (1024, 1024), "pixel_pitch": 36e-6, "binning": 64, "stop_diameter": 0.004}
+    options = {"pixels": (1024, 1024), "pixel_pitch": 36e-6, "binning": 64}
+    options |= {"stop_diameter": 0.004, "aim": (-0.05, 0.0, 0.0), "focal_length": 0.05}
     return Scene(
         Laser(wavelength=633e-9, power=1.0, beam_diameter=1e-3, position=(-0.2, 0.1, 0.9)),
         FlatWall(size=(1.2, 0.9)) if wall is None else wall,
         PlanarObject(np.ones((3, 3)), 0.1, position=POINT),
-        Camera(
-            position=(-0.5, 0.0, 0.8), aim=(-0.05, 0.0, 0.0), focal_length=0.05, **options | camera
-        ),
+        Camera(position=(-0.5, 0.0, 0.8), **options | camera),
         wall_material=material,
     )
 
@@ -72,12 +71,12 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("material", [PAINT, LAYERS], ids=["paint", "layers"])
 def test_parts_add_to_what_a_trace_of_all_lobes_finds(name, material):
-    found = psf.hybrid_point_spread(SCENES[name](material), n_rays=1 << 17, **WINDOW)
+    found = psf.hybrid_point_spread(SCENES[name](material), n_rays=1 << 16, **WINDOW)
     assert found.coherent_flux + found.halo_flux + found.diffuse_flux == approx(1.0, rel=1e-12)
     assert found.coherent_flux > 0.02
     assert (found.halo_flux > 0.03) == (material is LAYERS)
     error = math.hypot(found.traced_flux_error, found.diffuse_flux_error)
-    assert error < 3e-3
+    assert error < 4e-3
     # the halo's flux is that of a smooth mirror to 2 slope_rms^2 = 2e-4 of itself
     assert found.traced_flux == approx(1.0, abs=4 * error + 2e-5)
 
@@ -88,11 +87,12 @@ def test_concave_wall_has_its_interreflections():
         psf.hybrid_point_spread(scene, max_bounces=n, n_rays=1 << 17, **WINDOW) for n in (1, 3)
     )
     more = three.flux * three.diffuse_flux - one.flux * one.diffuse_flux
-    error = three.flux * three.diffuse_flux_error + one.flux * one.diffuse_flux_error
+    # the same seed sends the same rays to the first reflection, so they leave no difference
+    traced = trace_point(scene, n_rays=1 << 17, max_bounces=3, shape=(1, 1), seed=1)
+    error = math.sqrt(2.0) * np.linalg.norm(traced.by_bounce_error[2:])
     assert more > 8 * error
-    traced = [trace_point(scene, n_rays=1 << 17, max_bounces=n, shape=(1, 1)) for n in (1, 3)]
-    error += traced[0].flux_error + traced[1].flux_error
-    assert more == approx(traced[1].flux - traced[0].flux, abs=4 * error)
+    assert more == approx(traced.by_bounce[2:].sum(), abs=4 * error)
+    assert three.diffuse.sum() * three.flux > one.diffuse.sum() * one.flux
 
 
 @pytest.mark.parametrize("name", ["flat", "convex", "concave"])
@@ -155,11 +155,16 @@ def test_halo_of_a_slope_is_where_the_rays_land(lobe):
     assert found.halo[bright].sum() == approx(landed[bright].sum(), rel=0.03)
 
 
+#: So far from each wall's image that it is a disc of some 10 pixels across.
+FOCUS = {"flat": 1.5, "convex": 1.3, "concave": 2.3}
+
+
 @pytest.mark.parametrize("name", ["flat", "convex", "concave"])
 def test_rays_land_where_the_wave_does(name):
     """The centre pixel lies on the chief ray, for rays of the same camera's detector."""
     scene = SCENES[name](MIRROR)
-    scene = replace(scene, camera=replace(scene.camera, focus_distance=1.6))
+    camera = replace(scene.camera, focus_distance=FOCUS[name], stop_diameter=0.015)
+    scene = replace(scene, camera=camera)
     image = psf.hybrid_waves.mirror_image(scene, None).image
     first = tuple(np.subtract(image, 20 * 18e-6))
     rays = trace_point(scene, pitch=18e-6, shape=(41, 41), first=first)
@@ -169,12 +174,9 @@ def test_rays_land_where_the_wave_does(name):
         ray, wave = rays.energy.sum(axis=k), found.coherent.sum(axis=k)
         centres = [(axis * part).sum() / part.sum() for part in (ray, wave)]
         assert centres[0] == approx(centres[1], abs=1e-6)
-        widths = [
-            math.sqrt(((axis - c) ** 2 * part).sum() / part.sum())
-            for c, part in zip(centres, (ray, wave), strict=True)
-        ]
-        # of a disc of several pixels; diffraction's tails end at the window
-        assert widths[0] == approx(widths[1], rel=0.03)
+        # fringes of a disc of 5 pixels and more, and the wave's tails beyond the window
+        shares = [np.cumsum(part) / part.sum() for part in (ray, wave)]
+        assert np.abs(shares[0] - shares[1]).max() < 0.04
 
 
 def test_matt_wall_needs_no_wave_part():
@@ -198,7 +200,7 @@ def test_occluded_image_leaves_the_rest():
     assert hit.flux > 0.0
     line = np.subtract(scene.camera.position, POINT)
     spot = np.add(POINT, line * 1.0 / 1.8)
-    x, y = (float(c) for c in (spot[0], spot[1] - 0.0))
+    x, y = float(spot[0]), float(spot[1])
     plate = trimesh.creation.box((0.04, 0.04, 1e-3))
     plate.apply_translation((x, y, 0.01))
     found = psf.hybrid_point_spread(replace(scene, occluders=(plate,)), **WINDOW)
@@ -206,7 +208,8 @@ def test_occluded_image_leaves_the_rest():
     error = math.hypot(found.traced_flux_error, found.diffuse_flux_error)
     assert found.traced_flux == approx(1.0, abs=4 * error)
     half = trimesh.creation.box((0.04, 0.04, 1e-3))
-    half.apply_translation((x + 0.02, y, 0.01))
+    # its edge meets the middle of the light on its way to the wall
+    half.apply_translation((x + 0.02 + 0.01 * (POINT[0] - x), y, 0.01))
     with pytest.raises(SceneError, match="occluders cut"):
         psf.hybrid_point_spread(replace(scene, occluders=(half,)), **WINDOW)
 
@@ -215,7 +218,7 @@ def test_field_stop_takes_all_or_nothing():
     scene = wall_scene(PAINT, field_stop=0.6)
     assert psf.hybrid_point_spread(scene, **WINDOW).coherent_flux > 0.0
     away = wall_scene(PAINT, aim=(0.25, 0.0, 0.0), field_stop=0.3)
-    found = psf.hybrid_point_spread(replace(away, camera=away.camera), check=False, **WINDOW)
+    found = psf.hybrid_point_spread(away, check=False, **WINDOW)
     assert found.coherent_flux == 0.0
     with pytest.raises(SceneError, match="'flux' needs a mirror image"):
         psf.hybrid_point_spread(away, normalisation="flux", check=False, **WINDOW)
