@@ -68,10 +68,11 @@ def _along(a, b, n, x, y, z):
 
 
 @njit(cache=True, nogil=True)
-def shine(sampler, first, source, box, share, directions, aims, aimed):
+def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
     """Directions of light that leaves a source, or points (x, y) of the wall that it is aimed at.
 
-    ``box`` is (low x, low y, width, height) of the part of the wall that the ``share`` is aimed at.
+    ``box`` is (low x, low y, width, height) of the part of the wall that the ``share`` is aimed at;
+    the rest goes evenly over all of the wall, ``whole``, or as it shines where that has no width.
     """
     n = three(source, 3)
     a, b = _across(n)
@@ -85,6 +86,10 @@ def shine(sampler, first, source, box, share, directions, aims, aimed):
             aims[i, 0], aims[i, 1] = box[0] + u / share * box[2], box[1] + v * box[3]
             continue
         u = (u - share) / (1.0 - share)
+        if whole[2] > 0.0:
+            aimed[i] = True
+            aims[i, 0], aims[i, 1] = whole[0] + u * whole[2], whole[1] + v * whole[3]
+            continue
         if source[6] > 0.0:
             z, turn = 1.0 - 2.0 * u, 2.0 * math.pi * v
             r = math.sqrt(max(0.0, 1.0 - z * z))
@@ -112,7 +117,7 @@ def toward(source, aims, aimed, directions, reach, live):
 
 
 @njit(cache=True, nogil=True)
-def arrive(source, box, share, directions, reach, live, hits, new):
+def arrive(source, whole, box, share, directions, reach, live, hits, new):
     """First vertices of a source's light; both ways of drawing them share it by the balance."""
     distance, kind, normal, _ = hits
     for i in range(new.shape[0]):
@@ -125,11 +130,15 @@ def arrive(source, box, share, directions, reach, live, hits, new):
         cosine, intensity = -dot(d, n), _intensity(source, d)
         if cosine <= 0.0 or intensity <= 0.0:
             continue
-        density = intensity * (1.0 - share)
         p = (source[0] + t * d[0], source[1] + t * d[1], source[2] + t * d[2])
+        upright = n[2] * t * t / cosine  # solid angle over mean-plane area, inverted
+        density = intensity
+        if whole[2] > 0.0:
+            density = upright / (whole[2] * whole[3])
+        density *= 1.0 - share
         x, y = p[0] - box[0], p[1] - box[1]
         if share > 0.0 and 0.0 <= x <= box[2] and 0.0 <= y <= box[3]:
-            density += share / (box[2] * box[3]) * n[2] * t * t / cosine
+            density += share / (box[2] * box[3]) * upright
         if density <= 0.0:
             continue  # aimed light that rounding takes out of its box
         for k in range(3):

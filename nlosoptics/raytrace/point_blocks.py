@@ -32,10 +32,12 @@ class Task:
     job : Job
     source : ndarray, (7,)
         Position, normal, and 1 for even light; see `_point_kernels`.
+    whole : ndarray, (4,)
+        Rectangle of all of the wall, low x and y, width and height, over which light is spread
+        evenly; without area where it goes as it shines.
     image_box, gloss_box : ndarray, (4,)
-        Rectangles of the wall, low x and y, width and height, that smooth mirrors show the point
-        to the lens by, and glossy mirror-like lobes for the most part; without area where there are
-        none.
+        Rectangles of the wall by which smooth mirrors show the point to the lens, and glossy
+        mirror-like lobes for the most part; without area where there are none.
     matt : ndarray, (n, 4)
         The wall's lobes that are not mirror-like.
     mirror_image : bool
@@ -48,6 +50,7 @@ class Task:
 
     job: Job
     source: Array
+    whole: Array
     image_box: Array
     gloss_box: Array
     matt: Array
@@ -196,8 +199,9 @@ class _Block:
     def _shine(self, box: Array, share: float) -> Array:
         task, rays, n = self.task, self.rays, self.n
         aims, aimed = np.zeros((n, 3)), np.zeros(n, dtype=bool)
+        where = (task.whole, box, share)
         kernels.shine(
-            task.job.sampler, self.first, task.source, box, share, rays.directions, aims, aimed
+            task.job.sampler, self.first, task.source, *where, rays.directions, aims, aimed
         )
         if aimed.any():
             wall = task.job.scene.wall
@@ -207,7 +211,7 @@ class _Block:
         rays.origins[:] = task.source[:3]
         light = np.zeros((n, light_kernels.VERTEX))
         hits = rays._hits(None)
-        kernels.arrive(task.source, box, share, rays.directions, reach, rays.live, hits, light)
+        kernels.arrive(task.source, *where, rays.directions, reach, rays.live, hits, light)
         rays._settle(light)
         return light
 

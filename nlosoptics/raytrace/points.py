@@ -27,6 +27,8 @@ Emission = Literal["lambertian", "isotropic"]
 EMISSIONS = ("lambertian", "isotropic")
 #: Least rays of a pixel: fewer pairs of them do not tell its standard error.
 LEAST = 16
+#: Sides of a wall, over the point's distance from it, up to which light goes evenly over the wall.
+WIDE = 4.0
 SPECK = 1e-9  # m, the size of what is left of the object
 
 
@@ -142,7 +144,8 @@ def trace_point(
 
     Notes
     -----
-    For the flux, vertices of the light are joined to points of the lens; where a lobe is glossy,
+    For the flux, vertices of the light, evenly over a wall that is not too wide, are joined to
+    points of the lens; where a lobe is glossy,
     half of the light is aimed at where the wall shows the point, and walks that find the lens share
     the paths by the balance heuristic (Veach 1997, ch. 9). Smooth mirrors have rays of their own,
     aimed at their image. What one reflection by mirror-like lobes brings reaches the pixels from
@@ -166,6 +169,7 @@ def trace_point(
     task = Task(
         job=job,
         source=np.array([*alone.object_point, *point_normal(scene), emission == "isotropic"]),
+        whole=_whole(alone),
         image_box=image_box,
         gloss_box=gloss_box,
         matt=np.zeros((0, 4)) if matt is None else matt._lobes(),
@@ -246,6 +250,14 @@ def mirror_lobes(material: Material) -> list[tuple[float, float]]:
         for part in parts
         if isinstance(part, SpecularMicrofacet | Ward) and part.specular_reflectance > 0.0
     ]
+
+
+def _whole(scene: Scene) -> Array:
+    """Rectangle of a wall that is small enough to be lit evenly, else one of no width."""
+    size, distance = scene.wall.size, float(scene.object_point[2])
+    if size is None or max(size) > WIDE * distance:
+        return np.zeros(4)
+    return np.array([-size[0] / 2, -size[1] / 2, size[0], size[1]])
 
 
 def _boxes(scene: Scene) -> tuple[Array, Array]:
