@@ -2,7 +2,7 @@
 
 For every wall: the least power of two of rays, and the seconds of the fastest of three traces, at
 which the light through the lens is known to 1e-2 and to 1e-3 of itself, and the diffuse part of
-every one of 256 x 256 pixels to that share of its brightest; what the waves take; and what a trace
+every one of 128 x 128 pixels to that share of its brightest; what the waves take; and what a trace
 of all lobes finds over the sum of coherent part, halo and diffuse part, in standard errors.
 """
 
@@ -32,7 +32,7 @@ from nlosoptics.scene import (
     SumMaterial,
 )
 
-SIDE = 256
+SIDE = 128
 PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.01), SpecularMicrofacet(0.05, 0.0))
 WALLS = {
     "flat": FlatWall(size=(1.6, 1.2)),
@@ -74,7 +74,7 @@ def reached(scene, goal, error, least, **options):
     n = least
     while True:
         spent, found = seconds(partial(trace_point, scene, n_rays=n, **options))
-        if error(found) <= goal or n >= 1 << 24:
+        if error(found) <= goal or n >= 1 << 22:
             return n, spent, error(found)
         n *= 2
 
