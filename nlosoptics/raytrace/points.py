@@ -153,7 +153,8 @@ def trace_point(
     are joined to the point and to vertices of its light. Behind the thin lens light lands where its
     ray meets the plane in focus, drawn back through the lens's centre, so a wall out of focus is
     blurred. The hidden object itself is not in the way. Light that meets smooth mirrors alone, two
-    or more of them, is found by chance, on walls that see themselves.
+    or more of them, is found by chance, on walls that see themselves; where one of them is glossy,
+    single pixels are far noisier than the rest.
     """
     from .point_blocks import Task, flux_of, pixels_of
 
