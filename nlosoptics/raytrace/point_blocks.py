@@ -65,12 +65,16 @@ class Task:
         return self.job.max_bounces + 2
 
     @property
+    def smooth(self) -> bool:
+        """Whether the wall has a smooth mirror's lobe."""
+        lobes = self.job.around.world.wall
+        return bool(((lobes[:, 2] == 0.0) & (lobes[:, 0] >= BECKMANN)).any())
+
+    @property
     def mirrors(self) -> int:
         """Smooth mirrors that the lens looks through, at most."""
-        lobes = self.job.around.world.wall
-        smooth = ((lobes[:, 2] == 0.0) & (lobes[:, 0] >= BECKMANN)).any()
         sees_itself = self.job.around.plan.wall_to_wall
-        return self.job.max_bounces - 1 if smooth and sees_itself else 0
+        return self.job.max_bounces - 1 if self.smooth and sees_itself else 0
 
 
 def flux_of(
@@ -80,7 +84,7 @@ def flux_of(
     block = _Block(task, first, end - first)
     most, plan = task.job.max_bounces, task.job.around.plan
     world, sampler = task.job.around.world, task.job.sampler
-    if task.mirror_image and task.image_box.all():
+    if task.mirror_image and task.smooth:
         block.image()
     light = block.start()
     eyes = list(block.mirrored(block.look_around())) if task.mirrors else []
@@ -184,7 +188,8 @@ class _Block:
     def image(self) -> None:
         """Book the image that smooth mirrors make by one reflection."""
         rays, powers, world = self.rays, np.empty(self.n), self.task.job.around.world
-        light = self._shine(self.task.image_box, 1.0)
+        # walls that bend may show the point elsewhere as well
+        light = self._shine(self.task.image_box, AIM if self.task.image_box.all() else 0.0)
         kernels.mirrored(world, light, rays.origins, rays.directions, powers, rays.live)
         hits = rays._hits(light)
         found = (self.value, *self.at, self.imaged)
