@@ -307,12 +307,15 @@ def test_hollow_wall_of_mirror_and_paint_by_a_walk():
     scene = hollow_scene(
         SumMaterial(Lambert(0.4), SpecularMicrofacet(0.5, 0.0)),
         1.0,
-        1.2,
+        1.4,
         stop=0.3,
         transmission=1.0,
     )
+    # low and looking across, the lens sees the wall by way of the wall
+    camera = replace(scene.camera, position=(-0.3, 0.0, 0.4), aim=(0.3, 0.0, 0.1))
+    scene = replace(scene, camera=replace(camera, focus_distance=1.5))
     found = trace_point(scene, n_rays=1 << 16, max_bounces=3)
-    walks = [walked(scene, 1.0, 0.6, (0.4, 0.5), 1_000_000, 3, seed) for seed in range(3)]
+    walks = [walked(scene, 1.0, 0.7, (0.4, 0.5), 1_000_000, 3, seed) for seed in range(3)]
     share = np.mean([mean for mean, _ in walks], axis=0)
     error = np.linalg.norm([spread for _, spread in walks], axis=0) / 3
     assert (share > 10 * error)[1:3].all()
