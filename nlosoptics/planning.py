@@ -21,8 +21,6 @@ from .scene import (
     MeshWall,
     PlanarObject,
     Scene,
-    SpecularMicrofacet,
-    Ward,
 )
 
 BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
@@ -230,7 +228,7 @@ def _point_spread_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float
             f"{seconds:.0f} s and {tail**2 * 64 / 2**30:.0f} GiB, limit {MOST_SAMPLES}; use tol = "
             f"{1.1 * tol * (tail / MOST_SAMPLES) ** 3:.1g} or more, or wider pixels"
         )
-    slope = max((lobe.slope_rms for lobe in _lobes(scene)), default=0.0)
+    slope = max((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
     blur = ""
     if slope > 0:
         seconds += 0.5
@@ -260,7 +258,7 @@ def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol:
     name = "field of point spreads"
     if not isinstance(scene.hidden, PlanarObject):
         return _skipped(name, "one point spread stands for the mesh; positions are exact")
-    if not _lobes(scene):
+    if not scene.wall_material.mirror_lobes:
         return _skipped(name, "a wall without a mirror-like lobe shows no picture")
     if layout == "grid":
         return _skipped(
@@ -315,7 +313,7 @@ def _change_over_object(scene: Scene, pupil: ExitPupil) -> float:
     changes = np.linalg.norm(bends - bends[0], 2, axis=(1, 2)).max()
     radius, distance = pupil.radius, abs(pupil.image_distance)
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
-    slope = min((lobe.slope_rms for lobe in _lobes(scene)), default=0.0)
+    slope = min((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
     pixel = max(pitch, core) + slope * distance
     spot = radius * distance * np.linalg.norm(bends, 2, axis=(1, 2)).max()
     phase = 2 * math.pi / scene.laser.wavelength * changes * radius**2 / 2
@@ -451,9 +449,3 @@ def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:
     depth = float((scene.mirrored_object_point - position) @ scene.camera.axis)
     focus = 0.5 * abs(1 / depth - 1 / scene.focus_distance) if depth > 0 else math.inf
     return float((curved + focus) * pupil.entrance_radius**2 / scene.laser.wavelength)
-
-
-def _lobes(scene: Scene) -> tuple[SpecularMicrofacet | Ward, ...]:
-    """The wall's mirror-like lobes."""
-    lobes = scene.wall_material.mirror_lobes
-    return tuple(lobe for lobe in lobes if isinstance(lobe, SpecularMicrofacet | Ward))

@@ -16,7 +16,9 @@
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `halos`, `rough_means`: the mean point spread over all such walls; `screens`,
   `rough_samples`: that of one drawn at random; `correlations`, `rough_scales`: long waves drawn,
-  short ones as their mean; `lobes`: the point spread of a wall's mirror-like lobes.
+  short ones as their mean.
+- `lobes`: the point spread of a wall's mirror-like lobes; `hybrids`, `hybrid_waves`: with the light
+  of all other lobes by rays.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit; `metric_errors`: their error bars over patterns drawn at random.
 - `exchange`, `poppy_files`, `zernike_tables`: waves for other tools and from them; `whole_files`
@@ -31,6 +33,7 @@ from .exchange import PrysmPupil, from_prysm, to_prysm
 from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .huygens import SurfacePointSpread, huygens_point_spread
+from .hybrids import HybridPointSpread, hybrid_point_spread
 from .lobes import lobe_point_spread, lobe_window
 from .metric_errors import MetricEstimate, metric_estimate
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
@@ -56,6 +59,7 @@ __all__ = [
     "Comparison",
     "ComparisonRow",
     "ExitPupil",
+    "HybridPointSpread",
     "MetricEstimate",
     "PointSpread",
     "PointSpreadField",
@@ -82,6 +86,7 @@ __all__ = [
     "gaussian_band",
     "grid_nodes",
     "huygens_point_spread",
+    "hybrid_point_spread",
     "integrated_slopes",
     "isoplanatic_radius",
     "lobe_point_spread",

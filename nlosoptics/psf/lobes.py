@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive, vector
 from ..errors import SceneError
-from ..scene import PlanarObject, Scene, SpecularMicrofacet, Ward
+from ..scene import MirrorLobe, PlanarObject, Scene
 from .facet_waves import WallView, wall_view
 from .point_spreads import PointSpread, point_spread
 from .residuals import split
@@ -22,12 +22,11 @@ from .wavefronts import Wavefront
 from .windows import shape_of, window_side
 
 Array = NDArray[np.float64]
-Lobe = SpecularMicrofacet | Ward
 #: Phase rms of a lobe's heights, rad: its point spread is that of its slopes to 1/s^2.
 ROUGH: Final = 1e3
 
 
-def lobe_roughness(lobe: Lobe, rayleigh_parameter: float, height_rms: float) -> Roughness:
+def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: float) -> Roughness:
     """Heights whose slopes are those of a lobe, in the rough limit.
 
     Parameters
@@ -58,7 +57,7 @@ def lobe_roughness(lobe: Lobe, rayleigh_parameter: float, height_rms: float) -> 
     return Roughness(height_rms, length, correlation)
 
 
-def halo_radius(lobe: Lobe, view: WallView, wave: Wavefront, tol: float) -> float:
+def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -> float:
     """Distance in the image, m, at which the blur by a lobe's slopes falls to ``tol`` of its peak.
 
     Slopes t have the density exp(-t^2/(2 sigma^2)), of GGX (1 + t^2/alpha^2)^-2, and turn the wave
@@ -185,9 +184,9 @@ def _within(wave: Wavefront, pitch: float, shape: tuple[int, int], tol: float) -
     return replace(core, intensity=intensity)
 
 
-def _lobes(scene: Scene) -> tuple[list[Lobe], float]:
+def _lobes(scene: Scene) -> tuple[list[MirrorLobe], float]:
     """Mirror-like lobes with a slope, and the reflectance of those without."""
-    lobes = [p for p in scene.wall_material.mirror_lobes if isinstance(p, Lobe)]
+    lobes = scene.wall_material.mirror_lobes
     smooth = sum(lobe.specular_reflectance for lobe in lobes if lobe.slope_rms == 0)
     return [lobe for lobe in lobes if lobe.slope_rms > 0], smooth
 

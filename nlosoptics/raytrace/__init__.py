@@ -5,6 +5,7 @@ from .intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, interse
 from .irradiance import WallIrradiance, wall_irradiance
 from .meshes import AllHits, MeshHits, all_hits, intersect_mesh, occluded
 from .paths import RayPaths
+from .points import PointTrace, trace_point
 from .pupil_fans import pupil_rays
 from .surroundings import RayPlan, ray_plan
 from .tracing import trace
@@ -18,6 +19,7 @@ __all__ = [
     "AllHits",
     "Hits",
     "MeshHits",
+    "PointTrace",
     "RayPaths",
     "RayPlan",
     "WallIrradiance",
@@ -29,5 +31,6 @@ __all__ = [
     "pupil_rays",
     "ray_plan",
     "trace",
+    "trace_point",
     "wall_irradiance",
 ]

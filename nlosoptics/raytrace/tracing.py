@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
+Given = TypeVar("Given")
 BLOCK: Final = 4096  # rays that one task traces, a multiple of the unit of the sums
 FIRST: Final = 1 << 10  # rays before the first look at the error, as well
 MOST: Final = 1 << 36
@@ -194,7 +195,7 @@ def _refuse_darkness(scene: Scene) -> None:
 
 
 def in_blocks(
-    work: Callable[[Job, int, int], Found], job: Job, start: int, end: int
+    work: Callable[[Given, int, int], Found], job: Given, start: int, end: int
 ) -> Iterator[Found]:
     """What ``work`` finds for blocks of rays, in the order of the rays, on all cores."""
     parts = [(a, min(a + BLOCK, end)) for a in range(start, end, BLOCK)]

@@ -4,7 +4,15 @@ from .camera import Camera, pupil_frame
 from .height_maps import CallableWall, HeightMapWall
 from .hidden import MeshObject, PlanarObject
 from .laser import Laser
-from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from .materials import (
+    Lambert,
+    Material,
+    MirrorLobe,
+    OrenNayar,
+    SpecularMicrofacet,
+    SumMaterial,
+    Ward,
+)
 from .mesh import MeshWall
 from .occluders import Occluder
 from .scene import Scene
@@ -22,6 +30,7 @@ __all__ = [
     "Material",
     "MeshObject",
     "MeshWall",
+    "MirrorLobe",
     "Occluder",
     "OrenNayar",
     "PlanarObject",

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SceneError
+
+if TYPE_CHECKING:
+    from .materials import MirrorLobe
 
 Array = NDArray[np.float64]
 # kinds of lobe
@@ -34,9 +37,9 @@ class Material:
         return 0.0
 
     @property
-    def mirror_lobes(self) -> tuple[Material, ...]:
+    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
         """The parts that `specular_reflectance` counts, those that reflect nothing left out."""
-        return (self,) if self.specular_reflectance > 0.0 else ()
+        return ()
 
     @property
     def diffuse(self) -> Material | None:

@@ -186,6 +186,11 @@ class SpecularMicrofacet(Material):
         return self.reflectance if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     @property
+    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
+        """The lobe itself where it is mirror-like."""
+        return (self,) if self.specular_reflectance > 0.0 else ()
+
+    @property
     def diffuse(self) -> Material | None:
         """None for a mirror-like lobe, which is the whole material; else the material."""
         return None if self.slope_rms <= MIRROR_SLOPE else self
@@ -253,6 +258,11 @@ class Ward(Material):
         return self.rho if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     @property
+    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
+        """The lobe itself where it is mirror-like."""
+        return (self,) if self.specular_reflectance > 0.0 else ()
+
+    @property
     def diffuse(self) -> Material | None:
         """None for a mirror-like lobe, which is the whole material; else the material."""
         return None if self.slope_rms <= MIRROR_SLOPE else self
@@ -261,6 +271,10 @@ class Ward(Material):
         """Directional albedo at ``theta``, rad, by quadrature."""
         t = check_angle(theta)
         return directional_albedo(t, lambda a: over_slopes(self, a, self.slope_rms, smooth=False))
+
+
+#: Materials that may be mirror-like.
+MirrorLobe = SpecularMicrofacet | Ward
 
 
 @dataclass(frozen=True, init=False)
@@ -299,7 +313,7 @@ class SumMaterial(Material):
         return sum(part.specular_reflectance for part in self.parts)
 
     @property
-    def mirror_lobes(self) -> tuple[Material, ...]:
+    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
         """The mirror-like parts."""
         return tuple(lobe for part in self.parts for lobe in part.mirror_lobes)
 

@@ -6,18 +6,21 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of
 from .canvas import new_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.image import AxesImage
 
     from ..imaging import SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import PointSpread, Wavefront
+    from ..psf import HybridPointSpread, PointSpread, Wavefront
 
+Array = NDArray[np.float64]
 
 #: What the value 1 of a point spread stands for.
 MEANING = {
@@ -105,16 +108,7 @@ def point_spread(
     peak = float(point_spread.intensity.max())
     floor = peak * 10.0**-decades if scale == "log" else 0.0
     norm = LogNorm(floor, peak) if scale == "log" else Normalize(floor, peak)
-    ny, nx = point_spread.intensity.shape
-    pixel = point_spread.pitch * 1e6
-    left, low = (-(n // 2 + 0.5) * pixel for n in (nx, ny))
-    drawn = axes.imshow(
-        np.maximum(point_spread.intensity, floor),
-        norm=norm,
-        cmap="viridis",
-        extent=(left, left + nx * pixel, low + ny * pixel, low),
-        interpolation="nearest",
-    )
+    drawn = _spread_map(axes, point_spread.intensity, point_spread.pitch, norm)
     if half_width is not None:
         axes.set(
             xlim=(-half_width * 1e6, half_width * 1e6), ylim=(half_width * 1e6, -half_width * 1e6)
@@ -122,6 +116,56 @@ def point_spread(
     colour_bar(axes, drawn, MEANING[point_spread.normalisation])
     axes.set(xlabel="x (um)", ylabel="y (um)", title=f"point spread, {point_spread.method}")
     return axes
+
+
+def hybrid_parts(
+    point_spread: HybridPointSpread,
+    *,
+    decades: float = 6.0,
+    axes: Sequence[Axes] | None = None,
+) -> tuple[Axes, ...]:
+    """Draw the parts of a hybrid point spread: coherent, halo and diffuse, in one scale.
+
+    Parameters
+    ----------
+    point_spread : HybridPointSpread
+        What to draw.
+    decades : float
+        Of the logarithmic scale, below the peak of the sum; what is fainter is drawn like the
+        faintest.
+    axes : sequence of three matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    tuple of three Axes
+        Image coordinates in um, turned as the camera shows them: y grows downward.
+    """
+    from matplotlib.colors import LogNorm
+
+    drawn_on = tuple(axes) if axes is not None else new_axes(3, width=13.0, height=4.2)
+    peak = float(point_spread.intensity.max())
+    norm = LogNorm(peak * 10.0**-decades, peak)
+    for axis, name in zip(drawn_on, ("coherent", "halo", "diffuse"), strict=True):
+        drawn = _spread_map(axis, getattr(point_spread, name), point_spread.pitch, norm)
+        share = getattr(point_spread, f"{name}_flux")
+        axis.set(xlabel="x (um)", ylabel="y (um)", title=f"{name}, {share:.3g} in all")
+    colour_bar(drawn_on[-1], drawn, MEANING[point_spread.normalisation])
+    return drawn_on
+
+
+def _spread_map(axes: Axes, intensity: Array, pitch: float, norm: LogNorm | Normalize) -> AxesImage:
+    """Draw samples of the image plane about their centre, as the camera shows them."""
+    ny, nx = intensity.shape
+    pixel = pitch * 1e6
+    left, low = (-(n // 2 + 0.5) * pixel for n in (nx, ny))
+    return axes.imshow(
+        np.maximum(intensity, norm.vmin or 0.0),
+        norm=norm,
+        cmap="viridis",
+        extent=(left, left + nx * pixel, low + ny * pixel, low),
+        interpolation="nearest",
+    )
 
 
 def image(speckle_image: SpeckleImage, *, axes: Axes | None = None) -> Axes:

@@ -299,3 +299,19 @@ def test_paths_are_drawn_from_both_sides(flat_scene: Scene) -> None:
     assert np.asarray(side.lines[-5].get_xydata()) == pytest.approx(strongest[:, [2, 1]])
     with pytest.raises(SceneError, match="keep_paths=True"):
         views.ray_paths(trace(flat_scene, n_rays=8))
+
+
+def test_parts_of_a_hybrid_share_one_scale():
+    """Colours of the three maps stand for the same light; a dark part is drawn as the floor."""
+    coherent, diffuse = np.zeros((3, 5)), np.full((3, 5), 1e-4)
+    coherent[1, 2] = 0.5
+    found = spread(coherent + diffuse)
+    found.coherent, found.halo, found.diffuse = coherent, 0 * coherent, diffuse
+    found.coherent_flux, found.halo_flux, found.diffuse_flux = 0.5, 0.0, 0.5
+    axes = views.hybrid_parts(found, decades=5.0)
+    images = [axis.images[0] for axis in axes]
+    assert {image.norm.vmax for image in images} == {0.5001}
+    for image, part in zip(images, (coherent, 0 * coherent, diffuse), strict=True):
+        assert image.norm.vmin == pytest.approx(5.001e-6, rel=1e-12)
+        assert np.asarray(image.get_array()) == pytest.approx(np.maximum(part, 5.001e-6))
+    assert axes[0].get_title() == "coherent, 0.5 in all"
