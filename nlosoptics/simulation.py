@@ -121,7 +121,7 @@ def simulate(
     with stage("exit pupil"):
         pupil = exit_pupil(scene)
     wave, spread = _wave_and_spread(scene, todo, stage)
-    from . import imaging
+    from . import imaging, psf
 
     errors = {"point spread": spread.error_estimate}
     field = None
@@ -133,7 +133,8 @@ def simulate(
         with stage("shadow rays"):
             shadows = imaging.cast_shadows(scene)
     with stage("image"):
-        image = imaging.form_image(scene, field or spread, seed=seed, shadows=shadows)
+        wide = psf.widened(field or spread, tol=tol / 4, shape=scene.camera.shape)
+        image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
     reconstruction = None
     if todo.runs("reconstruction"):
         with stage("reconstruction"):

@@ -12,7 +12,7 @@
   `pixels` and `windows` serve them, `estimates` bounds their errors.
 - `methods`: runs one of them; `choices` picks the cheapest that does, by `costs` and what `regimes`
   says of the wave; `point_spreads`: `point_spread`; `comparisons`: all of them side by side;
-  `bands` and `fields`: over wavelengths and over the object.
+  `bands` and `fields`: over wavelengths and over the object; `tails`: what lies beyond a window.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `halos`, `rough_means`: the mean point spread over all such walls; `screens`,
   `rough_samples`: that of one drawn at random; `correlations`, `rough_scales`: long waves drawn,
@@ -49,6 +49,7 @@ from .rough_scales import split_scale, two_scale_point_spread
 from .roughness import Roughness
 from .slopes import integrated_slopes, wavefront_from_slopes
 from .spots import centroid, ensquared_energy, peak_strehl, ptf, spot_radius
+from .tails import field_with_tail, widened, with_tail
 from .wavefronts import Removed, Wavefront
 from .windows import window_shape
 from .zernike_tables import ZernikeTable, read_zernikes, write_zernikes
@@ -80,6 +81,7 @@ __all__ = [
     "exit_pupil",
     "facet_reach",
     "facet_wavefront",
+    "field_with_tail",
     "fit_zernike",
     "from_prysm",
     "fwhm",
@@ -115,7 +117,9 @@ __all__ = [
     "wavefront",
     "wavefront_from_rays",
     "wavefront_from_slopes",
+    "widened",
     "window_shape",
+    "with_tail",
     "write_poppy",
     "write_zernikes",
     "zernike",

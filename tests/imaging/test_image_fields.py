@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 import nlosoptics as nlos
+from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel, image_field
 from nlosoptics.imaging.image_fields import picture_frame, rms_difference
 from nlosoptics.psf import point_spread_field
-from nlosoptics.scene import ConcaveWall, MeshObject, WavyWall
+from nlosoptics.scene import ConcaveWall, MeshObject
 
 
 @pytest.fixture(scope="module")
@@ -20,30 +21,28 @@ def scene(examples):
     return nlos.Scene.load(examples / "scenes" / "letter_speckle.toml").resized(128)
 
 
-@pytest.mark.parametrize(
-    "wall", [ConcaveWall(6.0), WavyWall(1e-6, 0.12, 0.3)], ids=["hollow", "wavy"]
-)
-def test_error_bounds_that_of_the_image(scene, wall):
-    scene = replace(scene, wall=wall)
+def test_error_bounds_that_of_the_image(examples):
+    """A hollow wall that turns one pixel into twenty, in other ways over the picture."""
+    flat = nlos.Scene.load(examples / "scenes" / "letter_flat.toml")
+    camera = replace(flat.camera, stop_diameter=8e-3)
+    scene = replace(flat, wall=ConcaveWall(2.2), camera=camera)
     picture = picture_frame(scene)
-    exact = ForwardModel(
-        point_spread_field(scene, 16, tol=1e-5, checks=0), shape=picture.shape
-    ).forward(picture)
-    one = point_spread_field(scene, 1, tol=1e-5, checks=0)
-    alone = rms_difference(ForwardModel(one, shape=picture.shape).forward(picture), exact)
-    counts = []
-    for tol in (1e-2, 1e-3, 1e-4):
-        field, error = image_field(scene, tol=tol)
-        found = ForwardModel(field, shape=picture.shape).forward(picture)
-        true = rms_difference(found, exact)
-        # the estimate is the coarser grid's error; its point spreads are held to tol as well
-        assert true <= error + 0.5 * tol
-        assert true < tol
-        counts.append(field.weights[0].size)
-    assert counts == sorted(counts)
-    # one point spread would not do
-    assert alone > 1e-2
-    assert counts[-1] > counts[0]
+
+    def image(field):
+        wide = psf.widened(field, tol=1e-5, shape=picture.shape)
+        return ForwardModel(wide, shape=picture.shape).forward(picture)
+
+    exact = image(point_spread_field(scene, 6, tol=1e-4, checks=0))
+    field, error = image_field(scene, tol=1e-2)
+    assert field.weights[0].size < 36
+    true = rms_difference(image(field), exact)
+    # the estimate is the coarser grid's error; point spreads have a tol of their own
+    assert true <= error + 5e-3
+    assert error <= 1e-2
+    # one point spread is worse, and so are these without what lies beyond their windows
+    assert rms_difference(image(point_spread_field(scene, 1, checks=0)), exact) > 3 * true
+    narrow = ForwardModel(field, shape=picture.shape).forward(picture)
+    assert rms_difference(narrow, exact) > 2 * true
 
 
 def test_mean_is_that_over_the_picture(scene):
