@@ -278,7 +278,9 @@ def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol:
         return nodes, 1.2 * nodes**2 * (0.02 + _spread_seconds(core, pitch, waves, tol))
 
     def fits(nodes: int, seconds: float) -> bool:
-        return nodes <= MOST_NODES and seconds <= MOST_SECONDS
+        # a spot that is too wide to be sampled is refused by its wave, whose figures are exact
+        quick = seconds <= MOST_SECONDS or 16 * waves > MOST_SAMPLES
+        return nodes <= MOST_NODES and quick
 
     nodes, seconds = cost(tol)
     if not fits(nodes, seconds):

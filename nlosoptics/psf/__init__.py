@@ -12,7 +12,8 @@
   `pixels` and `windows` serve them, `estimates` bounds their errors.
 - `methods`: runs one of them; `choices` picks the cheapest that does, by `costs` and what `regimes`
   says of the wave; `point_spreads`: `point_spread`; `comparisons`: all of them side by side;
-  `bands` and `fields`: over wavelengths and over the object; `tails`: what lies beyond a window.
+  `bands` and `fields`: over wavelengths and over the object; `cores`, `tails`: on wide
+  pixels, and beyond a window.
 - `roughness`, `rough_views`: statistics of a rough wall, and what the pupil sees of it.
 - `transfers`, `halos`, `rough_means`: the mean point spread over all such walls; `screens`,
   `rough_samples`: that of one drawn at random; `correlations`, `rough_scales`: long waves drawn,
@@ -29,6 +30,7 @@ from .aberration import path_difference, wall_aberration, wavefront
 from .apertures import Aperture
 from .bands import band_point_spread, gaussian_band
 from .comparisons import Comparison, ComparisonRow, compare
+from .cores import wide_point_spread
 from .exchange import PrysmPupil, from_prysm, to_prysm
 from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
@@ -117,6 +119,7 @@ __all__ = [
     "wavefront",
     "wavefront_from_rays",
     "wavefront_from_slopes",
+    "wide_point_spread",
     "widened",
     "window_shape",
     "with_tail",

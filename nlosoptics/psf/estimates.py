@@ -48,7 +48,7 @@ def intensity_error(
     level : float
         Share of the whole energy that a pixel of mean 1 would hold.
     """
-    if np.ndim(field_error) == 0:
+    if np.ndim(field_error) == np.ndim(spill) == 0:
         intensity = np.asarray(np.max(intensity))  # the bound below rises with it
     error = np.square(field_error)
     if pixel > 0:

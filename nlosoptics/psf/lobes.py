@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import in_range, positive, vector
 from ..errors import SceneError
 from ..scene import MirrorLobe, PlanarObject, Scene
+from .cores import wide_point_spread
 from .facet_waves import WallView, wall_view
-from .point_spreads import PointSpread, point_spread
+from .point_spreads import PointSpread
 from .residuals import split
 from .rough_means import mean_point_spread
 from .roughness import Roughness
@@ -148,7 +149,7 @@ def lobe_point_spread(
     if shape is None:
         shape = lobe_window(scene, wave, object_point=object_point, tol=tol, pitch=pitch)
     if not rough:
-        return point_spread(wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
+        return wide_point_spread(wave, pitch=pitch, shape=shape_of(shape), tol=tol)
     view = wall_view(_seen_from(scene, object_point))
     height = ROUGH * wave.wavelength / (2 * math.pi * view.cos_sum)
     statistics = [lobe_roughness(lobe, ROUGH, height) for lobe in rough]
@@ -177,7 +178,7 @@ def _within(wave: Wavefront, pitch: float, shape: tuple[int, int], tol: float) -
     """Smooth wall's point spread, 0 beyond the window outside which it is below ``tol``."""
     side = window_side(split(wave), pitch, tol)
     ny, nx = (min(n, side + (n - side) % 2) for n in shape)
-    core = point_spread(wave, pitch=pitch, shape=(ny, nx), pixel_integrated=True, tol=tol)
+    core = wide_point_spread(wave, pitch=pitch, shape=(ny, nx), tol=tol)
     intensity = np.zeros(shape)
     top, left = shape[0] // 2 - ny // 2, shape[1] // 2 - nx // 2
     intensity[top : top + ny, left : left + nx] = core.intensity

@@ -43,10 +43,12 @@ def wave_bends(scene: Scene, points: Array) -> Array:
     axes = np.stack([e1, e2])
     across = axes - (units[1] @ axes.T)[:, :, None] * units[1][:, None, :]
     into = np.swapaxes(across[:, :, :2], 1, 2) / lengths[1][:, None, None]
+    focus = (1 / depth - 1 / scene.focus_distance)[:, None, None] * np.eye(2)
+    if scene.wall.is_flat:
+        return np.asarray(focus)
     _, _, _, xx, xy, yy = scene.wall.derivatives(hits[:, 0], hits[:, 1]).T
     bend = np.stack([np.stack([xx, xy], axis=1), np.stack([xy, yy], axis=1)], axis=1)
     first = np.linalg.solve(flat, into)
     seen = np.linalg.solve(flat - cos_sum[:, None, None] * bend, into)
     wall = -cos_sum[:, None, None] * np.swapaxes(first, 1, 2) @ bend @ seen
-    focus = 1 / depth - 1 / scene.focus_distance
-    return np.asarray(wall + focus[:, None, None] * np.eye(2))
+    return np.asarray(wall + focus)

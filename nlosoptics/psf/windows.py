@@ -81,7 +81,7 @@ def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
     SamplingError
         If it would need more than 4096 samples a side.
     """
-    half = _ray_reach(residual) + 16 * residual.airy_unit
+    half = ray_reach(residual) + 16 * residual.airy_unit
     n = max(256, 2 * math.ceil(half / pitch))
     if n > WIDEST_DEFAULT:
         raise SamplingError(
@@ -137,7 +137,7 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
 
 def window_side(residual: Residual, pitch: float, tol: float) -> int:
     """The same of a residual."""
-    peak = _peak_pixel(residual, pitch)
+    peak = peak_pixel(residual, pitch)
     # Energy per pixel at the distance r from the last ray, and solved for r.
     tail = (2 * residual.airy_unit * pitch**2 / (math.pi**3 * tol * peak)) ** (1 / 3)
     wave = residual.wavefront
@@ -145,11 +145,11 @@ def window_side(residual: Residual, pitch: float, tol: float) -> int:
         scale = wave.wavelength * abs(wave.image_distance)
         tail *= rim_tails.edge_ratio(wave) ** (1 / 3)
         tail = max(tail, rim_tails.reach(wave.aperture, scale, pitch, tol * peak))
-    half = _ray_reach(residual) + tail
+    half = ray_reach(residual) + tail
     return int(2 * math.ceil(max(half / pitch - 0.5, 0.0)) + 1)
 
 
-def _peak_pixel(residual: Residual, pitch: float) -> float:
+def peak_pixel(residual: Residual, pitch: float) -> float:
     """Energy of the brightest pixel, estimated from the rays and the Airy disc."""
     rays, unit = residual.rays, residual.airy_unit
     # Bins no finer than the Airy disc, which blurs the rays.
@@ -173,7 +173,8 @@ def _peak_pixel(residual: Residual, pitch: float) -> float:
     return float(min(bins.max() * min(1.0, (pitch / side) ** 2), airy))
 
 
-def _ray_reach(residual: Residual) -> float:
+def ray_reach(residual: Residual) -> float:
+    """Half the side of the square about the axis that holds every ray, m."""
     shift = residual.shift
     return residual.rays.reach + max(abs(shift[0]), abs(shift[1]))
 

@@ -357,7 +357,7 @@ def test_grids_agree_within_their_estimate(name, aberration, pixels):
         errors.append(error(spread, truth))
         assert errors[-1] < spread.error_estimate
         # bounds add up what in truth differs in sign
-        assert spread.error_estimate < 50 * errors[-1]
+        assert spread.error_estimate < 100 * errors[-1]
         assert error(psf.point_spread(grid, method="nufft", **window), spread) < 1e-8
     # second order, on rims that squares cut by chance
     assert errors[1] < 0.4 * errors[0]

@@ -106,13 +106,7 @@ def test_image_by_a_field(scene):
     coarse = psf.point_spread_field(scene, 3, tol=2e-3, checks=0)
     alone = psf.point_spread_field(scene, 1, tol=2e-3, checks=0)
     wave = psf.wavefront(scene)
-    one = psf.point_spread(
-        wave,
-        pitch=scene.camera.image_pitch,
-        shape=alone.modes.shape[1],
-        pixel_integrated=True,
-        tol=1e-3,
-    )
+    one = psf.lobe_point_spread(scene, wave, shape=alone.modes.shape[1], tol=1e-3)
     images = [imaging.form_image(scene, p) for p in (coarse, alone, one)]
     peak = images[2].signal.max()
     assert images[1].signal == approx(images[2].signal, abs=1e-9 * peak)

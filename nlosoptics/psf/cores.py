@@ -1,0 +1,136 @@
+"""Point spreads on pixels far wider than diffraction: fine about the rays, a tail beyond."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .point_spreads import PointSpread, point_spread
+from .residuals import split
+from .wavefronts import Wavefront
+from .windows import peak_pixel, ray_reach
+
+Array = NDArray[np.float64]
+#: Pixel in Airy units from which this is tried, and the parts' own.
+WIDE, FINE = 8.0, 2.0
+#: Share of the tail's light that a pixel of it may err by, far from the rays; measured 3e-4.
+MODEL = 0.01
+#: Least distance of the tail from the rays, Airy units.
+LEAST = 20.0
+#: Share of the samples of the whole window from which the detour does not pay.
+WORTH = 0.5
+
+
+def wide_point_spread(
+    wave: Wavefront, *, pitch: float, shape: tuple[int, int], tol: float
+) -> PointSpread:
+    """`point_spread` on pixels, with fine samples only where the rays land.
+
+    Parameters
+    ----------
+    wave : Wavefront
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+    tol : float
+        Largest max |dI|/max I.
+
+    Returns
+    -------
+    PointSpread
+        ``"unit-sum"``, integrated over pixels. Where the pixels are wide, all light that lies
+        beyond a square about the rays is spread as ``1/r^3``, see `tails`.
+
+    Raises
+    ------
+    NlosError
+        As of `point_spread`.
+    """
+    residual = split(wave)
+    whole = partial(point_spread, wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
+    unit, reach = residual.airy_unit, ray_reach(residual)
+    if wave.layout != "polar" or pitch < WIDE * unit:
+        return whole()
+    half = _inner_half(reach / unit, tol / 2 * peak_pixel(residual, pitch)) * unit
+    if 2 * half > WORTH * pitch * min(shape):
+        return whole()
+    parts = math.ceil(pitch / (FINE * unit)) | 1
+    n = 2 * math.ceil(half * parts / pitch) + 1
+    fine = point_spread(wave, pitch=pitch / parts, shape=n, pixel_integrated=True, tol=tol / 30)
+    missing = max(1.0 - fine.enclosed_energy, 0.0)
+    half = n * pitch / parts / 2
+    intensity = _binned(fine.intensity, parts, shape)
+    intensity += missing * _beyond_square(shape, half / pitch)
+    peak = float(intensity.max())
+    # errors of the parts have either sign
+    error = fine.error_estimate * parts * float(fine.intensity.max())
+    error = (error + missing * _model_error(reach / half)) / peak
+    if error > tol:
+        return whole()
+    return replace(
+        fine,
+        intensity=intensity,
+        pitch=pitch,
+        method=f"{fine.method} + tail",
+        error_estimate=error,
+        enclosed_energy=float(intensity.sum()),
+        regime=replace(fine.regime, pixel=pitch / unit),
+        reason=f"{n} x {n} parts of pixels hold the rays, a tail the rest; {fine.reason}",
+    )
+
+
+def _inner_half(reach: float, tol: float) -> float:
+    """Half side of the square beyond which the tail errs by less than ``tol``, Airy units."""
+    # beyond half lies 2/(pi^2 half) of all light
+    share = 2 / math.pi**2 / tol
+    return max(reach + LEAST, share * 2 * MODEL, math.cbrt(2 * share * reach**2))
+
+
+def _model_error(reach: float) -> float:
+    """Share of the tail's light that it errs by, for rays that land at a share of its start."""
+    return min(1.0, MODEL + reach**2)
+
+
+def _binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
+    """Sums over pixels of ``parts`` x ``parts``, both of one centre; what is beyond is dropped."""
+    n = len(fine)
+    # whole pixels, an odd count, that hold the fine ones
+    count = 2 * math.ceil(max((n - parts) / 2, 0) / parts) + 1
+    margin = (count * parts - n) // 2
+    wide = np.pad(fine, margin).reshape(count, parts, count, parts).sum(axis=(1, 3))
+    found = np.zeros(shape)
+    target, source = [], []
+    for size in shape:
+        low, high = min(size // 2, count // 2), min((size - 1) // 2, count // 2)
+        target.append(slice(size // 2 - low, size // 2 + high + 1))
+        source.append(slice(count // 2 - low, count // 2 + high + 1))
+    found[tuple(target)] = wide[tuple(source)]
+    return found
+
+
+def _beyond_square(shape: tuple[int, int], half: float) -> Array:
+    """Shares of ``1/r^3`` beyond a square of half side ``half``, pixels, in each pixel.
+
+    All beyond the square count 1.
+    """
+    y, x = (np.arange(n + 1) - n // 2 - 0.5 for n in shape)
+    corners = _in_rectangle(np.abs(x), np.abs(y)[:, None], half) * np.sign(x) * np.sign(y)[:, None]
+    return np.asarray(np.diff(np.diff(corners, axis=0), axis=1)) * half / (4 * math.sqrt(2))
+
+
+def _in_rectangle(x: Array, y: Array, half: float) -> Array:
+    """Integral of ``1/r^3`` over 0..x, 0..y beyond the square."""
+    a, b = np.maximum(x, half), np.maximum(y, half)
+    both = math.sqrt(2) / half - np.hypot(a, b) / (a * b)
+    strip = np.where(x < half, _strip(x, half) - _strip(x, b), _strip(y, half) - _strip(y, a))
+    return np.where((x >= half) & (y >= half), both, np.where((x < half) & (y < half), 0.0, strip))
+
+
+def _strip(width: Array, start: Array | float) -> Array:
+    """Integral of ``1/r^3`` over 0..width along one axis, beyond ``start`` along the other."""
+    # width/(start (hypot + start)), without cancellation
+    return np.asarray(width / (start * (np.hypot(width, start) + start)))
