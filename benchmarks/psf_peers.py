@@ -1,6 +1,6 @@
-"""Point spreads: error against seconds, beside prysm, HCIPy and POPPY.
+"""Point spreads: error against seconds, beside prysm, HCIPy, POPPY and Optiland.
 
-python benchmarks/psf_peers.py [--peers-python PATH] [--json FILE] [--plot FILE.png]
+python benchmarks/psf_peers.py [--peers-python PATH ...] [--json FILE] [--plot FILE.png]
 
 Four pupils, all round and clear: no aberration, and a mix of defocus, astigmatism, coma and
 spherical of 1, 10 and 100 waves from peak to valley, as rms coefficients of Noll's Zernikes. Image
@@ -14,8 +14,10 @@ one thread, least of several. The peers' apertures, polynomials and matrices are
 and so are the nodes, polynomials and rims that nlosoptics keeps by itself; `first` is with the
 set-up.
 
-Peers run in an environment of their own, see requirements-peers.txt; what their best is, is said in
-peers/psf_*.py. Optiland's point spreads begin with the trace of a lens, and take no coefficients.
+Peers run in environments of their own, see requirements-peers.txt; --peers-python may be given
+several times, and each peer runs in the first that has it. What their best is, is said in
+peers/psf_*.py. Optiland's point spreads begin with the trace of a lens and take no coefficients:
+the wave is written in place of that of a perfect lens, and its trace counts as set-up.
 """
 
 from __future__ import annotations
@@ -52,7 +54,9 @@ UNIT = 2 * WAVELENGTH  # lambda N
 MIX = {4: 0.0859, 5: 0.0429, 6: 0.0859, 7: 0.0515, 8: 0.0859, 11: 0.0429}
 GOALS = (1e-2, 1e-3, 1e-4, 1e-6, 1e-9, 1e-12)
 TOLS = (1e-3, 1e-6, 1e-9, 1e-12)
-PEERS = ("prysm", "hcipy", "poppy")
+PEERS = ("prysm", "hcipy", "poppy", "optiland")
+# Names of the peers that an interpreter has, without importing them.
+HAS = "import sys; from importlib.util import find_spec; print(*filter(find_spec, sys.argv[1:]))"
 
 
 def case(name, waves, size, pitch):
@@ -189,6 +193,29 @@ def our_rows(given, repeats, samples):
     return rows
 
 
+def serving(pythons):
+    """Interpreter of each peer: the first that has it."""
+    found = {}
+    for python in pythons:
+        if not Path(python).is_file():
+            raise SystemExit(f"there is no {python}")
+        run = subprocess.run(
+            [python, "-c", HAS, *PEERS], capture_output=True, text=True, env=clean(), check=True
+        )
+        for name in run.stdout.split():
+            found.setdefault(name, python)
+    if not pythons:
+        print("no --peers-python PATH: nlosoptics alone")
+    elif len(found) < len(PEERS):
+        print(f"no interpreter has {', '.join(name for name in PEERS if name not in found)}")
+    return {name: found[name] for name in PEERS if name in found}
+
+
+def clean():
+    """Environment without our own path of modules."""
+    return {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+
+
 def peer_rows(python, name, job):
     """Rows of a peer with images in place of files, or none and a line that says why."""
     with tempfile.TemporaryDirectory() as folder:
@@ -197,7 +224,7 @@ def peer_rows(python, name, job):
             input=json.dumps({**job, "folder": folder}),
             capture_output=True,
             text=True,
-            env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+            env=clean(),
             check=False,
         )
         if run.returncode:
@@ -206,7 +233,12 @@ def peer_rows(python, name, job):
             return []
         found = json.loads(run.stdout)
         return [
-            {**row, "version": found["version"], "image": np.load(row["image"])}
+            {
+                **row,
+                "version": found["version"],
+                "note": found["note"],
+                "image": np.load(row["image"]),
+            }
             for row in found["rows"]
         ]
 
@@ -224,18 +256,15 @@ def check_conventions(rows):
         print(f"{name}: {error:.1e} from ours where nothing is symmetric")
         if not error < 1e-2:
             raise SystemExit(f"{name} has other signs or samples than ours")
+    for note in dict.fromkeys(row["note"] for row in rows if row["note"]):
+        print(note)
 
 
 def compare(options):
     """Print and return the rows of everyone."""
-    python = options.peers_python
-    if python is None:
-        print("no --peers-python PATH: nlosoptics alone")
-    elif not Path(python).is_file():
-        raise SystemExit(f"there is no {python}")
-    peers = PEERS if python else ()
+    peers = serving(options.peers_python)
     job = {"repeats": options.repeats, "samples": [256], "cases": [CONVENTIONS]}
-    check_conventions([row for name in peers for row in peer_rows(python, name, job)])
+    check_conventions([row for name in peers for row in peer_rows(peers[name], name, job)])
     samples = [2**k for k in range(5, 13) if 2**k <= options.samples]
     rows = []
     print(f"{'case':14s} {'by':28s} {'samples':>8s} {'ms':>9s} {'first':>9s} {'error':>8s}")
@@ -244,8 +273,9 @@ def compare(options):
         job = {"repeats": options.repeats, "samples": samples, "cases": [given]}
         found = our_rows(given, options.repeats, samples)
         for name in peers:
-            found += peer_rows(python, name, job)
+            found += peer_rows(peers[name], name, job)
         for row in found:
+            row.pop("note", None)
             row["error"] = max(error_of(row.pop("image"), exact), doubt)
             print(
                 f"{row['case']:14s} {row['name']:28s} {row['samples'] or row.get('tol', 0):8g} "
@@ -323,7 +353,13 @@ def plot(rows, path):
 def main():
     """Print the tables, write what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--peers-python", metavar="PATH", help="interpreter that has the peers")
+    parser.add_argument(
+        "--peers-python",
+        metavar="PATH",
+        action="append",
+        default=[],
+        help="interpreter that has peers; may be given several times",
+    )
     parser.add_argument("--samples", type=int, default=4096, help="most pupil samples a side")
     parser.add_argument("--repeats", type=int, default=10)
     parser.add_argument("--json", type=Path, metavar="FILE")

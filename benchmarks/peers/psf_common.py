@@ -36,8 +36,11 @@ def timed(make, repeats):
     return image, best, first
 
 
-def answer(name, builders):
-    """Run the job on standard input; images as .npy files, JSON on standard output."""
+def answer(name, builders, note=None):
+    """Run the job on standard input; images as .npy files, JSON on standard output.
+
+    ``note`` is a line that readers of the table should know.
+    """
     job, rows = json.load(sys.stdin), []
     for case in job["cases"]:
         orders = [tuple(order) for order in case["orders"]]
@@ -59,7 +62,7 @@ def answer(name, builders):
                         "image": str(path),
                     }
                 )
-    json.dump({"version": version(name.lower()), "rows": rows}, sys.stdout)
+    json.dump({"version": version(name.lower()), "note": note, "rows": rows}, sys.stdout)
 
 
 def grids(case, samples):
