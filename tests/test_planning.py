@@ -136,7 +136,7 @@ scene = Scene(
     ConcaveWall(4.0),
     PlanarObject(picture, 0.3, position=(x, 0.0, 1.0)),
     Camera(position=(-0.6, 0.0, 0.8), aim=(-0.6 + (x + 0.6) * 0.8 / 1.8, 0.0, 0.0),
-           focal_length=0.0506415, stop_diameter=0.025, binning=32),
+           focal_length=0.0506415, stop_diameter=0.01, binning=32),
 )
 r = nlos.simulate(scene, seed=1)
 for a in (r.wavefront.aberration, r.point_spread.intensity, r.image.electrons, r.image.expected):
