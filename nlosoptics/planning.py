@@ -13,7 +13,7 @@ from ._checks import fits_memory, in_range
 from .errors import NotWaveGradeError, SamplingError, SceneError
 from .psf.aberration import check_wave_grade
 from .psf.obstruction import check_cone
-from .psf.paraxial import wave_bends
+from .psf.paraxial import change_over_object
 from .psf.pupils import ExitPupil, exit_pupil
 from .raytrace import ray_plan
 from .scene import (
@@ -265,7 +265,7 @@ def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol:
             name, "one point spread on a grid stands for the object; positions are exact"
         )
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
-    change = _change_over_object(scene, pupil)
+    change = change_over_object(scene, pupil)
     if change <= tol:
         return _skipped(
             name, f"one point spread stands for the object: changes of it stay below {change:.1g}"
@@ -298,31 +298,6 @@ def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol:
         seconds=seconds,
         error=f"{tol:g} of the image, rms",
     )
-
-
-def _change_over_object(scene: Scene, pupil: ExitPupil) -> float:
-    """Bound of the change of the point spread's pixels over the picture, by second-order optics."""
-    hidden = scene.hidden
-    assert isinstance(hidden, PlanarObject)
-    right, up, _ = hidden.axes
-    width, height = hidden.size
-    places = [(0.0, 0.0), *((x, y) for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5))]
-    points = [scene.object_point + x * width * right + y * height * up for x, y in places]
-    try:
-        bends = wave_bends(scene, np.array(points))
-    except SceneError:  # beyond the wall's rim
-        return 1.0
-    changes = np.linalg.norm(bends - bends[0], 2, axis=(1, 2)).max()
-    radius, distance = pupil.radius, abs(pupil.image_distance)
-    core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
-    slope = min((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
-    pixel = max(pitch, core) + slope * distance
-    spot = radius * distance * np.linalg.norm(bends, 2, axis=(1, 2)).max()
-    phase = 2 * math.pi / scene.laser.wavelength * changes * radius**2 / 2
-    # within a pixel only the diffraction tail moves
-    within = 0.4 * core / pitch if spot < 0.3 * pixel else 1.0
-    moved = 4 * radius * distance * changes / pixel
-    return min(2 * float(phase), within, float(moved))
 
 
 def _left_out(scene: Scene) -> Iterator[Stage]:

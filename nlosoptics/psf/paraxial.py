@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ..scene import Scene
+from ..errors import SceneError
+from ..scene import PlanarObject, Scene
+from .pupils import ExitPupil
 
 Array = NDArray[np.float64]
 
@@ -52,3 +56,41 @@ def wave_bends(scene: Scene, points: Array) -> Array:
     seen = np.linalg.solve(flat - cos_sum[:, None, None] * bend, into)
     wall = -cos_sum[:, None, None] * np.swapaxes(first, 1, 2) @ bend @ seen
     return np.asarray(wall + focus)
+
+
+def change_over_object(scene: Scene, pupil: ExitPupil) -> float:
+    """Bound of how much the point spread's pixels change over the picture, max |dI|/max I.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a `PlanarObject` and a mirror-like lobe.
+    pupil : ExitPupil
+        Of the scene.
+
+    Returns
+    -------
+    float
+        From 0 to 1, of the camera's image pixels: the least of what the change of phase can do,
+        what the diffraction tail within a pixel can, and what moves from pixel to pixel.
+    """
+    hidden = scene.hidden
+    if not isinstance(hidden, PlanarObject):
+        raise SceneError("scene.hidden is a mesh; point spreads over a picture need a PlanarObject")
+    right, up, _ = hidden.axes
+    width, height = hidden.size
+    places = [(0.0, 0.0), *((x, y) for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5))]
+    points = [scene.object_point + x * width * right + y * height * up for x, y in places]
+    try:
+        bends = wave_bends(scene, np.array(points))
+    except SceneError:  # beyond the wall's rim
+        return 1.0
+    change = float(np.linalg.norm(bends - bends[0], 2, axis=(1, 2)).max())
+    radius, distance = pupil.radius, abs(pupil.image_distance)
+    core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
+    slope = min((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
+    pixel = max(pitch, core) + slope * distance
+    spot = radius * distance * float(np.linalg.norm(bends, 2, axis=(1, 2)).max())
+    phase = math.pi / scene.laser.wavelength * change * radius**2
+    within = 0.4 * core / pitch if spot < 0.3 * pixel else 1.0
+    return min(2 * phase, within, 4 * radius * distance * change / pixel)
