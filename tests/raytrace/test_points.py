@@ -326,6 +326,25 @@ def test_hollow_wall_of_mirror_and_paint_by_a_walk():
     assert found.energy.sum() == approx(found.flux - found.missed, abs=5 * seen)
 
 
+def test_paint_seen_by_way_of_a_mirror():
+    """A lens that grazes the hollow sees lit paint reflected in the wall between."""
+    material = SumMaterial(Lambert(0.4), SpecularMicrofacet(0.5, 0.0))
+    scene = hollow_scene(material, 1.0, 1.4, stop=0.06, transmission=1.0)
+    camera = replace(scene.camera, position=(-0.5, 0.0, 0.21), aim=(0.0, 0.0, 0.0))
+    scene = replace(scene, camera=replace(camera, focus_distance=1.0))
+    found = trace_point(scene, n_rays=1 << 16, max_bounces=2)
+    # four fifths of what two reflections send come this way
+    matt = hollow_scene(Lambert(0.4), 1.0, 1.4, stop=0.06, transmission=1.0)
+    alone = trace_point(replace(matt, camera=scene.camera), n_rays=1 << 14, max_bounces=2)
+    assert found.by_bounce[2] > 4 * alone.by_bounce[2]
+    walks = [walked(scene, 1.0, 0.7, (0.4, 0.5), 1_000_000, 2, seed) for seed in range(4)]
+    share = np.mean([mean for mean, _ in walks], axis=0)
+    error = np.linalg.norm([spread for _, spread in walks], axis=0) / 4
+    off = (found.by_bounce - share) / np.hypot(error, found.by_bounce_error)
+    assert (np.abs(off[1:]) < 4.5).all()
+    assert share[2] > 10 * error[2]
+
+
 def test_occluder_hides_half_the_wall():
     """A black sheet close above the wall leaves the integral over the other half."""
     sheet = trimesh.Trimesh(
