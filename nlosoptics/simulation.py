@@ -106,11 +106,16 @@ def simulate(
     timings: dict[str, float] = {}
     total = todo.seconds
 
-    @contextmanager
-    def stage(name: str) -> Iterator[None]:
+    def within(name: str, share: float) -> None:
+        """Tell of a share of one stage."""
         if progress is not None:
             done = sum(s.seconds for s in todo.stages if s.name in timings)
+            done += share * sum(s.seconds for s in todo.stages if s.name == name)
             progress(name, min(1.0, done / total))
+
+    @contextmanager
+    def stage(name: str) -> Iterator[None]:
+        within(name, 0.0)
         start = time.perf_counter()
         yield
         timings[name] = timings.get(name, 0.0) + time.perf_counter() - start
@@ -127,7 +132,12 @@ def simulate(
     field = None
     if todo.runs(FIELD):
         with stage(FIELD):
-            field, errors[FIELD] = imaging.image_field(scene, tol=tol, most_nodes=MOST_NODES)
+            field, errors[FIELD] = imaging.image_field(
+                scene,
+                tol=tol,
+                most_nodes=MOST_NODES,
+                progress=lambda _, share: within(FIELD, share),
+            )
     shadows = None
     if todo.runs("shadow rays"):
         with stage("shadow rays"):
