@@ -99,6 +99,10 @@ class Task:
         fine = field.real**2
         if np.iscomplexobj(field):
             fine += field.imag**2
+        return self.averaged(fine)
+
+    def averaged(self, fine: Array) -> Array:
+        """Intensity at `samples`, averaged over pixels where asked."""
         if self.rule is None:
             return fine
         half = self.rule.mean(fine)
@@ -163,7 +167,7 @@ def _airy(task: Task) -> tuple[Array, float]:
     samples = task.samples
     fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
     filtering = 0.0 if task.rule is None else estimates.FILTER
-    return task.means(airy.field(residual, samples)), bound + filtering
+    return task.averaged(airy.intensity(residual, samples)), bound + filtering
 
 
 def _quadrature(task: Task) -> tuple[Array, float]:

@@ -63,20 +63,13 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
     """Regime of a wave without its piston and tilt, on image samples or pixels of a pitch, m."""
     wave = residual.wavefront
     rays = residual.rays
-    share = wave.amplitude * wave.weights
-    lit = share > 0
-    path = residual.aberration[lit]
-    share = share[lit]
-    path = path - np.vdot(share, path) / share.sum()
-    low, high = float(path.min()), float(path.max())
-    if wave.layout == "polar":
-        low, high = _with_rims(residual, low, high, float(residual.aberration[lit][0] - path[0]))
+    low, high, rms = (0.0, 0.0, 0.0) if residual.is_flat else _heights(residual)
     per_sample = None
     if not wave.is_spectral:
         per_sample = rays.slope * residual.spacing / wave.wavelength
     return Regime(
         peak_to_valley=(high - low) / wave.wavelength,
-        rms=math.sqrt(float(np.vdot(share, path * path)) / float(share.sum())) / wave.wavelength,
+        rms=rms / wave.wavelength,
         slope=rays.slope,
         reach=rays.reach / residual.airy_unit,
         slope_per_sample=per_sample,
@@ -85,6 +78,21 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
         folded=_folded(residual, rays),
         rayleigh_parameter=rayleigh_parameter,
     )
+
+
+def _heights(residual: Residual) -> tuple[float, float, float]:
+    """Lowest, highest and rms aberration about its mean over the lit pupil, m."""
+    wave = residual.wavefront
+    share = wave.amplitude * wave.weights
+    lit = share > 0
+    path = residual.aberration[lit]
+    share = share[lit]
+    path = path - np.vdot(share, path) / share.sum()
+    low, high = float(path.min()), float(path.max())
+    if wave.layout == "polar":
+        low, high = _with_rims(residual, low, high, float(residual.aberration[lit][0] - path[0]))
+    rms = math.sqrt(float(np.vdot(share, path * path)) / float(share.sum()))
+    return low, high, rms
 
 
 def _with_rims(residual: Residual, low: float, high: float, mean: float) -> tuple[float, float]:

@@ -119,7 +119,13 @@ class Residual:
     @property
     def is_uniform(self) -> bool:
         """Whether the amplitude is the same at every node."""
-        return bool(np.ptp(self.wavefront.amplitude) == 0)
+        return self.wavefront.is_uniform
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether nothing at all is left of the aberration of an evenly lit polar wavefront."""
+        even = self.wavefront.layout == "polar" and self.is_uniform
+        return even and not self.aberration.any()
 
     @cached_property
     def series(self) -> PolarSpectrum | CellSpectrum:
@@ -199,10 +205,8 @@ class Residual:
     def traced(self, *counts: int) -> Rays:
         """Rays from nodes of a shape (see `Wavefront.nodes`), or the present ones, and rims."""
         wave = self.wavefront
-        polar = wave.layout == "polar"
-        if polar and wave.u.shape == counts and self.is_uniform and not np.any(self.aberration):
-            flat = np.zeros((counts[0] + 1, counts[1]))
-            return self._landing(flat, flat, np.vstack([wave.weights, flat[:1]]))
+        if self.is_flat:  # they all land in one point
+            return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0)
         counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
         du, dv, energy = self.series.slopes(*counts)
         if not self.is_uniform:
@@ -293,7 +297,9 @@ def split(wavefront: Wavefront) -> Residual:
     """Take piston and tilt, the least-squares plane weighted by amplitude, out of a wavefront."""
     scale = wavefront.pupil_radius
     size = wavefront.u.size
-    if wavefront.layout == "polar" and size <= KEPT and np.ptp(wavefront.amplitude) == 0:
+    if not wavefront.aberration.any():
+        return Residual(wavefront, (0.0, 0.0), wavefront.aberration)
+    if wavefront.layout == "polar" and size <= KEPT and wavefront.is_uniform:
         plane, project = _kept_plane(*wavefront.u.shape, wavefront.obscuration)
         # einsum without BLAS: the same bits for any thread count
         fit = np.einsum("ip,p->i", project, wavefront.aberration.ravel())
