@@ -148,7 +148,6 @@ def test_the_table_of_the_closed_form_is_exact(obscuration, pitch):
     exact = airy.annulus_field(np.pi * pitch * np.hypot(y, x), obscuration) ** 2
     # a few roundings of a value of at most 1
     assert np.abs(found - exact).max() < 2e-15
-    assert found[20, 300] == 1.0
 
 
 def test_what_is_kept_cannot_be_changed():
