@@ -76,6 +76,31 @@ def _profile(r, low, steps, table):
 
 
 @njit(cache=True)
+def _cut(y, lows, highs, steps, tables, size):
+    """Fill ``size`` (2 centre + 1,) with softened rims on the line at ``y``; return its half width.
+
+    The half width is that of its lit part, cells.
+    """
+    centre = size.shape[0] // 2
+    half = min(centre, int(math.sqrt(highs[0] * highs[0] - y * y)))
+    flat = -1
+    if y < lows[0]:
+        flat = int(math.sqrt(lows[0] * lows[0] - y * y))
+    for x in range(half + 1):
+        if x < flat:
+            size[centre + x] = 1.0
+        else:
+            size[centre + x] = _profile(math.sqrt(x * x + y * y), lows[0], steps, tables[0])
+    if tables.shape[0] > 1 and y < highs[1]:
+        inside = int(math.sqrt(highs[1] * highs[1] - y * y))
+        for x in range(min(half, inside) + 1):
+            size[centre + x] -= _profile(math.sqrt(x * x + y * y), lows[1], steps, tables[1])
+    for x in range(1, half + 1):
+        size[centre - x] = size[centre + x]
+    return half
+
+
+@njit(cache=True)
 def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
     """Add a pupil with softened rims to ``out`` (rows, columns), wrapped; return its sum.
 
@@ -89,46 +114,31 @@ def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
     real, imaginary = np.empty(n), np.empty(n)
     across = np.empty(degree + 1)
     total = 0.0
-    for row in range(n):
-        y = float(row - centre)
+    for line in range(2 * centre + 1):
+        y = (line + 1) // 2 * (2 * (line % 2) - 1)  # 0, 1, -1, 2, -2, ...
         if abs(y) >= highs[0]:
-            continue
-        half = min(centre, int(math.sqrt(highs[0] * highs[0] - y * y)))
+            break
+        if y >= 0:
+            half = _cut(float(y), lows, highs, steps, tables, size)
         first, last = centre - half, centre + half + 1
-        flat = -1
-        if abs(y) < lows[0]:
-            flat = int(math.sqrt(lows[0] * lows[0] - y * y))
-        for column in range(first, last):
-            x = abs(column - centre)
-            if x < flat:
-                size[column] = 1.0
-            else:
-                size[column] = _profile(math.sqrt(x * x + y * y), lows[0], steps, tables[0])
-        if tables.shape[0] > 1 and abs(y) < highs[1]:
-            inside = int(math.sqrt(highs[1] * highs[1] - y * y))
-            for column in range(max(first, centre - inside), min(last, centre + inside + 1)):
-                x = column - centre
-                size[column] -= _profile(math.sqrt(x * x + y * y), lows[1], steps, tables[1])
-        v = y * step
         for i in range(degree + 1):
             across[i] = coefficients[i, degree - i]
             for j in range(degree - i - 1, -1, -1):
-                across[i] = across[i] * v + coefficients[i, j]
+                across[i] = across[i] * (y * step) + coefficients[i, j]
         for column in range(first, last):
-            u = (column - centre) * step
-            value = across[degree]
-            for i in range(degree - 1, -1, -1):
-                value = value * u + across[i]
-            turns[column] = value
+            turns[column] = across[degree]
             total += size[column]
+        for i in range(degree - 1, -1, -1):
+            for column in range(first, last):
+                turns[column] = turns[column] * ((column - centre) * step) + across[i]
         phasors(turns[first:last], size[first:last], real[first:last], imaginary[first:last])
-        line = out[row % rows]
+        wrapped = out[(centre + y) % rows]
         start = first
         while start < last:
             lap = start // columns
             end = min(last, (lap + 1) * columns)
             for column in range(start, end):
-                line[column - lap * columns] += complex(real[column], imaginary[column])
+                wrapped[column - lap * columns] += complex(real[column], imaginary[column])
             start = end
     return total
 
