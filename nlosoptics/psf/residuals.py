@@ -5,6 +5,7 @@ The tilt is an exact shift of the image; only what is left needs sampling.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -211,12 +212,14 @@ class Residual:
         du, dv, energy = self.series.slopes(*counts)
         if not self.is_uniform:
             inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
+            energy = energy.copy()
             energy[inner] *= self.amplitude_series.at_nodes(*counts) ** 2
         return self._landing(du, dv, energy)
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
         d = self.wavefront.image_distance
-        return Rays(du * d, dv * d, energy / energy.sum(), float(np.hypot(du, dv).max()))
+        steepest = math.sqrt(float(np.max(du * du + dv * dv)))
+        return Rays(du * d, dv * d, energy / energy.sum(), steepest)
 
     @cached_property
     def _grid_cells(self) -> tuple[NDArray[np.int64], float]:
