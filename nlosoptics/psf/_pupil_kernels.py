@@ -183,3 +183,90 @@ def steepest(coefficients, radii, angles, out):
                     du = du * u + i * value
             most = max(most, abs(du), abs(dv))
         out[k] = most
+
+
+@njit(cache=True)
+def moments(path, share):
+    """Lowest and highest of ``path``, its mean and its rms about that, where ``share`` is lit."""
+    low, high, mean, square, total = math.inf, -math.inf, 0.0, 0.0, 0.0
+    for i in range(path.size):
+        if share[i] > 0.0:
+            low, high = min(low, path[i]), max(high, path[i])
+            mean += share[i] * path[i]
+            total += share[i]
+    mean /= total
+    for i in range(path.size):
+        square += share[i] * (path[i] - mean) ** 2
+    return low, high, mean, math.sqrt(square / total)
+
+
+@njit(cache=True)
+def jacobian_extremes(x, y, r, apart):
+    """Least and most of the area of the image of the cells between rings and spokes, over theirs.
+
+    ``x`` and ``y`` (rings, spokes) are the landing points, ``r`` the rings' radii; of rings less
+    than ``apart`` from each other differences would be rounding.
+    """
+    rings, spokes = x.shape
+    low, high = math.inf, -math.inf
+    turn = math.sin(2 * math.pi / spokes)
+    for i in range(rings - 1):
+        if r[i + 1] - r[i] <= apart:
+            continue
+        own = (r[i + 1] * r[i + 1] - r[i] * r[i]) * turn
+        for j in range(spokes):
+            k = j + 1 if j + 1 < spokes else 0
+            # diagonals of the cells: their cross product is twice the area
+            first_x, first_y = x[i + 1, k] - x[i, j], y[i + 1, k] - y[i, j]
+            second_x, second_y = x[i + 1, j] - x[i, k], y[i + 1, j] - y[i, k]
+            area = (first_x * second_y - first_y * second_x) / own
+            low, high = min(low, area), max(high, area)
+    return low, high
+
+
+@njit(cache=True)
+def densest(x, y, energy, reach, side):
+    """Most energy in a square of ``side``, of squares that cover ``reach`` either way."""
+    n = int(2.0 * reach / side + 0.5) + 2
+    bins = np.zeros((n, n))
+    for i in range(x.size):
+        bins[int((y[i] + reach) / side + 0.5), int((x[i] + reach) / side + 0.5)] += energy[i]
+    return bins.max()
+
+
+@njit(cache=True)
+def _leak(s, width):
+    """`rims.leak` of a step of a width."""
+    return 0.5 * math.erfc((0.5 - s) / width)
+
+
+@njit(cache=True)
+def rim_errors(distance, period, reach, edges, zones, landing, width, out):
+    """Fill ``out`` (n,) with the error of a softened rim up to each of the rising distances.
+
+    Lengths in Airy units, a period of which holds ``period / 2`` cells a radius. ``zones`` (m, 2)
+    are cells beyond the rim and the strength of each, ``landing`` (2, k) radii from the axis and
+    how far a ray from there lands at most; see `soft_pupils`.
+    """
+    cells = 0.5 * period
+    base = 2.0 * _leak(reach / period, width) / max(math.pi * reach, 1.0) * edges
+    for i in range(zones.shape[0]):
+        lands = np.interp(1.0 + zones[i, 0] / cells, landing[0], landing[1])
+        base += zones[i, 1] / cells * _leak(lands / period, width)
+    most = 0.0
+    for i in range(distance.shape[0]):
+        far = distance[i] + reach
+        tail = min(1.0, math.sqrt(8.0 / (math.pi * max(math.pi * far, 1.0) ** 3)))
+        most = max(most, 3.0 * _leak(far / period, width) * tail * edges)
+        out[i] = most + base
+
+
+@njit(cache=True)
+def least_period(periods, light, goal, distance, reach, edges, zones, landing, width):
+    """First of the periods whose `rim_errors` change the ``light`` by less than ``goal``; or 0."""
+    error = np.empty_like(distance)
+    for period in periods:
+        rim_errors(distance, period, reach, edges, zones, landing, width, error)
+        if np.max(2.0 * light * error + error * error) < goal:
+            return period
+    return 0.0

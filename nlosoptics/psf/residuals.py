@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,15 @@ class Rays:
     def reach(self) -> float:
         """Half the side of the square that holds every ray, m."""
         return float(max(np.abs(self.x).max(), np.abs(self.y).max()))
+
+
+class Heights(NamedTuple):
+    """Lowest, highest and mean aberration of the lit pupil, and its rms about the mean, m."""
+
+    low: float
+    high: float
+    mean: float
+    rms: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +131,15 @@ class Residual:
     def is_uniform(self) -> bool:
         """Whether the amplitude is the same at every node."""
         return self.wavefront.is_uniform
+
+    @cached_property
+    def heights(self) -> Heights:
+        """Extremes, mean and rms of the residual aberration over the lit pupil."""
+        from . import _pupil_kernels
+
+        wave = self.wavefront
+        share = (wave.amplitude * wave.weights).ravel()
+        return Heights(*_pupil_kernels.moments(self.aberration.ravel(), share))
 
     @cached_property
     def is_flat(self) -> bool:
