@@ -270,3 +270,29 @@ def least_period(periods, light, goal, distance, reach, edges, zones, landing, w
         if np.max(2.0 * light * error + error * error) < goal:
             return period
     return 0.0
+
+
+@njit(cache=True)
+def block_maxima(intensity, first, pitch, strongest, far):
+    """Fill ``strongest`` and ``far`` (blocks, blocks) with the most of each block of an image.
+
+    ``far`` is the distance from [0, 0] of its farthest sample, ``first`` (x, y) the place of the
+    first one.
+    """
+    ny, nx = intensity.shape
+    down, along = strongest.shape
+    strongest[:] = 0.0
+    for row in range(ny):
+        i = row * down // ny
+        for j in range(along):
+            most = strongest[i, j]
+            for column in range((j * nx + along - 1) // along, ((j + 1) * nx - 1) // along + 1):
+                most = max(most, intensity[row, column])
+            strongest[i, j] = most
+    for i in range(down):
+        top, bottom = (i * ny + down - 1) // down, ((i + 1) * ny - 1) // down
+        y = max(abs(first[1] + top * pitch), abs(first[1] + bottom * pitch))
+        for j in range(along):
+            left, right = (j * nx + along - 1) // along, ((j + 1) * nx - 1) // along
+            x = max(abs(first[0] + left * pitch), abs(first[0] + right * pitch))
+            far[i, j] = math.hypot(x, y)

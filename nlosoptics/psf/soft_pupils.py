@@ -45,6 +45,8 @@ ZONES = np.stack(
 )
 CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
 ANGLES = 2 * math.pi * np.arange(24) / 24
+#: Blocks a side of a window of which the strongest and the farthest samples are looked up.
+BLOCKS = 8
 #: Share of ``tol`` that a period is chosen for: what it leaves is only known with the image.
 AIM = 0.5
 #: Memory of a block of columns, few enough to stay in the cache.
@@ -176,17 +178,13 @@ def block_errors(
     residual: Residual, wave: Array, window: Window, intensity: Array, period: float
 ) -> tuple[Array, Array]:
     """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
+    from . import _pupil_kernels
+
     ny, nx = window.shape
-    starts = [np.arange(0, n, max(1, n // 8)) for n in (ny, nx)]
-    rows = [intensity[i : i + max(1, ny // 8)].max(axis=0) for i in starts[0]]
-    strongest = np.maximum.reduceat(rows, starts[1], axis=1)
-    down, along = (
-        np.maximum.reduceat(np.abs(places - shift), first)
-        for places, first, shift in zip(
-            (window.y, window.x), starts, residual.shift[::-1], strict=True
-        )
-    )
-    far = np.hypot(down[:, None], along)
+    strongest = np.empty((min(ny, BLOCKS), min(nx, BLOCKS)))
+    far = np.empty_like(strongest)
+    first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
+    _pupil_kernels.block_maxima(intensity, first, window.pitch, strongest, far)
     rings = RINGS * far.max()
     ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
     return strongest, _field_error(residual, wave, rings, period)[ring]
