@@ -135,7 +135,8 @@ def padded_size(residual: Residual, wave: Array, samples: Window, tol: float) ->
     periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.04))
     goal = AIM * tol * peak
     period = _pupil_kernels.least_period(periods, light, goal, far, *_rim(residual, wave)) or widest
-    return int(ducc0.fft.good_size(math.ceil(period * unit / samples.pitch)))
+    # multiples of four are transformed fastest
+    return 4 * int(ducc0.fft.good_size(math.ceil(period * unit / samples.pitch / 4)))
 
 
 def _densest(residual: Residual) -> float:
