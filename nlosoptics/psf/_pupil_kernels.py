@@ -296,3 +296,12 @@ def block_maxima(intensity, first, pitch, strongest, far):
             left, right = (j * nx + along - 1) // along, ((j + 1) * nx - 1) // along
             x = max(abs(first[0] + left * pitch), abs(first[0] + right * pitch))
             far[i, j] = math.hypot(x, y)
+
+
+@njit(cache=True)
+def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
+    """Fill ``du`` and ``dv`` (rings, spokes) from the slopes along the radius and across it."""
+    for i in range(d_r.shape[0]):
+        for j in range(d_r.shape[1]):
+            du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]
+            dv[i, j] = sine[j] * d_r[i, j] + cosine[j] * d_theta[i, j]

@@ -25,6 +25,8 @@ from .windows import Window
 from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
+#: What `_pupil_kernels.rim_errors` takes of a wave, see `rim_of`.
+Rim = tuple[float, float, Array, Array, float]
 
 #: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
 DEGREE = 10
@@ -117,7 +119,7 @@ def _rim_table(radius: float) -> tuple[float, float, Array]:
     return disc.low, disc.high, table
 
 
-def padded_size(residual: Residual, wave: Array, samples: Window, tol: float) -> int:
+def padded_size(residual: Residual, rim: Rim, samples: Window, tol: float) -> int:
     """Padded size, a fast one, whose period is expected to leave an error of `AIM` times ``tol``.
 
     The widest that is of any use where none does.
@@ -134,7 +136,7 @@ def padded_size(residual: Residual, wave: Array, samples: Window, tol: float) ->
     widest = 6 * (least + reach) + 400
     periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.04))
     goal = AIM * tol * peak
-    period = _pupil_kernels.least_period(periods, light, goal, far, *_rim(residual, wave)) or widest
+    period = _pupil_kernels.least_period(periods, light, goal, far, *rim) or widest
     # multiples of four are transformed fastest
     return 4 * int(ducc0.fft.good_size(math.ceil(period * unit / samples.pitch / 4)))
 
@@ -149,7 +151,7 @@ def _densest(residual: Residual) -> float:
     return float(_pupil_kernels.densest(x, y, energy, rays.reach, side)) / side**2
 
 
-def _rim(residual: Residual, wave: Array) -> tuple[float, float, Array, Array, float]:
+def rim_of(residual: Residual, wave: Array) -> Rim:
     """What `_pupil_kernels.rim_errors` takes of a wave, in Airy units.
 
     To the error of the rim is added what leaks from beyond it, where a polynomial is steeper and
@@ -165,18 +167,18 @@ def _rim(residual: Residual, wave: Array) -> tuple[float, float, Array, Array, f
     return residual.rays.reach / residual.airy_unit, edges, ZONES, landing, rims.STEP
 
 
-def _field_error(residual: Residual, wave: Array, distance: Array, period: float) -> Array:
+def _field_error(residual: Residual, rim: Rim, distance: Array, period: float) -> Array:
     """Bound of the field's error up to each of the rising distances from the tilt's point, m."""
     from . import _pupil_kernels
 
     unit = residual.airy_unit
     error = np.empty_like(distance)
-    _pupil_kernels.rim_errors(distance / unit, period / unit, *_rim(residual, wave), error)
+    _pupil_kernels.rim_errors(distance / unit, period / unit, *rim, error)
     return error + CUT * max(1.0, 60 * unit / period) ** 4
 
 
 def block_errors(
-    residual: Residual, wave: Array, window: Window, intensity: Array, period: float
+    residual: Residual, rim: Rim, window: Window, intensity: Array, period: float
 ) -> tuple[Array, Array]:
     """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
     from . import _pupil_kernels
@@ -188,7 +190,7 @@ def block_errors(
     _pupil_kernels.block_maxima(intensity, first, window.pitch, strongest, far)
     rings = RINGS * far.max()
     ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
-    return strongest, _field_error(residual, wave, rings, period)[ring]
+    return strongest, _field_error(residual, rim, rings, period)[ring]
 
 
 def intensity_in(

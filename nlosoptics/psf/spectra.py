@@ -47,7 +47,7 @@ class PolarSpectrum:
 
     def truncation(self) -> float:
         """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
-        size = np.abs(self.coefficients)
+        size = self._sizes.copy()
         size[:, 1:] *= 2
         # Four angular orders: a function of period pi/2 has only every fourth.
         n_k = max(2, self.n_r // 8)
@@ -56,7 +56,7 @@ class PolarSpectrum:
 
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Highest Legendre degree and angular order whose coefficient passes the threshold."""
-        above = np.abs(self.coefficients) > threshold
+        above = self._sizes > threshold
         radii, orders = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(radii.max(initial=0)), int(orders.max(initial=0))
 
@@ -78,8 +78,10 @@ class PolarSpectrum:
         weights : ndarray
             (n_r + 1, n_theta), sum 1, 0 on the rim.
         """
+        from . import _pupil_kernels
+
         # of a wave of few terms the rest is rounding, which steep polynomials would multiply
-        n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(np.abs(self.coefficients).max())))
+        n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
         ring = (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, self.obscuration)
         tables = _kept_tables(n_k, n_r) if n_r <= KEPT else _tables(n_k, ring.fraction)
         coefficients = self.coefficients[:n_k, :n_m]
@@ -89,9 +91,8 @@ class PolarSpectrum:
         value[:, ::2] /= ring.rho
         value *= 1j * np.arange(n_m)
         d_r, d_theta = self._synthesis(np.stack([per_r, value]) / self.radius, n_theta)
-        du, dv = ring.cosine * d_r, ring.sine * d_r
-        du -= ring.sine * d_theta
-        dv += ring.cosine * d_theta
+        du, dv = np.empty_like(d_r), np.empty_like(d_r)
+        _pupil_kernels.turned_gradient(d_r, d_theta, ring.cosine, ring.sine, du, dv)
         return du, dv, ring.share
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
@@ -149,9 +150,14 @@ class PolarSpectrum:
         return sums
 
     @cached_property
+    def _sizes(self) -> Array:
+        """Magnitudes of the coefficients."""
+        return np.asarray(np.abs(self.coefficients))
+
+    @cached_property
     def _counts(self) -> tuple[int, int]:
         """Degrees and orders that hold more than the rounding of the largest term."""
-        degree, order = self.degrees(1e-17 * float(np.abs(self.coefficients).max()))
+        degree, order = self.degrees(1e-17 * float(self._sizes.max()))
         return degree + 1, order + 1
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
