@@ -150,6 +150,22 @@ def test_the_table_of_the_closed_form_is_exact(obscuration, pitch):
     assert np.abs(found - exact).max() < 2e-15
 
 
+@pytest.mark.parametrize("shape", [(281, 300), (3, 12), (1, 1), (9, 8)])
+def test_blocks_know_their_strongest_and_their_farthest(shape):
+    image = np.random.default_rng(3).random(shape)
+    first, pitch = (-1.3, 0.4), 0.01
+    strongest = np.empty(tuple(min(n, 8) for n in shape))
+    far = np.empty_like(strongest)
+    _pupil_kernels.block_maxima(image, first, pitch, strongest, far)
+    y, x = np.indices(shape) * pitch + np.array(first[::-1])[:, None, None]
+    rows, columns = (np.arange(n) * m // n for n, m in zip(shape, strongest.shape, strict=True))
+    for i, j in np.ndindex(strongest.shape):
+        block = np.ix_(rows == i, columns == j)
+        assert strongest[i, j] == image[block].max()
+        # of the rounding of coordinates
+        assert far[i, j] == approx(np.hypot(y, x)[block].max(), rel=1e-13)
+
+
 def test_what_is_kept_cannot_be_changed():
     wave = zernike_wave(MIX)
     u, _, weights = psf.polar_nodes(RADIUS, 24, 96)
