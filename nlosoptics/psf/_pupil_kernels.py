@@ -76,6 +76,31 @@ def _profile(r, low, steps, table):
 
 
 @njit(cache=True)
+def _cut(y, lows, highs, steps, tables, size):
+    """Fill ``size`` (2 centre + 1,) with softened rims on the line at ``y``; return its half width.
+
+    The half width is that of its lit part, cells.
+    """
+    centre = size.shape[0] // 2
+    half = min(centre, int(math.sqrt(highs[0] * highs[0] - y * y)))
+    flat = -1
+    if y < lows[0]:
+        flat = int(math.sqrt(lows[0] * lows[0] - y * y))
+    for x in range(half + 1):
+        if x < flat:
+            size[centre + x] = 1.0
+        else:
+            size[centre + x] = _profile(math.sqrt(x * x + y * y), lows[0], steps, tables[0])
+    if tables.shape[0] > 1 and y < highs[1]:
+        inside = int(math.sqrt(highs[1] * highs[1] - y * y))
+        for x in range(min(half, inside) + 1):
+            size[centre + x] -= _profile(math.sqrt(x * x + y * y), lows[1], steps, tables[1])
+    for x in range(1, half + 1):
+        size[centre - x] = size[centre + x]
+    return half
+
+
+@njit(cache=True)
 def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
     """Add a pupil with softened rims to ``out`` (rows, columns), wrapped; return its sum.
 
@@ -89,46 +114,31 @@ def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
     real, imaginary = np.empty(n), np.empty(n)
     across = np.empty(degree + 1)
     total = 0.0
-    for row in range(n):
-        y = float(row - centre)
+    for line in range(2 * centre + 1):
+        y = (line + 1) // 2 * (2 * (line % 2) - 1)  # 0, 1, -1, 2, -2, ...
         if abs(y) >= highs[0]:
-            continue
-        half = min(centre, int(math.sqrt(highs[0] * highs[0] - y * y)))
+            break
+        if y >= 0:
+            half = _cut(float(y), lows, highs, steps, tables, size)
         first, last = centre - half, centre + half + 1
-        flat = -1
-        if abs(y) < lows[0]:
-            flat = int(math.sqrt(lows[0] * lows[0] - y * y))
-        for column in range(first, last):
-            x = abs(column - centre)
-            if x < flat:
-                size[column] = 1.0
-            else:
-                size[column] = _profile(math.sqrt(x * x + y * y), lows[0], steps, tables[0])
-        if tables.shape[0] > 1 and abs(y) < highs[1]:
-            inside = int(math.sqrt(highs[1] * highs[1] - y * y))
-            for column in range(max(first, centre - inside), min(last, centre + inside + 1)):
-                x = column - centre
-                size[column] -= _profile(math.sqrt(x * x + y * y), lows[1], steps, tables[1])
-        v = y * step
         for i in range(degree + 1):
             across[i] = coefficients[i, degree - i]
             for j in range(degree - i - 1, -1, -1):
-                across[i] = across[i] * v + coefficients[i, j]
+                across[i] = across[i] * (y * step) + coefficients[i, j]
         for column in range(first, last):
-            u = (column - centre) * step
-            value = across[degree]
-            for i in range(degree - 1, -1, -1):
-                value = value * u + across[i]
-            turns[column] = value
+            turns[column] = across[degree]
             total += size[column]
+        for i in range(degree - 1, -1, -1):
+            for column in range(first, last):
+                turns[column] = turns[column] * ((column - centre) * step) + across[i]
         phasors(turns[first:last], size[first:last], real[first:last], imaginary[first:last])
-        line = out[row % rows]
+        wrapped = out[(centre + y) % rows]
         start = first
         while start < last:
             lap = start // columns
             end = min(last, (lap + 1) * columns)
             for column in range(start, end):
-                line[column - lap * columns] += complex(real[column], imaginary[column])
+                wrapped[column - lap * columns] += complex(real[column], imaginary[column])
             start = end
     return total
 
@@ -173,3 +183,125 @@ def steepest(coefficients, radii, angles, out):
                     du = du * u + i * value
             most = max(most, abs(du), abs(dv))
         out[k] = most
+
+
+@njit(cache=True)
+def moments(path, share):
+    """Lowest and highest of ``path``, its mean and its rms about that, where ``share`` is lit."""
+    low, high, mean, square, total = math.inf, -math.inf, 0.0, 0.0, 0.0
+    for i in range(path.size):
+        if share[i] > 0.0:
+            low, high = min(low, path[i]), max(high, path[i])
+            mean += share[i] * path[i]
+            total += share[i]
+    mean /= total
+    for i in range(path.size):
+        square += share[i] * (path[i] - mean) ** 2
+    return low, high, mean, math.sqrt(square / total)
+
+
+@njit(cache=True)
+def jacobian_extremes(x, y, r, apart):
+    """Least and most of the area of the image of the cells between rings and spokes, over theirs.
+
+    ``x`` and ``y`` (rings, spokes) are the landing points, ``r`` the rings' radii; of rings less
+    than ``apart`` from each other differences would be rounding.
+    """
+    rings, spokes = x.shape
+    low, high = math.inf, -math.inf
+    turn = math.sin(2 * math.pi / spokes)
+    for i in range(rings - 1):
+        if r[i + 1] - r[i] <= apart:
+            continue
+        own = (r[i + 1] * r[i + 1] - r[i] * r[i]) * turn
+        for j in range(spokes):
+            k = j + 1 if j + 1 < spokes else 0
+            # diagonals of the cells: their cross product is twice the area
+            first_x, first_y = x[i + 1, k] - x[i, j], y[i + 1, k] - y[i, j]
+            second_x, second_y = x[i + 1, j] - x[i, k], y[i + 1, j] - y[i, k]
+            area = (first_x * second_y - first_y * second_x) / own
+            low, high = min(low, area), max(high, area)
+    return low, high
+
+
+@njit(cache=True)
+def densest(x, y, energy, reach, side):
+    """Most energy in a square of ``side``, of squares that cover ``reach`` either way."""
+    n = int(2.0 * reach / side + 0.5) + 2
+    bins = np.zeros((n, n))
+    for i in range(x.size):
+        bins[int((y[i] + reach) / side + 0.5), int((x[i] + reach) / side + 0.5)] += energy[i]
+    return bins.max()
+
+
+@njit(cache=True)
+def _leak(s, width):
+    """`rims.leak` of a step of a width."""
+    return 0.5 * math.erfc((0.5 - s) / width)
+
+
+@njit(cache=True)
+def rim_errors(distance, period, reach, edges, zones, landing, width, out):
+    """Fill ``out`` (n,) with the error of a softened rim up to each of the rising distances.
+
+    Lengths in Airy units, a period of which holds ``period / 2`` cells a radius. ``zones`` (m, 2)
+    are cells beyond the rim and the strength of each, ``landing`` (2, k) radii from the axis and
+    how far a ray from there lands at most; see `soft_pupils`.
+    """
+    cells = 0.5 * period
+    base = 2.0 * _leak(reach / period, width) / max(math.pi * reach, 1.0) * edges
+    for i in range(zones.shape[0]):
+        lands = np.interp(1.0 + zones[i, 0] / cells, landing[0], landing[1])
+        base += zones[i, 1] / cells * _leak(lands / period, width)
+    most = 0.0
+    for i in range(distance.shape[0]):
+        far = distance[i] + reach
+        tail = min(1.0, math.sqrt(8.0 / (math.pi * max(math.pi * far, 1.0) ** 3)))
+        most = max(most, 3.0 * _leak(far / period, width) * tail * edges)
+        out[i] = most + base
+
+
+@njit(cache=True)
+def least_period(periods, light, goal, distance, reach, edges, zones, landing, width):
+    """First of the periods whose `rim_errors` change the ``light`` by less than ``goal``; or 0."""
+    error = np.empty_like(distance)
+    for period in periods:
+        rim_errors(distance, period, reach, edges, zones, landing, width, error)
+        if np.max(2.0 * light * error + error * error) < goal:
+            return period
+    return 0.0
+
+
+@njit(cache=True)
+def block_maxima(intensity, first, pitch, strongest, far):
+    """Fill ``strongest`` and ``far`` (blocks, blocks) with the most of each block of an image.
+
+    ``far`` is the distance from [0, 0] of its farthest sample, ``first`` (x, y) the place of the
+    first one.
+    """
+    ny, nx = intensity.shape
+    down, along = strongest.shape
+    strongest[:] = 0.0
+    for row in range(ny):
+        i = row * down // ny
+        for j in range(along):
+            most = strongest[i, j]
+            for column in range((j * nx + along - 1) // along, ((j + 1) * nx - 1) // along + 1):
+                most = max(most, intensity[row, column])
+            strongest[i, j] = most
+    for i in range(down):
+        top, bottom = (i * ny + down - 1) // down, ((i + 1) * ny - 1) // down
+        y = max(abs(first[1] + top * pitch), abs(first[1] + bottom * pitch))
+        for j in range(along):
+            left, right = (j * nx + along - 1) // along, ((j + 1) * nx - 1) // along
+            x = max(abs(first[0] + left * pitch), abs(first[0] + right * pitch))
+            far[i, j] = math.hypot(x, y)
+
+
+@njit(cache=True)
+def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
+    """Fill ``du`` and ``dv`` (rings, spokes) from the slopes along the radius and across it."""
+    for i in range(d_r.shape[0]):
+        for j in range(d_r.shape[1]):
+            du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]
+            dv[i, j] = sine[j] * d_r[i, j] + cosine[j] * d_theta[i, j]

@@ -66,12 +66,13 @@ class Task:
         return pixel if self.residual.wavefront.aperture is None else min(pixel, NO_BEATS)
 
     @cached_property
-    def soft(self) -> tuple[Array, float, int] | None:
-        """Polynomial of the wave, its misfit and the padded size, for the `fft`; or None."""
+    def soft(self) -> tuple[Array, float, soft_pupils.Rim, int] | None:
+        """Polynomial of the wave, its misfit, rim and padded size, for the `fft`; or None."""
         found = soft_pupils.wave_polynomial(self.residual, self.tol)
         if found is None:
             return None
-        return *found, soft_pupils.padded_size(self.residual, found[0], self.samples, self.tol)
+        rim = soft_pupils.rim_of(self.residual, found[0])
+        return *found, rim, soft_pupils.padded_size(self.residual, rim, self.samples, self.tol)
 
     def bound(
         self,
@@ -99,6 +100,10 @@ class Task:
         fine = field.real**2
         if np.iscomplexobj(field):
             fine += field.imag**2
+        return self.averaged(fine)
+
+    def averaged(self, fine: Array) -> Array:
+        """Intensity at `samples`, averaged over pixels where asked."""
         if self.rule is None:
             return fine
         half = self.rule.mean(fine)
@@ -163,7 +168,7 @@ def _airy(task: Task) -> tuple[Array, float]:
     samples = task.samples
     fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
     filtering = 0.0 if task.rule is None else estimates.FILTER
-    return task.means(airy.field(residual, samples)), bound + filtering
+    return task.averaged(airy.intensity(residual, samples)), bound + filtering
 
 
 def _quadrature(task: Task) -> tuple[Array, float]:
@@ -215,12 +220,12 @@ def _soft_fft(task: Task) -> tuple[Array, float] | None:
     soft = task.soft
     if soft is None:
         return None
-    wave, misfit, size = soft
+    wave, misfit, rim, size = soft
     residual, samples = task.residual, task.samples
     single = task.tol >= soft_pupils.SINGLE
     mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule, single)
     strongest, error = soft_pupils.block_errors(
-        residual, wave, task.pixels, mean, size * samples.pitch
+        residual, rim, task.pixels, mean, size * samples.pitch
     )
     lost = residual.truncation + residual.wavenumber * misfit
     lost += soft_pupils.SINGLE_ERROR if single else 0.0

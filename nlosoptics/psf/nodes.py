@@ -55,14 +55,21 @@ def polar_nodes(
     u, v, weights : ndarray
         (n_r, n_theta); m, m and m^2. The weights sum to the pupil's area.
     """
-    positive("radius", radius, unit="m")
+    u, v, weights = shared_polar_nodes(radius, n_r, n_theta, obscuration)
+    if u.size > KEPT:
+        return u, v, weights
+    return u.copy(), v.copy(), weights.copy()
+
+
+def shared_polar_nodes(
+    radius: float, n_r: int, n_theta: int, obscuration: float
+) -> tuple[Array, Array, Array]:
+    """`polar_nodes`, those kept and read-only where there are at most `KEPT`."""
+    radius, obscuration = positive("radius", radius, unit="m"), _inner(obscuration)
     n_r, n_theta = whole("n_r", n_r), whole("n_theta", n_theta)
     fits_memory(f"{n_r} x {n_theta} pupil nodes", 80.0 * n_r * n_theta, "use fewer")
-    obscuration = _inner(obscuration)
-    if n_r * n_theta > KEPT:
-        return _polar_nodes(radius, n_r, n_theta, obscuration)
-    u, v, weights = kept_polar_nodes(radius, n_r, n_theta, obscuration)
-    return u.copy(), v.copy(), weights.copy()
+    make = kept_polar_nodes if n_r * n_theta <= KEPT else _polar_nodes
+    return make(radius, n_r, n_theta, obscuration)
 
 
 def _polar_nodes(
@@ -84,6 +91,12 @@ def kept_polar_nodes(
     """`polar_nodes` of checked arguments, at most `KEPT` nodes, kept and read-only."""
     u, v, weights = _polar_nodes(radius, n_r, n_theta, obscuration)
     return frozen(u), frozen(v), frozen(weights)
+
+
+@lru_cache(maxsize=16)
+def kept_even(n_r: int, n_theta: int) -> Array:
+    """Amplitude 1 on at most `KEPT` polar nodes, kept and read-only."""
+    return frozen(np.ones((n_r, n_theta)))
 
 
 def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[Array, Array, Array]:

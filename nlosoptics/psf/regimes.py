@@ -63,20 +63,15 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
     """Regime of a wave without its piston and tilt, on image samples or pixels of a pitch, m."""
     wave = residual.wavefront
     rays = residual.rays
-    share = wave.amplitude * wave.weights
-    lit = share > 0
-    path = residual.aberration[lit]
-    share = share[lit]
-    path = path - np.vdot(share, path) / share.sum()
-    low, high = float(path.min()), float(path.max())
-    if wave.layout == "polar":
-        low, high = _with_rims(residual, low, high, float(residual.aberration[lit][0] - path[0]))
+    low, high, _, rms = residual.heights
+    if wave.layout == "polar" and not residual.is_flat:
+        low, high = _with_rims(residual, low, high)
     per_sample = None
     if not wave.is_spectral:
         per_sample = rays.slope * residual.spacing / wave.wavelength
     return Regime(
         peak_to_valley=(high - low) / wave.wavelength,
-        rms=math.sqrt(float(np.vdot(share, path * path)) / float(share.sum())) / wave.wavelength,
+        rms=rms / wave.wavelength,
         slope=rays.slope,
         reach=rays.reach / residual.airy_unit,
         slope_per_sample=per_sample,
@@ -87,7 +82,7 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
     )
 
 
-def _with_rims(residual: Residual, low: float, high: float, mean: float) -> tuple[float, float]:
+def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, float]:
     """Extremes with those on the rims and in the centre, where no polar node lies."""
     series = residual.series
     waves = series.coefficients.copy()
@@ -97,7 +92,7 @@ def _with_rims(residual: Residual, low: float, high: float, mean: float) -> tupl
     inner = np.where(np.arange(series.n_r) % 2, -1.0, 1.0)[:, None] * waves
     ends = np.stack([waves.sum(axis=0), inner.sum(axis=0)])
     ends[1, 1::2] *= residual.wavefront.obscuration
-    values = np.fft.irfft(ends, series.n_theta, axis=1, norm="forward") - mean
+    values = np.fft.irfft(ends, series.n_theta, axis=1, norm="forward")
     return min(low, float(values.min())), max(high, float(values.max()))
 
 
@@ -106,11 +101,12 @@ def _folded(residual: Residual, rays: Rays) -> bool:
     wave = residual.wavefront
     if rays.reach <= 1e-6 * residual.airy_unit:
         return False
+    if wave.layout == "polar":
+        low, high = _polar_extremes(residual, rays)
+        return min(-low, high) > FLAT * max(-low, high)
     if wave.layout == "scattered":
         uu, uv, vv = residual.local.bends.T
         jacobian = uu * vv - uv * uv
-    elif wave.layout == "polar":
-        jacobian = _polar_jacobian(residual, rays)
     elif wave.layout == "cells":
         jacobian = _cell_jacobian(residual, rays)
     else:
@@ -121,21 +117,15 @@ def _folded(residual: Residual, rays: Rays) -> bool:
     return min(-low, high) > FLAT * max(-low, high)
 
 
-def _polar_jacobian(residual: Residual, rays: Rays) -> Array:
-    """Area of the image of each cell between two rings and two spokes, over its own."""
+def _polar_extremes(residual: Residual, rays: Rays) -> tuple[float, float]:
+    """Extremes of the area of the image of each cell between two rings and spokes, over its own."""
+    from . import _pupil_kernels
+
     wave = residual.wavefront
-    n_theta = rays.x.shape[1]
     r = np.append(np.hypot(wave.u[:, 0], wave.v[:, 0]), wave.pupil_radius)
     # rings are dense at the rim, where differences of the series would be rounding
-    apart = np.flatnonzero(np.diff(r) > 1e-4 * wave.pupil_radius)
-    x, y = rays.x, rays.y
-    # diagonals of the cells: their cross product is twice the area
-    next_x, next_y = np.roll(x, -1, axis=1), np.roll(y, -1, axis=1)
-    first_x, first_y = next_x[1:] - x[:-1], next_y[1:] - y[:-1]
-    second_x, second_y = x[1:] - next_x[:-1], y[1:] - next_y[:-1]
-    area = first_x * second_y - first_y * second_x
-    own = (r[1:] ** 2 - r[:-1] ** 2) * math.sin(2 * math.pi / n_theta)
-    return np.asarray(area[apart] / own[apart, None])
+    low, high = _pupil_kernels.jacobian_extremes(rays.x, rays.y, r, 1e-4 * wave.pupil_radius)
+    return float(low), float(high)
 
 
 def _cell_jacobian(residual: Residual, rays: Rays) -> Array:

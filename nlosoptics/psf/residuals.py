@@ -5,8 +5,10 @@ The tilt is an exact shift of the image; only what is left needs sampling.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +48,15 @@ class Rays:
     def reach(self) -> float:
         """Half the side of the square that holds every ray, m."""
         return float(max(np.abs(self.x).max(), np.abs(self.y).max()))
+
+
+class Heights(NamedTuple):
+    """Lowest, highest and mean aberration of the lit pupil, and its rms about the mean, m."""
+
+    low: float
+    high: float
+    mean: float
+    rms: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +130,22 @@ class Residual:
     @property
     def is_uniform(self) -> bool:
         """Whether the amplitude is the same at every node."""
-        return bool(np.ptp(self.wavefront.amplitude) == 0)
+        return self.wavefront.is_uniform
+
+    @cached_property
+    def heights(self) -> Heights:
+        """Extremes, mean and rms of the residual aberration over the lit pupil."""
+        from . import _pupil_kernels
+
+        wave = self.wavefront
+        share = (wave.amplitude * wave.weights).ravel()
+        return Heights(*_pupil_kernels.moments(self.aberration.ravel(), share))
+
+    @cached_property
+    def is_flat(self) -> bool:
+        """Whether nothing at all is left of the aberration of an evenly lit polar wavefront."""
+        even = self.wavefront.layout == "polar" and self.is_uniform
+        return even and not self.aberration.any()
 
     @cached_property
     def series(self) -> PolarSpectrum | CellSpectrum:
@@ -199,20 +225,20 @@ class Residual:
     def traced(self, *counts: int) -> Rays:
         """Rays from nodes of a shape (see `Wavefront.nodes`), or the present ones, and rims."""
         wave = self.wavefront
-        polar = wave.layout == "polar"
-        if polar and wave.u.shape == counts and self.is_uniform and not np.any(self.aberration):
-            flat = np.zeros((counts[0] + 1, counts[1]))
-            return self._landing(flat, flat, np.vstack([wave.weights, flat[:1]]))
+        if self.is_flat:  # they all land in one point
+            return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0)
         counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
         du, dv, energy = self.series.slopes(*counts)
         if not self.is_uniform:
             inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
+            energy = energy.copy()
             energy[inner] *= self.amplitude_series.at_nodes(*counts) ** 2
         return self._landing(du, dv, energy)
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
         d = self.wavefront.image_distance
-        return Rays(du * d, dv * d, energy / energy.sum(), float(np.hypot(du, dv).max()))
+        steepest = math.sqrt(float(np.max(du * du + dv * dv)))
+        return Rays(du * d, dv * d, energy / energy.sum(), steepest)
 
     @cached_property
     def _grid_cells(self) -> tuple[NDArray[np.int64], float]:
@@ -293,7 +319,9 @@ def split(wavefront: Wavefront) -> Residual:
     """Take piston and tilt, the least-squares plane weighted by amplitude, out of a wavefront."""
     scale = wavefront.pupil_radius
     size = wavefront.u.size
-    if wavefront.layout == "polar" and size <= KEPT and np.ptp(wavefront.amplitude) == 0:
+    if not wavefront.aberration.any():
+        return Residual(wavefront, (0.0, 0.0), wavefront.aberration)
+    if wavefront.layout == "polar" and size <= KEPT and wavefront.is_uniform:
         plane, project = _kept_plane(*wavefront.u.shape, wavefront.obscuration)
         # einsum without BLAS: the same bits for any thread count
         fit = np.einsum("ip,p->i", project, wavefront.aberration.ravel())

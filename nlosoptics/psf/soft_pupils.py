@@ -25,6 +25,8 @@ from .windows import Window
 from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
+#: What `_pupil_kernels.rim_errors` takes of a wave, see `rim_of`.
+Rim = tuple[float, float, Array, Array, float]
 
 #: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
 DEGREE = 10
@@ -39,8 +41,16 @@ SINGLE, SINGLE_ERROR = 1e-4, 1e-6
 RINGS = np.linspace(0.0, 1.0, 17)
 #: Cells beyond the rim, and radii and angles of circles, at which slopes are looked up there.
 BEYOND = np.arange(1.5, rims.REACH, 3.0)
+#: The same, and the share of a ray's light there, times cells a radius.
+ZONES = np.stack(
+    [BEYOND, 6.0 * np.exp(-((math.pi * rims.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)], axis=1
+)
 CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
 ANGLES = 2 * math.pi * np.arange(24) / 24
+#: Blocks a side of a window of which the strongest and the farthest samples are looked up.
+BLOCKS = 8
+#: Share of ``tol`` that a period is chosen for: what it leaves is only known with the image.
+AIM = 0.5
 #: Memory of a block of columns, few enough to stay in the cache.
 BLOCK_BYTES = 2**19
 
@@ -109,83 +119,78 @@ def _rim_table(radius: float) -> tuple[float, float, Array]:
     return disc.low, disc.high, table
 
 
-def padded_size(residual: Residual, wave: Array, samples: Window, tol: float) -> int:
-    """Padded size, a fast one, whose period is expected to leave an error of ``tol``/2.
+def padded_size(residual: Residual, rim: Rim, samples: Window, tol: float) -> int:
+    """Padded size, a fast one, whose period is expected to leave an error of `AIM` times ``tol``.
 
     The widest that is of any use where none does.
     """
-    reach, unit = residual.rays.reach, residual.airy_unit
-    far = RINGS * math.hypot(*samples.reach_from(residual.shift))
+    from . import _pupil_kernels
+
+    unit, reach = residual.airy_unit, residual.rays.reach / residual.airy_unit
+    far = RINGS * (math.hypot(*samples.reach_from(residual.shift)) / unit)
     # The spot's peak by its rms aberration or its spread, and what is left of it farther out.
-    weights = residual.wavefront.weights
-    variance = float(np.sum(weights * residual.aberration**2) / np.sum(weights))
-    peak = max(
-        math.exp(-variance * residual.wavenumber**2), _densest(residual) * 4 / math.pi * unit**2
-    )
-    light = np.minimum(math.sqrt(peak), estimates.tail(np.maximum(far - reach, 0.0) / unit))
-    least = max(samples.reach_from(residual.shift)) * 2 + samples.pitch
-    widest = 6 * (least + reach) + 400 * unit
-    periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.08))
-    error = _field_error(residual, wave, far, periods[:, None])
-    error -= CUT  # no period is worth more than that
-    enough = np.max(2 * light * error + error**2, axis=1) < tol / 2 * peak
-    period = periods[np.argmax(enough)] if enough.any() else widest
-    return int(ducc0.fft.good_size(math.ceil(period / samples.pitch)))
+    rms = residual.heights.rms * residual.wavenumber
+    peak = max(math.exp(-(rms**2)), _densest(residual) * 4 / math.pi * unit**2)
+    light = np.minimum(math.sqrt(peak), estimates.tail(np.maximum(far - reach, 0.0)))
+    least = (max(samples.reach_from(residual.shift)) * 2 + samples.pitch) / unit
+    widest = 6 * (least + reach) + 400
+    periods = least * np.exp(np.arange(0.0, math.log(widest / least), 0.04))
+    goal = AIM * tol * peak
+    period = _pupil_kernels.least_period(periods, light, goal, far, *rim) or widest
+    # multiples of four are transformed fastest
+    return 4 * int(ducc0.fft.good_size(math.ceil(period * unit / samples.pitch / 4)))
 
 
 def _densest(residual: Residual) -> float:
     """Largest density of the rays, 1/m^2, in bins of a tenth of their reach."""
+    from . import _pupil_kernels
+
     rays, unit = residual.rays, residual.airy_unit
     side = max(rays.reach / 10, 1.25 * unit)
-    columns, rows = (
-        np.rint((place + rays.reach) / side).astype(np.int64) for place in (rays.x, rays.y)
-    )
-    index = columns + 32 * rows
-    return float(np.bincount(index.ravel(), weights=rays.energy.ravel()).max()) / side**2
+    x, y, energy = rays.x.ravel(), rays.y.ravel(), rays.energy.ravel()
+    return float(_pupil_kernels.densest(x, y, energy, rays.reach, side)) / side**2
 
 
-def _field_error(residual: Residual, wave: Array, distance: Array, period: float | Array) -> Array:
-    """Bound of the field's error up to each of the rising distances from the tilt's point, m.
+def rim_of(residual: Residual, wave: Array) -> Rim:
+    """What `_pupil_kernels.rim_errors` takes of a wave, in Airy units.
 
-    To that of the rim is added what leaks from beyond it, where a polynomial is steeper and the
-    softened rim, its kernel cut at each of `BEYOND`, is weaker.
+    To the error of the rim is added what leaks from beyond it, where a polynomial is steeper and
+    the softened rim, its kernel cut at each of `BEYOND`, is weaker.
     """
     from . import _pupil_kernels
 
     pupil = residual.wavefront
-    pitch = pupil.wavelength * abs(pupil.image_distance) / period
-    error = estimates.soft_rim_error(residual, pitch, distance, 0.0)
-    slopes = np.empty_like(CIRCLES)
-    _pupil_kernels.steepest(wave, CIRCLES, ANGLES, slopes)
-    reach = abs(pupil.image_distance) / pupil.pupil_radius * slopes
-    strength = np.exp(-((math.pi * rims.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)
-    cells = pupil.pupil_radius / np.asarray(pitch)
-    landing = np.interp(1 + BEYOND / cells, CIRCLES, reach)
-    zones = strength * (2 * (BEYOND[1] - BEYOND[0]) / cells) * rims.leak(landing / period)
-    error = error + np.sum(zones, axis=-1, keepdims=np.ndim(period) > 0)
-    return (
-        np.asarray(np.maximum.accumulate(error, axis=-1)) + CUT * np.maximum(1.0, 30 / cells) ** 4
-    )
+    landing = np.stack([CIRCLES, CIRCLES])
+    _pupil_kernels.steepest(wave, CIRCLES, ANGLES, landing[1])
+    landing[1] *= 2 / pupil.wavelength
+    edges = 1 / (1 - pupil.obscuration)  # length of both rims over area
+    return residual.rays.reach / residual.airy_unit, edges, ZONES, landing, rims.STEP
+
+
+def _field_error(residual: Residual, rim: Rim, distance: Array, period: float) -> Array:
+    """Bound of the field's error up to each of the rising distances from the tilt's point, m."""
+    from . import _pupil_kernels
+
+    unit = residual.airy_unit
+    error = np.empty_like(distance)
+    _pupil_kernels.rim_errors(distance / unit, period / unit, *rim, error)
+    return error + CUT * max(1.0, 60 * unit / period) ** 4
 
 
 def block_errors(
-    residual: Residual, wave: Array, window: Window, intensity: Array, period: float
+    residual: Residual, rim: Rim, window: Window, intensity: Array, period: float
 ) -> tuple[Array, Array]:
     """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
+    from . import _pupil_kernels
+
     ny, nx = window.shape
-    starts = [np.arange(0, n, max(1, n // 8)) for n in (ny, nx)]
-    rows = [intensity[i : i + max(1, ny // 8)].max(axis=0) for i in starts[0]]
-    strongest = np.maximum.reduceat(rows, starts[1], axis=1)
-    down, along = (
-        np.maximum.reduceat(np.abs(places - shift), first)
-        for places, first, shift in zip(
-            (window.y, window.x), starts, residual.shift[::-1], strict=True
-        )
-    )
-    far = np.hypot(down[:, None], along)
+    strongest = np.empty((min(ny, BLOCKS), min(nx, BLOCKS)))
+    far = np.empty_like(strongest)
+    first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
+    _pupil_kernels.block_maxima(intensity, first, window.pitch, strongest, far)
     rings = RINGS * far.max()
     ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
-    return strongest, _field_error(residual, wave, rings, period)[ring]
+    return strongest, _field_error(residual, rim, rings, period)[ring]
 
 
 def intensity_in(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import ducc0
 import numpy as np
@@ -46,7 +47,7 @@ class PolarSpectrum:
 
     def truncation(self) -> float:
         """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
-        size = np.abs(self.coefficients)
+        size = self._sizes.copy()
         size[:, 1:] *= 2
         # Four angular orders: a function of period pi/2 has only every fourth.
         n_k = max(2, self.n_r // 8)
@@ -55,7 +56,7 @@ class PolarSpectrum:
 
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Highest Legendre degree and angular order whose coefficient passes the threshold."""
-        above = np.abs(self.coefficients) > threshold
+        above = self._sizes > threshold
         radii, orders = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(radii.max(initial=0)), int(orders.max(initial=0))
 
@@ -77,21 +78,22 @@ class PolarSpectrum:
         weights : ndarray
             (n_r + 1, n_theta), sum 1, 0 on the rim.
         """
-        fraction, weights = gauss_legendre(n_r)
-        fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
-        if n_r * n_theta <= KEPT:
-            tables = _kept_tables(self._counts[0], n_r)
-        else:
-            tables = _tables(self._counts[0], fraction)
-        rho = self._rho(fraction)
-        values, per_r = self._from_tables(tables, rho)
-        order = np.arange(values.shape[1])
-        d_r = self._synthesis(per_r, n_theta)
-        d_theta = self._synthesis(1j * order * values, n_theta) / (self.radius * rho)[:, None]
-        angle = 2 * math.pi * np.arange(n_theta) / n_theta
-        c, s = np.cos(angle), np.sin(angle)
-        share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
-        return c * d_r - s * d_theta, s * d_r + c * d_theta, share
+        from . import _pupil_kernels
+
+        # of a wave of few terms the rest is rounding, which steep polynomials would multiply
+        n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
+        ring = (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, self.obscuration)
+        tables = _kept_tables(n_k, n_r) if n_r <= KEPT else _tables(n_k, ring.fraction)
+        coefficients = self.coefficients[:n_k, :n_m]
+        value, per_r = (_product(table.T, coefficients) for table in tables)
+        per_r *= ring.bend
+        per_r[:, 1::2] = ring.rho * per_r[:, 1::2] + value[:, 1::2]
+        value[:, ::2] /= ring.rho
+        value *= 1j * np.arange(n_m)
+        d_r, d_theta = self._synthesis(np.stack([per_r, value]) / self.radius, n_theta)
+        du, dv = np.empty_like(d_r), np.empty_like(d_r)
+        _pupil_kernels.turned_gradient(d_r, d_theta, ring.cosine, ring.sine, du, dv)
+        return du, dv, ring.share
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
         """Values at any points, see `values_at`."""
@@ -148,9 +150,14 @@ class PolarSpectrum:
         return sums
 
     @cached_property
+    def _sizes(self) -> Array:
+        """Magnitudes of the coefficients."""
+        return np.asarray(np.abs(self.coefficients))
+
+    @cached_property
     def _counts(self) -> tuple[int, int]:
         """Degrees and orders that hold more than the rounding of the largest term."""
-        degree, order = self.degrees(1e-17 * float(np.abs(self.coefficients).max()))
+        degree, order = self.degrees(1e-17 * float(self._sizes.max()))
         return degree + 1, order + 1
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -168,11 +175,11 @@ class PolarSpectrum:
         return value, slope / self.radius
 
     def _synthesis(self, waves: ComplexArray, n_theta: int) -> Array:
-        full = np.zeros((waves.shape[0], n_theta // 2 + 1), dtype=np.complex128)
-        full[:, : waves.shape[1]] = waves
-        if n_theta % 2 == 0 and waves.shape[1] == full.shape[1]:
-            full[:, -1] *= 2
-        return np.fft.irfft(full, n_theta, axis=1, norm="forward")
+        full = np.zeros((*waves.shape[:-1], n_theta // 2 + 1), dtype=np.complex128)
+        full[..., : waves.shape[-1]] = waves
+        if n_theta % 2 == 0 and waves.shape[-1] == full.shape[-1]:
+            full[..., -1] *= 2
+        return np.fft.irfft(full, n_theta, axis=-1, norm="forward")
 
 
 def values_at(
@@ -219,6 +226,31 @@ def _product(table: Array, waves: ComplexArray) -> ComplexArray:
     """Matrix product of a real with a complex matrix; einsum without BLAS, as above."""
     parts = np.ascontiguousarray(waves).view(np.float64)
     return np.asarray(np.einsum("ij,jk->ik", table, parts)).view(np.complex128)
+
+
+class _Ring(NamedTuple):
+    """What slopes on (n_r + 1) x n_theta nodes, those of the rim the last, take of their places."""
+
+    fraction: Array
+    rho: Array
+    bend: Array
+    cosine: Array
+    sine: Array
+    share: Array
+
+
+def _ring(n_r: int, n_theta: int, obscuration: float) -> _Ring:
+    fraction, weights = gauss_legendre(n_r)
+    fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
+    clear = 1 - obscuration**2
+    rho = np.sqrt(obscuration**2 + clear * fraction)[:, None]
+    angle = 2 * math.pi * np.arange(n_theta) / n_theta
+    share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
+    parts = fraction, rho, 2 * rho / clear, np.cos(angle), np.sin(angle), share
+    return _Ring(*map(frozen, parts))
+
+
+_kept_ring = lru_cache(maxsize=16)(_ring)
 
 
 @lru_cache(maxsize=32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -23,7 +23,16 @@ from .function_waves import (
     segment_terms,
     values_on,
 )
-from .nodes import KEPT, fitting_pitch, frozen, grid_nodes, kept_polar_nodes, polar_nodes
+from .nodes import (
+    KEPT,
+    fitting_pitch,
+    frozen,
+    grid_nodes,
+    kept_even,
+    kept_polar_nodes,
+    polar_nodes,
+    shared_polar_nodes,
+)
 from .spectra import PolarSpectrum
 from .zernikes import ORDERINGS, Ordering, zernike, zernike_order
 
@@ -113,13 +122,17 @@ class Wavefront:
         for name in ("wavelength", "image_distance", "pupil_radius", "obscuration"):
             put(self, name, float(getattr(self, name)))
         self._check_aperture()
+        kept = self._kept()
         for name in ("u", "v", "aberration", "amplitude", "weights"):
-            put(self, name, _owned(name, getattr(self, name), self.layout))
+            if name not in kept or getattr(self, name) is not kept[name]:
+                put(self, name, _owned(name, getattr(self, name), self.layout))
             if getattr(self, name).shape != self.u.shape:
                 raise SceneError(
                     f"wavefront.{name} has shape {getattr(self, name).shape} and u has "
                     f"{self.u.shape}; give one value per node"
                 )
+        if kept and all(getattr(self, name) is values for name, values in kept.items()):
+            return
         for name in ("amplitude", "weights"):
             values = getattr(self, name)
             if np.any(values < 0):
@@ -204,24 +217,20 @@ class Wavefront:
                     f"{n_r} x {n_theta} polar nodes cannot hold Zernike degree {degree}; use "
                     f"{degree // 2 + 1} x {2 * degree + 1} or more"
                 )
-            u, v, weights = polar_nodes(pupil_radius, n_r, n_theta, obscuration)
-        aberration = np.zeros_like(u)
-        rho = theta = aberration
-        kept = nodes == "polar" and u.size <= KEPT
-        if not kept:
-            rho, theta = np.hypot(u, v) / pupil_radius, np.arctan2(v, u)
-        for index, value in coefficients.items():
-            height = real(f"coefficients[{index}]", value)
-            if kept:
-                mode = _kept_mode(index, ordering, *u.shape, float(obscuration))
-            else:
-                mode = zernike(index, rho, theta, ordering=ordering)
-            aberration += height * mode
+            u, v, weights = shared_polar_nodes(pupil_radius, n_r, n_theta, obscuration)
+        if nodes == "polar" and u.size <= KEPT:
+            amplitude, aberration = kept_even(*u.shape), np.zeros_like(u)
+            for index, value in coefficients.items():
+                height = real(f"coefficients[{index}]", value)
+                aberration += height * _kept_mode(index, ordering, *u.shape, float(obscuration))
+        else:
+            amplitude = np.ones_like(u)
+            aberration = _zernike_sum(coefficients, u, v, pupil_radius, ordering)
         return cls(
             u=u,
             v=v,
             aberration=aberration,
-            amplitude=np.ones_like(u),
+            amplitude=amplitude,
             weights=weights,
             wavelength=wavelength,
             image_distance=image_distance,
@@ -393,6 +402,11 @@ class Wavefront:
         disc = np.pi * self.pupil_radius**2
         return float(np.sum(self.amplitude**2 * self.weights) / disc)
 
+    @cached_property
+    def is_uniform(self) -> bool:
+        """Whether the amplitude is the same at every node."""
+        return bool((self.amplitude == self.amplitude.flat[0]).all())
+
     @property
     def is_spectral(self) -> bool:
         """Whether the nodes hold a series, so that more of them can be had: polar and cells."""
@@ -473,6 +487,15 @@ class Wavefront:
                 f"only a polar wavefront, or one of cells, can {what}, this one is {self.layout}; "
                 "sample it with nodes='polar' or 'cells'"
             )
+
+    def _kept(self) -> dict[str, Array]:
+        """Nodes and even amplitude that polar waves of this shape share and need not be checked."""
+        known = self.layout == "polar" and isinstance(self.u, np.ndarray) and self.u.ndim == 2
+        if not known or not 0 < self.u.size <= KEPT:
+            return {}
+        shape = self.u.shape
+        u, v, weights = kept_polar_nodes(self.pupil_radius, *shape, self.obscuration)
+        return {"u": u, "v": v, "amplitude": kept_even(*shape), "weights": weights}
 
     def _check_aperture(self) -> None:
         if self.aperture is None and self.layout == "cells":

@@ -95,10 +95,13 @@ def check_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> None
     """Refuse a window that leaves out more than one ray in a hundred."""
     rays, (shift_x, shift_y) = residual.rays, residual.shift
     ny, nx = shape
-    x, y = rays.x + shift_x, rays.y + shift_y
     # An Airy unit of slack: rays closer than that do not tell a spot from a point.
     slack = max(pitch / 2, residual.airy_unit)
-    inside = (np.abs(x) <= (nx // 2) * pitch + slack) & (np.abs(y) <= (ny // 2) * pitch + slack)
+    half_x, half_y = (nx // 2) * pitch + slack, (ny // 2) * pitch + slack
+    if abs(shift_x) + rays.reach <= half_x and abs(shift_y) + rays.reach <= half_y:
+        return
+    x, y = rays.x + shift_x, rays.y + shift_y
+    inside = (np.abs(x) <= half_x) & (np.abs(y) <= half_y)
     lost = float(rays.energy[~inside].sum())
     if lost > LOST_RAYS:
         need = 2 * math.ceil(max(np.abs(x).max(), np.abs(y).max()) / pitch) + 1

@@ -5,8 +5,9 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.psf import _pupil_kernels, nodes, soft_pupils
+from nlosoptics.psf import _pupil_kernels, airy, nodes, soft_pupils
 from nlosoptics.psf.residuals import split
+from nlosoptics.psf.windows import Window
 
 WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": RADIUS, "image_distance": 50e-3}
@@ -134,6 +135,35 @@ def test_an_eighth_of_the_plane_gives_the_disc(shift):
     assert error(spread, exact) < 1e-12  # of the quadrature
     assert (x[0, np.argmax(spread.intensity.max(axis=0))] - shift[0]) == approx(0, abs=0.5)
     assert (y[np.argmax(spread.intensity.max(axis=1)), 0] - shift[1]) == approx(0, abs=0.5)
+
+
+@pytest.mark.parametrize("obscuration", [0.0, 0.3])
+@pytest.mark.parametrize("pitch", [0.01, 0.1, 3.0])
+def test_the_table_of_the_closed_form_is_exact(obscuration, pitch):
+    """Samples from the peak out to 1200 lambda N, past the reach of the table."""
+    residual = split(zernike_wave({}, obscuration=obscuration))
+    window = Window.centred(pitch * UNIT, (40, 601))
+    found = airy.intensity(residual, window)
+    y, x = np.ogrid[-20:20, -300:301]
+    exact = airy.annulus_field(np.pi * pitch * np.hypot(y, x), obscuration) ** 2
+    # a few roundings of a value of at most 1
+    assert np.abs(found - exact).max() < 2e-15
+
+
+@pytest.mark.parametrize("shape", [(281, 300), (3, 12), (1, 1), (9, 8)])
+def test_blocks_know_their_strongest_and_their_farthest(shape):
+    image = np.random.default_rng(3).random(shape)
+    first, pitch = (-1.3, 0.4), 0.01
+    strongest = np.empty(tuple(min(n, 8) for n in shape))
+    far = np.empty_like(strongest)
+    _pupil_kernels.block_maxima(image, first, pitch, strongest, far)
+    y, x = np.indices(shape) * pitch + np.array(first[::-1])[:, None, None]
+    rows, columns = (np.arange(n) * m // n for n, m in zip(shape, strongest.shape, strict=True))
+    for i, j in np.ndindex(strongest.shape):
+        block = np.ix_(rows == i, columns == j)
+        assert strongest[i, j] == image[block].max()
+        # of the rounding of coordinates
+        assert far[i, j] == approx(np.hypot(y, x)[block].max(), rel=1e-13)
 
 
 def test_what_is_kept_cannot_be_changed():
