@@ -101,36 +101,36 @@ def _cut(y, lows, highs, steps, tables, size):
 
 
 @njit(cache=True)
-def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
+def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centre, out):
     """Add a pupil with softened rims to ``out`` (rows, columns), wrapped; return its sum.
 
     The phase, turns, is ``sum coefficients[i, j] u^i v^j``, u and v in ``step`` a cell from
-    ``centre``. ``tables`` (1 or 2, n) are the softened rims, outer and inner, of `_profile`.
+    ``centre``, and so is the amplitude, 1 where there are no such ``amplitudes``. ``tables`` (1 or
+    2, n) are the softened rims, outer and inner, of `_profile`.
     """
     rows, columns = out.shape
     n = 2 * centre + 1
     degree = coefficients.shape[0] - 1
-    turns, size = np.empty(n), np.empty(n)
+    turns, rim, size = np.empty(n), np.empty(n), np.empty(n)
     real, imaginary = np.empty(n), np.empty(n)
-    across = np.empty(degree + 1)
+    across = np.empty(max(degree + 1, amplitudes.shape[0]))
     total = 0.0
     for line in range(2 * centre + 1):
         y = (line + 1) // 2 * (2 * (line % 2) - 1)  # 0, 1, -1, 2, -2, ...
         if abs(y) >= highs[0]:
             break
         if y >= 0:
-            half = _cut(float(y), lows, highs, steps, tables, size)
+            half = _cut(float(y), lows, highs, steps, tables, rim)
         first, last = centre - half, centre + half + 1
-        for i in range(degree + 1):
-            across[i] = coefficients[i, degree - i]
-            for j in range(degree - i - 1, -1, -1):
-                across[i] = across[i] * (y * step) + coefficients[i, j]
-        for column in range(first, last):
-            turns[column] = across[degree]
-            total += size[column]
-        for i in range(degree - 1, -1, -1):
+        if amplitudes.shape[0] > 0:
+            _along_row(amplitudes, y * step, step, centre, across, size[first:last], first)
             for column in range(first, last):
-                turns[column] = turns[column] * ((column - centre) * step) + across[i]
+                size[column] *= rim[column]
+        else:
+            size[first:last] = rim[first:last]
+        _along_row(coefficients, y * step, step, centre, across, turns[first:last], first)
+        for column in range(first, last):
+            total += size[column]
         phasors(turns[first:last], size[first:last], real[first:last], imaginary[first:last])
         wrapped = out[(centre + y) % rows]
         start = first
@@ -141,6 +141,21 @@ def soft_pupil(coefficients, step, lows, highs, steps, tables, centre, out):
                 wrapped[column - lap * columns] += complex(real[column], imaginary[column])
             start = end
     return total
+
+
+@njit(cache=True)
+def _along_row(coefficients, y, step, centre, across, out, first):
+    """Fill ``out`` with ``sum coefficients[i, j] u^i y^j`` at the columns from ``first`` on."""
+    degree = coefficients.shape[0] - 1
+    for i in range(degree + 1):
+        across[i] = coefficients[i, degree - i]
+        for j in range(degree - i - 1, -1, -1):
+            across[i] = across[i] * y + coefficients[i, j]
+    for k in range(out.shape[0]):
+        out[k] = across[degree]
+    for i in range(degree - 1, -1, -1):
+        for k in range(out.shape[0]):
+            out[k] = out[k] * ((first + k - centre) * step) + across[i]
 
 
 @njit(cache=True)

@@ -105,7 +105,7 @@ def _quadrature(task: Task) -> Candidate:
 def _soft_grid(task: Task) -> Candidate:
     residual = task.residual
     if task.soft is not None:
-        seconds = costs.soft_polynomial(residual, task.samples, task.soft[3])
+        seconds = costs.soft_polynomial(residual, task.samples, task.soft[2])
         least = 2 * soft_pupils.CUT
         return Candidate(seconds, "fft", f"its rim errs by {least:g}" if task.tol < least else "")
     size = polar_size(task)

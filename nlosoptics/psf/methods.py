@@ -66,13 +66,13 @@ class Task:
         return pixel if self.residual.wavefront.aperture is None else min(pixel, NO_BEATS)
 
     @cached_property
-    def soft(self) -> tuple[Array, float, soft_pupils.Rim, int] | None:
-        """Polynomial of the wave, its misfit, rim and padded size, for the `fft`; or None."""
-        found = soft_pupils.wave_polynomial(self.residual, self.tol)
+    def soft(self) -> tuple[soft_pupils.SoftWave, soft_pupils.Rim, int] | None:
+        """Polynomials of the wave, its rim and padded size, for the `fft`; or None."""
+        found = soft_pupils.soft_wave(self.residual, self.tol)
         if found is None:
             return None
-        rim = soft_pupils.rim_of(self.residual, found[0])
-        return *found, rim, soft_pupils.padded_size(self.residual, rim, self.samples, self.tol)
+        rim = soft_pupils.rim_of(self.residual, found)
+        return found, rim, soft_pupils.padded_size(self.residual, rim, self.samples, self.tol)
 
     def bound(
         self,
@@ -220,14 +220,14 @@ def _soft_fft(task: Task) -> tuple[Array, float] | None:
     soft = task.soft
     if soft is None:
         return None
-    wave, misfit, rim, size = soft
+    wave, rim, size = soft
     residual, samples = task.residual, task.samples
     single = task.tol >= soft_pupils.SINGLE
     mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule, single)
     strongest, error = soft_pupils.block_errors(
         residual, rim, task.pixels, mean, size * samples.pitch
     )
-    lost = residual.truncation + residual.wavenumber * misfit
+    lost = residual.truncation + wave.misfit * wave.strength
     lost += soft_pupils.SINGLE_ERROR if single else 0.0
     return mean, task.bound(strongest, error + lost, math.inf)
 

@@ -1,4 +1,4 @@
-"""Image of a polar wave whose aberration is a polynomial, by its grid with softened rims.
+"""Image of a polar wave whose aberration and amplitude are polynomials, by its softened grid.
 
 A polynomial goes on smoothly beyond the rim, so that a rim softened for the grid (`rims`) leaves no
 error but the far tails of its kernel, and the pupil costs a few nanoseconds a cell. Image samples
@@ -8,6 +8,7 @@ farther apart than Nyquist's fold the grid before the transform instead of a lon
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 
 import ducc0
@@ -21,6 +22,7 @@ from .fits import projection
 from .nodes import frozen, polar_nodes
 from .pixels import PixelRule
 from .residuals import Residual
+from .spectra import PolarSpectrum
 from .windows import Window
 from .zernikes import zernike, zernike_order
 
@@ -32,6 +34,8 @@ Rim = tuple[float, float, Array, Array, float]
 DEGREE = 10
 #: Table points of a softened rim per cell: six of them interpolate it to 2e-15.
 STEPS = 256
+#: Most that the amplitude may fall below its largest.
+UNEVEN = 0.3
 #: Field error for the kernel's cut at `rims.REACH`, measured at half of it from 26 cells a radius
 #: on; below, it grows with the fourth power, 5e-10 at 5 cells.
 CUT = 1e-12
@@ -55,24 +59,72 @@ AIM = 0.5
 BLOCK_BYTES = 2**19
 
 
-def wave_polynomial(residual: Residual, tol: float) -> tuple[Array, float] | None:
-    """Residual aberration as ``sum c[i, j] (u/R)^i (v/R)^j``, m, and the most it errs at a node.
+@dataclass(frozen=True, eq=False)
+class SoftWave:
+    """A wave as polynomials of u/R and v/R, ``sum c[i, j] (u/R)^i (v/R)^j``.
 
-    None for a wave that is not polar, whose amplitude varies, or of too high a degree for an
-    intensity error of ``tol``.
+    Parameters
+    ----------
+    aberration : ndarray
+        m.
+    amplitude : ndarray
+        Relative to the largest; of no terms where it is the same everywhere.
+    misfit : float
+        Largest error of the pupil function at a node, over the largest amplitude.
+    strength : float
+        Bound of the amplitude at the rims over its mean.
+    """
+
+    aberration: Array
+    amplitude: Array
+    misfit: float
+    strength: float
+
+
+def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
+    """Polynomials of a polar wave without its piston and tilt.
+
+    None for a wave that is not polar, whose amplitude varies by more than `UNEVEN`, or of too high
+    a degree for an intensity error of ``tol``.
     """
     wave = residual.wavefront
-    if wave.layout != "polar" or not residual.is_uniform:
+    if wave.layout != "polar" or not isinstance(residual.series, PolarSpectrum):
         return None
     rounding = 1e-14 * float(np.abs(residual.aberration).max())
-    radial, angular = residual.series.degrees(max(1e-3 * tol / residual.wavenumber, rounding))
+    threshold = max(1e-3 * tol / residual.wavenumber, rounding)
+    fit = _polynomial(residual.series, residual.aberration, wave.obscuration, threshold)
+    if fit is None:
+        return None
+    misfit = residual.wavenumber * fit[1]
+    if residual.is_uniform:
+        return SoftWave(fit[0], np.empty((0, 0)), misfit, 1.0)
+    amplitude = wave.amplitude / float(wave.amplitude.max())
+    if float(amplitude.min()) < 1 - UNEVEN:
+        return None
+    series = PolarSpectrum(amplitude, wave.pupil_radius, wave.obscuration)
+    even = _polynomial(series, amplitude, wave.obscuration, max(1e-3 * tol, 1e-14))
+    if even is None:
+        return None
+    # the nodes' range, as far again beyond it, over a mean that is no less than its low end
+    strength = (1 + UNEVEN) / (1 - UNEVEN)
+    return SoftWave(fit[0], even[0], misfit + even[1], strength)
+
+
+def _polynomial(
+    series: PolarSpectrum, values: Array, obscuration: float, threshold: float
+) -> tuple[Array, float] | None:
+    """Powers of values on polar nodes and the most they err by; None where the degree is too high.
+
+    ``series`` tells the degree, by its terms above the threshold.
+    """
+    radial, angular = series.degrees(threshold)
     degree = max(2 * radial + 1, angular)
     if degree > DEGREE:
         return None
-    project, powers, basis = _projection(*wave.u.shape, wave.obscuration, degree)
+    project, powers, basis = _projection(*values.shape, obscuration, degree)
     # einsum without BLAS: the same bits for any thread count
-    heights = np.einsum("tp,p->t", project, residual.aberration.ravel())
-    left = residual.aberration.ravel() - np.einsum("tp,t->p", basis, heights)
+    heights = np.einsum("tp,p->t", project, values.ravel())
+    left = values.ravel() - np.einsum("tp,t->p", basis, heights)
     return np.einsum("t,tij->ij", heights, powers), float(np.abs(left).max())
 
 
@@ -151,7 +203,7 @@ def _densest(residual: Residual) -> float:
     return float(_pupil_kernels.densest(x, y, energy, rays.reach, side)) / side**2
 
 
-def rim_of(residual: Residual, wave: Array) -> Rim:
+def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     """What `_pupil_kernels.rim_errors` takes of a wave, in Airy units.
 
     To the error of the rim is added what leaks from beyond it, where a polynomial is steeper and
@@ -161,9 +213,10 @@ def rim_of(residual: Residual, wave: Array) -> Rim:
 
     pupil = residual.wavefront
     landing = np.stack([CIRCLES, CIRCLES])
-    _pupil_kernels.steepest(wave, CIRCLES, ANGLES, landing[1])
+    _pupil_kernels.steepest(wave.aberration, CIRCLES, ANGLES, landing[1])
     landing[1] *= 2 / pupil.wavelength
-    edges = 1 / (1 - pupil.obscuration)  # length of both rims over area
+    # length of both rims over area
+    edges = wave.strength / (1 - pupil.obscuration)
     return residual.rays.reach / residual.airy_unit, edges, ZONES, landing, rims.STEP
 
 
@@ -195,13 +248,13 @@ def block_errors(
 
 def intensity_in(
     residual: Residual,
-    wave: Array,
+    wave: SoftWave,
     samples: Window,
     size: int,
     rule: PixelRule | None,
     single: bool,
 ) -> Array:
-    """Image intensity in a window, 1 at the ideal peak; ``wave`` as of `wave_polynomial`.
+    """Image intensity in a window, 1 at the ideal peak.
 
     ``single`` transforms in single precision.
     """
@@ -224,7 +277,7 @@ def intensity_in(
     tables = np.zeros((len(found), width))
     for row, rim in zip(tables, found, strict=True):
         row[: rim[2].size] = rim[2]
-    turns = wave / pupil.wavelength
+    turns = wave.aberration / pupil.wavelength
     side = math.copysign(1.0, pupil.image_distance)
     starts = [
         (first - shift) / samples.pitch
@@ -236,6 +289,7 @@ def intensity_in(
     values = np.zeros((rows, size), dtype=np.complex64 if single else np.complex128)
     total = _pupil_kernels.soft_pupil(
         np.ascontiguousarray(turns.T),
+        np.ascontiguousarray(wave.amplitude.T),
         1 / radius,
         lows,
         highs,
