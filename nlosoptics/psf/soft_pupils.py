@@ -188,6 +188,16 @@ def block_errors(
     return strongest, _field_error(residual, wave, rings, period)[ring]
 
 
+def n_bytes(
+    residual: Residual, samples: Window, size: int, rule: PixelRule | None, single: bool
+) -> float:
+    """Peak memory of `intensity_in`: the columns, and rows of the image averaged over pixels."""
+    rows = min(size, 2 * (math.ceil(_radius(residual, samples, size)) + rims.REACH) + 1)
+    ny, nx = samples.shape
+    image = 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor)
+    return (8.0 if single else 16.0) * rows * size + image + 2**26
+
+
 def intensity_in(
     residual: Residual,
     wave: Array,
@@ -208,7 +218,7 @@ def intensity_in(
     rows = min(size, 2 * centre + 1)
     fits_memory(
         f"the transform of {rows} x {size} samples",
-        48.0 * rows * size,
+        n_bytes(residual, samples, size, rule, single),
         "use a smaller shape",
     )
     found = [_rim_table(radius)]
@@ -259,17 +269,21 @@ def _intensity(
     size = values.shape[1]
     ny, nx = shape
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
-    energy = np.empty((ny, nx))
     step = max(8, BLOCK_BYTES // (16 * size))
+    # rows are averaged along as they come: the fine image need not fit the memory
+    across = nx if rule is None else (nx - 2 * rule.margin) // rule.factor
+    half = np.empty((ny, across))
+    energy = np.empty((step, nx))
     padded = np.empty((step, size), dtype=values.dtype)
     for start in range(0, ny, step):
         part = padded[: min(step, ny - start)]
         _pupil_kernels.turned(values[:, start : start + step], part)
         ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
-        _pupil_kernels.squares(part, scale, energy[start : start + step])
+        fine = energy[: len(part)]
+        _pupil_kernels.squares(part, scale, fine)
+        half[start : start + step] = fine if rule is None else rule.mean(fine)
     if rule is None:
-        return energy
-    half = rule.mean(energy)
+        return half
     return rule.mean(np.ascontiguousarray(half.T)).T
 
 
