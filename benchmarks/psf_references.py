@@ -13,9 +13,11 @@ from scipy import fft
 #: Pupil nodes and image points beyond which a reference is out of reach.
 MOST_NODES, MOST_POINTS, MOST_SIDE = 4e6, 1e5, 6000
 #: Pupil nodes beyond which single pixels are out of reach, and nodes a block of rings.
-MOST_FAR_NODES, BLOCK = 5e7, 1e6
+MOST_FAR_NODES, BLOCK = 1e7, 1e6
 #: Side of the lattice of separations.
 MOST_LATTICE = 2400
+#: Samples of the smooth wave's departure a side.
+WINDOW = 1280
 
 
 class OutOfReachError(Exception):
@@ -363,11 +365,14 @@ def rough(wave, spread, s, correlation, footprint, halo):
         raise OutOfReachError(f"{n} samples across")
     departure = None
     if any(wave.coefficients.values()):
-        departure = _departure(wave, min(n, 1024), fine)
+        departure = _departure(wave, WINDOW, fine)
     images = []
-    for count in (0.75 * min(n, MOST_LATTICE), min(n, MOST_LATTICE)):
-        size = 2 * int(ducc0.fft.good_size(math.ceil(count / 2)))
-        images.append(_on_lattice(wave, spread, size, m, departure, s, correlation, footprint))
+    for share in (0.75, 1.0):
+        size = 2 * int(ducc0.fft.good_size(math.ceil(share * min(n, MOST_LATTICE) / 2)))
+        part = departure
+        if departure is not None and share < 1:  # what its own window cuts off, too
+            part = departure[WINDOW // 8 : -WINDOW // 8, WINDOW // 8 : -WINDOW // 8]
+        images.append(_on_lattice(wave, spread, size, m, part, s, correlation, footprint))
     return images[1], float(np.abs(images[1] - images[0]).max())
 
 

@@ -219,8 +219,9 @@ def _soft_fft(task: Task) -> tuple[Array, float] | None:
     residual, samples = task.residual, task.samples
     single = task.tol >= soft_pupils.SINGLE
     mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule, single)
+    half = 0.0 if task.rule is None else task.pitch / 2
     strongest, error = soft_pupils.block_errors(
-        residual, wave, task.pixels, mean, size * samples.pitch
+        residual, wave, task.pixels, mean, size * samples.pitch, half
     )
     lost = residual.truncation + residual.wavenumber * misfit
     lost += soft_pupils.SINGLE_ERROR if single else 0.0

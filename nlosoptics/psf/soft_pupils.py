@@ -169,9 +169,12 @@ def _field_error(residual: Residual, wave: Array, distance: Array, period: float
 
 
 def block_errors(
-    residual: Residual, wave: Array, window: Window, intensity: Array, period: float
+    residual: Residual, wave: Array, window: Window, intensity: Array, period: float, half: float
 ) -> tuple[Array, Array]:
-    """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
+    """Largest intensity and bound of the field's error in blocks of a window, of one shape.
+
+    ``half`` is half a pixel's side, m, whose far edge errs the most; 0 for points.
+    """
     ny, nx = window.shape
     starts = [np.arange(0, n, max(1, n // 8)) for n in (ny, nx)]
     rows = [intensity[i : i + max(1, ny // 8)].max(axis=0) for i in starts[0]]
@@ -182,7 +185,7 @@ def block_errors(
             (window.y, window.x), starts, residual.shift[::-1], strict=True
         )
     )
-    far = np.hypot(down[:, None], along)
+    far = np.hypot(down[:, None] + half, along + half)
     rings = RINGS * far.max()
     ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
     return strongest, _field_error(residual, wave, rings, period)[ring]
