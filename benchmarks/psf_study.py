@@ -351,7 +351,7 @@ def remedied(rng, case, refusal):
     count = int(1.02 * int(more[1])) + 1
     if case.facts["kind"] == "grid" and count <= 2100:
         return replace(case, front=grid_front(case.wave, count))
-    if case.facts["kind"] == "scattered" and count <= 150000:
+    if case.facts["kind"] == "scattered" and count <= 250000:
         return replace(case, front=scattered_front(rng, case.wave, count))
     return None
 

@@ -369,6 +369,8 @@ def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
             power = 2 if wave.layout == "scattered" else 1
             # as many as the window takes, too
             more = max(jump / 0.5, _period_share(task))
+            # others of scattered nodes are the ones farthest apart, when there are more of them
+            more *= 1.2 if power == 2 else 1.0
             need = math.ceil(n * more**power)
         raise SamplingError(
             f"aberration jumps {jump:.2f} waves{where}, limit 0.50; use {need} or more pupil "
