@@ -12,8 +12,12 @@ from scipy import fft
 
 #: Pupil nodes and image points beyond which a reference is out of reach.
 MOST_NODES, MOST_POINTS, MOST_SIDE = 4e6, 1e5, 6000
+#: Pupil nodes beyond which single pixels are out of reach, and nodes a block of rings.
+MOST_FAR_NODES, BLOCK = 1e7, 1e6
 #: Side of the lattice of separations.
 MOST_LATTICE = 2400
+#: Samples of the smooth wave's departure a side.
+WINDOW = 1280
 
 
 class OutOfReachError(Exception):
@@ -22,6 +26,12 @@ class OutOfReachError(Exception):
 
 def zernike(index, rho, theta):
     """Noll's polynomials, rms 1 over the disc (Noll 1976)."""
+    along, around = zernike_parts(index, rho, theta)
+    return along * around
+
+
+def zernike_parts(index, rho, theta):
+    """Their factors, of the radius and of the angle."""
     n = 0
     while (n + 1) * (n + 2) // 2 < index:
         n += 1
@@ -35,18 +45,118 @@ def zernike(index, rho, theta):
         for k in range((n - m) // 2 + 1)
     )
     if m == 0:
-        return math.sqrt(n + 1) * radial
+        return math.sqrt(n + 1) * radial, np.ones(np.shape(theta))
     turn = np.cos(m * theta) if index % 2 == 0 else np.sin(m * theta)
-    return math.sqrt(2 * (n + 1)) * radial * turn
+    return math.sqrt(2 * (n + 1)) * radial, turn
+
+
+class Ellipse:
+    """Outline with half axes 1 and b in units of a, the first at an angle, and a similar hole."""
+
+    def __init__(self, b, angle, inner):
+        self.b, self.angle, self.inner = b, angle, inner
+
+    def nodes(self, v, more):
+        """u/a, v/a and areas over a^2."""
+        x, y, w = disc_nodes(v, more, self.inner)
+        return *self._turned(x, y), w * self.b
+
+    def blocks(self, v, more):
+        """The same a block at a time."""
+        for r, angle, area in disc_blocks(v, more, self.inner):
+            x, y = r[:, None] * np.cos(angle), r[:, None] * np.sin(angle)
+            yield *self._turned(x, y), area[:, None] * self.b
+
+    def _turned(self, x, y):
+        y, c, s = y * self.b, math.cos(self.angle), math.sin(self.angle)
+        return c * x - s * y, s * x + c * y
+
+
+class Triangles:
+    """Outline of triangles (n, 3, 2) in units of a."""
+
+    def __init__(self, corners):
+        self.corners = np.asarray(corners, dtype=float)
+
+    def blocks(self, v, more):
+        """u/a, v/a and areas over a^2, squares collapsed to triangles, one after another."""
+        first, second, third = np.moveaxis(self.corners, 1, 0)
+        edges = second - first, third - first
+        longest = max(float(np.hypot(*e.T).max()) for e in edges)
+        n = math.ceil(more * (0.4 * v * longest + 30))
+        if n * n * len(first) > MOST_FAR_NODES:
+            raise OutOfReachError(f"{len(first)} x {n} x {n} nodes")
+        t, w = leggauss(n) if n < 1500 else _gauss(n)
+        s, w = (t + 1) / 2, w / 2
+        along, across = s[:, None], s[:, None] * s
+        for corner, one, other in zip(first, *edges, strict=True):
+            x, y = (corner[i] + along * one[i] + across * (other - one)[i] for i in (0, 1))
+            area = abs(one[0] * other[1] - one[1] * other[0])
+            yield x, y, area * (w * s)[:, None] * w
+
+    def nodes(self, v, more):
+        """The same at once."""
+        parts = list(self.blocks(v, more))
+        if sum(p[0].size for p in parts) > MOST_NODES:
+            raise OutOfReachError(f"{len(parts)} x {parts[0][0].size} nodes")
+        return tuple(np.concatenate([p[i].ravel() for p in parts]) for i in range(3))
+
+
+def fan(corners, centre=(0.0, 0.0)):
+    """Triangles of a polygon that its centre sees whole."""
+    corners = np.asarray(corners)
+    after = np.roll(corners, -1, axis=0)
+    return [(centre, a, b) for a, b in zip(corners, after, strict=True)]
+
+
+def disc_counts(v, more):
+    """Radii and angles for phases that turn by v rad across the radius."""
+    return math.ceil(more * (0.4 * v + 40)), math.ceil(more * (1.05 * v + 120))
+
+
+def disc_radii(n_r, inner):
+    """Gauss-Legendre radii and areas of an annulus."""
+    t, w = leggauss(n_r) if n_r < 1500 else _gauss(n_r)
+    r = inner + (1 - inner) * (t + 1) / 2
+    return r, w * (1 - inner) / 2 * r * 2 * math.pi
+
+
+def disc_nodes(v, more, inner):
+    """u/a, v/a and areas over a^2, Gauss-Legendre in the radius and equal angles."""
+    n_r, n_t = disc_counts(v, more)
+    if n_r * n_t > MOST_NODES:
+        raise OutOfReachError(f"{n_r} x {n_t} nodes")
+    r, w = disc_radii(n_r, inner)
+    angle = 2 * math.pi * (np.arange(n_t) + 0.5) / n_t
+    x, y = (r[:, None] * np.cos(angle)).ravel(), (r[:, None] * np.sin(angle)).ravel()
+    return x, y, np.repeat(w / n_t, n_t)
+
+
+def disc_blocks(v, more, inner):
+    """Radii, angles and areas of a few rings at a time."""
+    n_r, n_t = disc_counts(v, more)
+    if n_r * n_t > MOST_FAR_NODES:
+        raise OutOfReachError(f"{n_r} x {n_t} nodes")
+    radii, areas = disc_radii(n_r, inner)
+    angle = 2 * math.pi * (np.arange(n_t) + 0.5) / n_t
+    rings = max(1, int(BLOCK / n_t))
+    for start in range(0, n_r, rings):
+        some = slice(start, start + rings)
+        yield radii[some], angle, areas[some] / n_t
 
 
 class Wave:
-    """A continuous wave: coefficients in waves, amplitude as a function of u/a and v/a."""
+    """A continuous wave: coefficients in waves, amplitude as a function of u/a and v/a.
 
-    def __init__(self, coefficients, amplitude, wavelength, radius, distance, obscuration):
+    Its pupil is a disc, an annulus, or of an outline, `Ellipse` or `Triangles`.
+    """
+
+    def __init__(
+        self, coefficients, amplitude, wavelength, radius, distance, obscuration, outline=None
+    ):
         self.coefficients, self.amplitude = coefficients, amplitude
         self.wavelength, self.radius, self.distance = wavelength, radius, distance
-        self.obscuration = obscuration
+        self.obscuration, self.outline = obscuration, outline
 
     def waves(self, x, y):
         """Aberration in waves at u/a, v/a."""
@@ -72,17 +182,28 @@ class Wave:
             )
         )
 
+    def on_rings(self, r, angle):
+        """The same at radii times angles (n_r, n_t)."""
+        total = np.zeros((r.size, angle.size))
+        for index, height in self.coefficients.items():
+            along, around = zernike_parts(index, r, angle)
+            total += np.multiply.outer(height * along * np.ones(r.size), around)
+        return total
+
+    def blocks(self, v, more):
+        """Nodes' u/a, v/a, areas over a^2 and waves, a block of them at a time."""
+        if self.outline is not None:
+            yield from ((*part, self.waves(*part[:2])) for part in self.outline.blocks(v, more))
+            return
+        for r, angle, area in disc_blocks(v, more, self.obscuration):
+            across = r[:, None] * np.cos(angle), r[:, None] * np.sin(angle)
+            yield *across, area[:, None], self.on_rings(r, angle)
+
     def nodes(self, v, more):
-        """u/a, v/a and areas over a^2, Gauss-Legendre in the radius and equal angles."""
-        n_r, n_t = math.ceil(more * (0.4 * v + 40)), math.ceil(more * (1.05 * v + 120))
-        if n_r * n_t > MOST_NODES:
-            raise OutOfReachError(f"{n_r} x {n_t} nodes")
-        t, w = leggauss(n_r) if n_r < 1500 else _gauss(n_r)
-        r = self.obscuration + (1 - self.obscuration) * (t + 1) / 2
-        w = w * (1 - self.obscuration) / 2 * r * (2 * math.pi / n_t)
-        angle = 2 * math.pi * (np.arange(n_t) + 0.5) / n_t
-        x, y = (r[:, None] * np.cos(angle)).ravel(), (r[:, None] * np.sin(angle)).ravel()
-        return x, y, np.repeat(w, n_t)
+        """u/a, v/a and areas over a^2."""
+        if self.outline is not None:
+            return self.outline.nodes(v, more)
+        return disc_nodes(v, more, self.obscuration)
 
 
 def _gauss(n):
@@ -146,6 +267,49 @@ def continuous(wave, spread, rows, columns):
     return found[1], float(np.abs(found[1] - found[0]).max())
 
 
+def single(wave, spread, rows, columns):
+    """The same of a few pixels of a wave of any steepness, each by a sum of its own.
+
+    Nodes come in blocks of rings, and each pixel's points are turned to its centre, so that
+    the transform's grid spans one pixel alone. The doubt is the first pixel's.
+    """
+    step, weight = pixel_points(wave, spread.pitch, spread.pixel_integrated)
+    x0, y0 = spread.x[columns], spread.y[rows]
+    fine = _pixel_fields(wave, x0, y0, step, 1.0)
+    again = _pixel_fields(wave, x0[:1], y0[:1], step, 1.1)
+    values = []
+    for image, total, energy in (fine, again):
+        scale = scale_of(wave, spread.normalisation, spread.pitch, total, energy)
+        values.append(np.einsum("pij,i,j->p", np.abs(image) ** 2, weight, weight) * scale)
+    return values[0], abs(float(values[1][0] - values[0][0]))
+
+
+def _pixel_fields(wave, x0, y0, step, more):
+    """Field at the points of each pixel, (pixels, n, n), and the amplitude's integrals."""
+    turns = wave.radius / (wave.wavelength * wave.distance)
+    far = float(np.hypot(np.abs(x0) + step[-1], np.abs(y0) + step[-1]).max()) * abs(turns)
+    y, x = (a.ravel() for a in np.meshgrid(step, step, indexing="ij"))
+    targets = 2 * math.pi * turns * np.stack([x, y], axis=1)
+    found = np.zeros((len(x0), x.size), complex)
+    total = energy = 0.0
+    for u, v, area, phase in wave.blocks(2 * math.pi * far + wave.steepest(), more):
+        amplitude = wave.amplitude(u, v)
+        size = area * amplitude
+        total, energy = total + float(size.sum()), energy + float((size * amplitude).sum())
+        coord = np.stack([u.ravel(), v.ravel()], axis=1)
+        for image, cx, cy in zip(found, x0, y0, strict=True):
+            turned = phase - turns * (cx * u + cy * v)
+            image += ducc0.nufft.experimental.nu2nu(
+                points_in=(size * np.exp(2j * math.pi * turned)).ravel(),
+                coord_in=coord,
+                coord_out=targets,
+                forward=True,
+                epsilon=1e-11,
+                nthreads=1,
+            )
+    return found.reshape(len(x0), step.size, step.size), total, energy
+
+
 def sampled(front, wave, spread):
     """Direct sum of a map's samples for every pixel."""
     step, weight = pixel_points(wave, spread.pitch, spread.pixel_integrated)
@@ -201,11 +365,14 @@ def rough(wave, spread, s, correlation, footprint, halo):
         raise OutOfReachError(f"{n} samples across")
     departure = None
     if any(wave.coefficients.values()):
-        departure = _departure(wave, min(n, 1024), fine)
+        departure = _departure(wave, WINDOW, fine)
     images = []
-    for count in (0.75 * min(n, MOST_LATTICE), min(n, MOST_LATTICE)):
-        size = 2 * int(ducc0.fft.good_size(math.ceil(count / 2)))
-        images.append(_on_lattice(wave, spread, size, m, departure, s, correlation, footprint))
+    for share in (0.75, 1.0):
+        size = 2 * int(ducc0.fft.good_size(math.ceil(share * min(n, MOST_LATTICE) / 2)))
+        part = departure
+        if departure is not None and share < 1:  # what its own window cuts off, too
+            part = departure[WINDOW // 8 : -WINDOW // 8, WINDOW // 8 : -WINDOW // 8]
+        images.append(_on_lattice(wave, spread, size, m, part, s, correlation, footprint))
     return images[1], float(np.abs(images[1] - images[0]).max())
 
 

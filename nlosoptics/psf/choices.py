@@ -189,9 +189,13 @@ def _too_long(
     task: Task, regime: Regime, cheapest: Candidate, reached: float, max_seconds: float
 ) -> SamplingError:
     ny, nx = task.samples.shape
+    n_bytes = 32.0 * ny * nx
+    if task.soft is not None and cheapest.method == "fft":
+        single = task.tol >= soft_pupils.SINGLE
+        n_bytes = soft_pupils.n_bytes(task.residual, task.samples, task.soft[2], task.rule, single)
     fits_memory(
         f"a point spread that needs {ny} x {nx} samples",
-        32.0 * ny * nx,
+        n_bytes,
         "use a smaller shape, or a larger tol on wide pixels, at which rays do",
     )
     remedies = [f"max_seconds = {rounded_up(cheapest.seconds)}"]

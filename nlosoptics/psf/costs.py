@@ -16,33 +16,31 @@ from .pupil_grids import grid_size
 from .residuals import Residual
 from .windows import Window
 
-#: Calls, checks and small arrays of any transform.
-CALL = 1e-3
+#: Calls, checks, small arrays and the regime of any transform.
+CALL = 1.2e-3
 
 
 def airy(window: Window) -> float:
     """Of the closed form: a Bessel function a point."""
-    return 2e-4 + 1e-8 * _points(window)
+    return CALL + 3e-8 * _points(window)
 
 
 def sum_over_nodes(n_nodes: float, window: Window) -> float:
     """Of a non-uniform transform of ``n_nodes`` to a window."""
-    return CALL + 2.5e-7 * n_nodes + 1e-7 * _points(window)
+    return CALL + 1.4e-7 * n_nodes + 3e-8 * _points(window)
 
 
 def polar_sum(residual: Residual, window: Window) -> float:
     """Of quadrature, its nodes' aberration included."""
-    # aberration, and amplitude if there is one, at every node
-    each = 1.4 if residual.is_uniform else 3.0
-    return sum_over_nodes(each * math.prod(quadrature.node_counts(residual, window)), window)
+    return sum_over_nodes(math.prod(quadrature.node_counts(residual, window)), window)
 
 
 def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int) -> float:
     """Of a polar wave put on a grid of the pupil and padded to ``size``."""
     n = grid_size(residual.wavefront.pupil_radius, pupil_pitch)
     ny, nx = window.shape
-    each = 2.5e-7 if residual.is_uniform else 3.5e-7
-    return 2e-2 + each * n * n + 4e-8 * size * (n + nx) + 1e-8 * ny * nx
+    each = 1.4e-7 if residual.is_uniform else 1.9e-7
+    return 1e-2 + each * n * n + 2.2e-8 * size * (n + nx) + 6e-9 * ny * nx
 
 
 def soft_polynomial(residual: Residual, window: Window, size: int) -> float:
@@ -50,20 +48,20 @@ def soft_polynomial(residual: Residual, window: Window, size: int) -> float:
     wave = residual.wavefront
     radius = wave.pupil_radius * size * window.pitch / (wave.wavelength * abs(wave.image_distance))
     columns = min(size, 2 * radius) + window.shape[1]
-    return 4e-4 + 3e-8 * radius**2 + 6e-10 * size * columns * math.log2(size)
+    return CALL + 3e-8 * radius**2 + 7e-10 * size * columns * math.log2(size)
 
 
 def map_fft(residual: Residual, window: Window, size: int) -> float:
     """Of a grid's own samples, padded to ``size``."""
     n = len(residual.wavefront.u)
-    return CALL + 1e-7 * n * n + 2.5e-8 * size * (n + window.shape[1])
+    return CALL + 3.6e-8 * n * n + 1e-8 * size * (n + window.shape[1])
 
 
 def map_chirp(residual: Residual, window: Window) -> float:
     """Of a grid's own samples to any pitch."""
     n = len(residual.wavefront.u)
     ny, nx = window.shape
-    return CALL + 1e-7 * n * n + 5e-8 * (n * (n + nx) + nx * (n + ny))
+    return CALL + 3.6e-8 * n * n + 1.8e-8 * (n * (n + nx) + nx * (n + ny))
 
 
 def scattered_sum(residual: Residual, window: Window) -> float:
@@ -74,7 +72,7 @@ def scattered_sum(residual: Residual, window: Window) -> float:
     return (
         sum_over_nodes(float(len(residual.wavefront.u)), window)
         + sum_over_nodes(nodes, window)
-        + 4e-6 * nodes
+        + 1.3e-6 * nodes
     )
 
 
@@ -82,10 +80,10 @@ def rays(residual: Residual, window: Window) -> float:
     """Of landing rays, twice, the second time in nine parts of half as many each way."""
     if residual.wavefront.layout == "polar":
         n_r, n_theta = ray_counts(residual, window)
-        return 5e-3 + 6e-7 * n_r * n_theta
+        return 3e-3 + 4e-7 * n_r * n_theta
     wave = residual.wavefront
     if wave.layout == "cells":
-        return 5e-3 + 6e-7 * len(wave.u) * patch_rays(residual, window) ** 2
+        return 3e-3 + 4e-7 * len(wave.u) * patch_rays(residual, window) ** 2
     if wave.layout == "scattered":
         n_nodes, cells = len(residual.local.indices), most_cells(residual, window)
     else:

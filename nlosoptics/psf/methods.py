@@ -224,8 +224,9 @@ def _soft_fft(task: Task) -> tuple[Array, float] | None:
     residual, samples = task.residual, task.samples
     single = task.tol >= soft_pupils.SINGLE
     mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule, single)
+    half = 0.0 if task.rule is None else task.pitch / 2
     strongest, error = soft_pupils.block_errors(
-        residual, rim, task.pixels, mean, size * samples.pitch
+        residual, rim, task.pixels, mean, size * samples.pitch, half
     )
     lost = residual.truncation + wave.misfit * wave.strength
     lost += soft_pupils.SINGLE_ERROR if single else 0.0
@@ -373,6 +374,8 @@ def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
             power = 2 if wave.layout == "scattered" else 1
             # as many as the window takes, too
             more = max(jump / 0.5, _period_share(task))
+            # others of scattered nodes are the ones farthest apart, when there are more of them
+            more *= 1.2 if power == 2 else 1.0
             need = math.ceil(n * more**power)
         raise SamplingError(
             f"aberration jumps {jump:.2f} waves{where}, limit 0.50; use {need} or more pupil "

@@ -13,13 +13,13 @@ from .._checks import in_range, one_of, positive
 from ..errors import SamplingError
 from ..scene import Scene
 from .estimates import rounded_up
-from .halos import EPSILON, Halo
+from .halos import EPSILON, Halo, Separations
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread, point_spread
 from .regimes import regime
 from .residuals import Residual, split
 from .rough_views import RoughView, rough_view
 from .roughness import Roughness
-from .transfers import transfer
+from .transfers import Transfer, transfer
 from .wavefronts import Wavefront
 from .windows import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
 
@@ -144,7 +144,7 @@ def mean_point_spread(
     if view.rayleigh_parameter > 0:
         halo = Halo(residual, view, window, pixel_integrated, smooth.reach)
         diffuse, nodes, _, missed = halo.converged(smooth.at, coherent, tol)
-        error = missed + float(np.abs(nodes.factor).sum()) * smooth.error
+        error = missed + _transfer_error(halo, nodes, diffuse, smooth)
     total = coherent + diffuse
     peak = float(total.max())
     error = error / peak + 10 * EPSILON
@@ -175,6 +175,22 @@ def mean_point_spread(
         regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
         reason=_reason(view, core),
     )
+
+
+def _transfer_error(halo: Halo, nodes: Separations, diffuse: Array, smooth: Transfer) -> float:
+    """What the transfer function's own error makes of the diffuse light.
+
+    At most its bound over all separations. Of a polar wave, what cells twice as wide change in the
+    image: its error falls as the power 3/2 of the cells or faster, so that this is twice what the
+    finer ones leave.
+    """
+    bound = float(np.abs(nodes.factor).sum()) * smooth.error
+    # below, another lattice would cost more than it says
+    if halo.residual.wavefront.layout != "polar" or smooth.error < 1e-12:
+        return bound
+    coarse = transfer(halo.residual, coarser=2)
+    change = halo.image(nodes, coarse.at(nodes.du, nodes.dv)) - diffuse
+    return min(bound, float(np.abs(change).max()))
 
 
 def _reason(view: RoughView, core: PointSpread | None) -> str:

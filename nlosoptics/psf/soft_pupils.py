@@ -231,9 +231,12 @@ def _field_error(residual: Residual, rim: Rim, distance: Array, period: float) -
 
 
 def block_errors(
-    residual: Residual, rim: Rim, window: Window, intensity: Array, period: float
+    residual: Residual, rim: Rim, window: Window, intensity: Array, period: float, half: float
 ) -> tuple[Array, Array]:
-    """Largest intensity and bound of the field's error in blocks of a window, of one shape."""
+    """Largest intensity and bound of the field's error in blocks of a window, of one shape.
+
+    ``half`` is half a pixel's side, m, whose far edge errs the most; 0 for points.
+    """
     from . import _pupil_kernels
 
     ny, nx = window.shape
@@ -241,9 +244,20 @@ def block_errors(
     far = np.empty_like(strongest)
     first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
     _pupil_kernels.block_maxima(intensity, first, window.pitch, strongest, far)
+    far += math.sqrt(2) * half
     rings = RINGS * far.max()
     ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
     return strongest, _field_error(residual, rim, rings, period)[ring]
+
+
+def n_bytes(
+    residual: Residual, samples: Window, size: int, rule: PixelRule | None, single: bool
+) -> float:
+    """Peak memory of `intensity_in`: the columns, and rows of the image averaged over pixels."""
+    rows = min(size, 2 * (math.ceil(_radius(residual, samples, size)) + rims.REACH) + 1)
+    ny, nx = samples.shape
+    image = 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor)
+    return (8.0 if single else 16.0) * rows * size + image + 2**26
 
 
 def intensity_in(
@@ -266,7 +280,7 @@ def intensity_in(
     rows = min(size, 2 * centre + 1)
     fits_memory(
         f"the transform of {rows} x {size} samples",
-        48.0 * rows * size,
+        n_bytes(residual, samples, size, rule, single),
         "use a smaller shape",
     )
     found = [_rim_table(radius)]
@@ -318,17 +332,21 @@ def _intensity(
     size = values.shape[1]
     ny, nx = shape
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
-    energy = np.empty((ny, nx))
     step = max(8, BLOCK_BYTES // (16 * size))
+    # rows are averaged along as they come: the fine image need not fit the memory
+    across = nx if rule is None else (nx - 2 * rule.margin) // rule.factor
+    half = np.empty((ny, across))
+    energy = np.empty((step, nx))
     padded = np.empty((step, size), dtype=values.dtype)
     for start in range(0, ny, step):
         part = padded[: min(step, ny - start)]
         _pupil_kernels.turned(values[:, start : start + step], part)
         ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
-        _pupil_kernels.squares(part, scale, energy[start : start + step])
+        fine = energy[: len(part)]
+        _pupil_kernels.squares(part, scale, fine)
+        half[start : start + step] = fine if rule is None else rule.mean(fine)
     if rule is None:
-        return energy
-    half = rule.mean(energy)
+        return half
     return rule.mean(np.ascontiguousarray(half.T)).T
 
 

@@ -48,8 +48,8 @@ class Transfer:
     error: float
 
 
-def transfer(residual: Residual) -> Transfer:
-    """Transfer function of a polar or grid wave.
+def transfer(residual: Residual, coarser: int = 1) -> Transfer:
+    """Transfer function of a polar or grid wave; ``coarser`` cells for a polar one.
 
     A clear pupil's is the common area of two displaced pupils in closed form. Any other is that,
     or on a grid the cells' own, times the smooth ratio that aberration and amplitude make of it,
@@ -72,7 +72,7 @@ def transfer(residual: Residual) -> Transfer:
         flat = residual.wavenumber * float(np.abs(residual.aberration).max()) < 1e-12
         if residual.is_uniform and flat:
             return Transfer(lambda du, dv: clear(du, dv).astype(np.complex128), 2 * radius, 1e-14)
-        pupil, weights, pitch = _on_grid(residual)
+        pupil, weights, pitch = _on_grid(residual, coarser)
         jump = residual.rays.slope * pitch / wave.wavelength
         edge = 2 * radius
     else:
@@ -117,11 +117,11 @@ def _overlap(d: Array, a: float, b: float) -> Array:
     return np.where(d >= a + b, 0.0, np.where(d <= a - b, math.pi * b**2, area))
 
 
-def _on_grid(residual: Residual) -> tuple[ComplexArray, Array, float]:
+def _on_grid(residual: Residual, coarser: int) -> tuple[ComplexArray, Array, float]:
     """Pupil function of a polar wave on cells, the cells' areas alone, and their pitch."""
     wave = residual.wavefront
     cells = 2 * wave.pupil_radius * residual.rays.slope / (STEP * wave.wavelength)
-    n = max(CELLS, math.ceil(cells))
+    n = math.ceil(max(CELLS, cells) / coarser)
     fits_memory(f"the transfer function of {n} x {n} cells", 400.0 * n * n, "use less aberration")
     u, v, weights = grid_nodes(wave.pupil_radius, n + 1 - n % 2, wave.obscuration)
     lit = weights > 0
