@@ -16,7 +16,7 @@ from .polygons import Sides
 
 Array = NDArray[np.float64]
 
-#: Points on every side of a cell where overlap is looked for, and along s and t of its patches.
+#: Points along s and t of every patch where overlap is looked for.
 LOOKS: Final = 64
 #: Of a radius, within which circles touch rather than cross.
 TOUCHING: Final = 1e-12
@@ -211,7 +211,7 @@ def _joined(arcs: list[tuple[float, float]]) -> list[tuple[float, float]]:
     return joined
 
 
-def drawn_in(outline: Sequence[Curve], sides: Sequence[Sides], share: float) -> Array:
+def drawn_in(sides: Sequence[Sides], share: float) -> Array:
     """Points (n, 2) of a cell's patches, their sides drawn in by a share of their width."""
     fraction = np.linspace(share, 1 - share, LOOKS)
     found = []

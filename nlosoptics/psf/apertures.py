@@ -22,7 +22,10 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Point = tuple[float, float]
 
-#: Share of a cell's size by which its rim is drawn in where cells are tested for overlap.
+#: Of the farthest corner's distance, how far each side's line at least passes by the middle of a
+#: similar hole; nearer, rounding alone would tell the sides of it apart.
+SEEN: Final = 1e-9
+#: Share of a patch's size by which its rim is drawn in where cells are tested for overlap.
 TOUCH: Final = 1e-9
 
 
@@ -124,13 +127,14 @@ class Aperture:
         angle : float
             Of the first vane, rad from u toward v.
         """
+        real("angle", angle)
         if whole("vanes", vanes, 0) == 0:
             if real("vane_width", vane_width) != 0:
                 raise SceneError(f"vane_width = {vane_width:g} m without vanes; give their number")
             return cls.ellipse(radius, radius, obscuration=obscuration)
         positive("radius", radius, unit="m")
         in_range("obscuration", obscuration, 0.0, 0.99)
-        cells = parts.sectors(radius, obscuration, vanes, vane_width, real("angle", angle))
+        cells = parts.sectors(radius, obscuration, vanes, vane_width, angle)
         return cls(tuple(Cell(tuple(outline), tuple(sides)) for outline, sides in cells))
 
     @classmethod
@@ -237,6 +241,9 @@ class Aperture:
         SceneError
             If two of their cells overlap.
         """
+        for a in apertures:
+            if not isinstance(a, Aperture):
+                raise SceneError(f"a union of a {type(a).__name__}; give apertures alone")
         if not apertures:
             raise SceneError("a union of no apertures; give one or more")
         whole_one = cls(tuple(cell for a in apertures for cell in a.cells))
@@ -421,9 +428,9 @@ class Aperture:
         return inside
 
     def _check_apart(self) -> None:
-        """Refuse cells that overlap: points of one's rim or patches that lie within another."""
+        """Refuse cells that overlap: points of one's patches that lie within another."""
         boxes = [box(cell.outline) for cell in self.cells]
-        points = [parts.drawn_in(cell.outline, cell.sides, TOUCH) for cell in self.cells]
+        points = [parts.drawn_in(cell.sides, TOUCH) for cell in self.cells]
         for i, (low, high) in enumerate(boxes):
             for j, (other_low, other_high) in enumerate(boxes):
                 if i == j or np.any(low >= other_high) or np.any(other_low >= high):
@@ -452,7 +459,7 @@ def _polygon_cell(corners: Array, obscuration: float) -> Cell:
     centre = np.array([x / area, y / area])
     inner = in_range("obscuration", obscuration, 0.0, 0.99)
     if inner > 0:
-        if not sees_all(corners, centre):
+        if not sees_all(corners, centre, SEEN):
             raise SceneError(
                 f"obscuration = {inner:g} of a polygon whose centroid does not see every side; "
                 "give two polygons and their union"

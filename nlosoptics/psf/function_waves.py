@@ -51,6 +51,10 @@ def nodes_of(
     nodes: str | None, aperture: Aperture | None, obscuration: float, samples: Any
 ) -> Nodes:
     """Layout asked for, or by default, that fits the aperture."""
+    if aperture is not None and not isinstance(aperture, Aperture):
+        raise SceneError(f"aperture is a {type(aperture).__name__}; give a psf.Aperture")
+    if isinstance(samples, tuple) and len(samples) != 2:
+        raise SceneError(f"samples = {samples}; give one whole number or two")
     if nodes is None:
         nodes = "polar" if aperture is None else "cells"
     one_of("nodes", nodes, ("polar", "cells", "grid"))

@@ -65,9 +65,8 @@ def convex_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
     along = np.roll(corners, -1, axis=0) - corners
     turn = cross(np.roll(along, 1, axis=0), along)
     if turn.min() < -1e-12 * np.ptp(corners, axis=0).max() ** 2:
-        raise SceneError(
-            f"{what}: corner {int(np.argmin(turn))} is turned inward; give a convex polygon"
-        )
+        worst = corners[int(np.argmin(turn))].tolist()  # by its place: they may be in new order
+        raise SceneError(f"{what}: the corner {worst} m is turned inward; give a convex polygon")
     return corners
 
 
@@ -132,14 +131,17 @@ def straight_sides(corners: Array, centre: Array) -> list[Sides]:
     return [(Curve.point(a), Curve.line(b, c)) for a, b, c in _ears(corners)]
 
 
-def sees_all(corners: Array, centre: Array) -> bool:
-    """Whether every side is seen from a point at a distance, in turn."""
+def sees_all(corners: Array, centre: Array, least: float = SHARP) -> bool:
+    """Whether every side is seen from a point, in turn and at a distance.
+
+    ``least`` is that of a side's line over that of the farthest corner.
+    """
     from_here = corners - centre
     after = np.roll(from_here, -1, axis=0)
     swept = cross(from_here, after)
     side = np.hypot(*(after - from_here).T)
     far = float(np.hypot(*from_here.T).max())
-    return bool(np.all(swept > SHARP * far * side))
+    return bool(np.all(swept > least * far * side))
 
 
 def _is_quadrangle(*corners: Array) -> bool:

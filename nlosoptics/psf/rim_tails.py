@@ -78,8 +78,10 @@ def _split(aperture: Aperture) -> tuple[_Edges, list[tuple[float, float]]]:
     bent = rims.turn != 0
     found: dict[tuple[int, int, int], int] = {}
     for step, length in zip(rims.step[~bent], size[~bent], strict=True):
-        a, b = step / length * (1 if (step[0], step[1]) > (0, 0) else -1)
-        key = (round(1e6 * a), round(1e6 * b), round(1e6 * length / aperture.bounding_radius))
+        a, b = (round(1e6 * x / length) for x in step)
+        if (a, b) < (0, 0):  # rounded first, or rounding would tell upright edges apart
+            a, b = -a, -b
+        key = (a, b, round(1e6 * length / aperture.bounding_radius))
         found[key] = found.get(key, 0) + 1
     keys = np.array(list(found), dtype=np.float64).reshape(-1, 3) / 1e6
     edges = _Edges(

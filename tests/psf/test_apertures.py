@@ -10,7 +10,7 @@ from scipy.special import j1
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
-from nlosoptics.psf import quadrature
+from nlosoptics.psf import quadrature, rim_tails
 from nlosoptics.psf.residuals import split
 from nlosoptics.psf.transfers import transfer
 from nlosoptics.psf.windows import Window
@@ -110,6 +110,10 @@ def test_areas_in_closed_form():
     assert APERTURES["octagon"].area == approx(4 * 81 * MM**2 * np.sin(np.pi / 4), rel=1e-14)
     assert APERTURES["hexagons"].area == approx(19 * 16 * MM**2 * np.sqrt(3) / 2, rel=1e-14)
     assert APERTURES["hook"].area == approx(32 * MM**2, rel=1e-14)
+    # its centre passes close by the sides, as seen from the far ends
+    slit = psf.Aperture.polygon([(0, 0), (2, 0), (2, 0.05), (0, 0.05)], obscuration=0.5)
+    assert slit.area == approx(0.75 * 0.1, rel=1e-14)
+    assert slit.nodes(4, 4)[2].min() > 0
     # two equal circles through each other's centres
     lens = psf.Aperture.discs([((0, 0), 1.0), ((1, 0), 1.0)])
     assert lens.area == approx(2 * np.pi / 3 - np.sqrt(3) / 2, rel=1e-14)
@@ -444,6 +448,17 @@ def test_light_far_out_is_that_of_the_perimeter(name):
     assert beyond == approx(scale / radii, rel=0.05)
 
 
+def test_upright_edges_within_rounding_send_light_the_same_way():
+    """Each of the two may lean to either side by rounding; they count together all the same."""
+    reaches = []
+    for lean in (0.0, 1e-19, -1e-19):
+        corners = BOX[:, ::-1] - np.array([3 * MM, 0])  # one of the long edges is at 0, and leans
+        corners[2, 0] = lean
+        aperture = psf.Aperture.polygon(corners)
+        reaches.append(rim_tails.reach(aperture, WAVELENGTH * DISTANCE, 1e-6, 1e-6))
+    assert reaches == approx([reaches[0]] * 3, rel=1e-6)  # to what edges are told apart by
+
+
 @pytest.mark.parametrize("name", ["box", "hexagons", "ellipse"])
 def test_pixels_beyond_the_window_are_dark(name):
     wave = of(APERTURES[name])
@@ -550,11 +565,16 @@ def test_table_of_transforms():
             lambda: psf.Aperture.discs([((0, 0), 1)], within=[(2, 2), (3, 2), (2, 3)]),
             "no area in common",
         ),
-        (lambda: psf.Aperture.discs([((0, 0), 1)], within=HOOK), "is turned inward"),
+        (
+            # clockwise: told by its place, which does not change with the order
+            lambda: psf.Aperture.discs([((0, 0), 1)], within=[(0, 3), (3, 3), (1, 1), (1, 0)]),
+            r"the corner \[1.0, 1.0\] m is turned inward",
+        ),
         (lambda: psf.Aperture.discs([((0, math.inf), 1)]), r"centre\[1\] = inf is not finite"),
         (lambda: psf.Aperture.round(1.0, vanes=4, vane_width=1.5), "meet 1.061 m from the axis"),
         (lambda: psf.Aperture.round(1.0, vanes=1, vane_width=0.1), "hangs in the air"),
         (lambda: psf.Aperture.round(1.0, vane_width=0.1), "without vanes"),
+        (lambda: psf.Aperture.round(1.0, angle=math.nan), "angle = nan is not finite"),
         (
             lambda: psf.Aperture.union(psf.Aperture.round(1.0), APERTURES["box"]),
             "cells 0 and 1 of the aperture overlap",
@@ -567,6 +587,7 @@ def test_table_of_transforms():
             "overlap",
         ),
         (lambda: psf.Aperture.union(), "union of no apertures"),
+        (lambda: psf.Aperture.union(APERTURES["box"], "box"), "union of a str"),
     ],
 )
 def test_bad_outlines_are_refused(make, message):
@@ -598,6 +619,8 @@ def test_cells_may_touch():
         ({"amplitude": lambda u, v: -1.0}, "is below 0"),
         ({"nodes": "grid", "samples": (4, 5)}, "a grid is square"),
         ({"samples": (0, 5)}, "n_s = 0 is out of range"),
+        ({"samples": (4, 5, 6)}, "give one whole number or two"),
+        ({"aperture": BOX}, "aperture is a ndarray; give a psf.Aperture"),
     ],
 )
 @pytest.mark.filterwarnings("ignore:invalid value")  # the logarithm's own
