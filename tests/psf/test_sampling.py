@@ -142,6 +142,17 @@ def test_bad_arguments(arguments, message):
         psf.point_spread(zernike_wave(), **arguments)
 
 
+@pytest.mark.parametrize("shape", [64.5, "wide", (8, 8, 8), np.array([8, 8, 8])])
+def test_bad_shapes_are_told(shape):
+    with pytest.raises(SceneError, match="shape = .*whole number"):
+        psf.point_spread(zernike_wave(), pitch=UNIT / 4, shape=shape)
+
+
+def test_shapes_may_be_numbers_of_numpy():
+    spread = psf.point_spread(zernike_wave(), pitch=UNIT / 4, shape=np.int64(65))
+    assert spread.shape == (65, 65)
+
+
 @pytest.mark.parametrize("method", ["auto", "quadrature", "fft", "mdft", "airy"])
 def test_absurd_windows_are_refused_before_they_are_allocated(method):
     with pytest.raises(MemoryLimitError, match="GiB"):
