@@ -90,7 +90,8 @@ def flux_of(
     eyes = list(block.mirrored(block.look_around())) if task.mirrors else []
     for depth, eye in enumerate(eyes, start=1):
         if depth + 1 <= most:
-            block.book_seen(block.from_source(eye, world.wall), depth + 1)
+            block.from_source(eye, world.wall)
+            block.book_seen(depth + 1)
     by_mirrors = np.ones(block.n, dtype=bool)
     for bounce in range(1, most + 1):
         image = task.mirror_image or bounce > 1
@@ -102,7 +103,8 @@ def flux_of(
         block.keep()
         for depth, eye in enumerate(eyes, start=1):
             if bounce + depth + 1 <= most:
-                block.book_seen(block.connect(light, eye), bounce + depth + 1)
+                block.connect(light, eye)
+                block.book_seen(bounce + depth + 1)
         if not (plan.glossy or plan.wall_to_wall):
             break
         onward = block.rays.onward(light, bounce)
@@ -284,8 +286,8 @@ class _Block:
         """Add the present values, which land where `at` says."""
         self._book(bounce, self.at)
 
-    def book_seen(self, value: Array, bounce: int) -> None:
-        """Add values of vertices seen from the lens."""
+    def book_seen(self, bounce: int) -> None:
+        """The same of values that land where `seen_at` says, of vertices seen from the lens."""
         self._book(bounce, self.seen_at)
 
     def _book(self, bounce: int, at: tuple[Array, Array]) -> None:

@@ -27,6 +27,8 @@ Emission = Literal["lambertian", "isotropic"]
 EMISSIONS = ("lambertian", "isotropic")
 #: Least rays of a pixel: fewer pairs of them do not tell its standard error.
 LEAST = 16
+#: Most of them, since those of a pixel are held at once.
+LARGEST = 1 << 16
 #: Sides of a wall, over the point's distance from it, up to which light goes evenly over the wall.
 WIDE = 4.0
 SPECK = 1e-9  # m, the size of what is left of the object
@@ -123,7 +125,7 @@ def trace_point(
     first : (float, float), optional
         Centre (x, y) of pixel [0, 0], m; by default the pixels are centred on the camera's axis.
     n_rays : int
-        Rays for the flux, and for the pixels together; a pixel gets at least 16 of its own.
+        Rays for the flux, and for the pixels together; a pixel gets 16 to 65536 of its own.
     max_bounces : int
         Reflections by the wall, 1 to 64; further ones occur on walls that see themselves alone.
     seed : int
@@ -154,7 +156,9 @@ def trace_point(
     ray meets the plane in focus, drawn back through the lens's centre, so a wall out of focus is
     blurred. The hidden object itself is not in the way. Light that meets smooth mirrors alone, two
     or more of them, is found by chance, on walls that see themselves; where one of them is glossy,
-    single pixels are far noisier than the rest.
+    single pixels are far noisier than the rest. Rays of a pixel go evenly over what it sees: of a
+    point much nearer to the wall than a pixel is wide there, they may find no light at all and no
+    error either, which the sum of ``energy`` and ``missed`` far below ``flux`` tells.
     """
     from .point_blocks import Task, flux_of, pixels_of
 
@@ -164,7 +168,7 @@ def trace_point(
     alone = point_scene(scene, object_point)
     job = job_of(alone, max_bounces, "sobol", seed)
     pitch, (ny, nx), first = _window(alone, pitch, shape, first)
-    each = min(max(LEAST, n_rays // (ny * nx) // 2 * 2), 1 << 16)
+    each = min(max(LEAST, n_rays // (ny * nx) // 2 * 2), LARGEST)
     image_box, gloss_box = _boxes(alone)
     matt = alone.wall_material.diffuse
     task = Task(
@@ -199,13 +203,20 @@ def trace_point(
         if progress is not None:
             progress("pixels", done / (ny * nx))
     if landed.any():  # mirror images are a rare sight for pixels, so walks bring them
-        groups = min(n_rays, GROUPS)
-        maps = landed.reshape(GROUPS, -1)[:groups] * (groups / n_rays)
-        spread = ((maps - maps.mean(axis=0)) ** 2).sum(axis=0)
-        energy += landed.reshape(GROUPS, -1).sum(axis=0) / n_rays
-        variance += spread / (groups * (groups - 3)) if groups > 3 else np.inf
+        mean, spread = _mean_map(landed.reshape(GROUPS, -1), n_rays)
+        energy += mean
+        variance += spread
     del counts["rays"]
     return _result(task, total, energy, variance, n_rays, time.perf_counter() - begun, counts)
+
+
+def _mean_map(landed: Array, n_rays: int) -> tuple[Array, Array]:
+    """Mean of what rays bring to pixels, by groups (groups, n), and its variance as `mean_of`."""
+    groups = min(n_rays, GROUPS)
+    mean, spread = landed.sum(axis=0) / n_rays, np.zeros(landed.shape[1])
+    for one in landed[:groups]:  # not all at once, which would hold the groups four times
+        spread += (one * (groups / n_rays) - mean) ** 2
+    return mean, spread / (groups * (groups - 3)) if groups > 3 else np.full_like(mean, np.inf)
 
 
 def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
@@ -295,6 +306,8 @@ def _window(
     fits_memory(f"{ny} x {nx} pixels (shape)", 8.0 * (GROUPS + 8) * ny * nx, "use fewer pixels")
     if first is None:
         return pitch, (ny, nx), (-(nx - 1) / 2 * pitch, -(ny - 1) / 2 * pitch)
+    if not isinstance(first, (tuple, list)) or len(first) != 2:
+        raise SceneError(f"first = {first!r}; give the centre (x, y) of pixel [0, 0] in m")
     x, y, _ = vector("first", (*first, 0.0))
     return pitch, (ny, nx), (x, y)
 

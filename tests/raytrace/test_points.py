@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -456,6 +457,8 @@ def test_point_of_a_mesh_shines_at_the_wall():
         ({"shape": 5}, "shape"),
         ({"shape": (0, 5)}, "shape"),
         ({"first": (np.inf, 0.0)}, "first"),
+        ({"first": 0.0}, r"first = 0.0; give the centre \(x, y\)"),
+        ({"first": (0.0, 0.0, 0.0)}, r"give the centre \(x, y\)"),
         ({"seed": -1}, "seed"),
     ],
 )
@@ -473,6 +476,18 @@ def test_point_behind_a_bulge_is_told():
 def test_too_many_pixels_are_told():
     with pytest.raises(MemoryLimitError, match="shape"):
         trace_point(point_scene(PAINT), shape=(1 << 20, 1 << 20))
+
+
+def test_memory_stays_below_what_is_checked():
+    """Pixels that get mirror images by groups: few arrays of all groups at a time."""
+    scene, shape = point_scene(PAINT), (256, 256)
+    trace_point(scene, n_rays=64)  # compiles
+    tracemalloc.start()
+    trace_point(scene, n_rays=64, shape=shape)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # 32 groups and 8 more; beside them, blocks of 4096 rays on a few threads
+    assert peak < 8.0 * (32 + 8) * shape[0] * shape[1] + 2e7
 
 
 def test_scene_is_needed():
