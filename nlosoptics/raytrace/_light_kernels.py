@@ -55,7 +55,7 @@ def _lobes(world, kind):
 
 
 @njit(cache=True)
-def _tangents(n):
+def tangents(n):
     """Two unit vectors across n: Duff et al., J. Comput. Graph. Tech. 6(1), 2017."""
     sign = math.copysign(1.0, n[2])
     p = -1.0 / (sign + n[2])
@@ -99,7 +99,7 @@ def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
 @njit(cache=True)
 def _lobe_direction(lobes, incident, n, u, v, w, eye):
     """Direction drawn from the lobes, and the weight of a mirror that was chosen, else -1."""
-    a, b = _tangents(n)
+    a, b = tangents(n)
     ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
     total = total_strength(lobes)
     chosen, left = -1, w

@@ -22,6 +22,7 @@ from ._light_kernels import (
     SURFACE,
     between,
     reflected,
+    tangents,
 )
 from ._surround_kernels import (
     DRAW_BEAM,
@@ -45,19 +46,6 @@ def _intensity(source, d):
 
 
 @njit(cache=True, inline="always")
-def _across(n):
-    """Two unit vectors across n: Duff et al., J. Comput. Graph. Tech. 6(1), 2017."""
-    sign = math.copysign(1.0, n[2])
-    p = -1.0 / (sign + n[2])
-    q = n[0] * n[1] * p
-    return (1.0 + sign * n[0] * n[0] * p, sign * q, -sign * n[0]), (
-        q,
-        sign + n[1] * n[1] * p,
-        -n[1],
-    )
-
-
-@njit(cache=True, inline="always")
 def _along(a, b, n, x, y, z):
     """Vector of the components (x, y, z) along a, b and n."""
     return (
@@ -75,7 +63,7 @@ def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
     the rest goes evenly over all of the wall, ``whole``, or as it shines where that has no width.
     """
     n = three(source, 3)
-    a, b = _across(n)
+    a, b = tangents(n)
     for i in range(directions.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
