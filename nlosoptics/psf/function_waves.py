@@ -140,8 +140,12 @@ def values_on(name: str, function: PupilFunction, nodes: PupilNodes) -> Array:
     lit = nodes.weights > 0
     u, v = nodes.u[lit], nodes.v[lit]
     try:
-        given = np.asarray(function(u, v), dtype=np.float64)
-        found = np.broadcast_to(given, u.shape)
+        given = function(u, v)
+        if np.iscomplexobj(given):  # numpy would drop the imaginary part with a mere warning
+            raise TypeError("they are complex, a phase belongs to the aberration")
+        found = np.broadcast_to(np.asarray(given, dtype=np.float64), u.shape)
+    except SceneError:  # of Zernike coefficients, which says all
+        raise
     except (TypeError, ValueError) as error:
         raise SceneError(
             f"{name}(u, v) of {u.size} nodes gives no real number for each: {error}"

@@ -372,7 +372,7 @@ class Wavefront:
             u=u,
             v=v,
             aberration=surface,
-            amplitude=np.asarray(amplitude, dtype=np.float64),
+            amplitude=_owned("amplitude", amplitude, "grid"),
             weights=np.full_like(u, float(pupil_pitch) ** 2),
             wavelength=wavelength,
             image_distance=image_distance,
@@ -574,9 +574,12 @@ def _kept_mode(index: int, ordering: Ordering, n_r: int, n_theta: int, obscurati
 def _owned(name: str, values: Any, layout: Layout) -> Array:
     """Copy to a read-only float64 array of the layout's dimension, all of it finite."""
     try:
+        if np.iscomplexobj(values):  # numpy would drop the imaginary part with a mere warning
+            raise TypeError
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError):
-        raise SceneError(f"wavefront.{name} is not an array of real numbers") from None
+        told = f"wavefront.{name} is not an array of real numbers"
+        raise SceneError(f"{told}; give such, and a phase as aberration") from None
     dimension = {"scattered": 1, "cells": 3}.get(layout, 2)
     if array.ndim != dimension or array.size == 0:
         raise SceneError(

@@ -616,6 +616,7 @@ def test_cells_may_touch():
         ({"aperture": None, "pupil_radius": 1e-3, "pistons": [0.0]}, "without an aperture"),
         ({"aberration": lambda u, v: np.log(u)}, r"aberration\(u, v\) = nan at u = -"),
         ({"aberration": lambda u, v: np.zeros(3)}, "no real number for each"),
+        ({"amplitude": lambda u, v: np.exp(1j * u)}, "no real number for each: they are complex"),
         ({"amplitude": lambda u, v: -1.0}, "is below 0"),
         ({"nodes": "grid", "samples": (4, 5)}, "a grid is square"),
         ({"samples": (0, 5)}, "n_s = 0 is out of range"),
@@ -628,6 +629,13 @@ def test_bad_functions_are_refused(options, message):
     given = {"aperture": APERTURES["box"], **SYSTEM, **options}
     with pytest.raises(SceneError, match=message):
         psf.Wavefront.from_function(**given)
+
+
+def test_bad_coefficients_are_told_by_their_index():
+    with pytest.raises(SceneError, match=r"^coefficients\[4\] = nan is not finite"):
+        psf.Wavefront.from_zernike(
+            {4: math.nan}, pupil_radius=9 * MM, aperture=APERTURES["box"], **SYSTEM
+        )
 
 
 def test_wavefronts_that_do_not_fit_their_aperture_are_refused():

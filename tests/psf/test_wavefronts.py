@@ -178,6 +178,7 @@ def wave_with(**changes):
         ({"amplitude": np.zeros((4, 12))}, "amplitude is 0 everywhere"),
         ({"pupil_radius": 13e-3}, "off the nodes of layout 'polar'"),
         ({"aberration": "flat"}, "not an array of real numbers"),
+        ({"amplitude": np.full((4, 12), 1j)}, "amplitude is not an array of real numbers"),
         ({"aberration": np.zeros(48)}, "needs 2 dimensions"),
     ],
 )
@@ -196,6 +197,18 @@ def test_bad_wavefronts_are_refused(changes, message):
 def test_bad_maps_are_refused(surface, message):
     with pytest.raises(SceneError, match=message):
         psf.Wavefront.from_map(surface, wavelength=1e-6, pupil_pitch=1e-3, image_distance=0.1)
+
+
+def test_maps_of_complex_amplitude_are_refused():
+    """Their phase would be lost."""
+    with pytest.raises(SceneError, match="amplitude is not an array of real numbers; .* a phase"):
+        psf.Wavefront.from_map(
+            np.zeros((4, 4)),
+            np.full((4, 4), 1j),
+            wavelength=1e-6,
+            pupil_pitch=1e-3,
+            image_distance=0.1,
+        )
 
 
 def test_absurd_sizes_are_refused_before_they_are_allocated():
