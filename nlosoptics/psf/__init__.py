@@ -1,6 +1,7 @@
 """From the wave in the exit pupil to the point spread function, and its metrics.
 
-- `pupils`, `aiming`, `aberration`: exit pupil, rays by the wall and wave of a scene.
+- `pupils`, `aiming`, `callable_aiming`, `aberration`: exit pupil, rays by the wall and wave of a
+  scene; `obstruction`: what an occluder leaves of it; `paraxial`: its second-order optics.
 - `slopes`, `facet_waves`: the wave of given slopes, and of a wall of random facets; how the pupil
   sees the wall.
 - `ray_waves`, `tessellation`: the wave of traced rays, and the area of each.
