@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, whole
+from .._checks import fits_memory, in_range, whole
 from ..errors import SamplingError
 from .fields import PointSpreadField
 from .nodes import gauss_legendre
@@ -71,6 +71,8 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
     ------
     SamplingError
         If the window is narrower or values are not energies of the whole plane.
+    MemoryLimitError
+        If the window would not fit.
 
     Notes
     -----
@@ -140,10 +142,12 @@ def tail_pixels(shape: tuple[int, int], side: int) -> Array:
 
 
 def _checked(side: int, shape: tuple[int, int]) -> int:
-    if whole("side", side) < max(shape):
+    side = whole("side", side)
+    if side < max(shape):
         raise SamplingError(
             f"side = {side} is narrower than the point spread's {shape}; give a wider one"
         )
+    fits_memory(f"a window of {side} x {side} pixels", 40.0 * side**2, "use a smaller side")
     return side
 
 

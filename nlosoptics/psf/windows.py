@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, positive, whole
+from .._checks import in_range, is_single, positive, whole
 from ..errors import SamplingError, SceneError
 from . import rim_tails
 from .residuals import Residual, split
@@ -66,9 +66,9 @@ class Window:
 
 def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
     """Check a shape; one number stands for both sides."""
-    if isinstance(shape, int):
+    if is_single(shape):
         return (whole("shape", shape),) * 2
-    if len(shape) != 2:
+    if not hasattr(shape, "__len__") or len(shape) != 2:
         raise SceneError(f"shape = {shape!r}; give one whole number or (ny, nx)")
     return whole("shape", shape[0]), whole("shape", shape[1])
 
