@@ -253,7 +253,7 @@ def _side(scene: Scene, places: list[tuple[float, float]], pitch: float, tol: fl
 
 
 def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
-    counts = (grid, grid) if is_single(grid) else grid
+    counts = (grid, grid) if isinstance(grid, int) or is_single(grid) else grid
     if not hasattr(counts, "__len__") or len(counts) != 2:
         raise SceneError(f"grid = {grid!r}; give one whole number or (ny, nx)")
     ny, nx = (whole("grid", n, 1, 64) for n in counts)

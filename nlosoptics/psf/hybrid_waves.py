@@ -165,7 +165,7 @@ def wave_parts(
         if missed > tol:
             raise SamplingError(
                 f"the halo of the rough mirror reaches an error of {missed:.2g}, limit tol = "
-                f"{tol:g}; use tol = {rounded_up(missed)}"
+                f"{tol:g}; use tol = {rounded_up(1.5 * missed)}"
             )
         halo[_middle(shape, inner)] += watts * found
         fluxes[1] += watts * -math.expm1(-(view.rayleigh_parameter**2))

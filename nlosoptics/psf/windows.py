@@ -66,7 +66,7 @@ class Window:
 
 def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
     """Check a shape; one number stands for both sides."""
-    if is_single(shape):
+    if isinstance(shape, int) or is_single(shape):
         return (whole("shape", shape),) * 2
     if not hasattr(shape, "__len__") or len(shape) != 2:
         raise SceneError(f"shape = {shape!r}; give one whole number or (ny, nx)")

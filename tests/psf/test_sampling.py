@@ -135,11 +135,20 @@ def test_aberrated_wave_is_no_airy_disc():
         ({"shape": 0}, "shape = 0 is out of range"),
         ({"shape": (3, 4, 5)}, r"shape = \(3, 4, 5\)"),
         ({"shape": (2.5, 3)}, "shape = 2.5 is not a whole number"),
+        ({"shape": 2.5}, "shape = 2.5 is not a whole number"),
+        ({"shape": object()}, "shape = .* give one whole number"),
     ],
 )
 def test_bad_arguments(arguments, message):
     with pytest.raises(SceneError, match=message):
         psf.point_spread(zernike_wave(), **arguments)
+
+
+def test_shape_may_be_numpys():
+    known = psf.point_spread(zernike_wave(), shape=33)
+    for shape in (np.int64(33), 33.0, np.array([33, 33])):
+        found = psf.point_spread(zernike_wave(), shape=shape)
+        assert np.array_equal(found.intensity, known.intensity)
 
 
 @pytest.mark.parametrize("method", ["auto", "quadrature", "fft", "mdft", "airy"])
