@@ -12,6 +12,7 @@ import numpy as np
 from ._checks import fits_memory, in_range
 from .errors import NotWaveGradeError, SamplingError, SceneError
 from .psf.aberration import check_wave_grade
+from .psf.estimates import rounded_up
 from .psf.obstruction import check_cone
 from .psf.paraxial import change_over_object
 from .psf.pupils import ExitPupil, exit_pupil
@@ -226,7 +227,7 @@ def _point_spread_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float
         raise SamplingError(
             f"tol = {tol:g} takes a point spread of {tail:.0f} samples across, about "
             f"{seconds:.0f} s and {tail**2 * 64 / 2**30:.0f} GiB, limit {MOST_SAMPLES}; use tol = "
-            f"{1.1 * tol * (tail / MOST_SAMPLES) ** 3:.1g} or more, or wider pixels"
+            f"{rounded_up(1.1 * tol * (tail / MOST_SAMPLES) ** 3)} or more, or wider pixels"
         )
     slope = max((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
     blur = ""
@@ -286,7 +287,11 @@ def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol:
     if not fits(nodes, seconds):
         steps = (tol * 1.25**k for k in range(120))
         least = next((t for t in steps if fits(*cost(t))), 1.0)
-        remedy = "stop the lens down" if least > LARGEST_TOL else f"use tol = {least:.1g} or more"
+        remedy = (
+            "stop the lens down"
+            if least > LARGEST_TOL
+            else f"use tol = {rounded_up(least)} or more"
+        )
         raise SamplingError(
             f"tol = {tol:g} takes about {nodes} x {nodes} point spreads over the object, about "
             f"{seconds:.0f} s, limits {MOST_NODES} x {MOST_NODES} and {MOST_SECONDS} s; {remedy}"

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range
+from .._checks import in_range, whole
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField, point_spread_field
 from ..scene import PlanarObject, Scene
@@ -40,7 +40,7 @@ def image_field(
         Wanted rms error of the picture's image, relative to its rms; also the wanted error of
         every point spread, max |dI|/max I.
     most_nodes : int
-        Along each side of the picture, at most.
+        Along each side of the picture, at most; 4 or more, for three grids of nodes.
     progress : callable(str, float), optional
         Told "field" and the fraction done of the nodes that may be needed.
 
@@ -53,6 +53,8 @@ def image_field(
 
     Raises
     ------
+    SceneError
+        If an option is out of range or the object is a mesh.
     SamplingError
         If no grid within ``most_nodes`` agrees with the two before.
     NlosError
@@ -60,7 +62,8 @@ def image_field(
     """
     in_range("tol", tol, 1e-9, 0.1)
     picture = picture_frame(scene)
-    counts = [n for n in COUNTS if n <= most_nodes] or [1]
+    most_nodes = whole("most_nodes", most_nodes, COUNTS[2])
+    counts = [n for n in COUNTS if n <= most_nodes]
     before: Array | None = None
     errors = [math.inf, math.inf]
     for step, count in enumerate(counts):

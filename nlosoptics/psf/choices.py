@@ -193,10 +193,15 @@ def _too_long(
     if task.soft is not None and cheapest.method == "fft":
         single = task.tol >= soft_pupils.SINGLE
         n_bytes = soft_pupils.n_bytes(task.residual, task.samples, task.soft[2], task.rule, single)
+    smaller = "use a smaller shape"
+    if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
+        smaller += ", or a larger tol on wide pixels, at which rays do"
+    elif task.rule is not None and task.residual.wavefront.layout == "polar":
+        smaller += ", or psf.wide_point_spread"
     fits_memory(
         f"a point spread that needs {ny} x {nx} samples",
         n_bytes,
-        "use a smaller shape, or a larger tol on wide pixels, at which rays do",
+        smaller,
     )
     remedies = [f"max_seconds = {rounded_up(cheapest.seconds)}"]
     if task.rule is None:

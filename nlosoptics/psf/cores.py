@@ -9,10 +9,11 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import in_range, positive
 from .point_spreads import PointSpread, point_spread
 from .residuals import split
 from .wavefronts import Wavefront
-from .windows import peak_pixel, ray_reach
+from .windows import peak_pixel, ray_reach, shape_of
 
 Array = NDArray[np.float64]
 #: Pixel in Airy units from which this is tried, and the parts' own.
@@ -26,7 +27,7 @@ WORTH = 0.5
 
 
 def wide_point_spread(
-    wave: Wavefront, *, pitch: float, shape: tuple[int, int], tol: float
+    wave: Wavefront, *, pitch: float, shape: int | tuple[int, int], tol: float
 ) -> PointSpread:
     """`point_spread` on pixels, with fine samples only where the rays land.
 
@@ -35,9 +36,10 @@ def wide_point_spread(
     wave : Wavefront
     pitch : float
         Pixel side, m.
-    shape : (int, int)
+    shape : int or (int, int)
+        (ny, nx).
     tol : float
-        Largest max |dI|/max I.
+        Largest max |dI|/max I, above 0 and at most 1.
 
     Returns
     -------
@@ -50,6 +52,8 @@ def wide_point_spread(
     NlosError
         As of `point_spread`.
     """
+    pitch, shape = positive("pitch", pitch, unit="m"), shape_of(shape)
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
     residual = split(wave)
     whole = partial(point_spread, wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
     unit, reach = residual.airy_unit, ray_reach(residual)

@@ -98,7 +98,7 @@ def from_prysm(
     Raises
     ------
     SceneError
-        If arrays are not square, not equal in shape or not finite.
+        If arrays are not real, not square, not equal in shape or not finite.
     """
     if not isinstance(pupil, tuple) or len(pupil) != 4:
         raise SceneError("pupil is no prysm pupil; give (amplitude, phase in nm, um, mm)")
@@ -125,6 +125,12 @@ def cell_amplitude(wavefront: Wavefront) -> Array:
 
 def maps(name: str, amplitude: ArrayLike, path: ArrayLike) -> tuple[Array, Array]:
     """Both as float64 (n, n), the path 0 where there is no light."""
+    for word, array in (("amplitude", amplitude), ("path", path)):
+        if (kind := np.asarray(array).dtype).kind not in "biuf":
+            raise SceneError(
+                f"{name}: {word} is of {kind}; give real numbers, of a complex pupil modulus "
+                "and phase"
+            )
     light, lead = np.array(amplitude, dtype=np.float64), np.array(path, dtype=np.float64)
     if light.ndim != 2 or light.shape[0] != light.shape[1] or light.shape != lead.shape:
         raise SceneError(

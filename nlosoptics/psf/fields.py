@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, in_range, whole
+from .._checks import fits_memory, in_range, is_single, positive, whole
 from .._random import generator
 from ..errors import SamplingError, SceneError
 from ..raytrace.meshes import worker_pool
@@ -149,8 +149,8 @@ def point_spread_field(
     hidden = _picture(scene)
     ny, nx = _grid_counts(grid)
     in_range("tol", tol, 1e-9, 0.1)
-    whole("checks", checks, 0)
-    pitch = scene.camera.image_pitch if pitch is None else in_range("pitch", pitch, 0.0, unit="m")
+    checks = whole("checks", checks, 0)
+    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     up, across = _nodes(ny), _nodes(nx)
     corners = [(x, y) for y in (up[0], up[-1]) for x in (across[0], across[-1])] + [(0.0, 0.0)]
     side = _side(scene, corners, pitch, tol / 2)
@@ -253,8 +253,8 @@ def _side(scene: Scene, places: list[tuple[float, float]], pitch: float, tol: fl
 
 
 def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
-    counts = (grid, grid) if isinstance(grid, int) else tuple(grid)
-    if len(counts) != 2:
+    counts = (grid, grid) if isinstance(grid, int) or is_single(grid) else grid
+    if not hasattr(counts, "__len__") or len(counts) != 2:
         raise SceneError(f"grid = {grid!r}; give one whole number or (ny, nx)")
     ny, nx = (whole("grid", n, 1, 64) for n in counts)
     return ny, nx

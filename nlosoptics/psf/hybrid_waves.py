@@ -13,6 +13,7 @@ from ..errors import SamplingError, SceneError
 from ..scene import MirrorLobe, Scene
 from .aberration import wavefront
 from .aiming import aim, pupil_points
+from .estimates import rounded_up
 from .facet_waves import wall_view
 from .halos import Halo
 from .lobes import ROUGH, lobe_roughness
@@ -164,7 +165,7 @@ def wave_parts(
         if missed > tol:
             raise SamplingError(
                 f"the halo of the rough mirror reaches an error of {missed:.2g}, limit tol = "
-                f"{tol:g}; use tol = {missed:.2g}"
+                f"{tol:g}; use tol = {rounded_up(1.5 * missed)}"
             )
         halo[_middle(shape, inner)] += watts * found
         fluxes[1] += watts * -math.expm1(-(view.rayleigh_parameter**2))

@@ -55,8 +55,9 @@ class PointSpread:
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
-        Share of the energy that passes the pupil which falls into the window, good to about the
-        error that was asked for.
+        Share of the energy that passes the pupil which falls into the window, by the sum of all
+        values. Their errors add up: it may be off by hundreds of times ``error_estimate``, 1e-3 at
+        the default ``tol``, and a smaller one gives more digits.
     regime : Regime
         What kind of wave it is, in numbers.
     reason : str
@@ -125,8 +126,8 @@ def point_spread(
 
         - ``quadrature`` sums polar nodes, or those of cells, exactly, as many as the window needs.
         - ``fft`` zero-pads a grid, ``mdft`` takes a grid to any pitch. A polar wave is put on a
-          grid for them, by ``fft`` as fine as ``tol`` asks where the aberration is a polynomial; a
-          grid is never put on polar nodes, nor cells on a grid.
+          grid for them, by ``fft`` as fine as ``tol`` asks where aberration and amplitude are
+          polynomials; a grid is never put on polar nodes, nor cells on a grid.
         - ``nufft`` sums the nodes as they are, scattered ones and traced rays too.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is where rays land, diffraction left out; ``auto`` tries it above 20 waves

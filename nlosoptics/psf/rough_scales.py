@@ -14,6 +14,7 @@ from .._checks import in_range, one_of, positive, whole
 from ..errors import SamplingError, SceneError
 from ..scene import Scene
 from . import mdft
+from .estimates import rounded_up
 from .halos import Halo, Separations
 from .point_spreads import NORMALISATIONS, Normalisation
 from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
@@ -264,7 +265,7 @@ class _Walls:
         if error > self.tol * peak:
             raise SamplingError(
                 f"the mean over the short waves reaches an error of {error / peak:.2g}, limit tol "
-                f"= {self.tol:g}; use tol = {error / peak:.2g}, or more pupil nodes"
+                f"= {self.tol:g}; use tol = {rounded_up(1.5 * error / peak)}, or more pupil nodes"
             )
         return _Scattering(halo, nodes, clear.at(nodes.du, nodes.dv), ratios, error)
 

@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, whole
-from ..errors import SamplingError
+from .._checks import fits_memory, in_range, whole
+from ..errors import SamplingError, SceneError
 from .fields import PointSpreadField
+from .hybrids import HybridPointSpread
 from .nodes import gauss_legendre
 from .point_spreads import PointSpread
+from .rough_means import RoughPointSpread
 
 Array = NDArray[np.float64]
 #: Nodes along each side of a pixel.
@@ -57,7 +59,7 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
     Parameters
     ----------
     point_spread : PointSpread
-        Energy per pixel, ``"unit-sum"``.
+        Energy per pixel, ``"unit-sum"``; of a wave alone, without parts that a wall scatters.
     side : int
         Pixels of the new window, no fewer than of the old.
 
@@ -69,8 +71,12 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
 
     Raises
     ------
+    SceneError
+        If the point spread has such parts, whose light beyond the window is no rim's.
     SamplingError
         If the window is narrower or values are not energies of the whole plane.
+    MemoryLimitError
+        If the window would not fit.
 
     Notes
     -----
@@ -82,6 +88,11 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
     ----------
     .. [1] Born and Wolf, Principles of Optics, 7th ed., sec. 8.5.2.
     """
+    if isinstance(point_spread, (RoughPointSpread, HybridPointSpread)):
+        raise SceneError(
+            f"point_spread is a {type(point_spread).__name__}, which lacks scattered light too; "
+            f"compute it with shape = {side}"
+        )
     if point_spread.normalisation != "unit-sum":
         raise SamplingError(
             f"point_spread.normalisation = {point_spread.normalisation!r}, whose missing light is "
@@ -140,10 +151,12 @@ def tail_pixels(shape: tuple[int, int], side: int) -> Array:
 
 
 def _checked(side: int, shape: tuple[int, int]) -> int:
-    if whole("side", side) < max(shape):
+    side = whole("side", side)
+    if side < max(shape):
         raise SamplingError(
             f"side = {side} is narrower than the point spread's {shape}; give a wider one"
         )
+    fits_memory(f"a window of {side} x {side} pixels", 40.0 * side**2, "use a smaller side")
     return side
 
 

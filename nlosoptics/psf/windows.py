@@ -68,7 +68,7 @@ def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
     """Check a shape; one number stands for both sides."""
     if isinstance(shape, int) or is_single(shape):
         return (whole("shape", shape),) * 2
-    if isinstance(shape, str) or len(shape) != 2:
+    if isinstance(shape, str) or not hasattr(shape, "__len__") or len(shape) != 2:
         raise SceneError(f"shape = {shape!r}; give one whole number or (ny, nx)")
     return whole("shape", shape[0]), whole("shape", shape[1])
 

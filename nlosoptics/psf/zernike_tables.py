@@ -137,8 +137,8 @@ def read_zernikes(
     Raises
     ------
     SceneError
-        If a line is not understood, an index comes twice or is not of the ordering, or the meaning
-        of the numbers is not said or said twice.
+        If a line is not understood or its number not finite, an index comes twice or is not of the
+        ordering, or the meaning of the numbers is not said or said twice.
     """
     path = Path(path)
     if not path.is_file():
@@ -160,7 +160,9 @@ def read_zernikes(
             zernike_order(index, chosen["ordering"])  # type: ignore[arg-type]
         except SceneError as error:
             raise SceneError(f"{path}, line {line}: {error}") from None
-        height = _metres(path, number, chosen["unit"], length)
+        height = real(
+            f"{path}, line {line}: coefficient", _metres(path, number, chosen["unit"], length)
+        )
         coefficients[index] = 0.0 - height if chosen["sign"] == "advance" else height
     return ZernikeTable(
         coefficients=coefficients,

@@ -8,7 +8,7 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.errors import SamplingError
+from nlosoptics.errors import MemoryLimitError, SamplingError
 from nlosoptics.psf import choices
 from nlosoptics.psf.regimes import regime
 from nlosoptics.psf.residuals import split
@@ -213,6 +213,16 @@ def test_what_cannot_reach_tol_is_not_run(monkeypatch):
     spread = psf.point_spread(shaded(defocus(20.0)), tol=1e-8, **kwargs)
     assert run == ["quadrature"]
     assert "fft ruled out: its rim errs by about" in spread.reason
+
+
+def test_few_waves_on_wide_pixels_are_sent_to_what_takes_them():
+    """Rays are never tried for them, at whatever tol."""
+    options = {"pitch": 200 * UNIT, "shape": (2001, 2001)}
+    wave = defocus(0.5)
+    with pytest.raises(MemoryLimitError, match=r"shape, or psf\.wide_point_spread$"):
+        psf.point_spread(wave, pixel_integrated=True, **options)
+    found = psf.wide_point_spread(wave, tol=1e-3, **options)
+    assert found.error_estimate <= 1e-3
 
 
 def test_coarse_nodes_are_refused_unrun_and_said():

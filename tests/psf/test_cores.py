@@ -9,6 +9,7 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
+from nlosoptics.errors import SceneError
 from nlosoptics.psf.cores import _beyond_square, wide_point_spread
 from nlosoptics.psf.tails import tail_pixels
 
@@ -66,3 +67,18 @@ def test_narrow_pixels_and_grids_go_the_usual_way():
     grid = psf.Wavefront.from_zernike({}, **SYSTEM, nodes="grid", samples=512)
     found = wide_point_spread(grid, tol=1e-2, pitch=20 * UNIT, shape=(5, 5))
     assert "tail" not in found.method
+
+
+def test_options_are_those_of_point_spread():
+    wave = wave_of({})
+    square, pair = (
+        wide_point_spread(wave, pitch=20 * UNIT, shape=shape, tol=1e-2) for shape in (9, (9, 9))
+    )
+    assert square.method.endswith("+ tail")
+    assert np.array_equal(square.intensity, pair.intensity)
+    good = {"pitch": 20 * UNIT, "shape": (9, 9), "tol": 1e-2}
+    for name, value in {"pitch": math.nan, "shape": (0, 9), "tol": 0.0}.items():
+        with pytest.raises(SceneError, match=f"^{name} = "):
+            wide_point_spread(wave, **(good | {name: value}))
+    with pytest.raises(SceneError, match="^tol = -1 "):
+        wide_point_spread(wave, **(good | {"tol": -1}))

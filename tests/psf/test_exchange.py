@@ -321,6 +321,9 @@ def test_what_waves_are_refused(tmp_path):
         psf.from_prysm((np.ones((3, 3)),), image_distance=DISTANCE)
     with pytest.raises(SceneError, match="two equal squares"):
         psf.from_prysm((np.ones((3, 3)), np.ones((3, 4)), 0.6, 1.0), image_distance=DISTANCE)
+    # half of it would be lost
+    with pytest.raises(SceneError, match="amplitude is of complex128; give real"):
+        psf.from_prysm((np.full((3, 3), 1 + 1j), np.ones((3, 3)), 0.6, 1), image_distance=DISTANCE)
 
 
 def test_files_appear_whole_or_not_at_all(fits, tmp_path):

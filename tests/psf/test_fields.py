@@ -139,6 +139,8 @@ def test_bad_input_is_refused(scene, field):
         psf.point_spread_field(scene, 0)
     with pytest.raises(SceneError, match="grid"):
         psf.point_spread_field(scene, (3, 3, 3))
+    with pytest.raises(SceneError, match="pitch = 0 m"):
+        psf.point_spread_field(scene, pitch=0.0)
     with pytest.raises(SamplingError, match="at has shapes"):
         ForwardModel(field, shape=(8, 8), at=(np.zeros((8, 7)), np.zeros((8, 8))))
     with pytest.raises(SamplingError, match="no field"):
@@ -151,3 +153,10 @@ def test_solvers_ask_for_one_point_spread(field):
 
     with pytest.raises(SamplingError, match="varies over the field"):
         inverse.tv_deconvolve(np.ones((16, 16)), ForwardModel(field, shape=(16, 16)))
+
+
+def test_counts_may_be_numpys(scene):
+    known = psf.point_spread_field(scene, 1, tol=1e-2, checks=1)
+    found = psf.point_spread_field(scene, np.int64(1), tol=1e-2, checks=1.0)
+    assert np.array_equal(found.modes, known.modes)
+    assert found.error_estimate == known.error_estimate

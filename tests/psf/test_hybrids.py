@@ -15,7 +15,7 @@ import trimesh
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.raytrace import trace_point
 from nlosoptics.scene import (
     Camera,
@@ -318,3 +318,15 @@ def test_point_spread_knows_the_hybrid_of_a_wavefront():
     for name, value in {"roughness": roughness, **given}.items():
         with pytest.raises(SceneError, match=f"{name} is given with method = 'auto'"):
             psf.point_spread(wave, **{name: value})
+
+
+def test_tol_that_a_refusal_names_is_enough():
+    scene = wall_scene(SpecularMicrofacet(0.04, 0.01))
+    rough = psf.Roughness(50e-9, 1e-3)
+
+    def spread(tol):
+        return psf.hybrid_point_spread(scene, roughness=rough, tol=tol, check=False, **WINDOW)
+
+    with pytest.raises(SamplingError, match="halo of the rough mirror") as refusal:
+        spread(1e-8)
+    spread(float(str(refusal.value).split("use tol = ")[1]))

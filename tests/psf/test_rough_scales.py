@@ -279,3 +279,16 @@ def test_refuses(changes, kind, message):
     given = {**given, "cutoff": 2e-3, **NORMAL, **changes}
     with pytest.raises(kind, match=message):
         psf.two_scale_point_spread(wave_of(), wall(1.0, 4e-3), **given)
+
+
+@pytest.mark.parametrize("nodes", ["grid", "polar"])
+def test_tol_that_a_refusal_names_is_enough(nodes):
+    given = {"seed": 1, "cutoff": 4e-3, "effective_distance": NEAR, "pitch": UNIT / 2, "shape": 32}
+
+    def spread(tol):
+        wave = wave_of(nodes, waves={4: 0.2})
+        return psf.two_scale_point_spread(wave, wall(1.0, 4e-3), tol=tol, **given, **NORMAL)
+
+    with pytest.raises(SamplingError, match="the mean over the short waves") as refusal:
+        spread(1e-9)
+    spread(float(str(refusal.value).split("use tol = ")[1].split(",")[0]))

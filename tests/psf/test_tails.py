@@ -7,7 +7,7 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.errors import SamplingError
+from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.psf.tails import tail_pixels
 
 WAVELENGTH, UNIT = 632.8e-9, 2 * 632.8e-9  # lambda N
@@ -85,3 +85,23 @@ def test_refuses():
         psf.with_tail(narrow, 11)
     with pytest.raises(SamplingError, match="unit-sum"):
         psf.with_tail(spread({}, 2, 21, normalisation="ideal-peak"), 31)
+    with pytest.raises(MemoryLimitError, match="smaller side"):
+        psf.with_tail(narrow, 10**8)
+    rough = psf.mean_point_spread(
+        psf.Wavefront.from_zernike({}, **SYSTEM),
+        psf.Roughness(50e-9, 1e-3),
+        footprint=0.5,
+        cos_sum=2.0,
+        pitch=2 * UNIT,
+        shape=21,
+        pixel_integrated=True,
+    )
+    with pytest.raises(SceneError, match="RoughPointSpread.* shape = 31"):
+        psf.with_tail(rough, 31)
+
+
+def test_side_may_be_any_whole_number():
+    narrow = spread({}, 2, 21)
+    exact = psf.with_tail(narrow, 31)
+    for side in (31.0, np.int64(31)):
+        assert np.array_equal(psf.with_tail(narrow, side).intensity, exact.intensity)

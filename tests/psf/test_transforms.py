@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,6 +86,19 @@ def test_quadrature_is_the_airy_field():
     spread = psf.point_spread(zernike_wave(), method="quadrature", pitch=UNIT / 10, shape=256)
     peak = spread.intensity.max()
     assert np.abs(spread.intensity / peak - closed**2).max() < 1e-12
+
+
+def test_long_windows_take_no_square_of_their_length():
+    residual = split(zernike_wave(obscuration=0.3))
+    window = Window.centred(UNIT / 2000, (1, 8001))  # whose eighth of a square has 128 MB
+    airy.intensity(residual, Window.centred(UNIT / 4, (64, 64)))
+    tracemalloc.start()
+    found = airy.intensity(residual, window)
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1e7
+    v = np.pi * np.abs(window.x) / UNIT
+    assert found[0] == approx(airy.annulus_field(v, 0.3) ** 2, abs=1e-14)
 
 
 def test_quadrature_is_the_annulus_field():

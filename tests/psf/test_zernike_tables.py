@@ -137,3 +137,9 @@ def test_what_is_not_written(tmp_path):
     with pytest.raises(SceneError, match="no such file"):
         psf.read_zernikes(tmp_path / "a.csv")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_no_infinity_is_read(tmp_path):
+    (tmp_path / "huge.csv").write_text("5,1e999\n")
+    with pytest.raises(SceneError, match="line 1: coefficient = inf is not finite"):
+        psf.read_zernikes(tmp_path / "huge.csv", ordering="noll", unit="m", sign="excess")
