@@ -321,7 +321,8 @@ def plot(rows, path):
     figure, axes = pyplot.subplots(2, 2, figsize=(10, 9), layout="constrained")
     names = list(dict.fromkeys(row["name"] for row in rows))
     colors = pyplot.get_cmap("tab20").colors[::2] + pyplot.get_cmap("tab20b").colors[::4]
-    style = {name: (colors[i], "os^vDPX*<>phd"[i]) for i, name in enumerate(names)}
+    marks = "os^vDPX*<>phd"
+    style = {name: (colors[i % len(colors)], marks[i % len(marks)]) for i, name in enumerate(names)}
     for panel, given in zip(axes.flat, CASES, strict=True):
         for name in names:
             part = [r for r in rows if r["case"] == given["name"] and r["name"] == name]

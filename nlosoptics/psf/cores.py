@@ -71,7 +71,7 @@ def wide_point_spread(
     intensity += missing * _beyond_square(shape, half / pitch)
     peak = float(intensity.max())
     # errors of the parts have either sign
-    error = fine.error_estimate * parts * float(fine.intensity.max())
+    error = fine.error_estimate * min(parts, n) * float(fine.intensity.max())
     error = (error + missing * _model_error(reach / half)) / peak
     if error > tol:
         return whole()

@@ -33,9 +33,10 @@ def test_smooth_lobe_is_the_wave_alone(flat_scene):
     found = psf.lobe_point_spread(flat_scene, wave)
     shape = psf.window_shape(wave, pitch=pitch)
     exact = psf.point_spread(wave, pitch=pitch, shape=shape, pixel_integrated=True)
-    assert np.array_equal(found.intensity, exact.intensity)
+    limit = (found.error_estimate + exact.error_estimate) * exact.intensity.max()
+    assert np.abs(found.intensity - exact.intensity).max() <= limit
     bare = replace(flat_scene, wall_material=Lambert(0.7))
-    assert np.array_equal(psf.lobe_point_spread(bare, wave).intensity, exact.intensity)
+    assert np.array_equal(psf.lobe_point_spread(bare, wave).intensity, found.intensity)
 
 
 @pytest.mark.parametrize("lobe", [SpecularMicrofacet(0.05, 0.01), Ward(0.05, 0.01 * 2**0.5)])
