@@ -19,7 +19,7 @@ from pathlib import Path
 import nlosoptics as nlos
 from nlosoptics import imaging, psf, raytrace
 from nlosoptics.imaging.image_fields import picture_frame, rms_difference
-from nlosoptics.scene import ConcaveWall
+from nlosoptics.scene import ConcaveWall, Lambert
 
 TOLS = (1e-2, 1e-4)
 SCENES = Path(__file__).parents[1] / "examples" / "scenes"
@@ -95,7 +95,8 @@ def main():
     jobs = [(field_rows, *item) for item in scenes().items()]
     for wall in ("flat", "concave"):
         scene = nlos.Scene.load(SCENES / f"letter_{wall}.toml")
-        jobs.append((trace_rows, f"trace, {wall} wall", scene))
+        matt = replace(scene, wall_material=Lambert(0.7))
+        jobs.append((trace_rows, f"trace, matt {wall} wall", matt))
     for run, name, scene in jobs:
         part = run(name, scene)
         for row in part:

@@ -67,8 +67,8 @@ def test_frame_is_the_picture_upright_on_the_wall(scene):
 
 
 def test_too_few_nodes_are_refused(scene):
-    with pytest.raises(SamplingError, match=r"still changes by 0\.\d+ .* 4 x 4 point spreads"):
-        image_field(replace(scene, wall=ConcaveWall(6.0)), tol=1e-4, most_nodes=4)
+    with pytest.raises(SamplingError, match=r"still changes by .* 4 x 4 point spreads"):
+        image_field(replace(scene, wall=ConcaveWall(6.0)), tol=1e-7, most_nodes=4)
     # two grids tell one difference, and it takes two
     with pytest.raises(SceneError, match="most_nodes = 2 .* at least 4"):
         image_field(scene, most_nodes=2)
