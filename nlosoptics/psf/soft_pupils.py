@@ -8,8 +8,10 @@ farther apart than Nyquist's fold the grid before the transform instead of a lon
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import ducc0
 import numpy as np
@@ -55,8 +57,13 @@ ANGLES = 2 * math.pi * np.arange(24) / 24
 BLOCKS = 8
 #: Share of ``tol`` that a period is chosen for: what it leaves is only known with the image.
 AIM = 0.5
+#: Largest array that is kept for the next call.
+WORKSPACE_BYTES = 2**22
 #: Memory of a block of columns, few enough to stay in the cache.
 BLOCK_BYTES = 2**19
+
+
+_own = threading.local()
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +307,8 @@ def intensity_in(
     turns[1, 0] -= side * starts[0] / size * radius
     turns[0, 1] -= side * starts[1] / size * radius
     # Rows are u, so that the second transform gives rows of the image.
-    values = np.zeros((rows, size), dtype=np.complex64 if single else np.complex128)
+    values = _workspace("values", (rows, size), np.dtype("c8" if single else "c16"))
+    values[...] = 0.0
     total = _pupil_kernels.soft_pupil(
         np.ascontiguousarray(turns.T),
         np.ascontiguousarray(wave.amplitude.T),
@@ -336,18 +344,33 @@ def _intensity(
     # rows are averaged along as they come: the fine image need not fit the memory
     across = nx if rule is None else (nx - 2 * rule.margin) // rule.factor
     half = np.empty((ny, across))
-    energy = np.empty((step, nx))
-    padded = np.empty((step, size), dtype=values.dtype)
+    energy = np.empty((0 if rule is None else step, nx))
+    padded = _workspace("padded", (step, size), values.dtype)
     for start in range(0, ny, step):
         part = padded[: min(step, ny - start)]
         _pupil_kernels.turned(values[:, start : start + step], part)
         ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
+        if rule is None:
+            _pupil_kernels.squares(part, scale, half[start : start + step])
+            continue
         fine = energy[: len(part)]
         _pupil_kernels.squares(part, scale, fine)
-        half[start : start + step] = fine if rule is None else rule.mean(fine)
+        half[start : start + step] = rule.mean(fine)
     if rule is None:
         return half
     return rule.mean(np.ascontiguousarray(half.T)).T
+
+
+def _workspace(name: str, shape: tuple[int, int], kind: np.dtype[Any]) -> NDArray[Any]:
+    """Array of a thread's own, kept for the next call if small: new pages cost another pass."""
+    need = shape[0] * shape[1] * kind.itemsize
+    if need > WORKSPACE_BYTES:
+        return np.empty(shape, dtype=kind)
+    held = getattr(_own, name, None)
+    if held is None or held.nbytes < need:
+        held = np.empty(need, dtype=np.uint8)
+        setattr(_own, name, held)
+    return np.asarray(held[:need].view(kind).reshape(shape))
 
 
 def _radius(residual: Residual, samples: Window, size: int) -> float:
