@@ -24,6 +24,7 @@ from .scene import (
     Scene,
 )
 
+FIELD = "field of point spreads"  # the name of that stage
 BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
 MOST_SAMPLES = 8192  # across a point spread at Nyquist's pitch: 10 s and 2 GiB
 MOST_NODES = 27  # along each side of a field of point spreads
@@ -256,20 +257,19 @@ def _spread_seconds(core: float, pitch: float, waves: float, tol: float) -> floa
 
 def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol: float) -> Stage:
     """Whether point spreads at several object points are needed, and about how many."""
-    name = "field of point spreads"
     if not isinstance(scene.hidden, PlanarObject):
-        return _skipped(name, "one point spread stands for the mesh; positions are exact")
+        return _skipped(FIELD, "one point spread stands for the mesh; positions are exact")
     if not scene.wall_material.mirror_lobes:
-        return _skipped(name, "a wall without a mirror-like lobe shows no picture")
+        return _skipped(FIELD, "a wall without a mirror-like lobe shows no picture")
     if layout == "grid":
         return _skipped(
-            name, "one point spread on a grid stands for the object; positions are exact"
+            FIELD, "one point spread on a grid stands for the object; positions are exact"
         )
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
     change = change_over_object(scene, pupil)
     if change <= tol:
         return _skipped(
-            name, f"one point spread stands for the object: changes of it stay below {change:.1g}"
+            FIELD, f"one point spread stands for the object: changes of it stay below {change:.1g}"
         )
     # measured: the image errs by about 0.06 of that over the nodes to this power
     power = 5.0 if scene.wall.is_flat else 2.2
@@ -297,7 +297,7 @@ def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol:
             f"{seconds:.0f} s, limits {MOST_NODES} x {MOST_NODES} and {MOST_SECONDS} s; {remedy}"
         )
     return Stage(
-        name=name,
+        name=FIELD,
         runs=True,
         reason=f"point spreads change over the object; about {nodes} x {nodes} of them",
         seconds=seconds,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ._random import checked_seed
 from .errors import NotWaveGradeError, SamplingError
-from .planning import MOST_NODES, MOST_SAMPLES, Plan, plan, wave_refusal
+from .planning import FIELD, MOST_NODES, MOST_SAMPLES, Plan, plan, wave_refusal
 from .psf.pupils import ExitPupil, exit_pupil
 from .scene import MeshWall, PlanarObject, Scene
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]
 Array = NDArray[np.float64]
-FIELD = "field of point spreads"
 GRID_STEPS = (512, 1024, 2048)  # cells across a pupil that the wall's edge cuts
 
 

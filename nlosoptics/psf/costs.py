@@ -14,6 +14,7 @@ from . import quadrature
 from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
 from .pupil_grids import grid_size
 from .residuals import Residual
+from .soft_pupils import radius_in_cells
 from .windows import Window
 
 #: Calls, checks, small arrays and the regime of any transform.
@@ -45,8 +46,7 @@ def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int)
 
 def soft_polynomial(residual: Residual, window: Window, size: int) -> float:
     """Of a polynomial wave's grid padded to ``size``, its cells a few nanoseconds each."""
-    wave = residual.wavefront
-    radius = wave.pupil_radius * size * window.pitch / (wave.wavelength * abs(wave.image_distance))
+    radius = radius_in_cells(residual, window, size)
     columns = min(size, 2 * radius) + window.shape[1]
     return CALL + 3e-8 * radius**2 + 7e-10 * size * columns * math.log2(size)
 

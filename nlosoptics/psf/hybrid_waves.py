@@ -16,7 +16,7 @@ from .aiming import aim, pupil_points
 from .estimates import rounded_up
 from .facet_waves import wall_view
 from .halos import Halo
-from .lobes import ROUGH, lobe_roughness
+from .lobes import ROUGH, lobe_roughness, split_lobes
 from .obstruction import hides
 from .point_spreads import point_spread
 from .pupils import exit_pupil
@@ -25,7 +25,7 @@ from .rough_views import RoughView
 from .roughness import Roughness
 from .transfers import transfer
 from .wavefronts import Wavefront
-from .windows import Window, check_rays, window_side
+from .windows import Window, check_rays, middle, window_side
 
 Array = NDArray[np.float64]
 #: Radius of the halo's window over `RoughView.halo`, 3 standard deviations of a Gaussian C.
@@ -59,12 +59,11 @@ def image_lobes(
     scene: Scene, roughness: Roughness | None
 ) -> tuple[float, list[tuple[float, Roughness | MirrorLobe]]]:
     """Reflectance of the smooth mirrors, and (reflectance, roughness or lobe) of rough ones."""
-    lobes = scene.wall_material.mirror_lobes
     if roughness is not None:
-        total = sum(lobe.specular_reflectance for lobe in lobes)
+        total = scene.wall_material.specular_reflectance
         return 0.0, [(total, roughness)] if total > 0.0 else []
-    smooth = sum(lobe.specular_reflectance for lobe in lobes if lobe.slope_rms == 0.0)
-    return smooth, [(lobe.specular_reflectance, lobe) for lobe in lobes if lobe.slope_rms > 0.0]
+    rough, smooth = split_lobes(scene)
+    return smooth, [(lobe.specular_reflectance, lobe) for lobe in rough]
 
 
 def mirror_image(scene: Scene, normal: Array | None) -> MirrorImage:
@@ -147,7 +146,7 @@ def wave_parts(
     if bright > 0.0:
         inner = (min(side, shape[0]), min(side, shape[1]))
         core = point_spread(mirror.wave, tol=tol, pitch=pitch, shape=inner, pixel_integrated=True)
-        coherent[_middle(shape, inner)] = bright * core.intensity
+        coherent[middle(shape, inner)] = bright * core.intensity
         fluxes[0], error = bright, core.error_estimate * float(coherent.max())
     smooth_transfer = transfer(residual)
     for watts, view in views:
@@ -167,21 +166,13 @@ def wave_parts(
                 f"the halo of the rough mirror reaches an error of {missed:.2g}, limit tol = "
                 f"{tol:g}; use tol = {rounded_up(1.5 * missed)}"
             )
-        halo[_middle(shape, inner)] += watts * found
+        halo[middle(shape, inner)] += watts * found
         fluxes[1] += watts * -math.expm1(-(view.rayleigh_parameter**2))
         error += watts * missed * float(found.max())
     reason = "waves for the mirror image, rays for all other light"
     if core is not None:
         reason += f"; core: {core.reason}"
     return WaveParts(coherent, halo, error, fluxes[0], fluxes[1], reason)
-
-
-def _middle(shape: tuple[int, int], inner: tuple[int, int]) -> tuple[slice, slice]:
-    """Where a window lies in a larger one of the same centre."""
-    rows, columns = (
-        slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, inner, strict=True)
-    )
-    return rows, columns
 
 
 def _view(mirror: MirrorImage, given: Roughness | MirrorLobe) -> RoughView:

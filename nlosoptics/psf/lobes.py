@@ -20,7 +20,7 @@ from .residuals import split
 from .rough_means import mean_point_spread
 from .roughness import Roughness
 from .wavefronts import Wavefront
-from .windows import shape_of, window_side
+from .windows import middle, shape_of, window_side
 
 Array = NDArray[np.float64]
 #: Phase rms of a lobe's heights, rad: its point spread is that of its slopes to 1/s^2.
@@ -94,7 +94,7 @@ def lobe_window(
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     side = window_side(split(wave), pitch, tol)
-    rough, _ = _lobes(scene)
+    rough, _ = split_lobes(scene)
     if not rough:
         return side
     view = wall_view(_seen_from(scene, object_point))
@@ -145,7 +145,7 @@ def lobe_point_spread(
     smooth one is the wave's alone.
     """
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    rough, smooth = _lobes(scene)
+    rough, smooth = split_lobes(scene)
     if shape is None:
         shape = lobe_window(scene, wave, object_point=object_point, tol=tol, pitch=pitch)
     if not rough:
@@ -180,12 +180,11 @@ def _within(wave: Wavefront, pitch: float, shape: tuple[int, int], tol: float) -
     ny, nx = (min(n, side + (n - side) % 2) for n in shape)
     core = wide_point_spread(wave, pitch=pitch, shape=(ny, nx), tol=tol)
     intensity = np.zeros(shape)
-    top, left = shape[0] // 2 - ny // 2, shape[1] // 2 - nx // 2
-    intensity[top : top + ny, left : left + nx] = core.intensity
+    intensity[middle(shape, core.shape)] = core.intensity
     return replace(core, intensity=intensity)
 
 
-def _lobes(scene: Scene) -> tuple[list[MirrorLobe], float]:
+def split_lobes(scene: Scene) -> tuple[list[MirrorLobe], float]:
     """Mirror-like lobes with a slope, and the reflectance of those without."""
     lobes = scene.wall_material.mirror_lobes
     smooth = sum(lobe.specular_reflectance for lobe in lobes if lobe.slope_rms == 0)

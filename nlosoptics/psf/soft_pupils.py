@@ -261,7 +261,7 @@ def n_bytes(
     residual: Residual, samples: Window, size: int, rule: PixelRule | None, single: bool
 ) -> float:
     """Peak memory of `intensity_in`: the columns, and rows of the image averaged over pixels."""
-    rows = min(size, 2 * (math.ceil(_radius(residual, samples, size)) + rims.REACH) + 1)
+    rows = min(size, 2 * (math.ceil(radius_in_cells(residual, samples, size)) + rims.REACH) + 1)
     ny, nx = samples.shape
     image = 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor)
     return (8.0 if single else 16.0) * rows * size + image + 2**26
@@ -282,7 +282,7 @@ def intensity_in(
     from . import _pupil_kernels
 
     pupil = residual.wavefront
-    radius = _radius(residual, samples, size)
+    radius = radius_in_cells(residual, samples, size)
     centre = math.ceil(radius) + rims.REACH
     rows = min(size, 2 * centre + 1)
     fits_memory(
@@ -373,7 +373,7 @@ def _workspace(name: str, shape: tuple[int, int], kind: np.dtype[Any]) -> NDArra
     return np.asarray(held[:need].view(kind).reshape(shape))
 
 
-def _radius(residual: Residual, samples: Window, size: int) -> float:
+def radius_in_cells(residual: Residual, samples: Window, size: int) -> float:
     """Cells across the pupil's radius for a period of ``size`` samples."""
     pupil = residual.wavefront
     period = size * samples.pitch

@@ -162,12 +162,7 @@ class PolarSpectrum:
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
         """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
-        return self._from_tables(_tables(self._counts[0], self._fraction(rho)), rho)
-
-    def _from_tables(
-        self, tables: tuple[Array, Array], rho: Array
-    ) -> tuple[ComplexArray, ComplexArray]:
-        """The same by `_tables` of rho."""
+        tables = _tables(self._counts[0], self._fraction(rho))
         value, slope = (self._sum(table) for table in tables)
         slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
         slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]

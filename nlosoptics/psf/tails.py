@@ -15,6 +15,7 @@ from .hybrids import HybridPointSpread
 from .nodes import gauss_legendre
 from .point_spreads import PointSpread
 from .rough_means import RoughPointSpread
+from .windows import middle
 
 Array = NDArray[np.float64]
 #: Nodes along each side of a pixel.
@@ -145,8 +146,7 @@ def tail_pixels(shape: tuple[int, int], side: int) -> Array:
         for j, v in enumerate(weights):
             r = square[:, i, None] + square[None, :, j]
             found += w * v * np.maximum(r, 0.25) ** -1.5
-    rows, columns = _inner(shape, side)
-    found[rows, columns] = 0.0
+    found[middle(found.shape, shape)] = 0.0
     return found / total
 
 
@@ -162,10 +162,5 @@ def _checked(side: int, shape: tuple[int, int]) -> int:
 
 def _padded(intensity: Array, side: int) -> Array:
     wide = np.zeros((side, side))
-    wide[_inner(intensity.shape, side)] = intensity
+    wide[middle(wide.shape, intensity.shape)] = intensity
     return wide
-
-
-def _inner(shape: tuple[int, ...], side: int) -> tuple[slice, slice]:
-    rows, columns = (slice(side // 2 - n // 2, side // 2 - n // 2 + n) for n in shape)
-    return rows, columns

@@ -73,6 +73,14 @@ def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
     return whole("shape", shape[0]), whole("shape", shape[1])
 
 
+def middle(shape: tuple[int, ...], inner: tuple[int, ...]) -> tuple[slice, slice]:
+    """Where a window lies in a larger one of the same centre."""
+    rows, columns = (
+        slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, inner, strict=True)
+    )
+    return rows, columns
+
+
 def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
     """Window of at least 256 samples that holds the rays and 16 Airy units of tail.
 
