@@ -16,7 +16,7 @@ from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement
 from .torch_model import TorchForwardModel, torch_model
 
-Status = Literal["converged", "unconverged", "too_few_photons"]
+Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -33,8 +33,10 @@ class Reconstruction:
     physical_parameters : mapping
         ``gain`` (image units per object unit), ``background`` (mean of the fitted background,
         image units; a known one is not in it), ``noise_sigma`` (reference noise, image units) and
-        what else the solver settled, such as ``tv_weight``.
-    status : {"converged", "unconverged", "too_few_photons"}
+        what else the solver settled, such as ``tv_weight`` or, where the wall was fitted too,
+        ``coefficients`` (an array).
+    status : {"converged", "trivial", "unconverged", "too_few_photons"}
+        "trivial": the wall was fitted too, and the answer is the image itself under no blur.
         "too_few_photons": the background alone explains the data to within three standard errors of
         the mean squared residual, so that there is no object to recover; ``object`` is zero.
     score : float
@@ -47,7 +49,7 @@ class Reconstruction:
     """
 
     object: Any
-    physical_parameters: Mapping[str, float]
+    physical_parameters: Mapping[str, Any]
     status: Status
     score: float
     history: Mapping[str, NDArray[np.float64]]
@@ -64,7 +66,7 @@ def assemble(
     status: Status,
     history: Mapping[str, Sequence[float]],
     started: float,
-    **parameters: float,
+    **parameters: Any,
 ) -> Reconstruction:
     """Reconstruction from an object in image units (gain 1).
 
@@ -78,11 +80,11 @@ def assemble(
         Fitted strength of the unknown background, image units.
     gain : float or None
         None: the object's largest value becomes 1.
-    status : {"converged", "unconverged", "too_few_photons"}
+    status : {"converged", "trivial", "unconverged", "too_few_photons"}
     history : mapping of str to sequence of float
     started : float
         ``time.perf_counter()`` at the start.
-    **parameters : float
+    **parameters : float or ndarray
         More physical parameters.
     """
     level = level.to(torch.float64)
