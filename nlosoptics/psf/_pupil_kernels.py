@@ -180,6 +180,80 @@ def squares(field, scale, out):
 
 
 @njit(cache=True)
+def waves(first, step, cosines, sines):
+    """Fill ``cosines`` (m, c + 1) of 2 pi x k, x = first, first + step, ... and ``sines`` (m, c).
+
+    k counts from 0, or from 1 for sines; ``first`` and ``step`` in turns.
+    """
+    count = sines.shape[1]
+    turns, size = np.empty(count), np.ones(count)
+    real, imaginary = np.empty(count), np.empty(count)
+    for i in range(sines.shape[0]):
+        for k in range(count):
+            turns[k] = (first + i * step) * (k + 1)
+        phasors(turns, size, real, imaginary)
+        cosines[i, 0] = 1.0
+        cosines[i, 1:] = real
+        sines[i] = imaginary
+
+
+@njit(cache=True)
+def folded(values, even, odd):
+    """Fill ``even`` (c + 1, n) and ``odd`` (c, n) with sums and differences of opposite rows.
+
+    The rows of ``values`` (2 c + 1, n) count from -c.
+    """
+    centre = odd.shape[0]
+    even[0] = values[centre]
+    for k in range(centre):
+        one, other = values[centre + 1 + k], values[centre - 1 - k]
+        for j in range(values.shape[1]):
+            even[k + 1, j] = one[j] + other[j]
+            odd[k, j] = one[j] - other[j]
+
+
+@njit(cache=True)
+def refolded(even, odd, out_even, out_odd):
+    """Fold rows (m, 2 c + 1) along their other axis, each to its columns of both signs of x.
+
+    ``even - i odd`` is that of +x, from the middle of ``out_even`` (c + 1, n) and ``out_odd``
+    (c, n) on, ``even + i odd`` that of -x, back from there.
+    """
+    centre, columns = out_odd.shape[0], out_even.shape[1]
+    for i in range(even.shape[0]):
+        above, below = columns // 2 + i, (columns - 1) // 2 - i
+        a, b = even[i, centre], odd[i, centre]
+        out_even[0, above] = complex(a.real + b.imag, a.imag - b.real)
+        out_even[0, below] = complex(a.real - b.imag, a.imag + b.real)
+        for k in range(centre):
+            a, b = even[i, centre + 1 + k], odd[i, centre + 1 + k]
+            c, d = even[i, centre - 1 - k], odd[i, centre - 1 - k]
+            p, q = a + c, b + d
+            out_even[k + 1, above] = complex(p.real + q.imag, p.imag - q.real)
+            out_even[k + 1, below] = complex(p.real - q.imag, p.imag + q.real)
+            p, q = a - c, b - d
+            out_odd[k, above] = complex(p.real + q.imag, p.imag - q.real)
+            out_odd[k, below] = complex(p.real - q.imag, p.imag + q.real)
+
+
+@njit(cache=True)
+def split_squares(even, odd, scale, above, below):
+    """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the other sign.
+
+    The rows of ``below`` are in the opposite order.
+    """
+    last = above.shape[0] - 1
+    for i in range(above.shape[0]):
+        up, down = above[i], below[last - i]
+        for j in range(above.shape[1]):
+            a, b = even[i, j], odd[i, j]
+            real, imaginary = a.real + b.imag, a.imag - b.real
+            up[j] = scale * (real * real + imaginary * imaginary)
+            real, imaginary = a.real - b.imag, a.imag + b.real
+            down[j] = scale * (real * real + imaginary * imaginary)
+
+
+@njit(cache=True)
 def steepest(coefficients, radii, angles, out):
     """Fill ``out`` (radii,) with the largest |dW/du| or |dW/dv| of a polynomial on each circle."""
     n = coefficients.shape[0]
@@ -277,14 +351,22 @@ def rim_errors(distance, period, reach, edges, zones, landing, width, out):
 
 
 @njit(cache=True)
-def least_period(periods, light, goal, distance, reach, edges, zones, landing, width):
-    """First of the periods whose `rim_errors` change the ``light`` by less than ``goal``; or 0."""
+def least_period(least, widest, light, goal, distance, reach, edges, zones, landing, width):
+    """Period whose `rim_errors` change the ``light`` by less than ``goal``, to a hundredth.
+
+    From ``least`` on; the ``widest`` where none does.
+    """
     error = np.empty_like(distance)
-    for period in periods:
+    low, high, period = least, widest, least
+    while True:
         rim_errors(distance, period, reach, edges, zones, landing, width, error)
         if np.max(2.0 * light * error + error * error) < goal:
-            return period
-    return 0.0
+            high = period
+        else:
+            low = period
+        if high <= 1.01 * low or high == least:
+            return high
+        period = math.sqrt(low * high)
 
 
 @njit(cache=True)
@@ -296,20 +378,22 @@ def block_maxima(intensity, first, pitch, strongest, far):
     """
     ny, nx = intensity.shape
     down, along = strongest.shape
-    strongest[:] = 0.0
-    for row in range(ny):
-        i = row * down // ny
-        for j in range(along):
-            most = strongest[i, j]
-            for column in range((j * nx + along - 1) // along, ((j + 1) * nx - 1) // along + 1):
-                most = max(most, intensity[row, column])
-            strongest[i, j] = most
+    line = np.empty(nx)
     for i in range(down):
         top, bottom = (i * ny + down - 1) // down, ((i + 1) * ny - 1) // down
         y = max(abs(first[1] + top * pitch), abs(first[1] + bottom * pitch))
+        line[:] = 0.0
+        for row in range(top, bottom + 1):
+            for column in range(nx):  # whole rows at once, so that the loop keeps vectors
+                value = intensity[row, column]
+                line[column] = value if value > line[column] else line[column]
         for j in range(along):
             left, right = (j * nx + along - 1) // along, ((j + 1) * nx - 1) // along
             x = max(abs(first[0] + left * pitch), abs(first[0] + right * pitch))
+            most = 0.0
+            for column in range(left, right + 1):
+                most = max(most, line[column])
+            strongest[i, j] = most
             far[i, j] = math.hypot(x, y)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from .._checks import fits_memory
 from ..errors import MemoryLimitError, NlosError, SamplingError
-from . import airy, costs, estimates, geometric, soft_pupils
+from . import airy, costs, estimates, geometric, soft_images
 from .estimates import rounded_up
 from .methods import Result, Task, grid_period_pitch, polar_size, transform
 from .regimes import Regime
@@ -105,9 +105,13 @@ def _quadrature(task: Task) -> Candidate:
 def _soft_grid(task: Task) -> Candidate:
     residual = task.residual
     if task.soft is not None:
-        seconds = costs.soft_polynomial(residual, task.samples, task.soft[2])
-        least = 2 * soft_pupils.CUT
-        return Candidate(seconds, "fft", f"its rim errs by {least:g}" if task.tol < least else "")
+        fast, few = (task.soft.grid(task, method) for method in ("fft", "mdft"))
+        least = 2 * few.error
+        ruled_out = f"its rim errs by {least:g}" if task.tol < least else ""
+        return min(
+            Candidate(costs.soft_padded(task.samples, fast), "fft", ruled_out),
+            Candidate(costs.soft_folded(task.samples, few), "mdft", ruled_out),
+        )
     size = polar_size(task)
     pitch = grid_period_pitch(task, size)
     # the light spread evenly over the rays' disc, 1 at most
@@ -190,9 +194,10 @@ def _too_long(
 ) -> SamplingError:
     ny, nx = task.samples.shape
     n_bytes = 32.0 * ny * nx
-    if task.soft is not None and cheapest.method == "fft":
-        single = task.tol >= soft_pupils.SINGLE
-        n_bytes = soft_pupils.n_bytes(task.residual, task.samples, task.soft[2], task.rule, single)
+    if task.soft is not None and cheapest.method in ("fft", "mdft"):
+        need = soft_images.padded_bytes if cheapest.method == "fft" else soft_images.folded_bytes
+        grid = task.soft.grid(task, cheapest.method)
+        n_bytes = need(task.samples, grid, task.rule)
     smaller = "use a smaller shape"
     if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
         smaller += ", or a larger tol on wide pixels, at which rays do"

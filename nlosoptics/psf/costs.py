@@ -14,7 +14,7 @@ from . import quadrature
 from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
 from .pupil_grids import grid_size
 from .residuals import Residual
-from .soft_pupils import radius_in_cells
+from .soft_images import Grid
 from .windows import Window
 
 #: Calls, checks, small arrays and the regime of any transform.
@@ -44,11 +44,17 @@ def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int)
     return 1e-2 + each * n * n + 2.2e-8 * size * (n + nx) + 6e-9 * ny * nx
 
 
-def soft_polynomial(residual: Residual, window: Window, size: int) -> float:
-    """Of a polynomial wave's grid padded to ``size``, its cells a few nanoseconds each."""
-    radius = radius_in_cells(residual, window, size)
-    columns = min(size, 2 * radius) + window.shape[1]
-    return CALL + 3e-8 * radius**2 + 7e-10 * size * columns * math.log2(size)
+def soft_padded(window: Window, grid: Grid) -> float:
+    """Of a polynomial wave's grid, its cells a few nanoseconds each, by fast transforms."""
+    size = round(grid.period / window.pitch)
+    columns = min(size, 2 * grid.centre) + window.shape[1]
+    return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
+
+
+def soft_folded(window: Window, grid: Grid) -> float:
+    """The same by products with cosines and sines."""
+    ny, nx = window.shape
+    return CALL + 3e-8 * grid.radius**2 + 1.5e-10 * grid.centre * nx * (2 * grid.centre + ny)
 
 
 def map_fft(residual: Residual, window: Window, size: int) -> float:

@@ -6,13 +6,25 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
 from ..errors import SamplingError
-from . import airy, estimates, fft, geometric, huygens, mdft, nufft, quadrature, soft_pupils
+from . import (
+    airy,
+    estimates,
+    fft,
+    geometric,
+    huygens,
+    mdft,
+    nufft,
+    quadrature,
+    soft_images,
+    soft_pupils,
+)
 from .pixels import PixelRule
 from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from .residuals import Residual
@@ -30,6 +42,21 @@ NO_BEATS = 0.8
 NEAR_MISS = 8.0
 #: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
 NEGLIGIBLE = 1e-10
+
+
+class SoftTask(NamedTuple):
+    """A polynomial wave, its rim and the period its image needs, Airy units."""
+
+    wave: soft_pupils.SoftWave
+    rim: soft_pupils.Rim
+    period: float
+
+    def grid(self, task: Task, method: str) -> soft_images.Grid:
+        """Grid of the ``fft`` or, of whole cells in the radius, of the ``mdft``."""
+        single = task.tol >= soft_pupils.SINGLE
+        if method == "fft":
+            return soft_images.padded(task.residual, task.samples, self.period, single)
+        return soft_images.whole(task.residual, self.period, single)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +95,14 @@ class Task:
         return pixel if self.residual.wavefront.aperture is None else min(pixel, NO_BEATS)
 
     @cached_property
-    def soft(self) -> tuple[soft_pupils.SoftWave, soft_pupils.Rim, int] | None:
-        """Polynomials of the wave, its rim and padded size, for the `fft`; or None."""
+    def soft(self) -> SoftTask | None:
+        """What the transforms of a polynomial wave's softened grid need; None for another."""
         found = soft_pupils.soft_wave(self.residual, self.tol)
         if found is None:
             return None
         rim = soft_pupils.rim_of(self.residual, found)
-        return found, rim, soft_pupils.padded_size(self.residual, rim, self.samples, self.tol)
+        period = soft_pupils.period_of(self.residual, rim, self.samples, self.tol)
+        return SoftTask(found, rim, period)
 
     def bound(
         self,
@@ -190,7 +218,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 def _fft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "fft")
-    soft = _soft_fft(task)
+    soft = _soft(task, "fft")
     if soft is not None:
         return soft
     fft.check_padding(residual, samples.pitch)
@@ -217,39 +245,39 @@ def _fft(task: Task) -> tuple[Array, float]:
     return mean, _grid_bound(task, mean, grid)
 
 
-def _soft_fft(task: Task) -> tuple[Array, float] | None:
-    """The fft of a polynomial wave, which goes on beyond its softened rim; None for another."""
+def _soft(task: Task, method: str) -> tuple[Array, float] | None:
+    """Either transform of a polynomial wave, which goes on beyond its softened rim; else None."""
     soft = task.soft
     if soft is None:
         return None
-    wave, rim, size = soft
-    found = _soft_image(task, wave, rim, size)
+    found = _soft_image(task, soft, method)
     if task.tol < found[1] < NEAR_MISS * task.tol:
         # its peak is lower than was expected
-        wider = soft_pupils.padded_size(task.residual, rim, task.samples, task.tol / NEAR_MISS)
-        found = _soft_image(task, wave, rim, wider)
+        tol = task.tol / NEAR_MISS
+        period = soft_pupils.period_of(task.residual, soft.rim, task.samples, tol)
+        found = _soft_image(task, soft._replace(period=period), method)
     return found
 
 
-def _soft_image(
-    task: Task, wave: soft_pupils.SoftWave, rim: soft_pupils.Rim, size: int
-) -> tuple[Array, float]:
-    """Image of a polynomial wave padded to a size, and its error."""
-    residual, samples = task.residual, task.samples
-    single = task.tol >= soft_pupils.SINGLE
-    mean = soft_pupils.intensity_in(residual, wave, samples, size, task.rule, single)
+def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
+    """Image of a polynomial wave on its grid, and its error."""
+    residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
+    run = soft_images.padded_image if method == "fft" else soft_images.folded_image
+    mean = run(residual, wave, task.samples, grid, task.rule)
     half = 0.0 if task.rule is None else task.pitch / 2
     strongest, error = soft_pupils.block_errors(
-        residual, rim, task.pixels, mean, size * samples.pitch, half
+        residual, soft.rim, task.pixels, mean, grid.period, half
     )
-    lost = residual.truncation + wave.misfit * wave.strength
-    lost += soft_pupils.SINGLE_ERROR if single else 0.0
+    lost = residual.truncation + wave.misfit * wave.strength + grid.error
     return mean, task.bound(strongest, error + lost, math.inf)
 
 
 def _mdft(task: Task) -> tuple[Array, float]:
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "mdft")
+    soft = _soft(task, "mdft")
+    if soft is not None:
+        return soft
     if residual.wavefront.layout == "polar":
         grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
         _check_jump(task, grid.jump, None)

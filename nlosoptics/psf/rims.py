@@ -23,11 +23,24 @@ Array = NDArray[np.float64]
 STEP = 0.08
 #: Cells on either side of the rim: the kernel falls as exp(-(pi STEP t)^2), 1e-8 here.
 REACH = 17
+#: The same where errors of `cut` do.
+SHORT_REACH = 10
 
 
 def leak(s: Array) -> Array:
     """What the kernel's spectrum lacks at a distance ``s``, in periods, or keeps at 1 - s."""
     return np.asarray(scipy.special.erfc((0.5 - s) / STEP) / 2)
+
+
+def cut(radius: float, reach: int) -> float:
+    """Largest field error for the kernel's cut at `REACH` or `SHORT_REACH` cells.
+
+    Measured within half a period at up to half of this. That of the long reach falls with the
+    fourth power of the radius, cells, to 30, that of the short one with the radius.
+    """
+    if reach == SHORT_REACH:
+        return 4e-5 / radius
+    return 1e-12 * max(1.0, 30 / radius) ** 4
 
 
 class SoftDisc:
@@ -37,9 +50,9 @@ class SoftDisc:
     a Chebyshev series of it, elsewhere 0 or 1.
     """
 
-    def __init__(self, radius: float) -> None:
+    def __init__(self, radius: float, reach: int = REACH) -> None:
         self.radius = radius
-        self.low, self.high = max(radius - REACH, 0.0), radius + REACH
+        self.low, self.high = max(radius - reach, 0.0), radius + reach
         # The profile has no frequency above 1 per cell: three nodes a cell resolve it.
         n = math.ceil(3 * (self.high - self.low)) + 20
         angles = math.pi * (np.arange(n) + 0.5) / n

@@ -5,7 +5,8 @@ import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.psf import _pupil_kernels, airy, nodes, soft_pupils
+from nlosoptics.psf import _pupil_kernels, airy, nodes, rims, soft_images, soft_pupils
+from nlosoptics.psf.pixels import PixelRule
 from nlosoptics.psf.residuals import split
 from nlosoptics.psf.windows import Window
 
@@ -197,3 +198,52 @@ def test_what_is_kept_cannot_be_changed():
     for kept in (*nodes.gauss_legendre(24), *nodes.kept_polar_nodes(RADIUS, 24, 96, 0.0)):
         with pytest.raises(ValueError, match="read-only"):
             kept[0] = 0.0
+
+
+@pytest.mark.parametrize("shape", [(33, 70), (70, 33), (64, 64), (41, 1)])
+@pytest.mark.parametrize(("distance", "factor"), [(50e-3, 1), (-50e-3, 1), (50e-3, 3)])
+def test_cosines_and_sines_are_the_padded_transform(shape, distance, factor):
+    # unlike halves, and a tilt by a fraction of a sample
+    wave = zernike_wave({2: 0.41, 3: -0.77, **MIX}, image_distance=distance, obscuration=0.3)
+    residual = split(wave)
+    found = soft_pupils.soft_wave(residual, 1e-9)
+    rule = None
+    window = Window.centred(0.3 * UNIT, shape)
+    if factor > 1:
+        rule = PixelRule(factor, 3, np.full(factor + 6, 1 / (factor + 6)))
+        window = rule.window(0.9 * UNIT, shape)
+    for single, rounding in ((False, 1e-13), (True, 2e-6)):
+        grid = soft_images.padded(residual, window, 80.0, single)
+        images = [
+            run(residual, found, window, grid, rule)
+            for run in (soft_images.padded_image, soft_images.folded_image)
+        ]
+        assert images[0].shape == images[1].shape
+        # sums of a thousand terms of at most 1e-3 each, in either precision
+        assert np.abs(images[1] - images[0]).max() < rounding
+
+
+def test_product_blocks_hold_every_row():
+    for rows, columns, inner in ((1, 1, 1), (128, 256, 33), (7, 4000, 900)):
+        blocks = soft_images._blocks(rows, columns, inner)
+        assert [i for start, stop in blocks for i in range(start, stop)] == list(range(rows))
+        assert (blocks[0][1] - blocks[0][0]) * 2 * columns * (inner + 1) <= max(
+            soft_images.BLOCK_PRODUCT, 2 * columns * (inner + 1)
+        )
+
+
+@pytest.mark.parametrize("radius", [6.0, 23.0, 70.5])
+@pytest.mark.parametrize(("reach", "wider"), [(10, 17), (17, 25)])
+def test_rims_cut_short_err_by_what_is_said(monkeypatch, radius, reach, wider):
+    residual = split(zernike_wave(MIX))
+    found = soft_pupils.soft_wave(residual, 1e-9)
+    window = Window.centred(residual.airy_unit / 4, (int(2 * radius),) * 2)
+    grid = soft_images.Grid(2 * radius * residual.airy_unit, radius, False)
+    fields = []
+    for cells in (reach, wider):
+        monkeypatch.setattr(rims, "REACH", cells)
+        image = soft_images.folded_image(residual, found, window, grid, None)
+        fields.append(np.sqrt(image))
+    error = np.abs(fields[0] - fields[1]).max()
+    # within a hundred times: a bound that says nothing would pass too
+    assert 0.01 * rims.cut(radius, reach) < error <= rims.cut(radius, reach) + 1e-13
