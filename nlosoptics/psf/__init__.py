@@ -9,8 +9,9 @@
 - `apertures`, `aperture_parts`, `polygons`, `outlines`, `cell_spectra`: pupils of any outline.
 - `fits`, `residuals`: least-squares terms; piston and tilt taken out, and where the rays land.
 - `quadrature`, `fft`, `mdft`, `nufft`, `airy`, `geometric`, `huygens`: one transform each;
-  `pupil_grids`, `rims`, `rim_tails`, `soft_pupils` (polynomial waves), `separable`, `local_fits`,
-  `pixels` and `windows` serve them, `estimates` bounds their errors.
+  `polynomials`, `soft_pupils`, `soft_images` (polynomial waves by fast transforms or by products
+  with cosines and sines), `pupil_grids`, `rims`, `rim_tails`, `separable`, `local_fits`, `pixels`
+  and `windows` serve them, `estimates` bounds their errors.
 - `methods`: runs one of them; `choices` picks the cheapest that does, by `costs` and what `regimes`
   says of the wave; `point_spreads`: `point_spread`; `comparisons`: all of them side by side;
   `bands` and `fields`: over wavelengths and over the object; `cores`, `tails`: on wide

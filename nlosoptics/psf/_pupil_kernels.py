@@ -221,19 +221,21 @@ def refolded(even, odd, out_even, out_odd):
     """
     centre, columns = out_odd.shape[0], out_even.shape[1]
     for i in range(even.shape[0]):
-        above, below = columns // 2 + i, (columns - 1) // 2 - i
         a, b = even[i, centre], odd[i, centre]
-        out_even[0, above] = complex(a.real + b.imag, a.imag - b.real)
-        out_even[0, below] = complex(a.real - b.imag, a.imag + b.real)
-        for k in range(centre):
+        out_even[0, columns // 2 + i] = complex(a.real + b.imag, a.imag - b.real)
+        out_even[0, (columns - 1) // 2 - i] = complex(a.real - b.imag, a.imag + b.real)
+    for k in range(centre):
+        line, other = out_even[k + 1], out_odd[k]
+        for i in range(even.shape[0]):
+            above, below = columns // 2 + i, (columns - 1) // 2 - i
             a, b = even[i, centre + 1 + k], odd[i, centre + 1 + k]
             c, d = even[i, centre - 1 - k], odd[i, centre - 1 - k]
             p, q = a + c, b + d
-            out_even[k + 1, above] = complex(p.real + q.imag, p.imag - q.real)
-            out_even[k + 1, below] = complex(p.real - q.imag, p.imag + q.real)
+            line[above] = complex(p.real + q.imag, p.imag - q.real)
+            line[below] = complex(p.real - q.imag, p.imag + q.real)
             p, q = a - c, b - d
-            out_odd[k, above] = complex(p.real + q.imag, p.imag - q.real)
-            out_odd[k, below] = complex(p.real - q.imag, p.imag + q.real)
+            other[above] = complex(p.real + q.imag, p.imag - q.real)
+            other[below] = complex(p.real - q.imag, p.imag + q.real)
 
 
 @njit(cache=True)
@@ -254,24 +256,86 @@ def split_squares(even, odd, scale, above, below):
 
 
 @njit(cache=True)
-def steepest(coefficients, radii, angles, out):
-    """Fill ``out`` (radii,) with the largest |dW/du| or |dW/dv| of a polynomial on each circle."""
-    n = coefficients.shape[0]
-    for k in range(radii.shape[0]):
-        most = 0.0
-        for angle in angles:
-            u, v = radii[k] * math.cos(angle), radii[k] * math.sin(angle)
-            du = dv = 0.0
+def polar_fit(values, waves, weights, modes, heights):
+    """Fill ``heights`` (orders, terms) with the terms of ``values`` (rings, spokes).
+
+    ``waves`` (orders, spokes) along the angle, ``weights`` and ``modes`` (orders, terms, rings)
+    along the radius. Returns the largest misfit and the largest value.
+    """
+    rings, spokes = values.shape
+    orders, terms = heights.shape
+    heights[:] = 0.0
+    # spokes first, so that the loops over the orders keep vectors
+    turned = np.ascontiguousarray(waves.T)
+    share, height = np.empty(orders), np.zeros((terms, orders))
+    along = np.ascontiguousarray(weights.transpose(2, 1, 0))
+    most = 0.0
+    for i in range(rings):
+        share[:] = 0.0
+        for j in range(spokes):
+            value = values[i, j]
+            most = max(most, abs(value))
+            for m in range(orders):
+                share[m] += turned[j, m] * value
+        for k in range(terms):
+            for m in range(orders):
+                height[k, m] += along[i, k, m] * share[m]
+    misfit = 0.0
+    line = np.empty(spokes)
+    for i in range(rings):
+        line[:] = values[i]
+        for m in range(orders):
+            part = 0.0
+            for k in range(terms):
+                part += height[k, m] * modes[m, k, i]
+            for j in range(spokes):
+                line[j] -= part * waves[m, j]
+        for j in range(spokes):
+            misfit = max(misfit, abs(line[j]))
+    heights[:] = height.T
+    return misfit, most
+
+
+@njit(cache=True)
+def polynomial(powers, rho, cosine, sine, out):
+    """Fill ``out`` (radii, angles) with ``sum powers[i, j] u^i v^j``."""
+    n = powers.shape[0]
+    for k in range(rho.shape[0]):
+        for m in range(cosine.shape[0]):
+            u, v = rho[k] * cosine[m], rho[k] * sine[m]
+            total = 0.0
             for i in range(n - 1, -1, -1):
-                value = slope = 0.0
+                value = 0.0
                 for j in range(n - 1 - i, -1, -1):
-                    slope = slope * v + value
-                    value = value * v + coefficients[i, j]
-                dv = dv * u + slope
-                if i > 0:
-                    du = du * u + i * value
-            most = max(most, abs(du), abs(dv))
-        out[k] = most
+                    value = value * v + powers[i, j]
+                total = total * u + value
+            out[k, m] = total
+
+
+@njit(cache=True)
+def slopes(powers, rho, cosine, sine, du, dv):
+    """Fill ``du`` and ``dv`` (radii, angles) with the slopes of ``sum powers[i, j] u^i v^j``."""
+    n = powers.shape[0]
+    u, v = np.empty(cosine.shape[0]), np.empty(cosine.shape[0])
+    value, slope = np.empty_like(u), np.empty_like(u)
+    for k in range(rho.shape[0]):
+        u[:] = rho[k] * cosine
+        v[:] = rho[k] * sine
+        along, across = du[k], dv[k]
+        along[:] = 0.0
+        across[:] = 0.0
+        for i in range(n - 1, -1, -1):
+            value[:] = 0.0
+            slope[:] = 0.0
+            for j in range(n - 1 - i, -1, -1):
+                for m in range(u.shape[0]):
+                    slope[m] = slope[m] * v[m] + value[m]
+                    value[m] = value[m] * v[m] + powers[i, j]
+            for m in range(u.shape[0]):
+                across[m] = across[m] * u[m] + slope[m]
+            if i > 0:
+                for m in range(u.shape[0]):
+                    along[m] = along[m] * u[m] + i * value[m]
 
 
 @njit(cache=True)
@@ -287,6 +351,17 @@ def moments(path, share):
     for i in range(path.size):
         square += share[i] * (path[i] - mean) ** 2
     return low, high, mean, math.sqrt(square / total)
+
+
+@njit(cache=True)
+def landing(du, dv, distance, x, y):
+    """Fill ``x`` and ``y`` with slopes times the distance; return the steepest, the farthest."""
+    steepest = farthest = 0.0
+    for i in range(du.shape[0]):
+        steepest = max(steepest, du[i] * du[i] + dv[i] * dv[i])
+        x[i], y[i] = du[i] * distance, dv[i] * distance
+        farthest = max(farthest, abs(x[i]), abs(y[i]))
+    return math.sqrt(steepest), farthest
 
 
 @njit(cache=True)

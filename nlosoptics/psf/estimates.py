@@ -159,7 +159,7 @@ def soft_rim_error(
     focus = 2 * rims.leak(np.asarray(reach / period)) / max(math.pi * reach / unit, 1.0)
     edge: float | Array = 0.0
     if continuation > 0:
-        degree = max(residual.series.degrees(1e-3 * float(np.abs(residual.aberration).max())))
+        degree = max(residual.degrees(1e-3 * float(np.abs(residual.aberration).max())))
         steep = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength
         edge = continuation * steep * degree * (2 / n) ** 2
     edges = 1 / (1 - wave.obscuration)  # length of both rims over area

@@ -211,7 +211,7 @@ def node_counts(residual: Residual, points: Array) -> tuple[int, ...]:
         n_patches, n_s, n_t = quadrature.cell_counts(residual, slope, 1e-9)
         return n_patches, n_s + 8, n_t + 8
     v = residual.wavenumber * wave.pupil_radius * slope
-    degree_r, degree_theta = residual.series.degrees(1e-9 / residual.wavenumber)
+    degree_r, degree_theta = residual.degrees(1e-9 / residual.wavenumber)
     if not residual.is_uniform:
         more_r, more_theta = residual.amplitude_series.degrees(1e-9)
         degree_r, degree_theta = degree_r + more_r, degree_theta + more_theta

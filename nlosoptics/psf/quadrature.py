@@ -29,7 +29,7 @@ def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) ->
     if wave.layout == "cells":
         return cell_counts(residual, slope, threshold)
     v = residual.wavenumber * slope * wave.pupil_radius
-    degree_r, degree_theta = residual.series.degrees(threshold / residual.wavenumber)
+    degree_r, degree_theta = residual.degrees(threshold / residual.wavenumber)
     if not residual.is_uniform:
         more_r, more_theta = residual.amplitude_series.degrees(threshold)
         degree_r, degree_theta = degree_r + more_r, degree_theta + more_theta
@@ -47,7 +47,7 @@ def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int
     nodes integrate exp(i v s) to 1e-15; the map's own bend and the degree of the series are added.
     """
     n_patches = len(residual.aberration)
-    degrees = residual.series.degrees(threshold / residual.wavenumber)
+    degrees = residual.degrees(threshold / residual.wavenumber)
     if not residual.is_uniform:
         more = residual.amplitude_series.degrees(threshold)
         degrees = degrees[0] + more[0], degrees[1] + more[1]

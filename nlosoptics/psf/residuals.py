@@ -5,7 +5,6 @@ The tilt is an exact shift of the image; only what is left needs sampling.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -19,7 +18,8 @@ from .cell_spectra import CellSpectrum
 from .fits import fitted_terms, projection
 from .local_fits import LocalFits, local_fits
 from .nodes import KEPT, frozen, kept_polar_nodes
-from .spectra import PolarSpectrum
+from .polynomials import LowPolynomial, low_polynomial
+from .spectra import PolarSpectrum, ring_of
 from .wavefronts import Wavefront
 
 Array = NDArray[np.float64]
@@ -37,17 +37,15 @@ class Rays:
         Share of the light, sum 1; 0 on the rim.
     slope : float
         Largest gradient of the residual aberration.
+    reach : float
+        Half the side of the square that holds every ray, m.
     """
 
     x: Array
     y: Array
     energy: Array
     slope: float
-
-    @cached_property
-    def reach(self) -> float:
-        """Half the side of the square that holds every ray, m."""
-        return float(max(np.abs(self.x).max(), np.abs(self.y).max()))
+    reach: float
 
 
 class Heights(NamedTuple):
@@ -120,12 +118,16 @@ class Residual:
         wave = self.wavefront
         return wave.wavelength * abs(wave.image_distance) / (4 * self.half_width)
 
+    @cached_property
+    def energy(self) -> float:
+        """Integral of the squared amplitude over the pupil, m^2."""
+        return float(np.sum(self.wavefront.amplitude**2 * self.wavefront.weights))
+
     def pixel_share(self, pitch: float) -> float:
         """Share of the light through the pupil in a pixel whose mean is the ideal peak."""
         wave = self.wavefront
-        energy = float(np.sum(wave.amplitude**2 * wave.weights))
         area = (pitch * self.amplitude_sum) ** 2
-        return area / (energy * (wave.wavelength * wave.image_distance) ** 2)
+        return area / (self.energy * (wave.wavelength * wave.image_distance) ** 2)
 
     @property
     def is_uniform(self) -> bool:
@@ -137,6 +139,8 @@ class Residual:
         """Extremes, mean and rms of the residual aberration over the lit pupil."""
         from . import _pupil_kernels
 
+        if self.is_flat:
+            return Heights(0.0, 0.0, 0.0, 0.0)
         wave = self.wavefront
         share = (wave.amplitude * wave.weights).ravel()
         return Heights(*_pupil_kernels.moments(self.aberration.ravel(), share))
@@ -151,6 +155,18 @@ class Residual:
     def series(self) -> PolarSpectrum | CellSpectrum:
         """Series of the residual aberration of a polar wavefront or one of cells."""
         return self.wavefront.series(self.aberration)
+
+    @cached_property
+    def low(self) -> LowPolynomial | None:
+        """Polynomial that the residual of few polar nodes is to rounding; None for another."""
+        wave = self.wavefront
+        if wave.layout != "polar" or wave.u.size > KEPT or self.is_flat:
+            return None
+        return low_polynomial(self.aberration, wave.pupil_radius, wave.obscuration)
+
+    def degrees(self, threshold: float) -> tuple[int, int]:
+        """Highest degrees, see `PolarSpectrum.degrees`, of terms above the threshold, m."""
+        return self.series.degrees(threshold) if self.low is None else self.low.degrees
 
     @cached_property
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
@@ -208,7 +224,8 @@ class Residual:
         amplitude = 0.0
         if not self.is_uniform:
             amplitude = self.amplitude_series.truncation() / float(self.wavefront.amplitude.max())
-        return self.wavenumber * self.series.truncation() + amplitude
+        left = self.series.truncation() if self.low is None else self.low.misfit
+        return self.wavenumber * left + amplitude
 
     @cached_property
     def rays(self) -> Rays:
@@ -226,9 +243,14 @@ class Residual:
         """Rays from nodes of a shape (see `Wavefront.nodes`), or the present ones, and rims."""
         wave = self.wavefront
         if self.is_flat:  # they all land in one point
-            return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0)
+            return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0, 0.0)
         counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
-        du, dv, energy = self.series.slopes(*counts)
+        if self.low is None:
+            du, dv, energy = self.series.slopes(*counts)
+        else:
+            ring = ring_of(counts[0], counts[1], wave.obscuration)
+            du, dv = self.low.slopes(ring.cosine, ring.sine, ring.rho.ravel())
+            energy = ring.share
         if not self.is_uniform:
             inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
             energy = energy.copy()
@@ -236,9 +258,12 @@ class Residual:
         return self._landing(du, dv, energy)
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
+        from . import _pupil_kernels
+
+        x, y = np.empty(du.shape), np.empty(dv.shape)
         d = self.wavefront.image_distance
-        steepest = math.sqrt(float(np.max(du * du + dv * dv)))
-        return Rays(du * d, dv * d, energy / energy.sum(), steepest)
+        steepest, reach = _pupil_kernels.landing(du.ravel(), dv.ravel(), d, x.ravel(), y.ravel())
+        return Rays(x, y, energy / energy.sum(), steepest, reach)
 
     @cached_property
     def _grid_cells(self) -> tuple[NDArray[np.int64], float]:

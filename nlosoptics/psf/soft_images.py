@@ -167,9 +167,10 @@ def folded_image(
     half_even = _workspace("half even", ((nx + 1) // 2, rows), kind)
     half_odd = _workspace("half odd", ((nx + 1) // 2, rows), kind)
     waves = _waves(nx, centre, side, half_even.real.dtype)
-    for start, stop in _blocks(len(half_even), rows, centre):
-        _product(waves[0][start:stop], even, half_even[start:stop])
-        _product(waves[1][start:stop], odd, half_odd[start:stop])
+    for part, source, out in zip(waves, (even, odd), (half_even, half_odd), strict=True):
+        reals, out = source.view(part.dtype), out.view(part.dtype)
+        for start, stop in _blocks(len(part), rows, centre):
+            np.matmul(part[start:stop], reals, out=out[start:stop])
     even = _workspace("even", (centre + 1, nx), kind)
     odd = _workspace("odd", (centre, nx), kind)
     _pupil_kernels.refolded(half_even, half_odd, even, odd)
@@ -198,10 +199,12 @@ def _unfolded(
     part_even = _workspace("part even", (rows, nx), even.dtype)
     part_odd = _workspace("part odd", (rows, nx), even.dtype)
     fine = np.empty((0 if rule is None else 2, rows, nx))
+    real = waves[0].dtype
+    evens, odds = even.view(real), odd.view(real)
     for start, stop in blocks:
         a, b = part_even[: stop - start], part_odd[: stop - start]
-        _product(waves[0][start:stop], even, a)
-        _product(waves[1][start:stop], odd, b)
+        np.matmul(waves[0][start:stop], evens, out=a.view(real))
+        np.matmul(waves[1][start:stop], odds, out=b.view(real))
         above = half[ny // 2 + start : ny // 2 + stop]
         below = half[(ny + 1) // 2 - stop : (ny + 1) // 2 - start]
         if rule is None:
@@ -235,16 +238,6 @@ def _blocks(rows: int, columns: int, inner: int) -> list[tuple[int, int]]:
     """Rows of a product of complex columns, `BLOCK_PRODUCT` multiplications at a time."""
     step = max(1, BLOCK_PRODUCT // (2 * columns * (inner + 1)))
     return [(start, min(start + step, rows)) for start in range(0, rows, step)]
-
-
-def _product(
-    table: NDArray[np.floating],
-    columns: NDArray[np.complexfloating],
-    out: NDArray[np.complexfloating],
-) -> None:
-    """Fill ``out`` with the product of a real table and complex columns."""
-    real = table.dtype
-    np.matmul(table, columns.view(real), out=out.view(real))
 
 
 def _fill(

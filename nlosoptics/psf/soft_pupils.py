@@ -9,18 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import estimates, rims
-from .fits import projection
-from .nodes import frozen, polar_nodes
+from .polynomials import fitted
 from .residuals import Residual
 from .spectra import PolarSpectrum
 from .windows import Window
-from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
 #: What `_pupil_kernels.rim_errors` takes of a wave, see `rim_of`.
@@ -41,7 +38,8 @@ ZONES = np.stack(
     [BEYOND, 6.0 * np.exp(-((math.pi * rims.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)], axis=1
 )
 CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
-ANGLES = 2 * math.pi * np.arange(24) / 24
+SPOKES = 24
+COSINE, SINE = (wave(2 * math.pi * np.arange(SPOKES) / SPOKES) for wave in (np.cos, np.sin))
 #: Blocks a side of a window of which the strongest and the farthest samples are looked up.
 BLOCKS = 8
 #: Share of ``tol`` that a period is chosen for: what it leaves is only known with the image.
@@ -77,11 +75,15 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     a degree for an intensity error of ``tol``.
     """
     wave = residual.wavefront
-    if wave.layout != "polar" or not isinstance(residual.series, PolarSpectrum):
+    if wave.layout != "polar":
         return None
-    rounding = 1e-14 * float(np.abs(residual.aberration).max())
-    threshold = max(1e-3 * tol / residual.wavenumber, rounding)
-    fit = _polynomial(residual.series, residual.aberration, wave.obscuration, threshold)
+    if residual.low is not None:
+        fit: tuple[Array, float] | None = residual.low.powers, residual.low.misfit
+    else:
+        rounding = 1e-14 * float(np.abs(residual.aberration).max())
+        threshold = max(1e-3 * tol / residual.wavenumber, rounding)
+        series = residual.polar_series[0]
+        fit = _polynomial(series, residual.aberration, wave.obscuration, threshold)
     if fit is None:
         return None
     misfit = residual.wavenumber * fit[1]
@@ -108,45 +110,7 @@ def _polynomial(
     """
     radial, angular = series.degrees(threshold)
     degree = max(2 * radial + 1, angular)
-    if degree > DEGREE:
-        return None
-    project, powers, basis = _projection(*values.shape, obscuration, degree)
-    # einsum without BLAS: the same bits for any thread count
-    heights = np.einsum("tp,p->t", project, values.ravel())
-    left = values.ravel() - np.einsum("tp,t->p", basis, heights)
-    return np.einsum("t,tij->ij", heights, powers), float(np.abs(left).max())
-
-
-@lru_cache(maxsize=8)
-def _projection(
-    n_r: int, n_theta: int, obscuration: float, degree: int
-) -> tuple[Array, Array, Array]:
-    """Least-squares weights of the nodes for each Zernike term, its powers of u and v, its values.
-
-    (terms, nodes), (terms, degree + 1, degree + 1), (terms, nodes); unit radius.
-    """
-    u, v, weights = (nodes.ravel() for nodes in polar_nodes(1.0, n_r, n_theta, obscuration))
-    count = (degree + 1) * (degree + 2) // 2
-    basis = np.array([zernike(j, np.hypot(u, v), np.arctan2(v, u)) for j in range(1, count + 1)])
-    powers = np.array([_powers(j, degree) for j in range(1, count + 1)])
-    return frozen(projection(basis, weights)), frozen(powers), frozen(basis)
-
-
-def _powers(index: int, degree: int) -> Array:
-    """Noll's Zernike polynomial as powers of u and v, (degree + 1, degree + 1)."""
-    n, m = zernike_order(index)
-    table = np.zeros((degree + 1, degree + 1))
-    scale = math.sqrt((n + 1) * (1 if m == 0 else 2))
-    for s in range((n - abs(m)) // 2 + 1):
-        k = (n - abs(m)) // 2 - s  # r^(n - 2 s) = r^2k r^|m|
-        height = (-1) ** s * math.comb(n - s, s) * math.comb(n - 2 * s, k)
-        for a in range(k + 1):  # (u^2 + v^2)^k
-            for b in range(abs(m) + 1):  # (u + iv)^|m|, its real or imaginary part
-                if b % 2 == (m < 0):
-                    place = 2 * a + abs(m) - b, 2 * (k - a) + b
-                    sign = (-1) ** (b // 2)
-                    table[place] += scale * height * sign * math.comb(k, a) * math.comb(abs(m), b)
-    return table
+    return None if degree > DEGREE else fitted(values, obscuration, degree)
 
 
 def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> float:
@@ -187,9 +151,10 @@ def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     from . import _pupil_kernels
 
     pupil = residual.wavefront
-    landing = np.stack([CIRCLES, CIRCLES])
-    _pupil_kernels.steepest(wave.aberration, CIRCLES, ANGLES, landing[1])
-    landing[1] *= 2 / pupil.wavelength
+    du, dv = np.empty((2, CIRCLES.size, SPOKES))
+    _pupil_kernels.slopes(wave.aberration, CIRCLES, COSINE, SINE, du, dv)
+    steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
+    landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
     # length of both rims over area
     edges = wave.strength / (1 - pupil.obscuration)
     return residual.rays.reach / residual.airy_unit, edges, ZONES, landing, rims.STEP

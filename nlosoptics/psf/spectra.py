@@ -82,7 +82,7 @@ class PolarSpectrum:
 
         # of a wave of few terms the rest is rounding, which steep polynomials would multiply
         n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
-        ring = (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, self.obscuration)
+        ring = ring_of(n_r, n_theta, self.obscuration)
         tables = _kept_tables(n_k, n_r) if n_r <= KEPT else _tables(n_k, ring.fraction)
         coefficients = self.coefficients[:n_k, :n_m]
         value, per_r = (_product(table.T, coefficients) for table in tables)
@@ -223,7 +223,7 @@ def _product(table: Array, waves: ComplexArray) -> ComplexArray:
     return np.asarray(np.einsum("ij,jk->ik", table, parts)).view(np.complex128)
 
 
-class _Ring(NamedTuple):
+class Ring(NamedTuple):
     """What slopes on (n_r + 1) x n_theta nodes, those of the rim the last, take of their places."""
 
     fraction: Array
@@ -234,7 +234,7 @@ class _Ring(NamedTuple):
     share: Array
 
 
-def _ring(n_r: int, n_theta: int, obscuration: float) -> _Ring:
+def _ring(n_r: int, n_theta: int, obscuration: float) -> Ring:
     fraction, weights = gauss_legendre(n_r)
     fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
     clear = 1 - obscuration**2
@@ -242,10 +242,15 @@ def _ring(n_r: int, n_theta: int, obscuration: float) -> _Ring:
     angle = 2 * math.pi * np.arange(n_theta) / n_theta
     share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
     parts = fraction, rho, 2 * rho / clear, np.cos(angle), np.sin(angle), share
-    return _Ring(*map(frozen, parts))
+    return Ring(*map(frozen, parts))
 
 
 _kept_ring = lru_cache(maxsize=16)(_ring)
+
+
+def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
+    """Places of slopes, kept for few nodes."""
+    return (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, obscuration)
 
 
 @lru_cache(maxsize=32)

@@ -219,10 +219,11 @@ class Wavefront:
                 )
             u, v, weights = shared_polar_nodes(pupil_radius, n_r, n_theta, obscuration)
         if nodes == "polar" and u.size <= KEPT:
-            amplitude, aberration = kept_even(*u.shape), np.zeros_like(u)
-            for index, value in coefficients.items():
-                height = real(f"coefficients[{index}]", value)
-                aberration += height * _kept_mode(index, ordering, *u.shape, float(obscuration))
+            amplitude = kept_even(*u.shape)
+            heights = [real(f"coefficients[{j}]", value) for j, value in coefficients.items()]
+            modes = _kept_modes(tuple(coefficients), ordering, *u.shape, float(obscuration))
+            # einsum without BLAS: the same bits for any thread count
+            aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
         else:
             amplitude = np.ones_like(u)
             aberration = _zernike_sum(coefficients, u, v, pupil_radius, ordering)
@@ -564,11 +565,17 @@ def _zernike_sum(
     return total
 
 
-@lru_cache(maxsize=128)
-def _kept_mode(index: int, ordering: Ordering, n_r: int, n_theta: int, obscuration: float) -> Array:
-    """Zernike polynomial on at most `KEPT` polar nodes, kept and read-only."""
+@lru_cache(maxsize=8)
+def _kept_modes(
+    indices: tuple[int, ...], ordering: Ordering, n_r: int, n_theta: int, obscuration: float
+) -> Array:
+    """Zernike polynomials (n, n_r, n_theta) on at most `KEPT` polar nodes, kept and read-only."""
     u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
-    return frozen(zernike(index, np.hypot(u, v), np.arctan2(v, u), ordering=ordering))
+    rho, theta = np.hypot(u, v), np.arctan2(v, u)
+    modes = np.empty((len(indices), n_r, n_theta))
+    for mode, index in zip(modes, indices, strict=True):
+        mode[...] = zernike(index, rho, theta, ordering=ordering)
+    return frozen(modes)
 
 
 def _owned(name: str, values: Any, layout: Layout) -> Array:
