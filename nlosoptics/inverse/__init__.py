@@ -13,9 +13,11 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from .lucy import richardson_lucy
 from .measurements import estimate_noise
 from .reconstructions import Reconstruction
 from .registration import registered_correlation
+from .simple_filters import inverse_filter
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
 from .wiener_filter import wiener
@@ -24,7 +26,9 @@ __all__ = [
     "Reconstruction",
     "TorchForwardModel",
     "estimate_noise",
+    "inverse_filter",
     "registered_correlation",
+    "richardson_lucy",
     "tv_deconvolve",
     "wiener",
 ]
