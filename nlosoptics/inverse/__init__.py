@@ -15,6 +15,7 @@ except ImportError:
 
 from .lucy import richardson_lucy
 from .measurements import estimate_noise
+from .phase_retrieval import object_from_autocorrelation, phase_retrieval
 from .reconstructions import Reconstruction
 from .registration import registered_correlation
 from .simple_filters import inverse_filter
@@ -27,6 +28,8 @@ __all__ = [
     "TorchForwardModel",
     "estimate_noise",
     "inverse_filter",
+    "object_from_autocorrelation",
+    "phase_retrieval",
     "registered_correlation",
     "richardson_lucy",
     "tv_deconvolve",

@@ -40,10 +40,11 @@ class Reconstruction:
         "too_few_photons": the background alone explains the data to within three standard errors of
         the mean squared residual, so that there is no object to recover; ``object`` is zero.
     score : float
-        Weighted rms residual in units of the noise; 1 fits the data to their noise.
+        Weighted rms residual in units of the noise; 1 fits the data to their noise. Of a phase
+        retrieval, the correlation of two halves of its restarts; 1 is full agreement.
     history : mapping of str to ndarray
         (n_iterations,) float64, read-only: ``objective``, ``residual`` (as ``score``) and
-        ``change`` (relative, per iteration).
+        ``change`` (relative, per iteration); of a phase retrieval ``fourier_error``, per restart.
     seconds : float
         Wall-clock time spent.
     """

@@ -16,7 +16,9 @@ from .reconstructions import Reconstruction
 Array = NDArray[np.float64]
 
 
-def registered_correlation(reconstruction: Any, truth: Any, *, upsampling: int = 20) -> float:
+def registered_correlation(
+    reconstruction: Any, truth: Any, *, upsampling: int = 20, flip: bool = False
+) -> float:
     """Largest Pearson correlation over all shifts of a reconstruction.
 
     Scale and offset do not count, and neither does the position, which an image leaves open (a
@@ -30,6 +32,8 @@ def registered_correlation(reconstruction: Any, truth: Any, *, upsampling: int =
         (H, W).
     upsampling : int
         Steps of the shift per pixel; 1 for whole pixels.
+    flip : bool
+        Whether half a turn is allowed as well, which an autocorrelation leaves open.
 
     Returns
     -------
@@ -66,13 +70,21 @@ def registered_correlation(reconstruction: Any, truth: Any, *, upsampling: int =
     norm = math.sqrt(float((first * first).sum()) * float((second * second).sum()))
     if norm == 0.0:
         return 0.0
+    best = _highest_peak(first, second, upsampling)
+    if flip:
+        best = max(best, _highest_peak(first[::-1, ::-1], second, upsampling))
+    return best / norm
+
+
+def _highest_peak(first: Array, second: Array, upsampling: int) -> float:
+    """Largest circular cross-correlation of two images over all shifts."""
     spectrum = np.conj(fft.fft2(first)) * fft.fft2(second)
     correlation = fft.ifft2(spectrum).real
     peak = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
     best = float(correlation[peak])
     if upsampling > 1:
         best = max(best, _refined_peak(spectrum, peak, upsampling))
-    return best / norm
+    return best
 
 
 def _refined_peak(spectrum: Any, peak: tuple[Any, ...], upsampling: int) -> float:

@@ -56,6 +56,15 @@ def test_negative_is_not_a_match():
     assert registered_correlation(-blobs(), blobs()) < 0.6
 
 
+def test_half_a_turn_counts_only_where_it_is_allowed():
+    truth = blobs()
+    turned = np.roll(truth[::-1, ::-1], (4, -9), (0, 1))
+    assert registered_correlation(turned, truth) < 0.6
+    # rounding of the transforms
+    assert registered_correlation(turned, truth, flip=True) == pytest.approx(1.0, abs=1e-12)
+    assert registered_correlation(truth, truth, flip=True) == pytest.approx(1.0, abs=1e-12)
+
+
 def test_uniform_picture_has_no_correlation():
     assert registered_correlation(np.full((48, 50), 0.1), blobs()) == 0.0
 
