@@ -183,20 +183,20 @@ def test_tensor_gives_tensor_and_uniform_image_too_few_photons():
     assert dark.score == 0.0
 
 
-def test_progress_ends_at_one():
+@pytest.mark.parametrize("method", METHODS)
+def test_progress_ends_at_one(method):
     image, _ = diffused(letter(128, 3), 0, 0.01)
-    for method in METHODS:
-        calls = []
-        inverse.phase_retrieval(
-            image,
-            method=method,
-            restarts=2,
-            max_iterations=40,
-            object_size=(20, 16),
-            progress=lambda *call: calls.append(call),
-        )
-        assert calls[-1][0] == 1.0
-        assert all(0.0 <= done <= 1.0 and method in text for done, text in calls)
+    calls = []
+    inverse.phase_retrieval(
+        image,
+        method=method,
+        restarts=2,
+        max_iterations=40,
+        object_size=(20, 16),
+        progress=lambda *call: calls.append(call),
+    )
+    assert calls[-1][0] == 1.0
+    assert all(0.0 <= done <= 1.0 and method in text for done, text in calls)
 
 
 @pytest.mark.parametrize(
