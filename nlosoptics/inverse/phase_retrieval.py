@@ -100,6 +100,8 @@ def phase_retrieval(
     image is the object's on a ground [1]_; what it keeps of the wall's speckle falls with the
     number of grains in the frame, and so does the object's extent that can be told. Frames hold an
     object of at most half their width. Restarts of nearly the least Fourier error are averaged.
+    Two halves that agree are no proof: without the sign they can agree on a wrong picture, and a
+    box much larger than the object lets its twin lie over it. A tight ``object_size`` helps most.
     The alternating method [2]_ is for measurements with random vectors, where it is known to
     succeed; moduli of a plain spectrum are no such thing, and it is here as the rival that it is
     taken for. Each of its restarts starts from a random half of the measurements.
