@@ -22,7 +22,7 @@ from .measurements import measurement
 from .projections import averaged, fourier_errors, projected
 from .reconstructions import Reconstruction, Status
 from .registration import registered_correlation
-from .torch_model import TorchForwardModel, model_shape, torch_model
+from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
 
 Progress = Callable[[float, str], None]
 Method = Literal["alternating", "hio", "raar"]
@@ -113,7 +113,7 @@ def phase_retrieval(
        (2013) 2796.
     """
     started = time.perf_counter()
-    shape = np.shape(image) if model is None else model_shape(model)
+    shape = np.shape(image) if model is None else one_kernel_shape(model)
     if len(shape) != 2:
         raise SamplingError(f"image has shape {shape}; give one image, (H, W)")
     data = measurement(

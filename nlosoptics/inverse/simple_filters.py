@@ -15,7 +15,7 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, without_object
-from .torch_model import TorchForwardModel, model_shape, torch_model
+from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
 
 Progress = Callable[[float, str], None]
 
@@ -95,7 +95,7 @@ def inverse_filter(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        one_kernel_shape(model),
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,

@@ -154,3 +154,11 @@ def model_shape(model: Any) -> tuple[int, int]:
             "give an imaging.ForwardModel or an inverse.TorchForwardModel"
         )
     return model.shape
+
+
+def one_kernel_shape(model: Any) -> tuple[int, int]:
+    """Frame of either kind of model, or the error that its point spread varies over the field."""
+    shape = model_shape(model)
+    if isinstance(model, ForwardModel):
+        one_kernel(model)
+    return shape

@@ -16,7 +16,7 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
-from .torch_model import TorchForwardModel, model_shape, torch_model
+from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
 
 Progress = Callable[[float, str], None]
 
@@ -120,7 +120,7 @@ def tv_deconvolve(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        one_kernel_shape(model),
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
