@@ -13,18 +13,27 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from .lucy import richardson_lucy
 from .measurements import estimate_noise
+from .phase_retrieval import object_from_autocorrelation, phase_retrieval
 from .reconstructions import Reconstruction
-from .registration import registered_correlation
+from .registration import RegisteredScores, registered_correlation, registered_scores
+from .simple_filters import inverse_filter
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
 from .wiener_filter import wiener
 
 __all__ = [
     "Reconstruction",
+    "RegisteredScores",
     "TorchForwardModel",
     "estimate_noise",
+    "inverse_filter",
+    "object_from_autocorrelation",
+    "phase_retrieval",
     "registered_correlation",
+    "registered_scores",
+    "richardson_lucy",
     "tv_deconvolve",
     "wiener",
 ]

@@ -17,6 +17,8 @@ from ..errors import SamplingError, SceneError
 # Standard normal quantile at 3/4: median of |x| over sigma.
 _MEDIAN_OVER_SIGMA = 0.6744897501960817
 _BLOCK = 12
+# Noise below this part of the image's range is near float32's rounding in the transforms.
+_FLOAT32_NOISE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -68,6 +70,25 @@ class Measurement:
     def background(self, strength: float) -> Tensor | float:
         """The unknown background at a given strength, which is its mean."""
         return strength if self.background_shape is None else strength * self.background_shape
+
+    def border_strength(self) -> float:
+        """Strength of the unknown background at the frame's border; 0 if all of it is known."""
+        if not self.fit_background:
+            return 0.0
+        values = _border(self.data)
+        if self.background_shape is None:
+            return float(values.median())
+        shape = _border(self.background_shape)
+        lit = shape > 0.5
+        return float((values[lit] / shape[lit]).median()) if bool(lit.any()) else 0.0
+
+    def span(self) -> float:
+        """Brightest minus darkest pixel, or the noise where that is more."""
+        return max(float(self.data.max()) - float(self.data.min()), self.sigma)
+
+    def working_dtype(self) -> torch.dtype:
+        """Single precision unless the noise is near its rounding in the transforms."""
+        return torch.float32 if self.sigma > _FLOAT32_NOISE * self.span() else torch.float64
 
     def score(self, explained: Tensor | float) -> float:
         """Weighted rms of data minus ``explained``, over the noise."""
@@ -195,6 +216,10 @@ def _background_shape(value: Any, shape: tuple[int, int], device: torch.device) 
             "non-negative with some light; leave it out for a uniform background"
         )
     return picture / mean
+
+
+def _border(picture: Tensor) -> Tensor:
+    return torch.cat((picture[0], picture[-1], picture[:, 0], picture[:, -1]))
 
 
 def _positive_sigma(sigma: float) -> float:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement
-from .torch_model import TorchForwardModel, torch_model
+from .torch_model import TorchForwardModel, operator
 
 Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
 
@@ -40,10 +40,11 @@ class Reconstruction:
         "too_few_photons": the background alone explains the data to within three standard errors of
         the mean squared residual, so that there is no object to recover; ``object`` is zero.
     score : float
-        Weighted rms residual in units of the noise; 1 fits the data to their noise.
+        Weighted rms residual in units of the noise; 1 fits the data to their noise. Of a phase
+        retrieval, the correlation of two halves of its restarts; 1 is full agreement.
     history : mapping of str to ndarray
         (n_iterations,) float64, read-only: ``objective``, ``residual`` (as ``score``) and
-        ``change`` (relative, per iteration).
+        ``change`` (relative, per iteration); of a phase retrieval ``fourier_error``, per restart.
     seconds : float
         Wall-clock time spent.
     """
@@ -88,7 +89,7 @@ def assemble(
         More physical parameters.
     """
     level = level.to(torch.float64)
-    explained = torch_model(model, level.device, torch.float64)(level)
+    explained = operator(model, level.device, torch.float64)(level)
     explained = explained + data.background(background)
     if gain is None:
         brightest = float(level.max())

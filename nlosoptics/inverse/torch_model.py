@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -100,6 +102,50 @@ def torch_model(
     return TorchForwardModel.from_numpy(model, device, dtype)
 
 
+class FieldOperator:
+    """A numpy model whose point spread varies over the field, on tensors, in double precision.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        Of a field.
+    device : torch.device
+
+    Attributes
+    ----------
+    shape, grid : (int, int)
+    transfer : Tensor
+        Of the point spread averaged over the frame: what a preconditioner needs.
+    """
+
+    def __init__(self, model: ForwardModel, device: torch.device) -> None:
+        assert model.weights is not None
+        self.shape, self.grid = model.shape, model.grid
+        mean = np.tensordot(model.weights.mean(axis=(1, 2)), model.transfer, axes=1)
+        self.transfer = torch.from_numpy(mean).to(device)
+        self._model = model
+
+    def __call__(self, object_image: Tensor) -> Tensor:
+        """Image (H, W) of an object (H, W)."""
+        return self._on_tensors(self._model.forward, object_image)
+
+    def adjoint(self, image: Tensor) -> Tensor:
+        """Transpose of the call."""
+        return self._on_tensors(self._model.adjoint, image)
+
+    def _on_tensors(self, operator: Callable[[Any], Any], values: Tensor) -> Tensor:
+        return torch.from_numpy(operator(values.cpu().numpy())).to(values.device, values.dtype)
+
+
+def operator(
+    model: ForwardModel | TorchForwardModel, device: torch.device, dtype: torch.dtype
+) -> TorchForwardModel | FieldOperator:
+    """Either kind of model on tensors, fields of point spreads as well."""
+    if isinstance(model, ForwardModel) and model.weights is not None:
+        return FieldOperator(model, device)
+    return torch_model(model, device, dtype)
+
+
 def model_shape(model: Any) -> tuple[int, int]:
     """Frame of either kind of model, or the error that says that it is none."""
     if not isinstance(model, (ForwardModel, TorchForwardModel)):
@@ -108,3 +154,11 @@ def model_shape(model: Any) -> tuple[int, int]:
             "give an imaging.ForwardModel or an inverse.TorchForwardModel"
         )
     return model.shape
+
+
+def one_kernel_shape(model: Any) -> tuple[int, int]:
+    """Frame of either kind of model, or the error that its point spread varies over the field."""
+    shape = model_shape(model)
+    if isinstance(model, ForwardModel):
+        one_kernel(model)
+    return shape

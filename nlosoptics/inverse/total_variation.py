@@ -16,7 +16,7 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
-from .torch_model import TorchForwardModel, model_shape, torch_model
+from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
 
 Progress = Callable[[float, str], None]
 
@@ -32,8 +32,6 @@ _ADAPT_EVERY = 10
 _ADAPT_UNTIL = 100
 # Part of the residual's distance from its target that counts against the tolerance.
 _RESIDUAL_SHARE = 0.05
-# Noise below this part of the image's range is near float32's rounding in the transforms.
-_FLOAT32_NOISE = 1e-4
 
 
 @single_thread()
@@ -122,7 +120,7 @@ def tv_deconvolve(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        one_kernel_shape(model),
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
@@ -170,14 +168,12 @@ class _Splitting:
         model: ForwardModel | TorchForwardModel,
         tv_weight: float | None,
     ) -> None:
-        low, high = float(data.data.min()), float(data.data.max())
-        self._scale = max(high - low, data.sigma)
+        self._scale = data.span()
         self._sigma = data.sigma / self._scale
-        single = self._sigma > _FLOAT32_NOISE
-        dtype = torch.float32 if single else torch.float64
+        dtype = data.working_dtype()
         self._fit_background = data.fit_background
         # A background far above the noise would use up single precision.
-        self._level = _first_level(data)
+        self._level = data.border_strength()
         self._background = 0.0
         shape = data.background_shape
         self._shape = None if shape is None else shape.to(dtype)
@@ -188,7 +184,7 @@ class _Splitting:
         transfer = torch_model(model, data.data.device, torch.float64).transfer
         self._response = float(transfer.abs().max())
         transfer = transfer / self._response
-        self._transfer = transfer.to(torch.complex64 if single else torch.complex128)
+        self._transfer = transfer.to(dtype.to_complex())
         self._power = (transfer.real**2 + transfer.imag**2).to(dtype)
         self._laplacian = _laplacian(self._grid, data.data.device).to(dtype)
         self._start()
@@ -364,22 +360,6 @@ def _relaxed(new: Tensor, old: Tensor) -> Tensor:
 
 def _norm(values: Tensor) -> float:
     return math.sqrt(total(values * values))
-
-
-def _first_level(data: Measurement) -> float:
-    """Strength of the unknown background, from the frame's border."""
-    if not data.fit_background:
-        return 0.0
-    values = _border(data.data)
-    if data.background_shape is None:
-        return float(values.median())
-    shape = _border(data.background_shape)
-    lit = shape > 0.5
-    return float((values[lit] / shape[lit]).median()) if bool(lit.any()) else 0.0
-
-
-def _border(picture: Tensor) -> Tensor:
-    return torch.cat((picture[0], picture[-1], picture[:, 0], picture[:, -1]))
 
 
 def _gradient(picture: Tensor) -> Tensor:

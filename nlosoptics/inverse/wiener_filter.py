@@ -16,7 +16,7 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, Status, assemble, without_object
-from .torch_model import TorchForwardModel, model_shape, torch_model
+from .torch_model import FieldOperator, TorchForwardModel, one_kernel_shape, torch_model
 
 Progress = Callable[[float, str], None]
 
@@ -96,7 +96,7 @@ def wiener(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        one_kernel_shape(model),
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
@@ -120,10 +120,20 @@ def wiener(
     )
 
 
+def background_estimate(data: Measurement, model: TorchForwardModel | FieldOperator) -> float:
+    """Strength of the unknown background beside the Wiener filter's object; 0 if it is known."""
+    if not data.fit_background:
+        return 0.0
+    problem = _NormalEquations(data, model)
+    # Where the background stands to a tenth of the noise; fine detail takes ten times longer.
+    level, _, _ = _conjugate_gradients(problem, 300, 1e-4, None)
+    return data.background_strength(data.data - model(level))
+
+
 class _NormalEquations:
     """``A' W A + sigma^2 S^-1`` over the objects that lie in the frame, background eliminated."""
 
-    def __init__(self, data: Measurement, model: TorchForwardModel) -> None:
+    def __init__(self, data: Measurement, model: TorchForwardModel | FieldOperator) -> None:
         self.data = data
         self.model = model
         rows, columns = model.grid

@@ -12,7 +12,8 @@ import pytest
 @pytest.fixture(scope="session")
 def known_psf(root):
     """The benchmark's generator: four samples per pixel, linear convolution, integrated pixels."""
-    spec = importlib.util.spec_from_file_location("known_psf", root / "benchmarks/known_psf.py")
+    path = root / "benchmarks/inverse/known_psf.py"
+    spec = importlib.util.spec_from_file_location("known_psf", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules["known_psf"] = module
     spec.loader.exec_module(module)

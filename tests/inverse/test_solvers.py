@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 
@@ -13,7 +14,12 @@ from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 
-SOLVERS = [inverse.wiener, inverse.tv_deconvolve]
+SOLVERS = [
+    inverse.inverse_filter,
+    inverse.richardson_lucy,
+    inverse.tv_deconvolve,
+    inverse.wiener,
+]
 
 
 @pytest.fixture(params=SOLVERS, ids=lambda solver: solver.__name__)
@@ -137,6 +143,8 @@ def test_uniform_image_is_too_few_photons(solver, small, level, noise_sigma):
     ],
 )
 def test_bad_input_is_refused_in_one_line(solver, small, change, kind, words):
+    if not change.keys() <= inspect.signature(solver).parameters.keys():
+        pytest.skip(f"{solver.__name__} does not iterate")
     image, model = small
     options = {"image": image, "model": model, **change}
     with pytest.raises(kind, match=words) as caught:

@@ -114,3 +114,23 @@ def test_too_few_iterations_are_reported(case):
     found = inverse.wiener(data.image, model, noise_sigma=data.noise_sigma, max_iterations=3)
     assert found.status == "unconverged"
     assert found.history["change"].size == 3
+
+
+def test_same_as_scikit_images_with_our_prior(periodic):
+    """A periodic frame, their balance and regulariser being our noise over our prior."""
+    restoration = pytest.importorskip("skimage.restoration")
+    model, image, sigma = periodic
+    found = inverse.wiener(image, model, noise_sigma=sigma, fit_background=False, gain=1.0)
+    rows, columns = image.shape
+    prior = 1 / (
+        fft.fftfreq(rows)[:, None] ** 2 + fft.rfftfreq(columns) ** 2 + 1 / max(rows, columns) ** 2
+    )
+    # the strength that the image's variance gives, from what the answer does to its spectrum
+    spectrum = fft.rfft2(image)
+    ratio = np.conj(model.transfer[3, 3]) * spectrum[3, 3] / fft.rfft2(found.object)[3, 3]
+    balance = (ratio.real - np.abs(model.transfer[3, 3]) ** 2) * prior[3, 3]
+    theirs = restoration.wiener(
+        image, model.kernel, balance, reg=1.0 / np.sqrt(prior) + 0j, clip=False
+    )
+    # rounding of the transforms
+    np.testing.assert_allclose(theirs, found.object, rtol=0, atol=1e-10 * found.object.max())

@@ -1,0 +1,294 @@
+"""Objects from the modulus of their spectrum alone, where the wall's phase is unknown."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from .._checks import one_of, whole
+from .._random import checked_seed, generator
+from ..errors import SamplingError, SceneError
+from ..imaging.forward_model import ForwardModel
+from ._threads import single_thread
+from .alternating import alternating_minimisation, spectral_start
+from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
+from .measurements import measurement
+from .projections import averaged, fourier_errors, projected
+from .reconstructions import Reconstruction, Status
+from .registration import registered_correlation
+from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
+
+Progress = Callable[[float, str], None]
+Method = Literal["alternating", "hio", "raar"]
+
+METHODS = ("alternating", "hio", "raar")
+# Stage of the random starts.
+_STARTS = 0x70686173
+# Correlation of the two halves of the restarts at which their picture is taken as found.
+_AGREED = 0.9
+_TOLERANCE = 1e-6
+
+
+@single_thread()
+def phase_retrieval(
+    image: Any,
+    model: ForwardModel | TorchForwardModel | None = None,
+    *,
+    method: Method = "alternating",
+    object_size: tuple[int, int] | None = None,
+    restarts: int = 12,
+    noise_sigma: Any = None,
+    background: Any = 0.0,
+    max_iterations: int = 400,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object from the autocorrelation of its image by a speckle-like wall, the wall unknown.
+
+    Parameters
+    ----------
+    image : ndarray or Tensor
+        (H, W), any unit; a uniform background does not count.
+    model : ForwardModel or TorchForwardModel or None
+        Its transfer's modulus is divided out of the image's power spectrum, its phase is not
+        used; None: the wall passes all frequencies alike on average, as a diffuser does.
+    method : {"alternating", "hio", "raar"}
+        Alternating minimisation from a truncated spectral start, real objects of either sign;
+        hybrid input-output; relaxed averaged alternating reflections. The last two know that the
+        object is not negative.
+    object_size : (int, int) or None
+        Rows and columns of a box that holds the object; None: half of what stands out of the
+        autocorrelation, with some room.
+    restarts : int
+        From random starts, at least 2.
+    noise_sigma : float, array_like or None
+        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
+        `estimate_noise`.
+    background : float or array_like
+        Known background, one number or (H, W), image units.
+    max_iterations : int
+        Of each restart.
+    seed : int
+    progress : callable or None
+        Called now and then with the fraction done and a line of text.
+
+    Returns
+    -------
+    Reconstruction
+        The object in the middle of the frame, its place and a half turn being unknown, largest
+        value 1. ``score`` is the registered correlation, half turns allowed, between what two
+        independent halves of the restarts find; from 0.9 on ``status`` is "converged", else
+        "unconverged". ``physical_parameters`` has ``fourier_error`` (least of the restarts),
+        ``object_size`` and ``noise_sigma``, ``history`` the ``fourier_error`` of each restart.
+
+    Raises
+    ------
+    SamplingError
+        If an array does not fit the model, or no object shows in the autocorrelation.
+    SceneError
+        If a value is out of range or not finite.
+
+    Notes
+    -----
+    The autocorrelation of a diffuser's point spread is a peak on a broad ground, so that of the
+    image is the object's on a ground [1]_; what it keeps of the wall's speckle falls with the
+    number of grains in the frame, and so does the object's extent that can be told. Frames hold an
+    object of at most half their width. Restarts of nearly the least Fourier error are averaged.
+    Two halves that agree are no proof: without the sign they can agree on a wrong picture, and a
+    box much larger than the object lets its twin lie over it. A tight ``object_size`` helps most.
+    The alternating method [2]_ is for measurements with random vectors, where it is known to
+    succeed; moduli of a plain spectrum are no such thing, and it is here as the rival that it is
+    taken for. Each of its restarts starts from a random half of the measurements.
+
+    References
+    ----------
+    .. [1] Katz, Heidmann, Fink and Gigan, Nature Photonics 8 (2014) 784.
+    .. [2] Netrapalli, Jain and Sanghavi, Advances in Neural Information Processing Systems 26
+       (2013) 2796.
+    """
+    started = time.perf_counter()
+    shape = np.shape(image) if model is None else one_kernel_shape(model)
+    if len(shape) != 2:
+        raise SamplingError(f"image has shape {shape}; give one image, (H, W)")
+    data = measurement(
+        image,
+        (shape[0], shape[1]),
+        noise_sigma=noise_sigma,
+        background=background,
+        fit_background=True,
+        background_shape=None,
+    )
+    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
+    if data.is_background():
+        status: Status = "too_few_photons"
+        found, score, errors = torch.zeros_like(data.data), 0.0, np.empty(0)
+        parameters: dict[str, Any] = {}
+    else:
+        twin = None if model is None else torch_model(model, data.data.device, torch.float64)
+        found, score, errors, parameters = search.run(
+            image_lags(data, twin), shape, data.data.device
+        )
+        status = "converged" if score >= _AGREED else "unconverged"
+    errors.flags.writeable = False
+    return Reconstruction(
+        object=data.like_input(found),
+        physical_parameters={**parameters, "noise_sigma": data.sigma},
+        status=status,
+        score=score,
+        history={"fourier_error": errors},
+        seconds=time.perf_counter() - started,
+    )
+
+
+@single_thread()
+def object_from_autocorrelation(
+    autocorrelation: ArrayLike,
+    *,
+    method: Method = "raar",
+    object_size: tuple[int, int] | None = None,
+    restarts: int = 12,
+    max_iterations: int = 400,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object from a measured autocorrelation, as `phase_retrieval` does from an image.
+
+    Parameters
+    ----------
+    autocorrelation : array_like
+        (odd, odd), zero lag at the centre, on any ground; the value at the zero lag does not
+        count.
+    method : {"alternating", "hio", "raar"}
+    object_size : (int, int) or None
+        Rows and columns of a box that holds the object; None: half of what stands out, with room.
+    restarts : int
+        From random starts, at least 2.
+    max_iterations : int
+        Of each restart.
+    seed : int
+    progress : callable or None
+        Called now and then with the fraction done and a line of text.
+
+    Returns
+    -------
+    Reconstruction
+        In a frame as large as the autocorrelation; the rest as from `phase_retrieval`.
+
+    Raises
+    ------
+    SamplingError
+        If the array's counts are not odd, or no object shows in it.
+    SceneError
+        If a value is out of range or not finite.
+    """
+    started = time.perf_counter()
+    lags = checked_lags(np.asarray(autocorrelation))
+    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
+    found, score, errors, parameters = search.run(lags, lags.shape, torch.device("cpu"))
+    errors.flags.writeable = False
+    return Reconstruction(
+        object=found.numpy(),
+        physical_parameters=parameters,
+        status="converged" if score >= _AGREED else "unconverged",
+        score=score,
+        history={"fourier_error": errors},
+        seconds=time.perf_counter() - started,
+    )
+
+
+class _Search:
+    """Checked options, and the restarts that they ask for."""
+
+    def __init__(
+        self,
+        method: Method,
+        object_size: tuple[int, int] | None,
+        restarts: int,
+        max_iterations: int,
+        seed: int,
+        progress: Progress | None,
+    ) -> None:
+        one_of("method", method, METHODS)
+        self._method: Method = method
+        self._restarts = whole("restarts", restarts, 2)
+        self._iterations = whole("max_iterations", max_iterations)
+        self._seed = checked_seed(seed)
+        self._object_size = object_size
+        self._progress = progress
+        if object_size is not None:
+            if not hasattr(object_size, "__len__") or len(object_size) != 2:
+                raise SceneError(f"object_size = {object_size!r} is no size; give (rows, columns)")
+            rows, columns = (whole(f"object_size[{i}]", v, 2) for i, v in enumerate(object_size))
+            self._object_size = (rows, columns)
+
+    def run(
+        self, lags: Any, shape: tuple[int, ...], device: torch.device
+    ) -> tuple[Tensor, float, Any, dict[str, Any]]:
+        """Object in its frame, correlation of the halves, errors, parameters."""
+        spectrum = spectrum_modulus(lags, self._object_size)
+        objects, errors = self._objects(spectrum, device)
+        halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
+        score = registered_correlation(halves[0], halves[1], flip=True)
+        rows, columns = spectrum.object_size
+        box = averaged(objects, errors)[:rows, :columns].double()
+        frame = torch.zeros(shape, dtype=torch.float64, device=device)
+        top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
+        frame[top : top + rows, left : left + columns] = box / box.max()
+        parameters = {
+            "fourier_error": float(errors.min()),
+            "object_size": spectrum.object_size,
+        }
+        return frame, score, errors.double().cpu().numpy(), parameters
+
+    def _objects(self, spectrum: SpectrumModulus, device: torch.device) -> tuple[Tensor, Tensor]:
+        """What each restart finds, (R, g_y, g_x), and its Fourier error."""
+        rows, columns = spectrum.object_size
+        modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
+        support = torch.zeros(spectrum.grid, dtype=torch.bool, device=device)
+        support[:rows, :columns] = True
+        random = generator(self._seed, _STARTS)
+        starts = random.random((self._restarts, *spectrum.grid), dtype=np.float32)
+        first = torch.from_numpy(starts).to(device)
+        if self._method != "alternating":
+            return projected(
+                modulus,
+                support,
+                first,
+                method=self._method,
+                iterations=self._iterations,
+                progress=self._tell,
+            )
+        used = torch.from_numpy(random.random((self._restarts, *modulus.shape)) < 0.5).to(device)
+        found = torch.stack(
+            [self._alternating(modulus, support, *s) for s in zip(first, used, strict=True)]
+        )
+        self._tell(1.0)
+        return found, fourier_errors(found, modulus)
+
+    def _alternating(self, modulus: Tensor, support: Tensor, first: Tensor, used: Tensor) -> Tensor:
+        def within(spectrum: Tensor) -> Tensor:
+            # The transform being unitary, also the least-squares solution.
+            picture: Tensor = torch.fft.irfft2(spectrum, s=tuple(support.shape))
+            return picture * support
+
+        start = spectral_start(modulus, torch.fft.rfft2, within, first=first * support, used=used)
+        found, _ = alternating_minimisation(
+            modulus,
+            torch.fft.rfft2,
+            within,
+            start,
+            max_iterations=self._iterations,
+            tolerance=_TOLERANCE,
+        )
+        # An overall sign is not seen by the modulus.
+        return found if float(found.sum()) >= 0.0 else -found
+
+    def _tell(self, done: float) -> None:
+        if self._progress is not None:
+            self._progress(done, f"phase retrieval: {self._restarts} restarts by {self._method}")

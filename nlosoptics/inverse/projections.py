@@ -1,0 +1,139 @@
+"""Phase retrieval by projections on many restarts at once, and how restarts agree."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+Projections = Literal["hio", "raar"]
+
+# The last iterations of either method only enforce both constraints.
+_SETTLING = 50
+# Fienup's feedback falls to zero while it runs; Luke's relaxation falls between the two values.
+_FEEDBACK = 2.0
+_RELAXATION = (0.9, 0.5)
+# Tensors of a chunk of restarts hold so many samples.
+_CHUNK = 2**20
+# Restarts whose Fourier error is within this part of the least are averaged.
+_AS_GOOD = 0.02
+
+
+def projected(
+    modulus: Tensor,
+    support: Tensor,
+    starts: Tensor,
+    *,
+    method: Projections,
+    iterations: int,
+    progress: Callable[[float], None],
+) -> tuple[Tensor, Tensor]:
+    """Non-negative objects in a support whose spectra have a modulus.
+
+    Parameters
+    ----------
+    modulus : Tensor
+        (H, W//2 + 1).
+    support : Tensor
+        (H, W) bool.
+    starts : Tensor
+        (R, H, W).
+    method : {"hio", "raar"}
+        Hybrid input-output (Fienup 1982), its feedback falling from 2 to 0, or relaxed averaged
+        alternating reflections (Luke 2005), its relaxation from 0.9 to 0.5.
+    iterations : int
+    progress : callable
+        Called with the fraction done.
+
+    Returns
+    -------
+    objects : Tensor
+        (R, H, W).
+    errors : Tensor
+        (R,), rms of the spectra's moduli against ``modulus``, relative.
+    """
+    per_chunk = max(1, _CHUNK // support.numel())
+    chunks = [starts[i : i + per_chunk] for i in range(0, len(starts), per_chunk)]
+    found = []
+    for number, chunk in enumerate(chunks):
+        objects = chunk * support
+        for iteration in range(iterations):
+            share = iteration / iterations
+            objects = _step(objects, modulus, support, method, share)
+            if iteration % 20 == 19:
+                progress((number + share) / len(chunks))
+        for _ in range(_SETTLING):
+            objects = _allowed(_with_modulus(objects, modulus), support)
+        found.append(objects)
+    progress(1.0)
+    objects = torch.cat(found)
+    return objects, fourier_errors(objects, modulus)
+
+
+def fourier_errors(objects: Tensor, modulus: Tensor) -> Tensor:
+    """Rms of (R, H, W) objects' spectral moduli against one, relative, (R,)."""
+    columns = objects.shape[-1]
+    # A half spectrum holds every column but the first, and the last of an even grid, for two.
+    twice = torch.full_like(modulus[0], 2.0)
+    twice[0] = 1.0
+    if columns % 2 == 0:
+        twice[-1] = 1.0
+    misfit = (torch.fft.rfft2(objects).abs() - modulus) ** 2 * twice
+    whole = (modulus**2 * twice).sum()
+    errors: Tensor = (misfit.sum(dim=(-2, -1)) / whole).sqrt()
+    return errors
+
+
+def averaged(objects: Tensor, errors: Tensor) -> Tensor:
+    """Mean of the best restart and those as good, each moved and turned onto the best.
+
+    Where the moduli are noisy, restarts end at different errors of the same picture; their mean
+    has less of them.
+    """
+    best = int(errors.argmin())
+    reference = objects[best]
+    good = errors <= (1.0 + _AS_GOOD) * errors[best]
+    moved = [onto(candidate, reference) for candidate in objects[good]]
+    return torch.stack(moved).mean(dim=0)
+
+
+def onto(picture: Tensor, reference: Tensor) -> Tensor:
+    """A picture moved by whole samples, and turned by half a turn where that fits better."""
+    spectrum = torch.fft.rfft2(reference - reference.mean())
+    best, found = -math.inf, picture
+    for candidate in (picture, picture.flip(0, 1)):
+        product = spectrum * torch.fft.rfft2(candidate).conj()
+        overlap = torch.fft.irfft2(product, s=tuple(picture.shape))
+        peak = int(overlap.argmax())
+        if float(overlap.flatten()[peak]) > best:
+            best = float(overlap.flatten()[peak])
+            found = candidate.roll(divmod(peak, picture.shape[1]), (0, 1))
+    return found
+
+
+def _step(
+    objects: Tensor, modulus: Tensor, support: Tensor, method: Projections, share: float
+) -> Tensor:
+    projection = _with_modulus(objects, modulus)
+    if method == "hio":
+        feedback = _FEEDBACK * (1.0 - share)
+        allowed = support & (projection > 0.0)
+        return torch.where(allowed, projection, objects - feedback * projection)
+    relaxation = _RELAXATION[0] + (_RELAXATION[1] - _RELAXATION[0]) * share
+    reflection = _allowed(2.0 * projection - objects, support)
+    return relaxation * (reflection + objects) + (1.0 - 2.0 * relaxation) * projection
+
+
+def _with_modulus(objects: Tensor, modulus: Tensor) -> Tensor:
+    """The nearest picture whose spectrum has the modulus."""
+    spectrum = torch.fft.rfft2(objects)
+    size = spectrum.abs().clamp_min(torch.finfo(modulus.dtype).tiny)
+    result: Tensor = torch.fft.irfft2(spectrum * (modulus / size), s=tuple(objects.shape[-2:]))
+    return result
+
+
+def _allowed(objects: Tensor, support: Tensor) -> Tensor:
+    return objects.clamp_min(0.0) * support
