@@ -13,6 +13,8 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from ..limits import Feasibility, feasibility
+from .callbacks import Stop
 from .measurements import estimate_noise
 from .reconstructions import Reconstruction
 from .registration import registered_correlation
@@ -21,9 +23,12 @@ from .total_variation import tv_deconvolve
 from .wiener_filter import wiener
 
 __all__ = [
+    "Feasibility",
     "Reconstruction",
+    "Stop",
     "TorchForwardModel",
     "estimate_noise",
+    "feasibility",
     "registered_correlation",
     "tv_deconvolve",
     "wiener",
