@@ -31,9 +31,11 @@ MAY_IMPORT = {
     "simulation": BASE | OPTICS | {"planning"},
     "study": BASE | OPTICS | {"planning", "simulation"},
     "views": BASE | OPTICS | {"planning", "simulation"},
-    "reconstructing": BASE | OPTICS | {"planning", "simulation"},
+    "reconstructing": BASE | OPTICS | {"planning", "simulation", "records"},
     "report": BASE | OPTICS | {"planning", "simulation", "study", "views"},
-    "cli": BASE | OPTICS | {"planning", "simulation", "reconstructing", "study", "views", "report"},
+    "cli": BASE
+    | OPTICS
+    | {"planning", "simulation", "reconstructing", "records", "study", "views", "report"},
 }
 
 #: The only places that may import a heavy or optional package, relative to the package.

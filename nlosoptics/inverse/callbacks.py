@@ -27,7 +27,7 @@ State = dict[str, NDArray[np.float64]]
 Snapshot = Callable[[], State]
 
 
-class Stop(Exception):  # noqa: N818
+class Stop(Exception):
     """Raised by a progress callback to end a fit with what it has."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 from typing import Any
 
 import torch
@@ -224,7 +225,7 @@ def _conjugate_gradients(
             progress,
             min(max(done, (iteration + 1) / max_iterations), 1.0),
             f"Wiener filter: residual {left:.1e} after {iteration + 1} iterations",
-            lambda: state_of(level),
+            partial(state_of, level),
         )
         if left <= tolerance or not on:
             return level, history, left <= tolerance

@@ -253,7 +253,7 @@ def picture_modes(
 
 
 def transfer_on(spread: PointSpread, grid: tuple[int, int]) -> Array:
-    """|transfer| of a point spread at the frequencies of a grid, window cut to it; half spectrum."""
+    """|transfer| of a point spread, cut to a grid, at the grid's frequencies; half spectrum."""
     side = [min(n, m - 1 + m % 2) for n, m in zip(spread.shape, grid, strict=True)]
     cut = spread.intensity[
         tuple(
@@ -261,7 +261,7 @@ def transfer_on(spread: PointSpread, grid: tuple[int, int]) -> Array:
             for n, k in zip(spread.shape, side, strict=True)
         )
     ]
-    return np.abs(fft.rfft2(cut, s=grid))
+    return np.asarray(np.abs(fft.rfft2(cut, s=grid)))
 
 
 def _frequencies(grid: tuple[int, int], step: float) -> Array:
@@ -281,6 +281,6 @@ def _ring_average(power: Array, frequency: Array) -> Array:
     ring = np.minimum((frequency / frequency.max() * RINGS).astype(np.intp), RINGS - 1).ravel()
     count = np.maximum(np.bincount(ring, minlength=RINGS), 1)
     means = np.bincount(ring, weights=power.ravel(), minlength=RINGS) / count
-    averaged = means[ring].reshape(power.shape)
+    averaged = np.asarray(means[ring].reshape(power.shape))
     averaged[0, 0] = power[0, 0]
     return averaged

@@ -1,4 +1,4 @@
-"""What a relay wall passes whatever the solver: the transfer of its lobes, and modes above noise."""
+"""What a relay wall passes whatever the solver: transfer of its lobes, modes above the noise."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def relay_response(
     counts = _bin_counts(camera.shape, bins)
     pixels = math.prod(camera.shape) / math.prod(counts)
     y, x = (
-        (np.arange(n) + 0.5 - n / 2) * (camera.image_pitch * side / n)
+        (np.arange(n, dtype=np.float64) + 0.5 - n / 2) * (camera.image_pitch * side / n)
         for n, side in zip(counts, camera.shape, strict=True)
     )
     rays = chief_rays(scene, x, y)

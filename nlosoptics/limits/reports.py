@@ -133,7 +133,8 @@ class Feasibility:
             f"noise of a pixel        {n['total']:.3g} electrons rms: photons {n['photons']:.3g}, "
             f"readout {n['readout']:.3g}, speckle {n['speckle']:.3g}",
             f"modes above noise       {self.modes}, by diffuse light alone {self.diffuse_modes}",
-            f"resolution              {self.limit:.3g} cycles/m; strokes {1e3 * self.stroke:.3g} mm",
+            f"resolution              {self.limit:.3g} cycles/m; strokes are "
+            f"{1e3 * self.stroke:.3g} mm wide",
         ]
         for name, bounds in (
             ("wave, one frame", self.wave_bounds),
@@ -297,7 +298,8 @@ class _View:
         column, row = picture_coordinates(hidden, rays)
         rows, columns = hidden.reflectance.shape
         with np.errstate(invalid="ignore"):
-            return (column >= 0) & (column <= columns) & (row >= 0) & (row <= rows)
+            inside = (column >= 0) & (column <= columns) & (row >= 0) & (row <= rows)
+        return np.asarray(inside)
 
     def modulation(self) -> Array:
         """Of the picture at `frequency`, mean of both axes; 0 where no lobe makes one."""
