@@ -265,7 +265,8 @@ def transfer_on(spread: PointSpread, grid: tuple[int, int]) -> Array:
 
 
 def _frequencies(grid: tuple[int, int], step: float) -> Array:
-    return np.hypot(np.fft.fftfreq(grid[0], step)[:, None], np.fft.rfftfreq(grid[1], step)[None, :])
+    rows, columns = np.fft.fftfreq(grid[0], step), np.fft.rfftfreq(grid[1], step)
+    return np.asarray(np.hypot(rows[:, None], columns))
 
 
 def _twice(columns: int) -> Array:

@@ -282,12 +282,10 @@ class _View:
         self._shown = self._object_pixels()
 
     def _stroke(self) -> float:
-        if self.mirror > 0.0:
-            return stroke_width(self._image.ideal, self._image.pitch * self._scale)
         hidden = self._scene.hidden
-        if not isinstance(hidden, PlanarObject):
-            return 0.0
-        return stroke_width(hidden.reflectance, hidden.size[0] / hidden.reflectance.shape[1])
+        if isinstance(hidden, PlanarObject):
+            return stroke_width(hidden.reflectance, hidden.size[0] / hidden.reflectance.shape[1])
+        return stroke_width(self._image.ideal, self._image.pitch * self._scale)
 
     def _object_pixels(self) -> NDArray[np.bool_]:
         """Image pixels that show the object's plate."""

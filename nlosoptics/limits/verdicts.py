@@ -63,7 +63,7 @@ def verdict(case: Case) -> tuple[bool, str]:
 
 
 def _reasons(case: Case) -> list[str]:
-    if case.stroke == 0.0 and case.mirror > 0.0:
+    if case.mirror > 0.0 and not case.picture.power.any():
         return ["no light of the object reaches the camera by the wall's mirror-like lobe"]
     if case.mirror == 0.0:
         return [_diffuse(case)]
