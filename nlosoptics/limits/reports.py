@@ -16,7 +16,7 @@ from ..errors import SceneError
 from ..imaging import SpeckleImage, form_image
 from ..imaging.detector import noise_variance
 from ..imaging.geometry import chief_rays, picture_coordinates, pixel_centres
-from ..psf import PointSpread, Wavefront, mtf, wide_point_spread
+from ..psf import PointSpread, Wavefront, mtf, wall_view, wide_point_spread
 from ..scene import PlanarObject, Scene
 from .modulation import (
     Noise,
@@ -214,7 +214,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
             sharp=view.sharp_transfer(),
             mirror=view.mirror,
             slope=view.slope,
-            distance=view.distance,
+            reach=view.reach,
             stroke=view.stroke,
             full=view.full,
             diffuse_modes=by_diffuse,
@@ -274,12 +274,19 @@ class _View:
         self.mirror = scene.wall_material.specular_reflectance
         self.slope = max((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
         self.distance = float(scene.object_point[2])
+        self.reach = self._reach()
         self.stroke = self._stroke()
         well = camera.full_well * camera.binning**2
         self.full = float((image.expected >= well).mean())
         top = 0.5 / (image.pitch * self._scale)
         self.frequency = np.linspace(0.0, top, POINTS)
         self._shown = self._object_pixels()
+
+    def _reach(self) -> float:
+        """Blur on the object per slope of a lobe, m/rad, rms of both axes."""
+        seen = wall_view(self._scene)
+        turn = seen.cos_sum * float(np.linalg.norm(seen.footprint)) / math.sqrt(2.0)
+        return turn * abs(self._wave.image_distance) * self._scale
 
     def _stroke(self) -> float:
         hidden = self._scene.hidden
@@ -359,7 +366,7 @@ class _View:
             self._wave,
             scale=self._scale,
             pitch=self._image.pitch,
-            blur=2.0 * self.slope * self.distance,
+            blur=self.slope * self.reach,
             defocus=frames,
         )
 

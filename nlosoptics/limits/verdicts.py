@@ -34,8 +34,8 @@ class Case:
         Reflectance of the mirror-like lobes together.
     slope : float
         Largest slope of theirs, rad.
-    distance : float
-        Of the object from the wall, m.
+    reach : float
+        Blur on the object by a lobe, m rms per rad of slope: 2 d1 at normal incidence.
     stroke : float
         Of the object, m; 0 where it is dark.
     full : float
@@ -48,7 +48,7 @@ class Case:
     sharp: Array
     mirror: float
     slope: float
-    distance: float
+    reach: float
     stroke: float
     full: float
     diffuse_modes: int
@@ -86,7 +86,7 @@ def _reasons(case: Case) -> list[str]:
 
 
 def _diffuse(case: Case) -> str:
-    needed = case.stroke / (2.0 * case.distance)
+    needed = case.stroke / case.reach
     told = f" of slope below {needed:.2g} rad" if needed > 0.0 else ""
     return (
         f"the wall has no mirror-like lobe, and by diffuse light {case.diffuse_modes} modes rise "
@@ -96,7 +96,7 @@ def _diffuse(case: Case) -> str:
 
 def _stroke_words(case: Case) -> str:
     return (
-        f"the lobe's slope of {case.slope:.2g} rad blurs by {2e3 * case.slope * case.distance:.2g} "
+        f"the lobe's slope of {case.slope:.2g} rad blurs by {1e3 * case.slope * case.reach:.2g} "
         f"mm rms, strokes are {1e3 * case.stroke:.2g} mm wide"
     )
 
@@ -106,7 +106,7 @@ def _too_rough(case: Case) -> str:
     low, high = 0.0, case.slope
     for _ in range(20):
         middle = (low + high) / 2
-        blurred = case.picture.with_lobe(2.0 * middle * case.distance, instead=case.sharp)
+        blurred = case.picture.with_lobe(middle * case.reach, instead=case.sharp)
         low, high = (middle, high) if blurred.score() >= GOOD else (low, middle)
     text = (
         f"{_stroke_words(case)}; a lobe of {low:.2g} rad or less would do, or the object nearer "

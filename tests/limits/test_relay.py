@@ -151,7 +151,9 @@ def test_modes_above_noise(row: dict) -> None:
     assert count_modes(response, variance) == int(row["value"][0])
 
 
-@pytest.mark.parametrize(("wall", "expected", "within"), [("Lambert", 6, 1), ("Lambert, 40 s", 13, 1)])
+@pytest.mark.parametrize(
+    ("wall", "expected", "within"), [("Lambert", 6, 1), ("Lambert, 40 s", 13, 1)]
+)
 def test_modes_of_a_scene(wall: str, expected: int, within: int) -> None:
     """The camera's own view of nearly that patch; the truth allows one mode more or less."""
     _, exposure = WALLS[wall]
