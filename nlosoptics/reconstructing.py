@@ -47,7 +47,7 @@ METHODS: dict[str, tuple[str, str | None]] = {
 }
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
 FILES = ("object.npy", "object.png", "reconstruction.npz")
-KEPT_EVERY = 2.0  # s between two states kept
+KEPT_EVERY = 5.0  # s between two states kept
 LEAST_WITHIN = 0.5  # share of a point spread's light that an image must hold
 
 

@@ -23,7 +23,7 @@ from torch import Tensor
 from ..errors import SamplingError, SceneError
 
 Progress = Callable[[float, str], object]
-State = dict[str, NDArray[np.float64]]
+State = dict[str, NDArray[Any]]
 Snapshot = Callable[[], State]
 
 
@@ -58,7 +58,10 @@ def goes_on(progress: Progress | None, fraction: float, text: str, snapshot: Sna
 def state_of(level: Tensor, **more: Any) -> State:
     """State of a solver: the object in image units, and what else it starts from."""
     arrays = {"object": level.detach().to(device="cpu", dtype=torch.float64).numpy().copy()}
-    arrays.update({name: np.array(value, dtype=np.float64) for name, value in more.items()})
+    for name, value in more.items():
+        if isinstance(value, Tensor):
+            value = value.detach().cpu().numpy()
+        arrays[name] = np.array(value)
     return arrays
 
 

@@ -26,7 +26,7 @@ class Measurement:
     Parameters
     ----------
     data : Tensor
-        (H, W) float64, image minus the known background.
+        (H, W) float64, image minus the known background; its mean where a pixel does not count.
     sigma : float
         Reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
     weights : Tensor or None
@@ -142,6 +142,9 @@ def measurement(
         weights = sigmas.pow(-2)
         sigma = (total(weights) / weights.numel()) ** -0.5
         weights = weights * sigma**2
+        # what a pixel that does not count happens to read must not set the image's range
+        mean = total(weights * data) / weights.numel()
+        data = torch.where(weights > 0.0, data, torch.full_like(data, mean))
     return Measurement(
         data=data,
         sigma=sigma,

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from .._random import checked_seed
+from ..errors import SamplingError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
-from .callbacks import Progress, goes_on, started_from, state_of
+from .callbacks import Progress, State, goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
@@ -32,6 +35,10 @@ _ADAPT_UNTIL = 100
 _RESIDUAL_SHARE = 0.05
 # Noise below this part of the image's range is near float32's rounding in the transforms.
 _FLOAT32_NOISE = 1e-4
+
+# What an iteration starts from, beside the image.
+_PICTURES = ("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual")
+_NUMBERS = ("background", "multiplier", "data_penalty", "edge_penalty", "sign_penalty")
 
 
 @single_thread()
@@ -133,17 +140,19 @@ def tv_deconvolve(
         return without_object(data, model=model, gain=gain, started=started)
     level = started_from(start, model_shape(model), data.data.device)
     splitting = _Splitting(data, model, tv_weight, level)
+    first = splitting.go_on(start) if isinstance(start, Mapping) else 0
     converged = False
-    for iteration in range(max_iterations):
+    for iteration in range(first, max_iterations):
         change = splitting.iterate()
         converged = change <= tolerance
         told = converged or iteration % 10 == 9
-        if (
-            told and not splitting.report(progress, change, converged, max_iterations)
-        ) or converged:
-            break
         if iteration < _ADAPT_UNTIL and iteration % _ADAPT_EVERY == _ADAPT_EVERY - 1:
             splitting.adapt()
+        done = 1.0 if converged else (iteration + 1) / max_iterations
+        if told and not splitting.report(progress, done, iteration + 1):
+            break
+        if converged:
+            break
     return assemble(
         data,
         splitting.level(),
@@ -210,7 +219,8 @@ class _Splitting:
     def _start(self, level: Tensor | None) -> None:
         """First object: a mild inverse filter, without what is negative or outside the frame.
 
-        A level that is given takes its place, with the image that it makes.
+        A level that is given takes its place. The prediction stays the image itself: one that fits
+        the level would leave nothing to do in the first step, and that would pass for the end.
         """
         self._predicted = torch.zeros(
             self._grid, dtype=self._image.dtype, device=self._image.device
@@ -222,8 +232,6 @@ class _Splitting:
         if level is not None:
             first = torch.zeros_like(self._predicted)
             first[self._frame] = (level * (self._response / self._scale)).to(first.dtype)
-            spectrum = torch.fft.rfft2(self._allowed(first)) * self._transfer
-            self._predicted = torch.fft.irfft2(spectrum, s=self._grid)
         self._signed = self._allowed(first)
         framed = self._signed[self._frame].flatten()
         bright = float(framed.kthvalue(math.ceil(0.99 * framed.numel())).values)
@@ -340,18 +348,40 @@ class _Splitting:
         norm = max(_norm(self._signed), 1e-30)
         return _norm(self._signed - before) / norm, _norm(free - self._signed) / norm
 
-    def report(
-        self, progress: Progress | None, change: float, converged: bool, max_iterations: int
-    ) -> bool:
+    def report(self, progress: Progress | None, done: float, count: int) -> bool:
         """Tell a callback where the fit stands; False where it asks to stop."""
-        count = len(self.history["residual"])
         return goes_on(
             progress,
-            1.0 if converged else count / max_iterations,
-            f"total variation: residual {self.history['residual'][-1]:.3f}, change {change:.1e} "
-            f"after {count} iterations",
-            lambda: state_of(self.level()),
+            done,
+            f"total variation: residual {self.history['residual'][-1]:.3f}, change "
+            f"{self.history['change'][-1]:.1e} after {count} iterations",
+            lambda: self._state(count),
         )
+
+    def _state(self, count: int) -> State:
+        """All that the next iteration starts from."""
+        numbers = [getattr(self, f"_{name}") for name in _NUMBERS]
+        pictures = {name: getattr(self, f"_{name}") for name in _PICTURES}
+        return state_of(self.level(), **pictures, numbers=[*numbers, count])
+
+    def go_on(self, state: Mapping[str, Any]) -> int:
+        """Take up a state; the iterations behind it, 0 where it is an object alone."""
+        if not {*_PICTURES, "numbers"} <= set(state):
+            return 0
+        *numbers, count = (float(number) for number in state["numbers"])
+        for name in _PICTURES:
+            mine = getattr(self, f"_{name}")
+            kept = torch.as_tensor(np.asarray(state[name]), dtype=mine.dtype, device=mine.device)
+            if kept.shape != mine.shape:
+                raise SamplingError(
+                    f"start's {name} has shape {tuple(kept.shape)}, this fit's has "
+                    f"{tuple(mine.shape)}; it is of another model, leave it out"
+                )
+            setattr(self, f"_{name}", kept)
+        for name, number in zip(_NUMBERS, numbers, strict=True):
+            setattr(self, f"_{name}", number)
+        self._factorise()
+        return int(count)
 
     def adapt(self) -> None:
         """Let the data penalty follow the multiplier."""

@@ -69,7 +69,8 @@ class Picture:
     Parameters
     ----------
     power : ndarray, (rows, columns)
-        |spectrum|^2 of the unblurred image, electrons^2, averaged over rings; half spectrum.
+        |spectrum|^2 of the unblurred image less its mean, electrons^2, averaged over rings; half
+        spectrum.
     transfer : ndarray, (rows, columns)
         |transfer| of the point spread.
     frequency : ndarray, (rows, columns)
@@ -94,7 +95,7 @@ class Picture:
     def excess(self) -> float:
         """Variance of the blurred picture over that of the noise, means over the frame."""
         blurred = self.transfer**2 * self.power * self.twice
-        varied = (float(blurred.sum()) - float(blurred[0, 0])) / math.prod(self.grid)
+        varied = float(blurred.sum()) / math.prod(self.grid)
         noise = self.noise.variance * self.samples
         return varied / noise if noise > 0.0 else math.inf
 
@@ -102,21 +103,21 @@ class Picture:
         """Predicted correlation of a fit with the truth.
 
         That of the Wiener filter whose noise is `NOISE_SHARE` of the true one: with P the object's
-        power, sqrt(sum P w/sum P) over all frequencies but 0, w = S/(S + N). 0 where a fit that
+        power, sqrt(sum P w/sum P) over all frequencies, w = S/(S + N). 0 where a fit that
         estimates the noise cannot tell the picture from none: its mean squared residual then lies
         within `ERRORS` standard errors of the noise's.
         """
         if self.excess() < ERRORS * math.sqrt(FREEDOM / self.samples):
             return 0.0
         power = self.power * self.twice
-        total = float(power.sum()) - float(power[0, 0])
+        total = float(power.sum())
         if total <= 0.0:
             return 0.0
         signal = self.transfer**2 * self.power
         # a spectrum's noise has the variance of all samples together
         noise = NOISE_SHARE * self.noise.variance * self.samples
         passed = power * signal / (signal + noise)
-        return math.sqrt(max(float(passed.sum()) - float(passed[0, 0]), 0.0) / total)
+        return math.sqrt(float(passed.sum()) / total)
 
     def with_noise(self, noise: Noise) -> Picture:
         """The same picture in other noise."""
@@ -187,8 +188,10 @@ def spectra(image: SpeckleImage, spread: PointSpread, scale: float, noise: Noise
     model = ForwardModel(spread, shape=image.ideal.shape)
     rows, columns = model.grid
     frequency = _frequencies(model.grid, image.pitch * scale)
+    # the mean is no part of a correlation, and would leak where the grid is wider than the frame
+    varied = image.ideal - image.ideal.mean()
     return Picture(
-        power=_ring_average(np.abs(fft.rfft2(image.ideal, s=model.grid)) ** 2, frequency),
+        power=_ring_average(np.abs(fft.rfft2(varied, s=model.grid)) ** 2, frequency),
         transfer=np.abs(model.transfer),
         frequency=frequency,
         twice=_twice(columns),
@@ -283,5 +286,4 @@ def _ring_average(power: Array, frequency: Array) -> Array:
     count = np.maximum(np.bincount(ring, minlength=RINGS), 1)
     means = np.bincount(ring, weights=power.ravel(), minlength=RINGS) / count
     averaged = np.asarray(means[ring].reshape(power.shape))
-    averaged[0, 0] = power[0, 0]
     return averaged

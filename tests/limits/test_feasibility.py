@@ -92,8 +92,8 @@ def test_wide_lobe_is_told_with_the_slope_that_would_do(scene: Scene) -> None:
     found = limits.feasibility(walled(scene, 0.05))
     assert not found.recoverable
     needed = float(re.search(r"a lobe of ([\d.]+) rad", found.verdict)[1])  # type: ignore[index]
-    # two digits are written; the score is steep there
-    assert limits.feasibility(walled(scene, 0.9 * needed)).recoverable
+    # the lobe thought of is round, that of an oblique wall is longer in the plane of incidence
+    assert limits.feasibility(walled(scene, 0.8 * needed)).recoverable
     assert not limits.feasibility(walled(scene, 1.2 * needed)).recoverable
 
 
