@@ -163,13 +163,19 @@ def prepared(
 
 
 def reconstructed(
-    task: Task, *, start: Mapping[str, Any] | None = None, progress: Any = None
+    task: Task,
+    *,
+    model: ForwardModel | None = None,
+    start: Mapping[str, Any] | None = None,
+    progress: Any = None,
 ) -> Reconstruction:
     """Run a task.
 
     Parameters
     ----------
     task : Task
+    model : ForwardModel, optional
+        By `known_model`, lest it be made again.
     start : mapping, optional
         A solver's state to go on from; see `inverse.callbacks`.
     progress : callable, optional
@@ -188,7 +194,7 @@ def reconstructed(
         found = _blind(task, solver, recipe, start, progress)
         return found
     (image,) = task.images
-    model = known_model(task.scene, tol=task.tol)
+    model = model or known_model(task.scene, tol=task.tol)
     veil = veil_shape(task.scene)
     sigma = inverse.estimate_noise(image.values)
     offered = {
@@ -316,11 +322,18 @@ def carry_out(
         "versions": versions(),
         "files": ["result.json", CHECKPOINT, PREVIEW],
     }
+    model = None
+    if METHODS[task.method][1] is None:
+        if progress is not None:
+            progress("point spread", 0.0)
+        model = known_model(task.scene, tol=task.tol)
+    if interrupted is not None and interrupted():
+        raise KeyboardInterrupt
     folder.mkdir(exist_ok=True)
     write_text(folder / "result.json", report)
     keeper = Keeper(folder, identity, progress, interrupted)
     try:
-        found = reconstructed(task, start=start, progress=keeper)
+        found = reconstructed(task, model=model, start=start, progress=keeper)
     except Stop:
         raise KeyboardInterrupt from None  # by a solver that does not keep what it has
     _write_object(task, found, folder, keeper)

@@ -27,6 +27,7 @@ MAY_IMPORT = {
     "imaging": BASE | {"scene", "raytrace", "psf"},
     "limits": BASE | {"scene", "raytrace", "psf", "imaging"},
     "inverse": BASE | {"scene", "raytrace", "psf", "imaging", "limits"},
+    "records": BASE | {"scene"},
     "planning": BASE | OPTICS,
     "simulation": BASE | OPTICS | {"planning"},
     "study": BASE | OPTICS | {"planning", "simulation"},

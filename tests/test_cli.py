@@ -184,7 +184,9 @@ def test_version(run: Run) -> None:
     assert run("--version") == (0, f"nlosoptics {nlosoptics.__version__}\n", "")
 
 
-@pytest.mark.parametrize("command", [[], ["plan"], ["run"], ["schema"]])
+@pytest.mark.parametrize(
+    "command", [[], ["plan"], ["feasibility"], ["run"], ["reconstruct"], ["schema"]]
+)
 def test_help(command: list[str], run: Run) -> None:
     """Each command explains itself."""
     answer = run(*command, "--help")

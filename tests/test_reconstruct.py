@@ -17,13 +17,18 @@ from nlosoptics import cli, inverse, limits, reconstructing
 from nlosoptics.scene import Lambert, Scene
 
 
+@pytest.fixture(scope="module")
+def result(examples: Path) -> nlosoptics.Result:
+    """A simulated exposure."""
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+    return nlosoptics.simulate(scene, 1e-2, seed=2)
+
+
 @pytest.fixture
-def taken(tmp_path: Path, examples: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+def taken(result: nlosoptics.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
     """The truth; beside it letter.png (16 bits), dark.npy, flat.tif and letter.toml."""
     monkeypatch.chdir(tmp_path)
-    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
-    scene.save(tmp_path / "letter.toml")
-    result = nlosoptics.simulate(scene, 1e-2, seed=2)
+    result.scene.save(tmp_path / "letter.toml")
     rng = np.random.default_rng(0)
     response, dark = rng.uniform(0.8, 1.2, (64, 64)), rng.uniform(100, 130, (64, 64))
     electrons = result.image.electrons
