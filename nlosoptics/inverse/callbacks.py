@@ -30,6 +30,9 @@ Snapshot = Callable[[], State]
 class Stop(Exception):
     """Raised by a progress callback to end a fit with what it has."""
 
+    def __init__(self) -> None:
+        super().__init__("a progress callback asked the fit to end")
+
 
 def goes_on(progress: Progress | None, fraction: float, text: str, snapshot: Snapshot) -> bool:
     """Tell a callback where a fit stands; False where it asks to stop.
