@@ -7,6 +7,7 @@ camera looks at the wall. The subpackages follow the light:
 - `raytrace`: rays and their intersections.
 - `psf`: exit pupil, wave aberration, point spread functions, metrics.
 - `imaging`: radiance, photons, camera noise, the forward model.
+- `limits`: what an image can tell, before any fit.
 - `inverse`: reconstructions, in torch.
 - `views`: pictures.
 

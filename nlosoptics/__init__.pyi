@@ -2,6 +2,7 @@ __version__: str
 
 from . import imaging as imaging
 from . import inverse as inverse
+from . import limits as limits
 from . import psf as psf
 from . import raytrace as raytrace
 from . import scene as scene

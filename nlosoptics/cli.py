@@ -6,15 +6,15 @@ unless ``--debug`` asks for it. A run's output folder appears whole or not at al
 
 from __future__ import annotations
 
-import importlib.metadata
 import importlib.util
 import json
 import os
+import signal
 import sys
 import tempfile
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,6 +23,7 @@ import typer
 
 from . import __version__
 from .errors import MissingExtraError, NlosError
+from .records import arrays, peak_memory, scene_hash, versions
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -30,9 +31,6 @@ if TYPE_CHECKING:
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 MOST_SEED = 2**64 - 1  # that of _random, which would load numpy
-
-#: Distributions whose versions decide a run's numbers.
-DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
 
 # typer has no public name for it: click's own class in old versions, its copy in new ones
 _UsageError: Any = typer.BadParameter.__base__
@@ -148,6 +146,96 @@ def run_command(
         _print_summary(report, folder)
 
 
+@app.command("feasibility")
+def feasibility_command(
+    scene_file: SceneFile,
+    size: Size = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Also write a picture: .png or .pdf.")] = None,
+    debug: Debug = False,
+) -> None:
+    """Say before any fit what an image can tell: light, noise, modulation, modes, the wave."""
+    with _told(debug):
+        from .limits import feasibility
+
+        scene = _load(scene_file, size)
+        if out is not None:
+            _require("matplotlib", "views")
+        with _progress() as progress:
+            progress("feasibility", 0.0)
+            found = feasibility(scene)
+        if out is not None:
+            from . import views
+
+            views.save(views.feasibility(found), out)
+        typer.echo(json.dumps(found.figures(), indent=2) if as_json else str(found))
+
+
+@app.command("reconstruct")
+def reconstruct_command(
+    images: Annotated[
+        list[Path], typer.Argument(metavar="IMAGE...", help="Pictures: PNG, TIFF or .npy, grey.")
+    ],
+    scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML).")],
+    dark: Annotated[Path | None, typer.Option(help="Dark frame of the same exposure.")] = None,
+    flat: Annotated[Path | None, typer.Option(help="Flat field, of an even light.")] = None,
+    full: Annotated[
+        float | None, typer.Option(help="Count at which a pixel is full; the type's by default.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="tv, wiener, or another that nlosoptics.inverse has.")
+    ] = "tv",
+    defocus: Annotated[
+        str, typer.Option(help="Known extra focus of each picture, waves rms: '0, 0.5'.")
+    ] = "",
+    tol: Tol = 1e-3,
+    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Of all random draws.")] = 0,
+    size: Size = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Output folder; ./<first image's name> by default.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the kept state.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print result.json.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Reconstruct the hidden object from a camera's pictures; Ctrl-C keeps the best so far.
+
+    Exit code 1 where it was interrupted: --resume goes on.
+    """
+    with _told(debug):
+        _require("torch", "inverse")
+        from . import reconstructing
+
+        folder = Path(images[0].stem) if out is None else out
+        scene = _load(scene_file, size)
+        _check_target(folder)
+        task = reconstructing.prepared(
+            scene,
+            images,
+            method=method,
+            dark=dark,
+            flat=flat,
+            full=full,
+            defocus=_numbers("--defocus", defocus),
+            seed=seed,
+            tol=tol,
+        )
+        with _progress(width=60) as progress, _interruptible() as interrupted:
+            report = reconstructing.carry_out(
+                task, folder, resume=resume, progress=progress, interrupted=interrupted
+            )
+        if as_json:
+            typer.echo(json.dumps(report, indent=2))
+        else:
+            _print_reconstruction(report, folder)
+        if report["status"] == "interrupted":
+            typer.echo(
+                f"nlosoptics: interrupted; the best so far is in {folder}, --resume goes on",
+                err=True,
+            )
+            raise typer.Exit(FAILED)
+
+
 @app.command("schema")
 def schema_command(debug: Debug = False) -> None:
     """Print the JSON schema of scene files, for editors."""
@@ -203,13 +291,41 @@ def _tell(error: BaseException) -> int:
     return code
 
 
+def _numbers(option: str, text: str) -> tuple[float, ...]:
+    """Numbers of a list with commas; none where it is empty."""
+    try:
+        return tuple(float(part) for part in text.split(",")) if text.strip() else ()
+    except ValueError:
+        raise typer.BadParameter(
+            f"{text!r} is no list of numbers, such as '0, 0.5'", param_hint=option
+        ) from None
+
+
 @contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Let the first Ctrl-C be asked for; a second one interrupts at once."""
+    asked = False
+
+    def ask(signum: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield lambda: asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _progress(width: int = 17) -> Iterator[Callable[[str, float], None]]:
     """Bar on stderr that names the stage at work; silent where stderr is no terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (TextColumn("{task.description:17}"), BarColumn(), TimeElapsedColumn())
+    columns = (TextColumn(f"{{task.description:{width}}}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(
         *columns, console=console, transient=True, disable=not console.is_terminal
@@ -269,13 +385,13 @@ def _report(result: Result) -> dict[str, Any]:
         "figures": _figures(result),
         "seed": result.seed,
         "tol": result.plan.tol,
-        "scene_sha256": _scene_hash(result.scene),
+        "scene_sha256": scene_hash(result.scene),
         "seconds": dict(result.timings),
         "plan": {
             "stages": [asdict(stage) for stage in result.plan.stages],
             "skipped": [asdict(stage) for stage in result.plan.skipped],
         },
-        "versions": _versions(),
+        "versions": versions(),
     }
 
 
@@ -318,7 +434,7 @@ def _figures(result: Result) -> dict[str, Any]:
         if image.ideal.any():
             correlation = registered_correlation(result.reconstruction, image.ideal)
             found["correlation_with_truth"] = correlation
-    found["peak_memory_bytes"] = _peak_memory()
+    found["peak_memory_bytes"] = peak_memory()
     return found
 
 
@@ -335,27 +451,7 @@ def _write_arrays(result: Result, folder: Path) -> None:
     }
     for name, noun in nouns.items():
         if noun is not None:
-            np.savez(folder / f"{name}.npz", **_arrays(noun))
-
-
-def _arrays(noun: Any) -> dict[str, Any]:
-    """Entries of a dataclass or mapping, nested ones too, that need no pickle in an ``.npz``."""
-    from dataclasses import fields, is_dataclass
-
-    import numpy as np
-
-    entries = (
-        {entry.name: getattr(noun, entry.name) for entry in fields(noun)}
-        if is_dataclass(noun)
-        else noun
-    )
-    found: dict[str, Any] = {}
-    for name, value in entries.items():
-        if is_dataclass(value) or isinstance(value, Mapping):
-            found |= {f"{name}_{key}": inner for key, inner in _arrays(value).items()}
-        elif not (array := np.asarray(value)).dtype.hasobject:
-            found[name] = array
-    return found
+            np.savez(folder / f"{name}.npz", **arrays(noun))
 
 
 def _write_pictures(result: Result, folder: Path) -> None:
@@ -371,6 +467,23 @@ def _write_pictures(result: Result, folder: Path) -> None:
         truth = result.image.ideal / brightest if brightest > 0 else None
         axes = views.reconstruction(result.reconstruction, truth)
         views.save(axes, folder / "reconstruction.png")
+
+
+def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
+    """Print a reconstruction's figures as a table."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    f = report["figures"]
+    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    told = f"{f['method']}: {f['reconstruction_status']} after {f['iterations']} iterations"
+    table.add_row("reconstruction", told)
+    table.add_row("residual", f"{f['reconstruction_score']:.4g} of the noise")
+    table.add_row("full pixels", f"{100 * f['saturated_fraction']:.2g} %")
+    table.add_row("seconds", f"{report['seconds']['total']:.2f} s")
+    table.add_row("written to", str(folder))
+    Console().print(table)
 
 
 def _print_summary(report: dict[str, Any], folder: Path) -> None:
@@ -411,41 +524,3 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
         table.add_row("peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB")
     table.add_row("written to", str(folder))
     Console().print(table)
-
-
-def _scene_hash(scene: Scene) -> str:
-    """SHA-256 of the scene's own text and of the pictures and meshes that it names."""
-    import hashlib
-
-    from .scene.file import format_scene
-
-    parts = (scene.hidden, scene.wall)
-    named = [getattr(part, key, None) for part in parts for key in ("image", "mesh")]
-    files = [path for path in named if isinstance(path, Path)]
-    # named relative to one of them, the text does not depend on where the scene lies
-    digest = hashlib.sha256(format_scene(scene, files[0].parent if files else ".").encode())
-    for path in files:
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
-def _versions() -> dict[str, str]:
-    """Versions of Python, of this package and of the packages that decide its numbers."""
-    found = {"python": ".".join(map(str, sys.version_info[:3])), "nlosoptics": __version__}
-    for name in DECIDING:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
-
-
-def _peak_memory() -> float | None:
-    """Largest resident memory of this process, bytes; None where the system does not say."""
-    try:
-        import resource
-    except ModuleNotFoundError:
-        return None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # macOS counts bytes, Linux KiB
-    return float(peak) if sys.platform == "darwin" else 1024.0 * peak

@@ -190,7 +190,21 @@ def _wave_and_spread(
 def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruction:
     """Object from the reading, with pose, point spread and the veil's shape known."""
     from . import inverse
-    from .imaging import ForwardModel, diffuse_background
+    from .imaging import ForwardModel
+
+    veil = veil_shape(scene)
+    model = ForwardModel(spread, shape=image.electrons.shape)
+    return inverse.tv_deconvolve(
+        image.electrons,
+        model,
+        background=image.ledger["dark"] / image.electrons.size,
+        background_shape=veil if veil.any() else None,
+    )
+
+
+def veil_shape(scene: Scene) -> Array:
+    """Shape of the wall's diffuse light in the image, (ny, nx), as of an unknown picture."""
+    from .imaging import diffuse_background
 
     stand_in = None
     if isinstance(scene.hidden, PlanarObject):
@@ -199,14 +213,7 @@ def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruc
         stand_in[1::4, 1::4] = 1.0
         if scene.occluders:  # whose shadows need all of it
             stand_in = np.ones((7, 7))
-    veil = diffuse_background(scene, stand_in)
-    model = ForwardModel(spread, shape=image.electrons.shape)
-    return inverse.tv_deconvolve(
-        image.electrons,
-        model,
-        background=image.ledger["dark"] / image.electrons.size,
-        background_shape=veil if veil.any() else None,
-    )
+    return diffuse_background(scene, stand_in)
 
 
 def _check_samples(wave: Wavefront, shape: int, pitch: float, tol: float) -> None:

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "nlosoptics"
 
 BASE = {"errors", "_checks", "_random", "_random_kernels"}
-OPTICS = {"scene", "raytrace", "psf", "imaging", "inverse", "transient"}
+OPTICS = {"scene", "raytrace", "psf", "imaging", "limits", "inverse", "transient"}
 
 #: What each part may import from the rest of the package; itself is understood.
 MAY_IMPORT = {
@@ -25,13 +25,18 @@ MAY_IMPORT = {
     "psf": BASE | {"scene", "raytrace"},
     "transient": BASE | {"scene", "raytrace"},
     "imaging": BASE | {"scene", "raytrace", "psf"},
-    "inverse": BASE | {"scene", "raytrace", "psf", "imaging"},
+    "limits": BASE | {"scene", "raytrace", "psf", "imaging"},
+    "inverse": BASE | {"scene", "raytrace", "psf", "imaging", "limits"},
+    "records": BASE | {"scene"},
     "planning": BASE | OPTICS,
     "simulation": BASE | OPTICS | {"planning"},
     "study": BASE | OPTICS | {"planning", "simulation"},
     "views": BASE | OPTICS | {"planning", "simulation"},
+    "reconstructing": BASE | OPTICS | {"planning", "simulation", "records"},
     "report": BASE | OPTICS | {"planning", "simulation", "study", "views"},
-    "cli": BASE | OPTICS | {"planning", "simulation", "study", "views", "report"},
+    "cli": BASE
+    | OPTICS
+    | {"planning", "simulation", "reconstructing", "records", "study", "views", "report"},
 }
 
 #: The only places that may import a heavy or optional package, relative to the package.

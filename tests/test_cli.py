@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import nlosoptics
-from nlosoptics import _random, cli
+from nlosoptics import _random, cli, records
 from nlosoptics.scene import Scene
 
 
@@ -184,7 +184,9 @@ def test_version(run: Run) -> None:
     assert run("--version") == (0, f"nlosoptics {nlosoptics.__version__}\n", "")
 
 
-@pytest.mark.parametrize("command", [[], ["plan"], ["run"], ["schema"]])
+@pytest.mark.parametrize(
+    "command", [[], ["plan"], ["feasibility"], ["run"], ["reconstruct"], ["schema"]]
+)
 def test_help(command: list[str], run: Run) -> None:
     """Each command explains itself."""
     answer = run(*command, "--help")
@@ -278,7 +280,7 @@ def test_hash_follows_scene_and_picture(scene_file: Path) -> None:
     """Any change of the scene's numbers or of the picture's bytes changes it."""
 
     def digest() -> str:
-        return cli._scene_hash(nlosoptics.Scene.load(scene_file))
+        return records.scene_hash(nlosoptics.Scene.load(scene_file))
 
     first = digest()
     scene_file.write_text(scene_file.read_text().replace('"0.04 s"', '"0.02 s"'))

@@ -65,6 +65,7 @@ def test_import_is_light() -> None:
         ("psf", {"numpy", "scipy", "ducc0"}),
         ("imaging", {"numpy", "scipy", "ducc0"}),
         ("views", {"numpy"}),
+        ("limits", {"numpy", "scipy", "ducc0"}),
         ("planning", {"numpy", "scipy", "ducc0"}),
     ],
 )

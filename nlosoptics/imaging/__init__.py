@@ -1,5 +1,6 @@
 """Object and point spread to electrons: fields, chief rays, radiance chain, camera noise."""
 
+from .camera_files import CameraImage, camera_image, read_camera_file
 from .detector import speckles_per_pixel
 from .forward_model import ForwardModel
 from .image_fields import image_field
@@ -8,13 +9,16 @@ from .radiometry import photon_rate
 from .shadows import Shadows, cast_shadows
 
 __all__ = [
+    "CameraImage",
     "ForwardModel",
     "Shadows",
     "SpeckleImage",
+    "camera_image",
     "cast_shadows",
     "diffuse_background",
     "form_image",
     "image_field",
     "photon_rate",
+    "read_camera_file",
     "speckles_per_pixel",
 ]

@@ -13,6 +13,8 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from ..limits import Feasibility, feasibility
+from .callbacks import Stop
 from .lucy import richardson_lucy
 from .measurements import estimate_noise
 from .phase_retrieval import object_from_autocorrelation, phase_retrieval
@@ -24,10 +26,13 @@ from .total_variation import tv_deconvolve
 from .wiener_filter import wiener
 
 __all__ = [
+    "Feasibility",
     "Reconstruction",
     "RegisteredScores",
+    "Stop",
     "TorchForwardModel",
     "estimate_noise",
+    "feasibility",
     "inverse_filter",
     "object_from_autocorrelation",
     "phase_retrieval",

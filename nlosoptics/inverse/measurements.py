@@ -28,11 +28,12 @@ class Measurement:
     Parameters
     ----------
     data : Tensor
-        (H, W) float64, image minus the known background.
+        (H, W) float64, image minus the known background; its mean where a pixel does not count.
     sigma : float
         Reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
     weights : Tensor or None
-        (sigma/noise_sigma)^2, mean 1; None where the noise is the same everywhere.
+        (sigma/noise_sigma)^2, mean 1; None where the noise is the same everywhere. 0 for a pixel
+        of infinite noise, which does not count.
     sigma_estimated : bool
     fit_background : bool
         Whether the strength of a further background is unknown.
@@ -49,6 +50,13 @@ class Measurement:
     fit_background: bool
     background_shape: Tensor | None
     template: Tensor | None
+
+    @property
+    def counted(self) -> int:
+        """Pixels that count: all but those of infinite noise."""
+        if self.weights is None:
+            return self.data.numel()
+        return int(torch.count_nonzero(self.weights))
 
     def weighted(self, values: Tensor) -> Tensor:
         """Values times the pixel weights."""
@@ -93,7 +101,7 @@ class Measurement:
     def score(self, explained: Tensor | float) -> float:
         """Weighted rms of data minus ``explained``, over the noise."""
         residual = self.data - explained
-        rms = math.sqrt(self.weighted_mean(residual * residual))
+        rms = math.sqrt(total(self.weighted(residual * residual)) / self.counted)
         return rms / self.sigma if self.sigma > 0.0 else rms
 
     def is_background(self) -> bool:
@@ -104,7 +112,7 @@ class Measurement:
         """
         if self.sigma == 0.0:
             return True
-        variance = (18.0 if self.sigma_estimated else 2.0) / self.data.numel()
+        variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
         explained = self.background(self.background_strength(self.data))
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
@@ -144,11 +152,20 @@ def measurement(
     elif np.ndim(noise_sigma) == 0:
         sigma = _positive_sigma(noise_sigma)
     else:
-        sigmas = _picture("noise_sigma", noise_sigma, shape, device)
-        _positive_sigma(float(sigmas.min()))
+        sigmas = _picture("noise_sigma", noise_sigma, shape, device, infinite=True)
+        least = float(sigmas.min())
+        if math.isinf(least):
+            raise SceneError(
+                "noise_sigma is infinite in every pixel, so that none counts; give the good pixels "
+                "their noise"
+            )
+        _positive_sigma(least)
         weights = sigmas.pow(-2)
         sigma = (total(weights) / weights.numel()) ** -0.5
         weights = weights * sigma**2
+        # what a pixel that does not count happens to read must not set the image's range
+        mean = total(weights * data) / weights.numel()
+        data = torch.where(weights > 0.0, data, torch.full_like(data, mean))
     return Measurement(
         data=data,
         sigma=sigma,
@@ -226,7 +243,9 @@ def _positive_sigma(sigma: float) -> float:
     return positive("noise_sigma", sigma, remedy="give None to have it estimated")
 
 
-def _picture(name: str, value: Any, shape: tuple[int, int], device: torch.device) -> Tensor:
+def _picture(
+    name: str, value: Any, shape: tuple[int, int], device: torch.device, *, infinite: bool = False
+) -> Tensor:
     try:
         if isinstance(value, Tensor):
             picture = value.detach().to(device=device, dtype=torch.float64)
@@ -242,7 +261,10 @@ def _picture(name: str, value: Any, shape: tuple[int, int], device: torch.device
             f"{name} has shape {tuple(picture.shape)}, must be {shape} like the model; "
             "resample it or build the model for that shape"
         )
-    n_bad = int((~torch.isfinite(picture)).sum())
+    good = torch.isfinite(picture)
+    if infinite:
+        good |= torch.isposinf(picture)
+    n_bad = int((~good).sum())
     if n_bad:
         raise SceneError(
             f"{name} has {n_bad} of {picture.numel()} values that are not finite; "

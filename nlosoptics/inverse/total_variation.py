@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from .._random import checked_seed
+from ..errors import SamplingError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
+from .callbacks import Progress, State, goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
 from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
-
-Progress = Callable[[float, str], None]
 
 # Penalties of the splitting x = p (sign) and grad x = d (edges), per unit of the object's
 # brightness, and over-relaxation. From sweeps over smooth and speckle kernels, 128^2 and 512^2.
@@ -32,6 +33,10 @@ _ADAPT_EVERY = 10
 _ADAPT_UNTIL = 100
 # Part of the residual's distance from its target that counts against the tolerance.
 _RESIDUAL_SHARE = 0.05
+
+# What an iteration starts from, beside the image.
+_PICTURES = ("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual")
+_NUMBERS = ("background", "multiplier", "data_penalty", "edge_penalty", "sign_penalty")
 
 
 @single_thread()
@@ -48,6 +53,7 @@ def tv_deconvolve(
     max_iterations: int = 700,
     tolerance: float = 5e-4,
     seed: int = 0,
+    start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Non-negative object of least total variation that explains an image to its noise.
@@ -60,7 +66,7 @@ def tv_deconvolve(
         Of shape (H, W).
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`.
+        `estimate_noise`. Infinite where a pixel is not to count, as a saturated one.
     tv_weight : float or None
         Weight of the total variation, dimensionless; None: found by the discrepancy principle,
         so that the residual is the noise.
@@ -79,8 +85,10 @@ def tv_deconvolve(
         the noise), at which to stop.
     seed : int
         Part of every solver's signature; this one draws nothing, any seed gives the same bits.
+    start : array_like, mapping or None
+        Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
     progress : callable or None
-        Called now and then with the fraction done and a line of text.
+        Called now and then with the fraction done and a line of text; may raise `Stop`.
 
     Returns
     -------
@@ -128,20 +136,21 @@ def tv_deconvolve(
     )
     if data.is_background():
         return without_object(data, model=model, gain=gain, started=started)
-    splitting = _Splitting(data, model, tv_weight)
+    level = started_from(start, model_shape(model), data.data.device)
+    splitting = _Splitting(data, model, tv_weight, level)
+    first = splitting.go_on(start) if isinstance(start, Mapping) else 0
     converged = False
-    for iteration in range(max_iterations):
+    for iteration in range(first, max_iterations):
         change = splitting.iterate()
         converged = change <= tolerance
-        if progress is not None and (converged or iteration % 10 == 9):
-            progress(
-                1.0 if converged else (iteration + 1) / max_iterations,
-                f"total variation: change {change:.1e} after {iteration + 1} iterations",
-            )
-        if converged:
-            break
+        told = converged or iteration % 10 == 9
         if iteration < _ADAPT_UNTIL and iteration % _ADAPT_EVERY == _ADAPT_EVERY - 1:
             splitting.adapt()
+        done = 1.0 if converged else (iteration + 1) / max_iterations
+        if told and not splitting.report(progress, done, iteration + 1):
+            break
+        if converged:
+            break
     return assemble(
         data,
         splitting.level(),
@@ -167,6 +176,7 @@ class _Splitting:
         data: Measurement,
         model: ForwardModel | TorchForwardModel,
         tv_weight: float | None,
+        level: Tensor | None,
     ) -> None:
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
@@ -187,10 +197,11 @@ class _Splitting:
         self._transfer = transfer.to(dtype.to_complex())
         self._power = (transfer.real**2 + transfer.imag**2).to(dtype)
         self._laplacian = _laplacian(self._grid, data.data.device).to(dtype)
-        self._start()
+        self._count = data.counted
+        self._start(level)
         self._sought = tv_weight is None
         outline = 2 * sum(model.shape)
-        freedom = max(data.data.numel() - outline, data.data.numel() / 2)
+        freedom = max(self._count - outline, self._count / 2)
         self._target = self._sigma * math.sqrt(freedom)
         if tv_weight is None:
             self._data_penalty = 1.0 / (self._sigma * self._brightness)
@@ -201,15 +212,23 @@ class _Splitting:
         self._factorise()
         self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
-    def _start(self) -> None:
-        """First object: a mild inverse filter, without what is negative or outside the frame."""
+    def _start(self, level: Tensor | None) -> None:
+        """First object: a mild inverse filter, without what is negative or outside the frame.
+
+        A level that is given takes its place. The prediction stays the image itself: one that fits
+        the level would leave nothing to do in the first step, and that would pass for the end.
+        """
         self._predicted = torch.zeros(
             self._grid, dtype=self._image.dtype, device=self._image.device
         )
         self._predicted[self._frame] = self._image
         spectrum = self._transfer.conj() * torch.fft.rfft2(self._predicted)
         spectrum /= self._power + 1e-2
-        self._signed = self._allowed(torch.fft.irfft2(spectrum, s=self._grid))
+        first = torch.fft.irfft2(spectrum, s=self._grid)
+        if level is not None:
+            first = torch.zeros_like(self._predicted)
+            first[self._frame] = (level * (self._response / self._scale)).to(first.dtype)
+        self._signed = self._allowed(first)
         framed = self._signed[self._frame].flatten()
         bright = float(framed.kthvalue(math.ceil(0.99 * framed.numel())).values)
         self._brightness = bright if bright > 0.0 else 1.0
@@ -240,21 +259,21 @@ class _Splitting:
         self._data_step(torch.fft.irfft2(spectrum * self._transfer, s=self._grid))
         variation = self._edge_step(_gradient(free))
         change, distance = self._sign_step(free)
-        chi_square = self.history["residual"][-1] ** 2 * self._image.numel()
+        chi_square = self.history["residual"][-1] ** 2 * self._count
         self.history["objective"].append(
             0.5 * chi_square + self.tv_weight() * variation / (self._response * self._sigma)
         )
         self.history["change"].append(change)
         if not self._sought:
             return max(change, distance)
-        expected = self._target / (self._sigma * math.sqrt(self._image.numel()))
+        expected = self._target / (self._sigma * math.sqrt(self._count))
         return max(change, distance, _RESIDUAL_SHARE * abs(self.history["residual"][-1] - expected))
 
     def _data_step(self, predicted: Tensor) -> None:
         """Move the prediction toward the image until the residual is the noise."""
         residual = predicted[self._frame] - self._image + self._shaped(self._background)
         squared = total(self._weighted(residual * residual))
-        self.history["residual"].append(math.sqrt(squared / residual.numel()) / self._sigma)
+        self.history["residual"].append(math.sqrt(squared / self._count) / self._sigma)
         relaxed = _relaxed(predicted, self._predicted)
         relaxed[self._frame] += self._data_dual
         misfit = relaxed[self._frame] - self._image
@@ -324,6 +343,41 @@ class _Splitting:
         self._sign_dual = relaxed - self._signed
         norm = max(_norm(self._signed), 1e-30)
         return _norm(self._signed - before) / norm, _norm(free - self._signed) / norm
+
+    def report(self, progress: Progress | None, done: float, count: int) -> bool:
+        """Tell a callback where the fit stands; False where it asks to stop."""
+        return goes_on(
+            progress,
+            done,
+            f"total variation: residual {self.history['residual'][-1]:.3f}, change "
+            f"{self.history['change'][-1]:.1e} after {count} iterations",
+            lambda: self._state(count),
+        )
+
+    def _state(self, count: int) -> State:
+        """All that the next iteration starts from."""
+        numbers = [getattr(self, f"_{name}") for name in _NUMBERS]
+        pictures = {name: getattr(self, f"_{name}") for name in _PICTURES}
+        return state_of(self.level(), **pictures, numbers=[*numbers, count])
+
+    def go_on(self, state: Mapping[str, Any]) -> int:
+        """Take up a state; the iterations behind it, 0 where it is an object alone."""
+        if not {*_PICTURES, "numbers"} <= set(state):
+            return 0
+        *numbers, count = (float(number) for number in state["numbers"])
+        for name in _PICTURES:
+            mine = getattr(self, f"_{name}")
+            kept = torch.as_tensor(np.asarray(state[name]), dtype=mine.dtype, device=mine.device)
+            if kept.shape != mine.shape:
+                raise SamplingError(
+                    f"start's {name} has shape {tuple(kept.shape)}, this fit's has "
+                    f"{tuple(mine.shape)}; it is of another model, leave it out"
+                )
+            setattr(self, f"_{name}", kept)
+        for name, number in zip(_NUMBERS, numbers, strict=True):
+            setattr(self, f"_{name}", number)
+        self._factorise()
+        return int(count)
 
     def adapt(self) -> None:
         """Let the data penalty follow the multiplier."""

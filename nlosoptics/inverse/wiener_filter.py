@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -14,11 +14,10 @@ from .._checks import in_range, positive, whole
 from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
+from .callbacks import Progress, goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, Status, assemble, without_object
 from .torch_model import FieldOperator, TorchForwardModel, one_kernel_shape, torch_model
-
-Progress = Callable[[float, str], None]
 
 
 @single_thread()
@@ -34,6 +33,7 @@ def wiener(
     max_iterations: int = 300,
     tolerance: float = 1e-6,
     seed: int = 0,
+    start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Linear least-squares estimate of an object with a 1/f^2 power spectrum.
@@ -46,7 +46,7 @@ def wiener(
         Of shape (H, W).
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`.
+        `estimate_noise`. Infinite where a pixel is not to count, as a saturated one.
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
@@ -60,8 +60,10 @@ def wiener(
         Residual of the normal equations over their right-hand side at which to stop.
     seed : int
         Part of every solver's signature; this one draws nothing, any seed gives the same bits.
+    start : array_like, mapping or None
+        Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
     progress : callable or None
-        Called with the fraction done and a line of text.
+        Called with the fraction done and a line of text; may raise `Stop`.
 
     Returns
     -------
@@ -105,7 +107,10 @@ def wiener(
     if data.is_background():
         return without_object(data, model=model, gain=gain, started=started)
     problem = _NormalEquations(data, torch_model(model, data.data.device, torch.float64))
-    level, history, converged = _conjugate_gradients(problem, max_iterations, tolerance, progress)
+    first = started_from(start, model_shape(model), data.data.device)
+    level, history, converged = _conjugate_gradients(
+        problem, max_iterations, tolerance, first, progress
+    )
     status: Status = "converged" if converged else "unconverged"
     residual = data.data - problem.model(level)
     return assemble(
@@ -158,7 +163,7 @@ class _NormalEquations:
         excess = data.score(steady) ** 2 - 1.0
         # Parseval: sum |H|^2 S = samples * (summed variance of the image); S = strength * prior.
         samples = rows * columns
-        strength = samples * data.data.numel() * data.sigma**2 * excess / passed
+        strength = samples * data.counted * data.sigma**2 * excess / passed
         self._penalty = data.sigma**2 * samples / (strength * prior)
         self._preconditioner = 1.0 / (power + self._penalty)
         self.right_side = model.adjoint(self.cleaned(data.data))
@@ -188,21 +193,27 @@ class _NormalEquations:
 
 
 def _conjugate_gradients(
-    problem: _NormalEquations, max_iterations: int, tolerance: float, progress: Progress | None
+    problem: _NormalEquations,
+    max_iterations: int,
+    tolerance: float,
+    first: Tensor | None,
+    progress: Progress | None,
 ) -> tuple[Tensor, dict[str, list[float]], bool]:
     """Object in image units, history, and whether the tolerance was met."""
     history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
     data = problem.data
-    level = torch.zeros_like(data.data)
-    misfit = data.data.clone()
-    level_penalised = torch.zeros_like(level)
-    residual = problem.right_side
-    start = math.sqrt(total(residual * residual))
+    level = torch.zeros_like(data.data) if first is None else first.clone()
+    seen, level_penalised = problem.model(level), problem.penalised(level)
+    misfit = data.data - seen
+    residual = problem.right_side - problem.normal(seen, level_penalised)
+    start = math.sqrt(total(problem.right_side * problem.right_side))
     direction = torch.zeros_like(residual)
     last = math.inf
     for iteration in range(max_iterations):
         step = problem.preconditioned(residual)
         product = total(residual * step)
+        if product == 0.0:  # started from the solution itself
+            return level, history, True
         direction = step + (product / last) * direction
         seen = problem.model(direction)
         penalised = problem.penalised(direction)
@@ -216,15 +227,16 @@ def _conjugate_gradients(
         squared = max(total(problem.cleaned(misfit) * misfit), 0.0)
         prior = total(level * level_penalised)
         history["objective"].append(0.5 * (squared + prior) / data.sigma**2)
-        history["residual"].append(math.sqrt(squared / misfit.numel()) / data.sigma)
+        history["residual"].append(math.sqrt(squared / data.counted) / data.sigma)
         history["change"].append(abs(length) * float(direction.norm() / level.norm()))
         left = math.sqrt(total(residual * residual)) / start
-        if progress is not None:
-            done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
-            progress(
-                min(max(done, (iteration + 1) / max_iterations), 1.0),
-                f"Wiener filter: residual {left:.1e} after {iteration + 1} iterations",
-            )
-        if left <= tolerance:
-            return level, history, True
+        done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
+        on = goes_on(
+            progress,
+            min(max(done, (iteration + 1) / max_iterations), 1.0),
+            f"Wiener filter: residual {left:.1e} after {iteration + 1} iterations",
+            partial(state_of, level),
+        )
+        if left <= tolerance or not on:
+            return level, history, left <= tolerance
     return level, history, False

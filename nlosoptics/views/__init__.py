@@ -6,10 +6,12 @@ without pyplot, so they need no display and keep no global state: `save` writes 
 
 from .canvas import save
 from .light import irradiance, ray_paths
+from .limits import feasibility
 from .maps import hybrid_parts, image, point_spread, reconstruction, wavefront
 from .sketch import scene_sketch
 
 __all__ = [
+    "feasibility",
     "hybrid_parts",
     "image",
     "irradiance",

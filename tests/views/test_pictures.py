@@ -315,3 +315,40 @@ def test_parts_of_a_hybrid_share_one_scale():
         assert image.norm.vmin == pytest.approx(5.001e-6, rel=1e-12)
         assert np.asarray(image.get_array()) == pytest.approx(np.maximum(part, 5.001e-6))
     assert axes[0].get_title() == "coherent, 0.5 in all"
+
+
+def test_feasibility_draws_both_ways_and_their_noise() -> None:
+    """Curves are the modulation, dashed lines what noise hides, and the strokes are marked."""
+    from nlosoptics.limits import Feasibility
+
+    frequency = np.linspace(0.0, 10.0, 5)
+    modulation, relay = np.exp(-frequency), np.exp(-4.0 * frequency)
+    found = Feasibility(
+        recoverable=True,
+        verdict="recoverable",
+        score=0.97,
+        photons=1e6,
+        electrons={},
+        brightest=10.0,
+        veil=0.5,
+        saturated=0.0,
+        noise={},
+        stroke=0.1,
+        frequency=frequency,
+        modulation=modulation,
+        relay_modulation=relay,
+        signal_to_noise=modulation * 50.0,
+        relay_signal_to_noise=relay * 20.0,
+        limit=3.9,
+        modes=40,
+        diffuse_modes=6,
+        wave_bounds={},
+        two_frame_bounds={},
+    )
+    axes = views.feasibility(found)
+    lines = {line.get_label(): line for line in axes.get_lines()}
+    assert np.allclose(lines["picture"].get_ydata(), np.maximum(modulation, 1e-5))
+    levels = sorted(float(line.get_ydata()[0]) for name, line in lines.items() if "noise" in name)
+    assert levels == pytest.approx([1 / 50, 1 / 20])
+    assert float(lines["strokes"].get_xdata()[0]) == pytest.approx(5.0)
+    assert "40 modes" in axes.get_title()

@@ -1,0 +1,260 @@
+"""Pictures that a camera took: files to values, dark frame, flat field, full pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import positive
+from ..errors import SamplingError, SceneError
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Share of full or dead pixels beyond which a picture is refused.
+MOST_MASKED = 0.5
+#: A flat field's pixel below this part of its mean is dead.
+DEAD = 0.05
+FORMATS = "grey PNG or TIFF of 8 or 16 bits, or .npy"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CameraImage:
+    """A picture that a camera took, ready for a solver.
+
+    Parameters
+    ----------
+    values : ndarray, (ny, nx) float64
+        Counts above the dark frame, over the flat field; row 0 on top in the file, which is how
+        image arrays stand here too. Masked pixels hold the mean of the others.
+    masked : ndarray of bool, (ny, nx)
+        Pixels that do not count: full, or dead by the flat field.
+    saturated_fraction : float
+        Share of the pixels that are full.
+    """
+
+    values: Array
+    masked: Mask
+    saturated_fraction: float
+
+    def __post_init__(self) -> None:
+        self.values.flags.writeable = False
+        self.masked.flags.writeable = False
+
+    def noise(self, sigma: float) -> float | Array:
+        """Noise for a solver: ``sigma``, infinite at masked pixels if there are any."""
+        if not self.masked.any():
+            return sigma
+        return np.where(self.masked, np.inf, sigma)
+
+
+def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
+    """Read the counts of one picture file.
+
+    Parameters
+    ----------
+    path : str or Path
+        Grey PNG or TIFF of 8 or 16 bits, or a ``.npy`` file of one (ny, nx) array.
+
+    Returns
+    -------
+    counts : ndarray, (ny, nx) float64
+        As stored, row 0 on top.
+    full : float or None
+        Largest count of the file's type, at which a pixel is full; None for types without one.
+
+    Raises
+    ------
+    SceneError
+        If the file is missing, is no grey picture, is empty, or holds values that are not finite.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise SceneError(f"there is no file {path}; give the path of a picture")
+    try:
+        raw = np.load(path, allow_pickle=False) if path.suffix == ".npy" else _decoded(path)
+    except SceneError:
+        raise
+    # Pillow's decoders raise SyntaxError, and its guard against bombs an Exception of its own
+    except Exception as error:
+        raise SceneError(
+            f"{path} is not a picture ({type(error).__name__}); give {FORMATS}"
+        ) from None
+    if not isinstance(raw, np.ndarray) or raw.ndim != 2 or raw.size == 0:
+        shape = getattr(raw, "shape", "several arrays")
+        raise SceneError(f"{path} holds {shape}, must be one (ny, nx) picture; give {FORMATS}")
+    if raw.dtype.kind not in "biuf":
+        raise SceneError(f"{path} holds {raw.dtype} values; give counts as whole or real numbers")
+    counts = raw.astype(np.float64)
+    n_bad = int(np.count_nonzero(~np.isfinite(counts)))
+    if n_bad:
+        raise SceneError(
+            f"{path} has {n_bad} of {counts.size} values that are not finite; replace bad pixels "
+            "by their neighbours"
+        )
+    short = raw.dtype.kind == "u" and raw.dtype.itemsize <= 2
+    return counts, float(np.iinfo(raw.dtype).max) if short else None
+
+
+def _decoded(path: Path) -> NDArray[Any]:
+    from PIL import Image
+
+    with Image.open(path) as picture:
+        frames = getattr(picture, "n_frames", 1)
+        if frames > 1:
+            raise SceneError(f"{path} holds {frames} pictures, must be one; save it alone")
+        if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
+            raise SceneError(
+                f"{path} is in colour (mode {picture.mode}); save the laser's channel as grey"
+            )
+        values = np.asarray(picture)
+    # 16-bit PNGs open as 32-bit integers in some versions of Pillow
+    if picture.mode == "I" and picture.format == "PNG":
+        return values.astype(np.uint16)
+    return values
+
+
+def camera_image(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    shape: tuple[int, int] | None = None,
+    dark: str | Path | None = None,
+    flat: str | Path | None = None,
+    full: float | None = None,
+) -> CameraImage:
+    """Picture of one scene from one file, or from several exposures of it, which are averaged.
+
+    Parameters
+    ----------
+    paths : path or sequence of paths
+    shape : (int, int), optional
+        Rows and columns wanted; a picture of a whole multiple of them is summed over square groups.
+    dark : path, optional
+        A picture of the same exposure without light, subtracted from all, the flat field too.
+    flat : path, optional
+        A picture of an even light, by which the others are divided.
+    full : float, optional
+        Count at which a pixel is full; by default the largest of the file's type.
+
+    Returns
+    -------
+    CameraImage
+
+    Raises
+    ------
+    SceneError
+        If a file cannot be read, all pixels read the same, no light is left above the dark frame,
+        or more than half of the pixels are full.
+    SamplingError
+        If sizes differ.
+    """
+    files = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    if not files:
+        raise SceneError("no picture is given; name one file or more")
+    full = None if full is None else positive("full", full, unit="counts")
+    total: Array | None = None
+    saturated: Mask | None = None
+    for path in files:
+        counts, largest = read_camera_file(path)
+        if float(counts.min()) == float(counts.max()):
+            raise SceneError(
+                f"{path} reads {counts.flat[0]:g} in every pixel; open the shutter, or check file"
+            )
+        if total is None or saturated is None:
+            total, saturated = np.zeros(counts.shape), np.zeros(counts.shape, dtype=bool)
+        _same_shape(path, counts, files[0], total)
+        limit = largest if full is None else full
+        if limit is not None:
+            saturated |= counts >= limit
+        total += counts / len(files)
+    assert total is not None and saturated is not None  # noqa: PT018  (there is a file)
+    values, dead = _corrected(total, files[0], dark, flat)
+    return _checked(files[0], *_grouped(files[0], values, saturated, dead, shape))
+
+
+def _corrected(
+    counts: Array, path: str | Path, dark: str | Path | None, flat: str | Path | None
+) -> tuple[Array, Mask]:
+    """Counts without the dark frame over the flat field, and the pixels that this cannot mend."""
+    still = np.zeros(counts.shape)
+    if dark is not None:
+        still = read_camera_file(dark)[0]
+        _same_shape(dark, still, path, counts)
+    values, dead = counts - still, np.zeros(counts.shape, dtype=bool)
+    if dark is not None and not float(values.mean()) > 0.0:
+        raise SceneError(
+            f"{path} is no brighter than the dark frame {dark} (mean {values.mean():.3g} counts "
+            "above it): no photons; expose longer or check which file is which"
+        )
+    if flat is None:
+        return values, dead
+    even = read_camera_file(flat)[0]
+    _same_shape(flat, even, path, counts)
+    even = even - still
+    mean = float(even.mean())
+    if not mean > 0.0:
+        raise SceneError(
+            f"{flat}: the flat field has no light above the dark frame (mean {mean:.3g} counts); "
+            "take it of an even light"
+        )
+    dead = even < DEAD * mean
+    return values / np.where(dead, mean, even) * mean, dead
+
+
+def _grouped(
+    path: str | Path, values: Array, saturated: Mask, dead: Mask, shape: tuple[int, int] | None
+) -> tuple[Array, Mask, Mask]:
+    """Sums over square groups of pixels; a group with a bad pixel is bad."""
+    if shape is None or values.shape == tuple(shape):
+        return values, saturated, dead
+    groups = {n // m if n % m == 0 else 0 for n, m in zip(values.shape, shape, strict=True)}
+    if len(groups) != 1 or groups == {0}:
+        raise SamplingError(
+            f"{path} has {values.shape[1]} x {values.shape[0]} pixels, the scene's camera reads "
+            f"{shape[1]} x {shape[0]}, which does not divide them; give the camera's whole frame "
+            "or another size"
+        )
+    (side,) = groups
+    cells = (shape[0], side, shape[1], side)
+    return (
+        values.reshape(cells).sum(axis=(1, 3)),
+        np.asarray(saturated.reshape(cells).any(axis=(1, 3))),
+        np.asarray(dead.reshape(cells).any(axis=(1, 3))),
+    )
+
+
+def _checked(path: str | Path, values: Array, saturated: Mask, dead: Mask) -> CameraImage:
+    share = float(saturated.mean())
+    if share > MOST_MASKED:
+        raise SceneError(
+            f"{path} has {100 * share:.3g} % of its pixels full, limit {100 * MOST_MASKED:g} %; "
+            "expose shorter"
+        )
+    masked = saturated | dead
+    if float(masked.mean()) > MOST_MASKED:
+        raise SceneError(
+            f"{path} has {100 * masked.mean():.3g} % of its pixels full or dead by the flat field, "
+            f"limit {100 * MOST_MASKED:g} %; take another flat field"
+        )
+    good = values[~masked]
+    if not float(good.max()) > 0.0:
+        raise SceneError(
+            f"{path} has no pixel above 0 counts: no photons; expose longer or check the dark frame"
+        )
+    if float(good.min()) == float(good.max()):
+        raise SceneError(f"{path} reads {good[0]:g} in every good pixel; check the file")
+    values = np.where(masked, float(good.mean()), values)
+    return CameraImage(values=values, masked=masked, saturated_fraction=share)
+
+
+def _same_shape(path: str | Path, picture: Array, other: str | Path, frame: Array) -> None:
+    if picture.shape != frame.shape:
+        raise SamplingError(
+            f"{path} has {picture.shape[1]} x {picture.shape[0]} pixels, {other} has "
+            f"{frame.shape[1]} x {frame.shape[0]}; take both with the same frame"
+        )

@@ -1,0 +1,314 @@
+"""What a relay wall passes whatever the solver: transfer of its lobes, modes above the noise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import optimize, special
+
+from .._checks import in_range, positive, whole
+from ..imaging.detector import noise_variance
+from ..imaging.geometry import chief_rays, wall_visibility
+from ..imaging.objects import Patches
+from ..imaging.radiometry import (
+    LaserSpot,
+    electrons_per_radiance,
+    laser_spot,
+    object_radiance,
+)
+from ..scene import Material, PlanarObject, Scene, SumMaterial
+
+Array = NDArray[np.float64]
+
+CELLS = 24  # of the object along its longer side
+BINS = 48  # of the detector along its longer side
+CONTRAST = 0.3  # rms reflectance of a cell about its mean
+MEAN_ALBEDO = 0.35  # of the object, whose light makes the noise
+PAIRS = 200_000  # of wall point and cell held in memory at a time
+
+
+def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
+    """Modulation that a matt wall passes from a plane parallel to it to the light on it.
+
+    Parameters
+    ----------
+    frequency : array_like
+        On the object, cycles/m, at least 0.
+    distance : float
+        From the wall to the plane, m.
+
+    Returns
+    -------
+    ndarray
+        q z K1(q z) with q = 2 pi f: the transform of the irradiance z^2/(r^2 + z^2)^2 of a point,
+        1 at frequency 0.
+    """
+    x = 2 * math.pi * np.asarray(frequency, dtype=np.float64) * positive("distance", distance)
+    if x.size and not (np.isfinite(x).all() and float(x.min()) >= 0.0):
+        in_range("frequency", float(np.asarray(frequency).min()), 0.0, unit="cycles/m")
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(x > 0.0, x * special.k1(np.maximum(x, 1e-300)), 1.0))
+
+
+def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float) -> Array:
+    """Modulation that a mirror-like lobe passes of a plane parallel to the wall.
+
+    Parameters
+    ----------
+    frequency : array_like
+        On the object, cycles/m.
+    distance : float
+        From the wall to the plane, m.
+    slope_rms : float
+        Of the facets per axis, rad.
+
+    Returns
+    -------
+    ndarray
+        exp(-8 pi^2 slope_rms^2 distance^2 f^2): facets of slope t look 2 t distance aside.
+    """
+    blur = 2.0 * in_range("slope_rms", slope_rms, 0.0) * positive("distance", distance)
+    return np.exp(-2.0 * (math.pi * blur * np.asarray(frequency, dtype=np.float64)) ** 2)
+
+
+def lambert_relay_limit(electrons: float, distance: float) -> float:
+    """Frequency, cycles/m, at which a full-contrast sinusoid has signal-to-noise 1.
+
+    Parameters
+    ----------
+    electrons : float
+        Of the whole image, above 2; photon noise only.
+    distance : float
+        From the wall to the plane, m.
+
+    Returns
+    -------
+    float
+        Where ``lambert_relay_transfer(f, distance) * sqrt(electrons/2) = 1``.
+    """
+    in_range("electrons", electrons, 2.0, open_low=True)
+    target = -0.5 * math.log(electrons / 2.0)
+
+    def excess(x: float) -> float:
+        return math.log(x) + math.log(special.k1e(x)) - x - target
+
+    return float(optimize.brentq(excess, 1e-9, 700.0, xtol=1e-14)) / (2 * math.pi * distance)
+
+
+def relay_modes(
+    scene: Scene,
+    *,
+    exposure: float | None = None,
+    light: Array | None = None,
+    freedom: float | None = None,
+    cells: int = CELLS,
+    bins: int = BINS,
+) -> int:
+    """Modes of the object above the noise by the wall's wide lobes.
+
+    Parameters
+    ----------
+    scene : Scene
+    exposure : float, optional
+        s, in place of the camera's.
+    light : ndarray, (ny, nx), optional
+        Expected electrons of all light in every image pixel, which make the noise; by default what
+        these lobes pass of an object of reflectance `MEAN_ALBEDO`.
+    freedom : float, optional
+        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for none.
+    cells, bins : int
+        Cells of the object and bins of the detector along the longer side of each.
+
+    Returns
+    -------
+    int
+        Singular values above 1 of the response (bins by cells, electrons) over the noise of each
+        bin, times `CONTRAST`, by which cells vary, each on its own.
+
+    Notes
+    -----
+    The lobes are the diffuse ones, and mirror-like ones whose slopes blur over two cells or more;
+    narrower ones make a picture, which is not theirs to count.
+    """
+    material = wide_lobes(scene, cells=cells)
+    if material is None:
+        return 0
+    exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
+    response, pixels = relay_response(scene, material, exposure=exposure, cells=cells, bins=bins)
+    camera = scene.camera
+    if light is None:
+        arriving = MEAN_ALBEDO * response.sum(axis=1)
+    else:
+        arriving = _binned(light, _bin_counts(camera.shape, bins)).ravel()
+    dark = camera.dark_current * exposure * camera.binning**2
+    variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
+    return count_modes(response, variance)
+
+
+def count_modes(response: Array, variance: Array) -> int:
+    """Singular values above 1 of ``CONTRAST response/sqrt(variance)``, rows each with its noise.
+
+    Parameters
+    ----------
+    response : ndarray, (n_bins, n_cells)
+    variance : ndarray, (n_bins,)
+
+    Returns
+    -------
+    int
+    """
+    whitened = response * (CONTRAST / np.sqrt(variance))[:, None]
+    # the Gram matrix keeps singular values down to 1e-8 of the largest, far below 1
+    values = np.linalg.eigvalsh(whitened.T @ whitened)
+    return int(np.count_nonzero(values > 1.0))
+
+
+def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
+    """The wall's diffuse lobes, and mirror-like ones that blur over two of the object's cells."""
+    size = plate(scene)[2]
+    distance = float(scene.object_point[2])
+    wide: list[Material] = [
+        lobe
+        for lobe in scene.wall_material.mirror_lobes
+        if 2.0 * lobe.slope_rms * distance >= 2.0 * max(size) / cells
+    ]
+    diffuse = scene.wall_material.diffuse
+    parts = ([] if diffuse is None else [diffuse]) + wide
+    return SumMaterial(*parts) if len(parts) > 1 else (parts[0] if parts else None)
+
+
+def relay_response(
+    scene: Scene, material: Material, *, exposure: float, cells: int = CELLS, bins: int = BINS
+) -> tuple[Array, float]:
+    """Electrons in every bin of the detector from a white cell of the object.
+
+    Parameters
+    ----------
+    scene : Scene
+    material : Material
+        Lobes by which the wall passes the object's light.
+    exposure : float
+        s.
+    cells, bins : int
+        Along the longer side of object and detector.
+
+    Returns
+    -------
+    response : ndarray, (n_bins, n_cells)
+    pixels : float
+        Image pixels of a bin.
+    """
+    whole("cells", cells, 2, 64)
+    whole("bins", bins, 2, 128)
+    camera, spot = scene.camera, laser_spot(scene)
+    counts = _bin_counts(camera.shape, bins)
+    pixels = math.prod(camera.shape) / math.prod(counts)
+    y, x = (
+        (np.arange(n, dtype=np.float64) + 0.5 - n / 2) * (camera.image_pitch * side / n)
+        for n, side in zip(counts, camera.shape, strict=True)
+    )
+    rays = chief_rays(scene, x, y)
+    visible = wall_visibility(scene, rays)
+    gain = electrons_per_radiance(scene, rays.cos_axis, exposure) * visible * pixels
+    seen = visible > 0.0
+    patches = _cells(scene, cells)
+    response = np.zeros((math.prod(counts), len(patches.areas)))
+    rows = np.flatnonzero(seen)
+    points, normals, view = rays.points[seen], rays.normals[seen], -rays.directions[seen]
+    for block, radiance in passed_radiance(scene, spot, material, patches, points, normals, view):
+        response[rows[block]] = radiance * gain.ravel()[rows[block], None]
+    return response, pixels
+
+
+def passed_radiance(
+    scene: Scene,
+    spot: LaserSpot,
+    material: Material,
+    patches: Patches,
+    points: Array,
+    normals: Array,
+    view: Array,
+) -> Iterator[tuple[slice, Array]]:
+    """Radiance of wall points along ``view`` from each patch of the object.
+
+    Parameters
+    ----------
+    scene : Scene
+    spot : LaserSpot
+    material : Material
+        Lobes of the wall that count.
+    patches : Patches
+    points, normals, view : ndarray, (n, 3)
+        On the wall, m; unit; unit, toward the camera.
+
+    Yields
+    ------
+    slice, ndarray (points of it, n_patches)
+        W/(m^2 sr).
+    """
+    step = max(1, PAIRS // len(patches.areas))
+    for start in range(0, len(points), step):
+        block = slice(start, start + step)
+        toward = patches.points - points[block][:, None]
+        square = (toward * toward).sum(axis=-1)
+        toward /= np.sqrt(square)[..., None]
+        leaving = np.maximum(-(toward * patches.normals).sum(axis=-1), 0.0)
+        arriving = np.maximum((toward * normals[block][:, None]).sum(axis=-1), 0.0)
+        light = object_radiance(scene, spot, patches.points, patches.normals, -toward)
+        light *= leaving * arriving * patches.areas / square
+        yield (
+            block,
+            light * material.evaluate(toward, view[block][:, None], normals[block][:, None]),
+        )
+
+
+def plate(scene: Scene) -> tuple[Array, Array, tuple[float, float]]:
+    """Centre, axes (right, up, normal) and size of the object's plane, m, world.
+
+    A mesh stands as the plate of its width and height that faces the wall.
+    """
+    hidden = scene.hidden
+    if isinstance(hidden, PlanarObject):
+        return np.array(hidden.position), hidden.axes, (hidden.size[0], hidden.size[1])
+    extent = np.ptp(np.asarray(hidden.surface.vertices), axis=0)
+    axes = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
+    return scene.object_point, axes, (float(extent[0]), float(extent[1]))
+
+
+def _cells(scene: Scene, cells: int) -> Patches:
+    centre, (right, up, normal), (width, height) = plate(scene)
+    longer = max(width, height)
+    n_x, n_y = (max(1, round(cells * side / longer)) for side in (width, height))
+    across, upward = np.meshgrid(
+        ((np.arange(n_x) + 0.5) / n_x - 0.5) * width, ((np.arange(n_y) + 0.5) / n_y - 0.5) * height
+    )
+    points = centre + across.reshape(-1, 1) * right + upward.reshape(-1, 1) * up
+    area = width * height / (n_x * n_y)
+    return Patches(
+        points=points,
+        normals=np.broadcast_to(normal, points.shape),
+        areas=np.full(len(points), area),
+    )
+
+
+def _bin_counts(shape: tuple[int, int], bins: int) -> tuple[int, int]:
+    """Bins along y and x, square ones, no smaller than a pixel."""
+    longer = max(shape)
+    n_y, n_x = (max(1, round(min(bins, longer) * n / longer)) for n in shape)
+    return n_y, n_x
+
+
+def _binned(picture: Array, counts: tuple[int, int]) -> Array:
+    """Sums over bins; a pixel that two bins share is divided between them."""
+    for axis, count in enumerate(counts):
+        n = picture.shape[axis]
+        edges = np.linspace(0.0, n, count + 1)
+        summed = np.insert(np.cumsum(np.moveaxis(picture, axis, 0), axis=0), 0, 0.0, axis=0)
+        low = np.minimum(edges.astype(np.intp), n - 1)
+        shape = (-1,) + (1,) * (summed.ndim - 1)
+        at = summed[low] + (edges - low).reshape(shape) * (summed[low + 1] - summed[low])
+        picture = np.moveaxis(np.diff(at, axis=0), 0, axis)
+    return picture

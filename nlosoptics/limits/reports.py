@@ -1,0 +1,384 @@
+"""What can be recovered from a scene's image, before any fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import positive
+from ..errors import SceneError
+from ..imaging import SpeckleImage, form_image
+from ..imaging.detector import noise_variance
+from ..imaging.geometry import chief_rays, picture_coordinates, pixel_centres
+from ..psf import PointSpread, Wavefront, mtf, wall_view, wide_point_spread
+from ..scene import PlanarObject, Scene
+from .modulation import (
+    Noise,
+    object_scale,
+    picture_modes,
+    scene_point_spread,
+    spectra,
+    stroke_width,
+    transfer_on,
+)
+from .relay import lambert_relay_transfer, plate, relay_modes
+from .verdicts import Case, verdict
+from .wave_bounds import DEFOCUS, wave_bounds
+
+Array = NDArray[np.float64]
+
+POINTS = 33  # of the frequency table
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Feasibility:
+    """What a scene's image holds of the hidden object and of the wall's wave.
+
+    Parameters
+    ----------
+    recoverable : bool
+        Whether a fit with the point spread known is expected to correlate with the truth by more
+        than 0.9.
+    verdict : str
+        "recoverable", or "not recoverable: ..." with what would have to change.
+    score : float
+        Predicted correlation of that fit.
+    photons : float
+        Of the object's picture that fall on the detector in one exposure.
+    electrons : mapping of str to float
+        Expected, of the whole image: ``signal`` (the picture), ``diffuse``, ``spot``, ``glare``,
+        ``dark``.
+    brightest : float
+        Electrons of the picture's brightest pixel, before the blur.
+    veil : float
+        Share of the light on the detector that is no part of the picture: wall, spot and glare.
+    saturated : float
+        Share of the pixels expected to be full.
+    noise : mapping of str to float
+        Mean rms noise of a pixel, electrons: ``photons``, ``readout``, ``speckle``, ``total``.
+    stroke : float
+        Mean width of the object's bright parts, m.
+    frequency : ndarray, (n,)
+        On the object, cycles/m, rising from 0 to that of two pixels a period.
+    modulation : ndarray, (n,)
+        Passed by the mirror-like lobes, the lens and the pixels; 0 without such a lobe.
+    relay_modulation : ndarray, (n,)
+        Passed by a matt wall: of what the diffuse light carries.
+    signal_to_noise : ndarray, (n,)
+        Of a sinusoid of full contrast over the object that sends as much light, all pixels used.
+    relay_signal_to_noise : ndarray, (n,)
+        The same by the matt wall's light.
+    limit : float
+        Highest frequency with a signal above the noise by either, cycles/m; 0 for none.
+    modes : int
+        Independent patterns of 24 x 24 cells, of contrast 0.3, above the noise; see `relay_modes`.
+    diffuse_modes : int
+        Of them, those that wide lobes alone would carry.
+    wave_bounds : mapping of int to float
+        Least standard deviation to which one image with a known object can tell the wave's Zernike
+        coefficients (Noll index), waves rms; infinity for no information. Empty without a picture.
+    two_frame_bounds : mapping of int to float
+        The same from two images, one with a known extra focus of half a wave rms.
+    """
+
+    recoverable: bool
+    verdict: str
+    score: float
+    photons: float
+    electrons: Mapping[str, float]
+    brightest: float
+    veil: float
+    saturated: float
+    noise: Mapping[str, float]
+    stroke: float
+    frequency: Array
+    modulation: Array
+    relay_modulation: Array
+    signal_to_noise: Array
+    relay_signal_to_noise: Array
+    limit: float
+    modes: int
+    diffuse_modes: int
+    wave_bounds: Mapping[int, float]
+    two_frame_bounds: Mapping[int, float]
+
+    def __post_init__(self) -> None:
+        for name in ("electrons", "noise", "wave_bounds", "two_frame_bounds"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+        for name in (
+            "frequency",
+            "modulation",
+            "relay_modulation",
+            "signal_to_noise",
+            "relay_signal_to_noise",
+        ):
+            getattr(self, name).flags.writeable = False
+
+    def __str__(self) -> str:
+        """The verdict, the figures and the table of frequencies, as lines of text."""
+        e, n = self.electrons, self.noise
+        lines = [
+            self.verdict,
+            f"predicted correlation   {self.score:.3f}",
+            f"photons of the picture  {self.photons:.3g}, brightest pixel "
+            f"{self.brightest:.3g} electrons",
+            f"electrons               signal {e['signal']:.3g}, diffuse {e['diffuse']:.3g}, spot "
+            f"{e['spot']:.3g}, glare {e['glare']:.3g}, dark {e['dark']:.3g}; veil {self.veil:.2g}",
+            f"noise of a pixel        {n['total']:.3g} electrons rms: photons {n['photons']:.3g}, "
+            f"readout {n['readout']:.3g}, speckle {n['speckle']:.3g}",
+            f"modes above noise       {self.modes}, by diffuse light alone {self.diffuse_modes}",
+            f"resolution              {self.limit:.3g} cycles/m; strokes are "
+            f"{1e3 * self.stroke:.3g} mm wide",
+        ]
+        for name, bounds in (
+            ("wave, one frame", self.wave_bounds),
+            ("wave, two frames", self.two_frame_bounds),
+        ):
+            if bounds:
+                told = ", ".join(f"Z{index} {value:.2g}" for index, value in bounds.items())
+                lines.append(f"{name:23s} {told} waves rms at least")
+        lines.append("cycles/m  modulation  signal/noise  matt wall  signal/noise")
+        lines.extend(
+            f"{f:8.3g}  {m:10.3g}  {s:12.3g}  {r:9.3g}  {d:12.3g}"
+            for f, m, s, r, d in zip(
+                self.frequency[::4],
+                self.modulation[::4],
+                self.signal_to_noise[::4],
+                self.relay_modulation[::4],
+                self.relay_signal_to_noise[::4],
+                strict=True,
+            )
+        )
+        return "\n".join(lines)
+
+    def figures(self) -> dict[str, Any]:
+        """Everything as plain numbers, lists and text for JSON; infinity becomes None."""
+
+        def plain(value: Any) -> Any:
+            if isinstance(value, Mapping):
+                return {str(key): plain(inner) for key, inner in value.items()}
+            if isinstance(value, np.ndarray):
+                return [plain(float(inner)) for inner in value]
+            return None if isinstance(value, float) and not math.isfinite(value) else value
+
+        return {name: plain(getattr(self, name)) for name in self.__dataclass_fields__}
+
+
+def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
+    """Say before any fit what an image of the scene can tell of the object and of the wall.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its own picture stands for the kind of object that is looked for.
+    exposure : float, optional
+        s, in place of the camera's.
+
+    Returns
+    -------
+    Feasibility
+
+    Raises
+    ------
+    NlosError
+        As of `psf.wavefront`, `psf.lobe_point_spread` and `imaging.form_image`.
+
+    Notes
+    -----
+    Light and noise are those of `imaging.form_image`, the modulation is that of the point spread at
+    the object's reference point. Wide lobes are counted by the singular values of their response,
+    mirror-like ones by their modulation on the same cells; the larger count is told. Nothing here
+    needs torch.
+    """
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
+    if exposure is not None:
+        camera = replace(scene.camera, exposure=positive("exposure", exposure, unit="s"))
+        scene = replace(scene, camera=camera)
+    wave, spread = scene_point_spread(scene)
+    image = form_image(scene, spread)
+    view = _View(scene, wave, spread, image)
+    modulation, strength = view.modulation(), view.strength()
+    relay, diffuse = view.relay_modulation(), view.diffuse_strength()
+    picture = view.picture
+    by_diffuse = view.diffuse_modes()
+    recoverable, words = verdict(
+        Case(
+            picture=picture,
+            sharp=view.sharp_transfer(),
+            mirror=view.mirror,
+            slope=view.slope,
+            reach=view.reach,
+            stroke=view.stroke,
+            full=view.full,
+            diffuse_modes=by_diffuse,
+        )
+    )
+    ledger = image.ledger
+    stray = ledger["diffuse"] + ledger["spot"] + ledger["glare"]
+    lit = stray + ledger["signal"]
+    return Feasibility(
+        recoverable=recoverable,
+        verdict=words,
+        score=picture.score() if view.mirror > 0.0 else 0.0,
+        photons=ledger["signal"] / scene.camera.quantum_efficiency,
+        electrons={k: ledger[k] for k in ("signal", "diffuse", "spot", "glare", "dark")},
+        brightest=float(image.ideal.max()),
+        veil=stray / lit if lit > 0.0 else 0.0,
+        saturated=view.full,
+        noise=picture.noise.figures(),
+        stroke=view.stroke,
+        frequency=view.frequency,
+        modulation=modulation,
+        relay_modulation=relay,
+        signal_to_noise=modulation * strength,
+        relay_signal_to_noise=relay * diffuse,
+        limit=_limit(view.frequency, np.maximum(modulation * strength, relay * diffuse)),
+        modes=max(view.picture_modes(modulation), by_diffuse),
+        diffuse_modes=by_diffuse,
+        wave_bounds=view.wave_bounds((0.0,)),
+        two_frame_bounds=view.wave_bounds((0.0, DEFOCUS)),
+    )
+
+
+class _View:
+    """A scene with its expected image, and what follows from both."""
+
+    def __init__(
+        self, scene: Scene, wave: Wavefront, spread: PointSpread, image: SpeckleImage
+    ) -> None:
+        self._scene, self._wave, self._spread, self._image = scene, wave, spread, image
+        self._scale = object_scale(scene)
+        camera, dark = scene.camera, image.ledger["dark"] / image.ideal.size
+        # a dark current's noise is photons'; the background holds it
+        light = image.expected - dark
+        self._light = light
+        self._freedom = image.speckle_contrast**-2 if image.speckle_contrast > 0.0 else None
+        still = np.zeros((1, 1))
+        self.picture = spectra(
+            image,
+            spread,
+            self._scale,
+            Noise(
+                photons=float(image.expected.mean()),
+                readout=float(noise_variance(camera, still, 0.0, None)[0, 0]),
+                speckle=0.0 if self._freedom is None else float((light**2).mean()) / self._freedom,
+            ),
+        )
+        self.mirror = scene.wall_material.specular_reflectance
+        self.slope = max((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
+        self.distance = float(scene.object_point[2])
+        self.reach = self._reach()
+        self.stroke = self._stroke()
+        well = camera.full_well * camera.binning**2
+        self.full = float((image.expected >= well).mean())
+        top = 0.5 / (image.pitch * self._scale)
+        self.frequency = np.linspace(0.0, top, POINTS)
+        self._shown = self._object_pixels()
+
+    def _reach(self) -> float:
+        """Blur on the object per slope of a lobe, m/rad, rms of both axes."""
+        seen = wall_view(self._scene)
+        turn = seen.cos_sum * float(np.linalg.norm(seen.footprint)) / math.sqrt(2.0)
+        return turn * abs(self._wave.image_distance) * self._scale
+
+    def _stroke(self) -> float:
+        hidden = self._scene.hidden
+        if isinstance(hidden, PlanarObject):
+            return stroke_width(hidden.reflectance, hidden.size[0] / hidden.reflectance.shape[1])
+        return stroke_width(self._image.ideal, self._image.pitch * self._scale)
+
+    def _object_pixels(self) -> NDArray[np.bool_]:
+        """Image pixels that show the object's plate."""
+        hidden = self._scene.hidden
+        if not isinstance(hidden, PlanarObject):
+            return np.asarray(self._image.ideal > 0.0)
+        rays = chief_rays(self._scene, *pixel_centres(self._scene.camera))
+        column, row = picture_coordinates(hidden, rays)
+        rows, columns = hidden.reflectance.shape
+        with np.errstate(invalid="ignore"):
+            inside = (column >= 0) & (column <= columns) & (row >= 0) & (row <= rows)
+        return np.asarray(inside)
+
+    def modulation(self) -> Array:
+        """Of the picture at `frequency`, mean of both axes; 0 where no lobe makes one."""
+        if self.mirror == 0.0:
+            return np.zeros(POINTS)
+        along, across = (
+            mtf(self._spread, self.frequency * self._scale, azimuth=a) for a in (0.0, math.pi / 2)
+        )
+        return np.asarray(np.hypot(along, across) / math.sqrt(2.0))
+
+    def relay_modulation(self) -> Array:
+        """Of a matt wall at `frequency`."""
+        return lambert_relay_transfer(self.frequency, self.distance)
+
+    def strength(self) -> float:
+        """Signal-to-noise of a sinusoid of full contrast that is passed unblurred."""
+        return self._strength(self._image.ledger["ideal"], self._shown)
+
+    def diffuse_strength(self) -> float:
+        """The same of the diffuse light, over the whole detector."""
+        everywhere = np.ones_like(self._shown)
+        return self._strength(self._image.ledger["diffuse"], everywhere)
+
+    def _strength(self, electrons: float, where: NDArray[np.bool_]) -> float:
+        count = int(np.count_nonzero(where))
+        if count == 0 or electrons <= 0.0:
+            return 0.0
+        variance = float((self._image.noise_sigma[where] ** 2).mean())
+        return electrons / math.sqrt(2.0 * count * variance)
+
+    def diffuse_modes(self) -> int:
+        """Modes above the noise by wide lobes."""
+        return relay_modes(self._scene, light=self._light, freedom=self._freedom)
+
+    def picture_modes(self, modulation: Array) -> int:
+        """Modes above the noise by the picture."""
+        hidden = self._scene.hidden
+        mean = 1.0
+        if isinstance(hidden, PlanarObject):
+            mean = max(float(hidden.reflectance.mean()), 1e-12)
+        white = self.strength() * math.sqrt(2.0) / mean
+        return picture_modes(modulation, self.frequency, plate(self._scene)[2], white)
+
+    def sharp_transfer(self) -> Array:
+        """|transfer| of the picture without the slopes of the lobes."""
+        if self.slope == 0.0:
+            return self.picture.transfer
+        spread = wide_point_spread(
+            self._wave, pitch=self._image.pitch, shape=self._spread.shape, tol=1e-2
+        )
+        return transfer_on(spread, self.picture.grid)
+
+    def wave_bounds(self, frames: tuple[float, ...]) -> dict[int, float]:
+        """Bounds of the wave's coefficients from frames of known focus; none without a picture."""
+        if self.mirror == 0.0 or self._image.ledger["ideal"] == 0.0:
+            return {}
+        return wave_bounds(
+            self.picture,
+            self._wave,
+            scale=self._scale,
+            pitch=self._image.pitch,
+            blur=self.slope * self.reach,
+            defocus=frames,
+        )
+
+
+def _limit(frequency: Array, ratio: Array) -> float:
+    """Highest frequency at which a falling ratio is still 1, between samples; 0 for none."""
+    above = np.nonzero(ratio >= 1.0)[0]
+    if not len(above):
+        return 0.0
+    last = int(above[-1])
+    if last + 1 == len(ratio):
+        return float(frequency[-1])
+    high, low = math.log(ratio[last]), math.log(max(float(ratio[last + 1]), 1e-300))
+    step = frequency[last + 1] - frequency[last]
+    return float(frequency[last] + step * high / (high - low))

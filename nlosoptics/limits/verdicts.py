@@ -1,0 +1,148 @@
+"""Verdicts in words: whether a picture can be recovered, and what would have to change."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .modulation import Noise, Picture
+
+Array = NDArray[np.float64]
+
+#: Predicted correlation above which an object counts as recoverable.
+GOOD = 0.9
+#: Share of full pixels beyond which an image is taken as spoilt.
+FULL = 0.01
+MOST_EXPOSURE = 1e6  # times longer that an exposure is thought of
+NOISELESS = Noise(photons=0.0, readout=0.0, speckle=0.0)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Case:
+    """What a verdict is drawn from.
+
+    Parameters
+    ----------
+    picture : Picture
+        Of the mirror-like lobes.
+    sharp : ndarray
+        |transfer| of the same without the lobes' slopes.
+    mirror : float
+        Reflectance of the mirror-like lobes together.
+    slope : float
+        Largest slope of theirs, rad.
+    reach : float
+        Blur on the object by a lobe, m rms per rad of slope: 2 d1 at normal incidence.
+    stroke : float
+        Of the object, m; 0 where it is dark.
+    full : float
+        Share of image pixels expected to be full.
+    diffuse_modes : int
+        Above the noise by wide lobes.
+    """
+
+    picture: Picture
+    sharp: Array
+    mirror: float
+    slope: float
+    reach: float
+    stroke: float
+    full: float
+    diffuse_modes: int
+
+
+def verdict(case: Case) -> tuple[bool, str]:
+    """Whether the object can be recovered, and the verdict in words."""
+    reasons = list(_reasons(case))
+    if not reasons:
+        return True, "recoverable"
+    return False, f"not recoverable: {'; '.join(reasons)}"
+
+
+def _reasons(case: Case) -> list[str]:
+    if case.mirror > 0.0 and not case.picture.power.any():
+        return ["no light of the object reaches the camera by the wall's mirror-like lobe"]
+    if case.mirror == 0.0:
+        return [_diffuse(case)]
+    if case.full > FULL:
+        return [
+            f"{100 * case.full:.2g} % of the pixels are full; expose shorter, or keep the laser's "
+            "spot out of view by a field stop"
+        ]
+    if case.picture.score() >= GOOD:
+        return []
+    sharp = case.picture.with_lobe(0.0, instead=case.sharp)
+    if sharp.score() >= GOOD:
+        return [_too_rough(case)]
+    if case.picture.with_noise(NOISELESS).score() >= GOOD:
+        return [_too_noisy(case.picture)]
+    found = [_too_noisy(sharp)]
+    if case.slope > 0.0:
+        found.append(_stroke_words(case))
+    return found
+
+
+def _diffuse(case: Case) -> str:
+    needed = case.stroke / case.reach
+    told = f" of slope below {needed:.2g} rad" if needed > 0.0 else ""
+    return (
+        f"the wall has no mirror-like lobe, and by diffuse light {case.diffuse_modes} modes rise "
+        f"above the noise; a lobe{told}, or an occluder near the object, would carry more"
+    )
+
+
+def _stroke_words(case: Case) -> str:
+    return (
+        f"the lobe's slope of {case.slope:.2g} rad blurs by {1e3 * case.slope * case.reach:.2g} "
+        f"mm rms, strokes are {1e3 * case.stroke:.2g} mm wide"
+    )
+
+
+def _too_rough(case: Case) -> str:
+    """Blur is what stands in the way: with the slope that would do."""
+    low, high = 0.0, case.slope
+    for _ in range(20):
+        middle = (low + high) / 2
+        blurred = case.picture.with_lobe(middle * case.reach, instead=case.sharp)
+        low, high = (middle, high) if blurred.score() >= GOOD else (low, middle)
+    text = (
+        f"{_stroke_words(case)}; a lobe of {low:.2g} rad or less would do, or the object nearer "
+        "the wall"
+    )
+    longer = _exposure_factor(case.picture)
+    return text if longer is None else f"{text}, or {_longer(longer)}"
+
+
+def _too_noisy(picture: Picture) -> str:
+    longer = _exposure_factor(picture)
+    noise = picture.noise
+    if longer is not None:
+        return f"the noise is too strong; {_longer(longer)} would do"
+    if noise.speckle > 0.0:
+        quiet = Noise(photons=noise.photons, readout=noise.readout, speckle=0.0)
+        told = picture.with_noise(quiet)
+        if told.score() >= GOOD or _exposure_factor(told) is not None:
+            return "speckle is too strong at any exposure; average patterns, or use a wider pixel"
+    return "optics and pixels pass too little detail; use a sharper focus or finer pixels"
+
+
+def _longer(factor: float) -> str:
+    return f"{factor:.2g} times the exposure or laser power"
+
+
+def _exposure_factor(picture: Picture) -> float | None:
+    """Times as long an exposure with which the score is good; None beyond `MOST_EXPOSURE`."""
+
+    def good(factor: float) -> bool:
+        return picture.with_noise(picture.noise.exposed(factor)).score() >= GOOD
+
+    if not good(MOST_EXPOSURE):
+        return None
+    low, high = 0.0, math.log(MOST_EXPOSURE)
+    for _ in range(30):
+        middle = (low + high) / 2
+        low, high = (low, middle) if good(math.exp(middle)) else (middle, high)
+    return math.exp(high)

@@ -1,0 +1,75 @@
+"""What a run writes about itself: arrays, scene, versions, memory."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from . import __version__
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+#: Distributions whose versions decide a run's numbers.
+DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
+
+
+def arrays(noun: Any) -> dict[str, Any]:
+    """Entries of a dataclass or mapping, nested ones too, that need no pickle in an ``.npz``."""
+    from dataclasses import fields, is_dataclass
+
+    import numpy as np
+
+    entries = (
+        {entry.name: getattr(noun, entry.name) for entry in fields(noun)}
+        if is_dataclass(noun)
+        else noun
+    )
+    found: dict[str, Any] = {}
+    for name, value in entries.items():
+        if is_dataclass(value) or isinstance(value, Mapping):
+            found |= {f"{name}_{key}": inner for key, inner in arrays(value).items()}
+        elif not (array := np.asarray(value)).dtype.hasobject:
+            found[name] = array
+    return found
+
+
+def scene_hash(scene: Scene) -> str:
+    """SHA-256 of the scene's own text and of the pictures and meshes that it names."""
+    import hashlib
+
+    from .scene.file import format_scene
+
+    parts = (scene.hidden, scene.wall)
+    named = [getattr(part, key, None) for part in parts for key in ("image", "mesh")]
+    files = [path for path in named if isinstance(path, Path)]
+    # named relative to one of them, the text does not depend on where the scene lies
+    digest = hashlib.sha256(format_scene(scene, files[0].parent if files else ".").encode())
+    for path in files:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, of this package and of the packages that decide its numbers."""
+    found = {"python": ".".join(map(str, sys.version_info[:3])), "nlosoptics": __version__}
+    for name in DECIDING:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def peak_memory() -> float | None:
+    """Largest resident memory of this process, bytes; None where the system does not say."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS counts bytes, Linux KiB
+    return float(peak) if sys.platform == "darwin" else 1024.0 * peak

@@ -1,0 +1,215 @@
+"""The verdict before a fit: light, modulation, noise, words, and what a fit then does."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+
+import nlosoptics
+from nlosoptics import limits
+from nlosoptics.errors import SceneError
+from nlosoptics.limits.modulation import Noise, scene_point_spread, spectra, stroke_width
+from nlosoptics.scene import (
+    FlatWall,
+    Lambert,
+    PlanarObject,
+    Scene,
+    SpecularMicrofacet,
+    SumMaterial,
+)
+
+
+@pytest.fixture
+def scene(examples) -> Scene:
+    """The letter of the first example, 64 x 64 pixels."""
+    return Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+
+
+def walled(scene: Scene, slope: float, **camera) -> Scene:
+    """With a mirror-like lobe of a slope, and changes of the camera."""
+    material = SumMaterial(Lambert(0.75), SpecularMicrofacet(0.05, slope))
+    return replace(scene, wall_material=material, camera=replace(scene.camera, **camera))
+
+
+def test_signal_to_noise_is_that_of_photons_alone(scene: Scene) -> None:
+    """White plate, mirror, no readout noise: sqrt(N/2) for N electrons."""
+    camera = replace(scene.camera, read_noise=0.0, dark_current=0.0, full_well=1e7, bit_depth=32)
+    hidden = PlanarObject(np.ones((4, 4)), 0.3, position=scene.hidden.position)
+    mirror = replace(
+        scene,
+        camera=camera,
+        hidden=hidden,
+        laser=replace(scene.laser, independent_patterns=None),
+        wall_material=SpecularMicrofacet(0.3, 0.0),
+    )
+    found = limits.feasibility(mirror)
+    # the plate's rim covers its pixels in part: 13 pixels across, half of a pixel at each side
+    assert found.signal_to_noise[0] == approx(math.sqrt(found.electrons["signal"] / 2), rel=0.08)
+    assert found.noise["readout"] == approx(1e7 / 2**32 / math.sqrt(12) * 64, rel=1e-9)
+    assert found.veil == 0.0
+    assert found.diffuse_modes == 0
+
+
+@pytest.mark.parametrize("slope", [0.01, 0.02])
+def test_lobe_modulation_is_the_closed_form(scene: Scene, slope: float) -> None:
+    camera = replace(scene.camera, position=(-0.05, 0.0, 0.8), aim=(0.0, 0.0, 0.0), field_stop=None)
+    hidden = replace(scene.hidden, position=(0.0625, 0.0, 1.0))
+    near = replace(scene, camera=camera, hidden=hidden).resized(256)
+    found = limits.feasibility(walled(near, slope))
+    low = (found.frequency > 0) & (found.frequency < 0.2 / slope)
+    expected = limits.lobe_relay_transfer(found.frequency[low], 1.0, slope)
+    # 4 deg oblique and pixels of a quarter of the blur, 1 % each; the point spread is cut where it
+    # falls below 1e-2 of its peak
+    assert np.log(found.modulation[low]) == approx(np.log(expected), rel=0.04)
+
+
+def test_no_lobe_is_not_recoverable_and_says_which_would_do(scene: Scene) -> None:
+    found = limits.feasibility(replace(scene, wall_material=Lambert(0.8)))
+    assert not found.recoverable
+    assert "no mirror-like lobe" in found.verdict
+    needed = float(re.search(r"slope below ([\d.]+) rad", found.verdict)[1])  # type: ignore[index]
+    # 2 sigma d1 below the stroke's width, d1 = 1.14 m along the oblique ray
+    assert needed == approx(found.stroke / (2 * 1.14), rel=0.1)
+    assert found.modes == found.diffuse_modes
+    assert 2 <= found.diffuse_modes <= 10
+    assert not found.modulation.any()
+    assert found.score == 0.0
+    assert found.wave_bounds == {}
+    # one cycle/m: 0.6 %
+    near = np.interp(1.0, found.frequency, np.log(found.relay_modulation))
+    assert near == approx(math.log(0.0062), rel=0.1)
+
+
+def test_wide_lobe_is_told_with_the_slope_that_would_do(scene: Scene) -> None:
+    found = limits.feasibility(walled(scene, 0.05))
+    assert not found.recoverable
+    needed = float(re.search(r"a lobe of ([\d.]+) rad", found.verdict)[1])  # type: ignore[index]
+    # the lobe thought of is round, that of an oblique wall is longer in the plane of incidence
+    assert limits.feasibility(walled(scene, 0.8 * needed)).recoverable
+    assert not limits.feasibility(walled(scene, 1.2 * needed)).recoverable
+
+
+def test_weak_light_is_told_with_the_exposure_that_would_do(scene: Scene) -> None:
+    dark = walled(scene, 0.0, exposure=1e-4)
+    found = limits.feasibility(dark)
+    assert "noise is too strong" in found.verdict
+    factor = float(re.search(r"([\d.e+]+) times the exposure", found.verdict)[1])  # type: ignore[index]
+    # two digits are written
+    assert limits.feasibility(dark, exposure=1.1e-4 * factor).recoverable
+    assert not limits.feasibility(dark, exposure=0.9e-4 * factor).recoverable
+
+
+def test_speckle_is_told_as_such(scene: Scene) -> None:
+    """A stop so small that a pixel holds a speckle: no exposure helps."""
+    laser = replace(scene.laser, independent_patterns=1, power=50.0)
+    small = replace(walled(scene, 0.02, stop_diameter=2e-5, exposure=1e4), laser=laser)
+    found = limits.feasibility(small)
+    assert not found.recoverable
+    assert found.noise["speckle"] > found.noise["photons"]
+
+
+def test_full_pixels_and_black_pictures_are_told(scene: Scene) -> None:
+    found = limits.feasibility(walled(scene, 0.0, full_well=10.0))
+    assert "pixels are full" in found.verdict
+    assert found.saturated > 0.01
+    black = replace(
+        scene, hidden=PlanarObject(np.zeros((4, 4)), 0.3, position=scene.hidden.position)
+    )
+    found = limits.feasibility(black)
+    assert "no light" in found.verdict
+    assert found.photons == 0.0
+    json.dumps(found.figures(), allow_nan=False)
+
+
+@pytest.mark.parametrize("changes", [(0.0, 40e-3), (0.02, 20e-3), (0.0, 1e-4)])
+def test_score_is_what_a_fit_then_reaches(scene: Scene, changes: tuple[float, float]) -> None:
+    from nlosoptics import inverse
+
+    slope, exposure = changes
+    case = walled(scene, slope, exposure=exposure)
+    found = limits.feasibility(case)
+    result = nlosoptics.simulate(case, 1e-2, seed=5, reconstruct=True)
+    reached = inverse.registered_correlation(result.reconstruction, result.image.ideal)
+    assert found.recoverable == (reached > 0.9)
+    # rms 0.02 over 60 scenes where a fit finds light at all
+    assert found.score == approx(reached, abs=0.08)
+
+
+def test_figures_and_text_hold_everything(scene: Scene) -> None:
+    found = limits.feasibility(scene)
+    figures = json.loads(json.dumps(found.figures(), allow_nan=False))
+    assert set(figures) == set(found.__dataclass_fields__)
+    assert figures["wave_bounds"]["4"] is None  # the focus of a wave in focus
+    text = str(found)
+    assert text.startswith("recoverable\n")
+    assert "modes above noise" in text
+    assert not found.frequency.flags.writeable
+
+
+def test_curved_wall_magnifies(examples) -> None:
+    """Scale at the object's middle, against two points of the picture imaged by chief rays."""
+    from nlosoptics.imaging.geometry import chief_rays, picture_coordinates, pixel_centres
+    from nlosoptics.limits.modulation import object_scale
+
+    scene = Scene.load(examples / "scenes" / "letter_concave.toml").resized(64)
+    rays = chief_rays(scene, *pixel_centres(scene.camera))
+    column, _ = picture_coordinates(scene.hidden, rays)
+    columns = scene.hidden.reflectance.shape[1]
+    middle = np.unravel_index(np.nanargmin(abs(column - columns / 2)), column.shape)
+    step = abs(column[32, middle[1] + 1] - column[32, middle[1] - 1]) / 2
+    across = step * scene.hidden.size[0] / columns / scene.camera.image_pitch
+    flat = object_scale(replace(scene, wall=FlatWall()))
+    # in plane and across differ by some percent: the wall is seen obliquely
+    assert object_scale(scene) == approx(across, rel=0.05)
+    assert abs(object_scale(scene) / flat - 1) > 0.05
+
+
+def test_strokes_of_bars_are_their_width() -> None:
+    bars = np.zeros((40, 60))
+    bars[5:35, 10:14] = 1.0
+    bars[5:35, 30:34] = 1.0
+    # 2 area/outline of a bar w by l is w l/(w + l); straight sides count pi/4 of themselves
+    assert stroke_width(bars, 2.0) == approx(2.0 * 4 * 30 / 34 * 4 / math.pi, rel=1e-12)
+    assert stroke_width(np.zeros((3, 3)), 1.0) == 0.0
+
+
+def test_noise_falls_as_exposure_rises() -> None:
+    noise = Noise(photons=8.0, readout=16.0, speckle=3.0).exposed(4.0)
+    assert (noise.photons, noise.readout, noise.speckle) == (2.0, 1.0, 3.0)
+
+
+def test_score_does_not_fall_with_light(scene: Scene) -> None:
+    from nlosoptics.imaging import form_image
+
+    _, spread = scene_point_spread(scene)
+    picture = spectra(
+        form_image(scene, spread), spread, 1.0, Noise(photons=1e6, readout=0.0, speckle=0.0)
+    )
+    scores = [picture.with_noise(picture.noise.exposed(k)).score() for k in np.geomspace(1, 1e4, 9)]
+    assert np.all(np.diff(scores) >= 0.0)
+    assert 0.5 < scores[-1] <= 1.0
+
+
+def test_needs_no_torch(examples) -> None:
+    code = (
+        "import sys; import nlosoptics as n; "
+        f"s = n.Scene.load({str(examples / 'scenes' / 'letter_flat.toml')!r}).resized(64); "
+        "print(n.limits.feasibility(s).recoverable, 'torch' in sys.modules)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert answer.stdout == "True False\n", answer.stderr
+
+
+def test_bad_input_is_named(scene: Scene) -> None:
+    with pytest.raises(SceneError, match="scene is a str"):
+        limits.feasibility("letter")  # type: ignore[arg-type]
+    with pytest.raises(SceneError, match="exposure"):
+        limits.feasibility(scene, exposure=0.0)
