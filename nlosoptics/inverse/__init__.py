@@ -17,6 +17,7 @@ from .measurements import estimate_noise
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
 from .registration import registered_correlation
+from .scene_leaves import SceneLeaves
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
 from .wiener_filter import wiener
@@ -24,6 +25,7 @@ from .wiener_filter import wiener
 __all__ = [
     "PupilPSF",
     "Reconstruction",
+    "SceneLeaves",
     "TorchForwardModel",
     "estimate_noise",
     "registered_correlation",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from typing import Any, Literal, TypedDict
 
@@ -165,6 +166,27 @@ class PupilOptics(nn.Module):
         fine = torch.fft.irfft2(spectrum, s=self._grid)
         spectrum = torch.fft.rfft2(fine[..., :: self._finer, :: self._finer])
         return spectrum
+
+    def steepest(self, turns: Tensor) -> float:
+        """Largest step of waves (..., n_v, n_u) between neighbouring cells of the pupil."""
+        lit = torch.from_numpy(self.share > 0).to(turns.device)
+        steps = []
+        for axis in (-2, -1):
+            pairs = lit.narrow(axis, 1, lit.shape[axis] - 1)
+            pairs = pairs & lit.narrow(axis, 0, lit.shape[axis] - 1)
+            steps.append(float((turns.diff(dim=axis).abs() * pairs).max()))
+        return max(steps)
+
+    def warn_of_steps(self, turns: Tensor) -> None:
+        """Warn of a slope that the cells cannot hold."""
+        step = self.steepest(turns)
+        if step > 0.5:
+            warnings.warn(
+                f"the wave rises {step:.3g} waves from one pupil cell of "
+                f"{min(self.pupil_pitch):.3g} m to the next, limit 0.5, a slope of lambda/(2 cell):"
+                " the point spread is aliased; use a larger shape, or more samples",
+                stacklevel=4,
+            )
 
     def _periodic(self, turns: Tensor) -> Tensor:
         """Intensity over one period of fine samples, origin at sample [0, 0].

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Self, Unpack
@@ -67,15 +66,7 @@ class PupilPSF(nn.Module):
         if not bool(torch.isfinite(self.coefficients).all()):
             raise SceneError("coefficients hold NaN or infinity; give finite start values")
         self.register_buffer("_defocus", like(optics, noll_mode(DEFOCUS, optics)))
-        step = self.steepest()
-        if step > 0.5:
-            cell = min(optics.pupil_pitch)
-            warnings.warn(
-                f"the wave rises {step:.3g} waves from one pupil cell of {cell:.3g} m to the next, "
-                "limit 0.5, a slope of lambda/(2 cell): the point spread is aliased; use a larger "
-                "shape, or more samples",
-                stacklevel=3,
-            )
+        optics.warn_of_steps(self.aberration().detach() / optics.wavelength)
 
     @classmethod
     def from_zernike(
@@ -417,14 +408,7 @@ class PupilPSF(nn.Module):
         Above 1/2, which is a slope of lambda/(2 cell), the cells no longer hold the wave.
         """
         with torch.no_grad():
-            turns = self.aberration(coefficients) / self.wavelength
-        lit = torch.from_numpy(self.optics.share > 0).to(turns.device)
-        steps = []
-        for axis in (-2, -1):
-            pairs = lit.narrow(axis, 1, lit.shape[axis] - 1)
-            pairs = pairs & lit.narrow(axis, 0, lit.shape[axis] - 1)
-            steps.append(float((turns.diff(dim=axis).abs() * pairs).max()))
-        return max(steps)
+            return self.optics.steepest(self.aberration(coefficients) / self.wavelength)
 
     def curl_residual(self, coefficients: Tensor | None = None) -> float:
         """Rms of what the slopes between neighbours differ by from those of the wave, rad.

@@ -74,6 +74,7 @@ class SceneLeaves(nn.Module):
     and the wall as the lobe blurs it (`psf.wall_view`), stay those of the start. A lobe of slope
     rms s multiplies the transfer function at frequency f by
     ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``, the rough limit of `psf.mean_point_spread`.
+    Rays are aimed on the processor; the transform runs where ``device`` says.
     """
 
     _frequencies: Tensor
@@ -116,6 +117,9 @@ class SceneLeaves(nn.Module):
             if self.optics.method != "fft":
                 raise SamplingError("a lobe's blur needs method='fft', whose image is a period")
             self.register_buffer("_frequencies", like(self.optics, _lobe_frequencies(self)))
+
+        with torch.no_grad():
+            self.optics.warn_of_steps(self.aberration() / self.optics.wavelength)
 
     def forward(self, field: ArrayLike | None = None) -> Tensor:
         """Point spread, (H, W), or (K, H, W) of points beside the object's centre.
@@ -222,7 +226,7 @@ def _longer(line: Tensor, offsets: Tensor) -> Tensor:
 def _frame(axis: Tensor) -> Tensor:
     """Rows e1 and e2 of `scene.pupil_frame`, (2, 3)."""
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
-    if float(torch.linalg.cross(up, axis).norm()) < 1e-12:
+    if float(torch.linalg.cross(up, axis.detach()).norm()) < 1e-12:
         up = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
     e1 = torch.linalg.cross(up, axis)
     e1 = e1 / e1.norm()
