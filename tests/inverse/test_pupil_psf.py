@@ -164,6 +164,18 @@ def test_gradients(method, integrated):
         assert torch.autograd.gradcheck(lambda c: module.transfer(c), start)
 
 
+# torch's own forward derivatives compile helpers in a way that it deprecates
+@pytest.mark.filterwarnings("ignore:.*torch.jit:DeprecationWarning")
+def test_second_and_forward_derivatives_and_maps_over_batches():
+    module = pupil([4, 5, 6], shape=10, cells=2.0)
+    leaves = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(module, leaves, check_forward_ad=True)
+    assert torch.autograd.gradgradcheck(module, leaves)
+    stack = torch.stack((leaves, -leaves)).detach()
+    # the same transforms in another order, of energies below 1
+    torch.testing.assert_close(torch.func.vmap(module)(stack), module(stack), rtol=0, atol=1e-15)
+
+
 @pytest.mark.parametrize("boundary", ["padded", "circular"])
 @pytest.mark.parametrize("shape", [(64, 64), (41, 40)])
 @pytest.mark.parametrize("frame", [(64, 64), (17, 80), (120, 23)])
