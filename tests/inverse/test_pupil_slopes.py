@@ -216,4 +216,4 @@ def test_scenes_without_a_wave_are_refused(concave):
     with pytest.raises(SceneError, match="piston"):
         scene_pupil(concave, [1, 4])
     with pytest.raises(CausticError):
-        scene_pupil(replace(concave, wall=ConcaveWall(1.0, size=(1.4, 1.0))))
+        scene_pupil(replace(concave, wall=ConcaveWall(1.1, size=(1.4, 1.0))))
