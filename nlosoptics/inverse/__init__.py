@@ -18,8 +18,10 @@ from .callbacks import Stop
 from .lucy import richardson_lucy
 from .measurements import estimate_noise
 from .phase_retrieval import object_from_autocorrelation, phase_retrieval
+from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
 from .registration import RegisteredScores, registered_correlation, registered_scores
+from .scene_leaves import SceneLeaves
 from .simple_filters import inverse_filter
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
@@ -27,8 +29,10 @@ from .wiener_filter import wiener
 
 __all__ = [
     "Feasibility",
+    "PupilPSF",
     "Reconstruction",
     "RegisteredScores",
+    "SceneLeaves",
     "Stop",
     "TorchForwardModel",
     "estimate_noise",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import torch
@@ -14,12 +14,11 @@ from .._checks import in_range, positive, whole
 from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
+from .callbacks import Progress, goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
-from .torch_model import TorchForwardModel, model_shape, operator
+from .torch_model import TorchForwardModel, model_shape, torch_model
 from .wiener_filter import background_estimate
-
-Progress = Callable[[float, str], None]
 
 
 @single_thread()
@@ -36,6 +35,7 @@ def richardson_lucy(
     max_iterations: int = 1000,
     tolerance: float = 1e-5,
     seed: int = 0,
+    start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Non-negative object by expectation maximisation, stopped where the residual is the noise.
@@ -64,8 +64,11 @@ def richardson_lucy(
         Relative change of the object per iteration at which to stop as well.
     seed : int
         Part of every solver's signature; this one draws nothing, any seed gives the same bits.
+    start : array_like, mapping or None
+        Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
+        Where it is dark it stays dark.
     progress : callable or None
-        Called now and then with the fraction done and a line of text.
+        Called now and then with the fraction done and a line of text; may raise `Stop`.
 
     Returns
     -------
@@ -114,7 +117,8 @@ def richardson_lucy(
     )
     if data.is_background():
         return without_object(data, model=model, gain=gain, started=started)
-    steps = _Maximisation(data, model, accelerated)
+    first = started_from(start, model_shape(model), data.data.device)
+    steps = _Maximisation(data, model, accelerated, first)
     converged = steps.run(max_iterations, tolerance, progress)
     return assemble(
         data,
@@ -132,15 +136,20 @@ class _Maximisation:
     """State of the iteration; inside, the image is divided by its range."""
 
     def __init__(
-        self, data: Measurement, model: ForwardModel | TorchForwardModel, accelerated: bool
+        self,
+        data: Measurement,
+        model: ForwardModel | TorchForwardModel,
+        accelerated: bool,
+        first: Tensor | None,
     ) -> None:
         dtype, device = data.working_dtype(), data.data.device
         self.scale = data.span()
         self._accelerated = accelerated
         self._sigma = data.sigma / self.scale
-        self._model = operator(model, device, dtype)
+        self._counted = data.counted
+        self._model = torch_model(model, device, dtype)
         self._weights = None if data.weights is None else data.weights.to(dtype)
-        self._level = background_estimate(data, operator(model, device, torch.float64))
+        self._level = background_estimate(data, torch_model(model, device, torch.float64))
         image = ((data.data - data.background(self._level)) / self.scale).to(dtype)
         self._pedestal = self._sigma + max(0.0, -float(image.min()))
         self._image = image + self._pedestal
@@ -156,6 +165,8 @@ class _Maximisation:
         self._reached = self._ceiling > 1e-6 * self._ceiling.max()
         flat = total(image.clamp_min(0.0)) / total(self._model(self._reached.to(dtype)))
         self._object = self.best = flat * self._reached
+        if first is not None:
+            self._object = self.best = (first / self.scale).to(dtype).clamp_min(0.0) * self._reached
         self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
     def run(self, max_iterations: int, tolerance: float, progress: Progress | None) -> bool:
@@ -175,15 +186,19 @@ class _Maximisation:
             self.history["residual"].append(residual)
             self.history["change"].append(change)
             done = residual <= 1.0 or change <= tolerance
-            if progress is not None and (done or iteration % 10 == 9):
-                progress(
+            if done:
+                self.best, self._best_strength = self._object, self._strength
+            on = True
+            if done or iteration % 10 == 9:
+                on = goes_on(
+                    progress,
                     1.0 if done else (iteration + 1) / max_iterations,
                     f"Richardson-Lucy: residual {residual:.3g} of the noise after "
                     f"{iteration + 1} iterations",
+                    partial(state_of, self.best.double() * self.scale),
                 )
-            if done:
-                self.best, self._best_strength = self._object, self._strength
-                return True
+            if done or not on:
+                return done
             reach = _reach(moves) if self._accelerated else 0.0
             self._object = (new + reach * (new - before)).clamp_min_(0.0)
             before = new
@@ -203,7 +218,7 @@ class _Maximisation:
         model = model.clamp_min_(0.5 * self._pedestal)
         ratio = self._image / model
         residual = self._image - model
-        squares = total(self._weighted(residual * residual)) / residual.numel()
+        squares = total(self._weighted(residual * residual)) / self._counted
         divergence = total(self._weighted(self._image * ratio.log() - residual))
         return self._weighted(ratio), divergence, math.sqrt(squares) / self._sigma
 

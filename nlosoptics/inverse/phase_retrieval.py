@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -18,13 +17,13 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .alternating import alternating_minimisation, spectral_start
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
+from .callbacks import Progress
 from .measurements import measurement
 from .projections import averaged, fourier_errors, projected
 from .reconstructions import Reconstruction, Status
 from .registration import registered_correlation
 from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
 
-Progress = Callable[[float, str], None]
 Method = Literal["alternating", "hio", "raar"]
 
 METHODS = ("alternating", "hio", "raar")

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement
-from .torch_model import TorchForwardModel, operator
+from .torch_model import TorchForwardModel, torch_model
 
 Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
 
@@ -89,7 +89,7 @@ def assemble(
         More physical parameters.
     """
     level = level.to(torch.float64)
-    explained = operator(model, level.device, torch.float64)(level)
+    explained = torch_model(model, level.device, torch.float64)(level)
     explained = explained + data.background(background)
     if gain is None:
         brightest = float(level.max())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -13,11 +12,10 @@ from .._checks import in_range, positive
 from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
+from .callbacks import Progress
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, without_object
 from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
-
-Progress = Callable[[float, str], None]
 
 # A transfer of this part of the largest is what rounding leaves of zero.
 _ROUNDING = 1e-13

@@ -17,7 +17,7 @@ from ._threads import single_thread
 from .callbacks import Progress, goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, Status, assemble, without_object
-from .torch_model import FieldOperator, TorchForwardModel, one_kernel_shape, torch_model
+from .torch_model import TorchForwardModel, model_shape, torch_model
 
 
 @single_thread()
@@ -83,9 +83,9 @@ def wiener(
     Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x``, S proportional to 1/(f^2 + f_0^2) with f_0
     one cycle per frame (the spectrum of natural scenes [1]_), its strength matched to the image's
     variance in excess of the noise. A circular frame without weights is the classical filter,
-    solved in one step. A padded frame sees only part of the light: the same filter is then the
-    preconditioner of conjugate gradients over the objects that lie in the frame, so no edge is
-    tapered and none rings.
+    solved in one step. A padded frame sees only part of the light, and a field has many spectra:
+    the filter, by a field's mean point spread, is then the preconditioner of conjugate gradients
+    over the objects that lie in the frame, so no edge is tapered and none rings.
 
     References
     ----------
@@ -98,7 +98,7 @@ def wiener(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        one_kernel_shape(model),
+        model_shape(model),
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
@@ -125,25 +125,26 @@ def wiener(
     )
 
 
-def background_estimate(data: Measurement, model: TorchForwardModel | FieldOperator) -> float:
+def background_estimate(data: Measurement, model: TorchForwardModel) -> float:
     """Strength of the unknown background beside the Wiener filter's object; 0 if it is known."""
     if not data.fit_background:
         return 0.0
     problem = _NormalEquations(data, model)
     # Where the background stands to a tenth of the noise; fine detail takes ten times longer.
-    level, _, _ = _conjugate_gradients(problem, 300, 1e-4, None)
+    level, _, _ = _conjugate_gradients(problem, 300, 1e-4, None, None)
     return data.background_strength(data.data - model(level))
 
 
 class _NormalEquations:
     """``A' W A + sigma^2 S^-1`` over the objects that lie in the frame, background eliminated."""
 
-    def __init__(self, data: Measurement, model: TorchForwardModel | FieldOperator) -> None:
+    def __init__(self, data: Measurement, model: TorchForwardModel) -> None:
         self.data = data
         self.model = model
         rows, columns = model.grid
         device = data.data.device
-        transfer = model.transfer
+        # Of a field, its mean: what preconditions it, and what it passes of the prior.
+        transfer = model.mean_transfer
         power = transfer.real**2 + transfer.imag**2
         row_frequencies = torch.fft.fftfreq(rows, dtype=torch.float64, device=device)[:, None]
         column_frequencies = torch.fft.rfftfreq(columns, dtype=torch.float64, device=device)

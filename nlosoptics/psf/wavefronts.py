@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -26,7 +26,6 @@ from .function_waves import (
 from .nodes import (
     KEPT,
     fitting_pitch,
-    frozen,
     grid_nodes,
     kept_even,
     kept_polar_nodes,
@@ -34,7 +33,7 @@ from .nodes import (
     shared_polar_nodes,
 )
 from .spectra import PolarSpectrum
-from .zernikes import ORDERINGS, Ordering, zernike, zernike_order
+from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike, zernike_order
 
 Array = NDArray[np.float64]
 Layout = Literal["polar", "cells", "grid", "scattered"]
@@ -221,7 +220,7 @@ class Wavefront:
         if nodes == "polar" and u.size <= KEPT:
             amplitude = kept_even(*u.shape)
             heights = [real(f"coefficients[{j}]", value) for j, value in coefficients.items()]
-            modes = _kept_modes(tuple(coefficients), ordering, *u.shape, float(obscuration))
+            modes = kept_zernikes(tuple(coefficients), ordering, *u.shape, float(obscuration))
             # einsum without BLAS: the same bits for any thread count
             aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
         else:
@@ -563,19 +562,6 @@ def _zernike_sum(
         height = real(f"coefficients[{index}]", value)
         total += height * zernike(index, rho, theta, ordering=ordering)
     return total
-
-
-@lru_cache(maxsize=8)
-def _kept_modes(
-    indices: tuple[int, ...], ordering: Ordering, n_r: int, n_theta: int, obscuration: float
-) -> Array:
-    """Zernike polynomials (n, n_r, n_theta) on at most `KEPT` polar nodes, kept and read-only."""
-    u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
-    rho, theta = np.hypot(u, v), np.arctan2(v, u)
-    modes = np.empty((len(indices), n_r, n_theta))
-    for mode, index in zip(modes, indices, strict=True):
-        mode[...] = zernike(index, rho, theta, ordering=ordering)
-    return frozen(modes)
 
 
 def _owned(name: str, values: Any, layout: Layout) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, whole
 from ..errors import SceneError
+from .nodes import frozen, kept_polar_nodes
 
 Array = NDArray[np.float64]
 Ordering = Literal["noll", "osa", "fringe"]
@@ -108,3 +110,16 @@ def zernike_basis(
 ) -> Array:
     """Stack of `zernike` for several indices, (len(indices), ...)."""
     return np.stack([zernike(index, rho, theta, ordering=ordering) for index in indices])
+
+
+@lru_cache(maxsize=8)
+def kept_zernikes(
+    indices: tuple[int, ...], ordering: Ordering, n_r: int, n_theta: int, obscuration: float
+) -> Array:
+    """Zernike polynomials (n, n_r, n_theta) on at most `KEPT` polar nodes, kept and read-only."""
+    u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
+    rho, theta = np.hypot(u, v), np.arctan2(v, u)
+    modes = np.empty((len(indices), n_r, n_theta))
+    for mode, index in zip(modes, indices, strict=True):
+        mode[...] = zernike(index, rho, theta, ordering=ordering)
+    return frozen(modes)
