@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .._checks import one_of
 from ..errors import SamplingError, SceneError
 from .measurements import Measurement, measurement
 from .pupil_psf import PupilPSF
@@ -141,22 +142,22 @@ def frames_of(
                 f"image {number} is without noise (noise_sigma None, estimated 0); give noise_sigma"
             )
     pupil = _on_grid(pupil_psf, shape, boundary)
-    kind = {"dtype": pupil.optics.dtype, "device": pupil.optics.device}
+    like = torch.zeros((), dtype=pupil.optics.dtype, device=pupil.optics.device)
     scale = max(float(one.data.max() - one.data.min()) for one in measured)
     if not scale > 0.0:
         scale = max(one.sigma for one in measured)
     ones = torch.ones((1, 1), dtype=torch.float64)
     return Frames(
         measured=measured,
-        images=torch.stack([one.data / scale for one in measured]).to(**kind),
+        images=torch.stack([one.data / scale for one in measured]).to(like),
         precision=torch.stack(
             [(scale / one.sigma) ** 2 * _or(one.weights, ones) for one in measured]
-        ).to(**kind),
-        shapes=torch.stack([_or(one.background_shape, ones) for one in measured]).to(**kind),
+        ).to(like),
+        shapes=torch.stack([_or(one.background_shape, ones) for one in measured]).to(like),
         scale=scale,
         pupil=pupil,
         walls=_wall_numbers(walls, count).to(pupil.optics.device),
-        defocus=_defoci(defocus, count).to(**kind),
+        defocus=_defoci(defocus, count).to(like),
     )
 
 
@@ -210,8 +211,6 @@ def _defoci(defocus: Any, count: int) -> Tensor:
 
 def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> PupilPSF:
     """The point spread over a period that holds the frame, with room around it if padded."""
-    from .._checks import one_of
-
     one_of("boundary", boundary, ("padded", "circular"))
     own = pupil_psf.shape
     if own[0] < shape[0] or own[1] < shape[1]:
@@ -226,7 +225,8 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         )
     wide = own
     if boundary == "padded":
-        wide = tuple(max(n, 2 * round(_PADDING * m / 2)) for n, m in zip(own, shape, strict=True))
+        rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
+        wide = (max(own[0], rows), max(own[1], columns))
     optics = pupil_psf.optics
     if wide == own or optics.method == "mdft":
         return pupil_psf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -38,8 +39,8 @@ def pcin(
     defocus : array_like, optional
         (K,), known further defocus of each image, m rms (Noll 4).
     recipe : {"staged", "evidence", "wu2024"}
-        - ``staged``: object first, then both by small steps, starts judged by their free energy; see
-          `staged_fit`.
+        - ``staged``: object first, then both by small steps, starts judged by their free energy;
+          see `staged_fit`.
         - ``evidence``: a search from random starts by the free energy; see `evidence_fit`.
         - ``wu2024``: a U-net and the angles by turns, as published; see `wu2024_fit`.
     noise_sigma : float or array_like, optional
@@ -66,16 +67,7 @@ def pcin(
     TypeError
         If an option is not the recipe's.
     """
-    from . import staged_fit as staged
-
-    one_of("recipe", recipe, RECIPES)
-    solver: Callable[..., Reconstruction]
-    if recipe == "staged":
-        solver = staged.staged_fit
-    elif recipe == "evidence":
-        from .evidence_fit import evidence_fit as solver
-    else:
-        from .wu2024_fit import wu2024_fit as solver
+    solver = _solver(one_of("recipe", recipe, RECIPES))
     if max_iterations is not None:
         options["max_iterations"] = max_iterations
     return solver(
@@ -87,3 +79,10 @@ def pcin(
         progress=progress,
         **options,
     )
+
+
+def _solver(recipe: str) -> Callable[..., Reconstruction]:
+    """The recipe, from its module."""
+    module = importlib.import_module(f".{recipe}_fit", __package__)
+    solver: Callable[..., Reconstruction] = getattr(module, f"{recipe}_fit")
+    return solver

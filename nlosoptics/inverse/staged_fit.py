@@ -310,7 +310,9 @@ class _Fit:
     def run(self, state: _State, stage: Stage, tolerance: float, report: _Report | None) -> _State:
         """One stage."""
         moves = stage.step > 0.0
-        groups = [{"params": [state.theta.requires_grad_()], "lr": _OBJECT_STEP}]
+        groups: list[dict[str, Any]] = [
+            {"params": [state.theta.requires_grad_()], "lr": _OBJECT_STEP}
+        ]
         if self.fit_gains:
             groups.append({"params": [state.log_gains.requires_grad_()], "lr": _GAIN_STEP})
         if moves:
@@ -336,7 +338,7 @@ class _Fit:
             offset = (state.coefficients - self.first).square().sum((-2, -1))
             energy = energy + self._stiffness * offset
             optimiser.zero_grad()
-            energy.sum().backward()
+            energy.sum().backward()  # type: ignore[no-untyped-call]
             state.energy, state.square = energy.detach(), square
             if final and (lowest is None or float(state.energy[0]) < float(lowest.energy[0])):
                 lowest = state.chosen(torch.zeros(1, dtype=torch.int64))
