@@ -230,8 +230,8 @@ def main() -> None:
     keys = [
         (group, name, wall, size)
         for size in options.sizes
-        for group in options.groups
         for wall in range(FIRST_WALL, FIRST_WALL + options.walls)
+        for group in options.groups
         for name in options.objects
     ]
     todo = [] if options.summary else [key for key in keys if key not in done]

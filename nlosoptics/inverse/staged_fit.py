@@ -33,12 +33,14 @@ _NEAR = 0.25
 _OBJECT_STEP = 0.05
 _GAIN_STEP = 0.01
 _BETAS = (0.9, 0.99)
-#: Free energy below that of no blur which tells an answer from chance, and mean squared residual
-#: over noise of several images above which they are not explained.
-_SURE_MARGIN = 100.0
-_EXPLAINED = 1.6
-#: An object as like the image as this, without a margin, is the image itself.
-_LIKE_THE_IMAGE = 0.95
+#: Free energy below that of a fit from no blur which tells an answer from chance, and above it
+#: within which the two may be one answer.
+_SURE_MARGIN = 50.0
+_AGREED_MARGIN = 20.0
+#: Correlation of pictures that are one answer.
+_THE_SAME = 0.95
+#: rms residual of several images that is neither noise nor explained, over the brightest pixel.
+_UNEXPLAINED = 0.014
 _TOLERANCE = 2e-5
 _CHECK_EVERY = 25
 
@@ -178,9 +180,10 @@ def staged_fit(
     coefficients kept; the coefficients are held to their start by a Gaussian prior of
     ``start_error``.
 
-    One image: "converged" where the free energy is 100 or more below that of a fit which started
-    at no blur, "trivial" where the object is the image itself. Several: "converged" where the mean
-    squared residual is below 1.6 of the noise's.
+    One image: "converged" where the free energy is 50 or more below that of a fit which started
+    at no blur, or that fit found the same; "trivial" where the object is the image itself.
+    Several: "converged" where the residual in excess of the noise is below 1.4 % of the brightest
+    pixel, rms.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -217,12 +220,12 @@ def staged_fit(
         state = fit.begin(first[None], 1.0)
         state.theta = torch.full_like(state.theta, -math.inf)
         return _assembled(fit, state, gain, "too_few_photons", started, math.nan)
-    floor = _no_blur_energy(fit, tolerance) if len(frames.images) == 1 and not fit.known else None
+    sharp = _no_blur_fit(fit, tolerance) if len(frames.images) == 1 and not fit.known else None
     state = fit.begin(_drawn(first, start_error, starts, seed), stages[0].noise[0])
     for stage in stages:
         state = fit.run(fit.best(state, stage.starts), stage, tolerance, report)
-    margin = math.nan if floor is None else float(state.energy[0]) - floor
-    return _assembled(fit, state, gain, _status(fit, state, margin), started, margin)
+    margin = math.nan if sharp is None else float(state.energy[0] - sharp.energy[0])
+    return _assembled(fit, state, gain, _status(fit, state, sharp), started, margin)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -442,8 +445,8 @@ def _picture(name: str, value: Any, frames: Frames) -> Tensor | None:
     return torch.from_numpy(picture).to(frames.images)
 
 
-def _no_blur_energy(fit: _Fit, tolerance: float) -> float:
-    """Free energy of the fit that starts at no blur, its coefficients free."""
+def _no_blur_fit(fit: _Fit, tolerance: float) -> _State:
+    """The fit that starts at no blur, its coefficients free."""
     sharp = _Fit(
         fit.frames,
         torch.zeros_like(fit.first),
@@ -456,18 +459,26 @@ def _no_blur_energy(fit: _Fit, tolerance: float) -> float:
     state = sharp.begin(torch.zeros_like(fit.first)[None], 5.0)
     for stage in near_stages(1)[1:]:
         state = sharp.run(state, stage, tolerance, None)
-    return float(state.energy[0])
+    return state
 
 
-def _status(fit: _Fit, state: _State, margin: float) -> Status:
+def _status(fit: _Fit, state: _State, sharp: _State | None) -> Status:
     """Whether the answer can be trusted, without the truth."""
-    if math.isnan(margin):
-        return "converged" if float(state.square[0]) <= _EXPLAINED else "unconverged"
-    if margin < -_SURE_MARGIN:
-        return "converged"
-    level = fit.energy.level(state.theta)[0].double().cpu().numpy()
-    alike = registered_correlation(level, fit.frames.measured[0].data, upsampling=1)
-    return "trivial" if alike > _LIKE_THE_IMAGE else "unconverged"
+    if sharp is None:
+        faint = min(one.sigma for one in fit.frames.measured) / fit.frames.scale
+        limit = 1.0 + (_UNEXPLAINED / faint) ** 2
+        return "converged" if float(state.square[0]) <= limit else "unconverged"
+    level = fit.energy.level(state.theta)[0]
+    if _alike(level, fit.frames.images[0]) > _THE_SAME:
+        return "trivial"
+    margin = float(state.energy[0] - sharp.energy[0])
+    # from two sides the same answer, which is not the image
+    agreed = margin < _AGREED_MARGIN and _alike(level, fit.energy.level(sharp.theta)[0]) > _THE_SAME
+    return "converged" if margin < -_SURE_MARGIN or agreed else "unconverged"
+
+
+def _alike(first: Tensor, second: Tensor) -> float:
+    return registered_correlation(first, second, upsampling=1)
 
 
 def _assembled(
