@@ -18,11 +18,14 @@ from .reconstructions import Reconstruction
 from .registration import registered_correlation
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
+from .unets import UNet, UNetObject
 from .wiener_filter import wiener
 
 __all__ = [
     "Reconstruction",
     "TorchForwardModel",
+    "UNet",
+    "UNetObject",
     "estimate_noise",
     "registered_correlation",
     "tv_deconvolve",
