@@ -31,7 +31,9 @@ class PlainUNet(nn.Module):
         self.decoder = nn.ModuleList()
         entering = 1
         for width in widths:
-            self.encoder.append(nn.Sequential(*self.layer(entering, width), *self.layer(width, width)))
+            self.encoder.append(
+                nn.Sequential(*self.layer(entering, width), *self.layer(width, width))
+            )
             entering = width
         for level in range(depth):
             self.decoder.append(

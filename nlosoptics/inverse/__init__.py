@@ -13,6 +13,7 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from .image_prior import deep_image_prior
 from .measurements import estimate_noise
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
@@ -28,6 +29,7 @@ __all__ = [
     "TorchForwardModel",
     "UNet",
     "UNetObject",
+    "deep_image_prior",
     "estimate_noise",
     "registered_correlation",
     "tv_deconvolve",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any, cast
 
 import torch
@@ -72,8 +73,7 @@ class UNet(nn.Module):
         entries = [self.in_channels, *widths[:-1]]
         self.encoder = nn.ModuleList(map(_stage, entries, widths))
         self.decoder = nn.ModuleList(
-            _stage(coarse + fine, fine, 1)
-            for fine, coarse in zip(widths, widths[1:], strict=False)
+            _stage(coarse + fine, fine, 1) for fine, coarse in pairwise(widths)
         )
         self.head = nn.Conv2d(self.base, self.out_channels, 1)
 
