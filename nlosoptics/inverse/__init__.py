@@ -13,6 +13,7 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from .image_prior import deep_image_prior
 from .measurements import estimate_noise
 from .pcin import pcin
 from .pupil_psf import PupilPSF
@@ -21,12 +22,16 @@ from .registration import registered_correlation
 from .staged_fit import staged_fit
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
+from .unets import UNet, UNetObject
 from .wiener_filter import wiener
 
 __all__ = [
     "PupilPSF",
     "Reconstruction",
     "TorchForwardModel",
+    "UNet",
+    "UNetObject",
+    "deep_image_prior",
     "estimate_noise",
     "pcin",
     "registered_correlation",
