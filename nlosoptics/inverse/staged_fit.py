@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,11 @@ from .._checks import positive, whole
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ._threads import single_thread
-from .blind_energy import Energy, KnownObjectEnergy
 from .blind_frames import Frames, frames_of
+from .blind_stages import BlindFit, Progress, Report, Stage, State, far_stages, near_stages
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, Status
 from .registration import registered_correlation
-
-Progress = Callable[[float, str], None]
 
 STARTS = 603  # stream of the random generator
 #: rms error of a start, waves: of coefficients that are given, and of none.
@@ -30,59 +27,15 @@ _GIVEN_ERROR = 0.1
 _UNKNOWN_ERROR = 0.5
 #: Start errors above this are too far for an object of the start's own point spread.
 _NEAR = 0.25
-_OBJECT_STEP = 0.05
-_GAIN_STEP = 0.01
-_BETAS = (0.9, 0.99)
-#: Free energy below that of a fit from no blur which tells an answer from chance, and above it
-#: within which the two may be one answer.
+#: Free energy below that of a fit from no blur which tells an answer from chance; with less, the
+#: residual over the noise under which an answer has fitted noise, as wrong ones do.
 _SURE_MARGIN = 50.0
-_AGREED_MARGIN = 20.0
-#: Correlation of pictures that are one answer.
-_THE_SAME = 0.95
+_OVERFITTED = 0.93
+#: Correlation with the image from which such an answer is the image.
+_LIKE_THE_IMAGE = 0.9
 #: rms residual of several images that is neither noise nor explained, over the brightest pixel.
 _UNEXPLAINED = 0.014
 _TOLERANCE = 2e-5
-_CHECK_EVERY = 25
-
-
-@dataclass(frozen=True, kw_only=True)
-class Stage:
-    """One round of the fit.
-
-    Parameters
-    ----------
-    starts : int
-        How many of the best go in.
-    iterations : int
-    noise : (float, float)
-        Factor by which the noise is taken for larger, first and last; geometric between, reached
-        after 0.7 of the iterations.
-    step : float
-        Of the coefficients, waves; 0 keeps them.
-    """
-
-    starts: int
-    iterations: int
-    noise: tuple[float, float]
-    step: float
-
-
-def near_stages(starts: int) -> tuple[Stage, ...]:
-    """Rounds for coefficients that are known to some tenth of a wave."""
-    return (
-        Stage(starts=starts, iterations=200, noise=(5.0, 5.0), step=0.0),
-        Stage(starts=starts, iterations=400, noise=(5.0, 1.0), step=0.01),
-        Stage(starts=1, iterations=200, noise=(1.0, 1.0), step=0.004),
-    )
-
-
-def far_stages(starts: int) -> tuple[Stage, ...]:
-    """Rounds for walls of which nothing is known."""
-    return (
-        Stage(starts=starts, iterations=200, noise=(30.0, 4.0), step=0.016),
-        Stage(starts=max(1, starts // 4), iterations=300, noise=(4.0, 1.0), step=0.016),
-        Stage(starts=1, iterations=300, noise=(1.0, 1.0), step=0.005),
-    )
 
 
 @single_thread()
@@ -181,9 +134,9 @@ def staged_fit(
     ``start_error``.
 
     One image: "converged" where the free energy is 50 or more below that of a fit which started
-    at no blur, or that fit found the same; "trivial" where the object is the image itself.
-    Several: "converged" where the residual in excess of the noise is below 1.4 % of the brightest
-    pixel, rms.
+    at no blur, or below it with the residual above 0.93 of the noise, since wrong answers fit
+    noise; otherwise "trivial" where the object is the image itself. Several: "converged" where the
+    residual in excess of the noise is below 1.4 % of the brightest pixel, rms.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -206,7 +159,7 @@ def staged_fit(
     near = start_error <= _NEAR
     starts = (4 if near else 16) if starts is None else whole("starts", starts)
     stages = _shortened((near_stages if near else far_stages)(starts), max_iterations)
-    fit = _Fit(
+    fit = BlindFit(
         frames,
         first,
         start_error,
@@ -215,7 +168,7 @@ def staged_fit(
         guess=_picture("start_object", start_object, frames),
         fit_gains=fit_gains,
     )
-    report = _Report(progress, sum(s.iterations for s in stages))
+    report = Report(progress, sum(s.iterations for s in stages))
     if all(one.is_background() for one in frames.measured):
         state = fit.begin(first[None], 1.0)
         state.theta = torch.full_like(state.theta, -math.inf)
@@ -226,174 +179,6 @@ def staged_fit(
         state = fit.run(fit.best(state, stage.starts), stage, tolerance, report)
     margin = math.nan if sharp is None else float(state.energy[0] - sharp.energy[0])
     return _assembled(fit, state, gain, _status(fit, state, sharp), started, margin)
-
-
-@dataclass(eq=False, kw_only=True)
-class _State:
-    """A batch of fits."""
-
-    theta: Tensor
-    coefficients: Tensor
-    log_gains: Tensor
-    variances: Tensor
-    energy: Tensor
-    square: Tensor
-    history: dict[str, list[float]] = field(
-        default_factory=lambda: {"objective": [], "residual": [], "change": []}
-    )
-    settled: bool = False
-
-    def chosen(self, which: Tensor) -> _State:
-        """Some of the fits."""
-        return _State(
-            theta=self.theta.detach()[which].clone(),
-            coefficients=self.coefficients.detach()[which].clone(),
-            log_gains=self.log_gains.detach()[which].clone(),
-            variances=self.variances[which].clone(),
-            energy=self.energy[which].clone(),
-            square=self.square[which].clone(),
-            history=self.history,
-            settled=self.settled,
-        )
-
-
-class _Fit:
-    """What the stages share: data, prior and energy."""
-
-    def __init__(
-        self,
-        frames: Frames,
-        first: Tensor,
-        start_error: float,
-        *,
-        support: Tensor | None,
-        known: Tensor | None,
-        guess: Tensor | None,
-        fit_gains: bool,
-    ) -> None:
-        self.frames = frames
-        self.first = first
-        self.guess = guess
-        self.fit_gains = fit_gains and len(frames.images) > 1
-        self.known = known is not None
-        self.energy = Energy(frames, support) if known is None else KnownObjectEnergy(frames, known)
-        self._stiffness = first.shape[-1] / (2.0 * start_error**2)
-
-    def begin(self, coefficients: Tensor, factor: float) -> _State:
-        """Objects by the start's point spreads."""
-        count = len(coefficients)
-        with torch.no_grad():
-            level = self.energy.wiener(self.frames.transfer(coefficients), factor)
-            if self.guess is not None and not self.known:
-                bright = level.clamp_min(0.0).mean((-2, -1), keepdim=True)
-                level = self.guess * (bright / self.guess.mean())
-        zeros = torch.zeros(count).to(self.frames.images)
-        return _State(
-            theta=self.energy.theta(level),
-            coefficients=coefficients,
-            log_gains=torch.zeros(count, len(self.frames.images)).to(zeros),
-            variances=self.energy.first_variances(count),
-            energy=zeros,
-            square=zeros,
-        )
-
-    def best(self, state: _State, count: int) -> _State:
-        """The fits of lowest energy."""
-        if count >= len(state.theta):
-            count = len(state.theta)
-        return state.chosen(state.energy.argsort()[:count])
-
-    def gains(self, state: _State) -> Tensor | None:
-        """Relative brightness of the images, their logarithms' mean 0, (B, K, 1, 1)."""
-        if not self.fit_gains:
-            return None
-        logs = state.log_gains - state.log_gains.mean(-1, keepdim=True)
-        return logs.exp()[..., None, None]
-
-    def run(self, state: _State, stage: Stage, tolerance: float, report: _Report | None) -> _State:
-        """One stage."""
-        moves = stage.step > 0.0
-        groups: list[dict[str, Any]] = [
-            {"params": [state.theta.requires_grad_()], "lr": _OBJECT_STEP}
-        ]
-        if self.fit_gains:
-            groups.append({"params": [state.log_gains.requires_grad_()], "lr": _GAIN_STEP})
-        if moves:
-            groups.append({"params": [state.coefficients.requires_grad_()], "lr": stage.step})
-        optimiser = torch.optim.Adam(groups, betas=_BETAS)
-        steps = [group["lr"] for group in groups]
-        kept = None if moves else self.frames.transfer(state.coefficients).detach()
-        final = stage.noise == (1.0, 1.0)
-        lowest, last = None, math.inf
-        for iteration in range(stage.iterations):
-            done = iteration / max(1, stage.iterations - 1)
-            factor = stage.noise[0] * (stage.noise[1] / stage.noise[0]) ** min(1.0, done / 0.7)
-            pace = (
-                1.0 if done < 0.5 else 0.05 + 0.475 * (1.0 + math.cos(2 * math.pi * (done - 0.5)))
-            )
-            for group, step in zip(optimiser.param_groups, steps, strict=True):
-                group["lr"] = pace * step
-            level = self.energy.level(state.theta)
-            transfer = self.frames.transfer(state.coefficients) if kept is None else kept
-            energy, square = self.energy(
-                level, transfer, state.variances, factor, self.gains(state)
-            )
-            offset = (state.coefficients - self.first).square().sum((-2, -1))
-            energy = energy + self._stiffness * offset
-            optimiser.zero_grad()
-            energy.sum().backward()  # type: ignore[no-untyped-call]
-            state.energy, state.square = energy.detach(), square
-            if final and (lowest is None or float(state.energy[0]) < float(lowest.energy[0])):
-                lowest = state.chosen(torch.zeros(1, dtype=torch.int64))
-            optimiser.step()
-            self._record(state, last)
-            if report is not None:
-                report.tell(state, factor)
-            if final and iteration % _CHECK_EVERY == _CHECK_EVERY - 1:
-                now = float(state.energy.min())
-                if abs(last - now) <= tolerance * abs(now):
-                    state.settled = True
-                    break
-                last = now
-        found = state if lowest is None else lowest
-        found.settled = state.settled
-        return found.chosen(torch.arange(len(found.theta)))
-
-    @staticmethod
-    def _record(state: _State, last: float) -> None:
-        at = int(state.energy.argmin())
-        objective = float(state.energy[at])
-        before = state.history["objective"][-1] if state.history["objective"] else math.inf
-        state.history["objective"].append(objective)
-        state.history["residual"].append(math.sqrt(float(state.square[at])))
-        state.history["change"].append(
-            abs(before - objective) / max(abs(objective), 1e-30) if before < math.inf else 1.0
-        )
-
-
-class _Report:
-    """Fraction done, told now and then."""
-
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self._progress, self._total, self._done = progress, total, 0
-
-    def tell(self, state: _State, factor: float) -> None:
-        """After each iteration."""
-        self._done += 1
-        if self._progress is not None and self._done % _CHECK_EVERY == 0:
-            at = int(state.energy.argmin())
-            self._progress(
-                min(1.0, self._done / self._total),
-                f"staged fit: residual {math.sqrt(float(state.square[at])):.3f} of the noise, "
-                f"free energy {float(state.energy[at]):.1f} at noise x {factor:.2g}",
-            )
-
-
-def _pace(done: float) -> float:
-    """Share of the step: all of it for half of the stage, then a cosine down to 5 %."""
-    if done < 0.5:
-        return 1.0
-    return 0.05 + 0.475 * (1.0 + math.cos(2.0 * math.pi * (done - 0.5)))
 
 
 def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Tensor:
@@ -445,9 +230,9 @@ def _picture(name: str, value: Any, frames: Frames) -> Tensor | None:
     return torch.from_numpy(picture).to(frames.images)
 
 
-def _no_blur_fit(fit: _Fit, tolerance: float) -> _State:
+def _no_blur_fit(fit: BlindFit, tolerance: float) -> State:
     """The fit that starts at no blur, its coefficients free."""
-    sharp = _Fit(
+    sharp = BlindFit(
         fit.frames,
         torch.zeros_like(fit.first),
         math.inf,
@@ -462,27 +247,23 @@ def _no_blur_fit(fit: _Fit, tolerance: float) -> _State:
     return state
 
 
-def _status(fit: _Fit, state: _State, sharp: _State | None) -> Status:
+def _status(fit: BlindFit, state: State, sharp: State | None) -> Status:
     """Whether the answer can be trusted, without the truth."""
     if sharp is None:
         faint = min(one.sigma for one in fit.frames.measured) / fit.frames.scale
         limit = 1.0 + (_UNEXPLAINED / faint) ** 2
         return "converged" if float(state.square[0]) <= limit else "unconverged"
-    level = fit.energy.level(state.theta)[0]
-    if _alike(level, fit.frames.images[0]) > _THE_SAME:
-        return "trivial"
     margin = float(state.energy[0] - sharp.energy[0])
-    # from two sides the same answer, which is not the image
-    agreed = margin < _AGREED_MARGIN and _alike(level, fit.energy.level(sharp.theta)[0]) > _THE_SAME
-    return "converged" if margin < -_SURE_MARGIN or agreed else "unconverged"
-
-
-def _alike(first: Tensor, second: Tensor) -> float:
-    return registered_correlation(first, second, upsampling=1)
+    score = math.sqrt(float(state.square[0]))
+    if margin < -_SURE_MARGIN or (margin < 0.0 and score > _OVERFITTED):
+        return "converged"
+    level = fit.energy.level(state.theta)[0]
+    alike = registered_correlation(level, fit.frames.images[0], upsampling=1)
+    return "trivial" if alike > _LIKE_THE_IMAGE else "unconverged"
 
 
 def _assembled(
-    fit: _Fit, state: _State, gain: float | None, status: Status, started: float, margin: float
+    fit: BlindFit, state: State, gain: float | None, status: Status, started: float, margin: float
 ) -> Reconstruction:
     """What is returned, in image units."""
     frames = fit.frames
