@@ -161,9 +161,7 @@ class BlindFit:
         for iteration in range(stage.iterations):
             done = iteration / max(1, stage.iterations - 1)
             factor = stage.noise[0] * (stage.noise[1] / stage.noise[0]) ** min(1.0, done / 0.7)
-            pace = (
-                1.0 if done < 0.5 else 0.05 + 0.475 * (1.0 + math.cos(2 * math.pi * (done - 0.5)))
-            )
+            pace = _pace(done)
             for group, step in zip(optimiser.param_groups, steps, strict=True):
                 group["lr"] = pace * step
             level = self.energy.level(state.theta)

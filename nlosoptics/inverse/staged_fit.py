@@ -11,15 +11,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .._checks import positive, whole
+from .._checks import one_of, positive, whole
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
+from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .blind_frames import Frames, frames_of
 from .blind_stages import BlindFit, Progress, Report, Stage, State, far_stages, near_stages
+from .image_prior import deep_image_prior
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, Status
 from .registration import registered_correlation
+from .total_variation import tv_deconvolve
 
 STARTS = 603  # stream of the random generator
 #: rms error of a start, waves: of coefficients that are given, and of none.
@@ -50,6 +53,7 @@ def staged_fit(
     known_object: Any = None,
     start_object: Any = None,
     support: Any = None,
+    object_model: str = "pixels",
     boundary: str = "padded",
     fit_gains: bool = False,
     noise_sigma: Any = None,
@@ -86,6 +90,10 @@ def staged_fit(
         (H, W), where the object starts, in any unit; by default a Wiener filter's answer.
     support : array_like, optional
         (H, W), 0 where the object is known to be dark.
+    object_model : {"pixels", "unet"}
+        What the object of one image, without ``support``, is taken for once the wall is found:
+        pixels of least total variation (`tv_deconvolve`), or an untrained network's picture
+        (`deep_image_prior`), which takes longer and bears more noise.
     boundary : {"padded", "circular"}
         What lies around the object: nothing, or its own periodic copies.
     fit_gains : bool
@@ -141,6 +149,7 @@ def staged_fit(
     started = time.perf_counter()
     checked_seed(seed)
     gain = None if gain is None else positive("gain", gain)
+    one_of("object_model", object_model, ("pixels", "unet"))
     frames = frames_of(
         images,
         pupil_psf,
@@ -152,6 +161,12 @@ def staged_fit(
         background_shape=background_shape,
         boundary=boundary,
     )
+    refined = len(frames.images) == 1 and support is None and known_object is None
+    if object_model == "unet" and not refined:
+        raise SceneError(
+            f"object_model = 'unet' with {len(frames.images)} images, a support or a known object; "
+            "it takes one image, use 'pixels'"
+        )
     first = _first_coefficients(frames, pupil_psf)
     if start_error is None:
         start_error = _GIVEN_ERROR if bool(first.any()) else _UNKNOWN_ERROR
@@ -178,7 +193,8 @@ def staged_fit(
     for stage in stages:
         state = fit.run(fit.best(state, stage.starts), stage, tolerance, report)
     margin = math.nan if sharp is None else float(state.energy[0] - sharp.energy[0])
-    return _assembled(fit, state, gain, _status(fit, state, sharp), started, margin)
+    level = _refined(frames, state, object_model, boundary, seed) if refined else None
+    return _assembled(fit, state, gain, _status(fit, state, sharp), started, margin, level)
 
 
 def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Tensor:
@@ -262,12 +278,37 @@ def _status(fit: BlindFit, state: State, sharp: State | None) -> Status:
     return "trivial" if alike > _LIKE_THE_IMAGE else "unconverged"
 
 
+def _refined(frames: Frames, state: State, object_model: str, boundary: str, seed: int) -> Tensor:
+    """Object (1, H, W) of one image by the solvers that take the wall for known."""
+    data = frames.measured[0]
+    kernel = frames.pupil(state.coefficients[0, 0]).detach().double().cpu().numpy()
+    model = ForwardModel(kernel, shape=data.data.shape, boundary=boundary)  # type: ignore[arg-type]
+    sigma = data.sigma if data.weights is None else data.sigma / data.weights.sqrt()
+    options: dict[str, Any] = {
+        "noise_sigma": sigma,
+        "fit_background": data.fit_background,
+        "background_shape": data.background_shape,
+        "gain": frames.scale,
+        "seed": seed,
+    }
+    solver = tv_deconvolve if object_model == "pixels" else deep_image_prior
+    found: Tensor = solver(data.data, model, **options).object
+    return found[None].to(frames.images)
+
+
 def _assembled(
-    fit: BlindFit, state: State, gain: float | None, status: Status, started: float, margin: float
+    fit: BlindFit,
+    state: State,
+    gain: float | None,
+    status: Status,
+    started: float,
+    margin: float,
+    level: Tensor | None = None,
 ) -> Reconstruction:
     """What is returned, in image units."""
     frames = fit.frames
-    level = fit.energy.level(state.theta)
+    if level is None:
+        level = fit.energy.level(state.theta)
     gains = fit.gains(state)
     seen = frames.seen(level, frames.transfer(state.coefficients))
     misfit = frames.images - (seen if gains is None else gains * seen)
