@@ -232,6 +232,7 @@ def test_no_light_is_said():
         ({"known_object": np.ones((3, 3))}, SamplingError, "known_object"),
         ({"start_error": 0.0}, SceneError, "start_error"),
         ({"recipe": "magic"}, SceneError, "recipe"),
+        ({"object_model": "oil"}, SceneError, "object_model"),
         ({"boundary": "mirrored"}, SceneError, "boundary"),
         ({"pupil_psf": 3.0}, SceneError, "PupilPSF"),
     ],
@@ -244,6 +245,19 @@ def test_bad_input_is_one_line(change, error, says):
     assert isinstance(caught.value, NlosError)
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_network_for_the_object_of_one_image():
+    images, spread, _, truth = made(noise=0.05)
+    pixels = staged_fit(images, spread, boundary="circular")
+    found = staged_fit(images, spread, boundary="circular", object_model="unet")
+    coefficients = found.physical_parameters["coefficients"]
+    np.testing.assert_array_equal(coefficients, pixels.physical_parameters["coefficients"])
+    # noise of 5 %: what wall and object leave of 1
+    assert registered_correlation(found, truth) > 0.95
+    assert not np.array_equal(found.object, pixels.object)
+    with pytest.raises(SceneError, match="one image"):
+        staged_fit(images, spread, object_model="unet", support=truth)
 
 
 def test_front_door_refuses_options_of_no_recipe():
