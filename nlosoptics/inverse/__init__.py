@@ -15,16 +15,20 @@ except ImportError:
 
 from ..limits import Feasibility, feasibility
 from .callbacks import Stop
+from .image_prior import deep_image_prior
 from .lucy import richardson_lucy
 from .measurements import estimate_noise
+from .pcin import pcin
 from .phase_retrieval import object_from_autocorrelation, phase_retrieval
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
 from .registration import RegisteredScores, registered_correlation, registered_scores
 from .scene_leaves import SceneLeaves
 from .simple_filters import inverse_filter
+from .staged_fit import staged_fit
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
+from .unets import UNet, UNetObject
 from .wiener_filter import wiener
 
 __all__ = [
@@ -35,14 +39,19 @@ __all__ = [
     "SceneLeaves",
     "Stop",
     "TorchForwardModel",
+    "UNet",
+    "UNetObject",
+    "deep_image_prior",
     "estimate_noise",
     "feasibility",
     "inverse_filter",
     "object_from_autocorrelation",
+    "pcin",
     "phase_retrieval",
     "registered_correlation",
     "registered_scores",
     "richardson_lucy",
+    "staged_fit",
     "tv_deconvolve",
     "wiener",
 ]

@@ -1,0 +1,250 @@
+"""The staged fit: correlation with the truth, verdict and seconds, case by case.
+
+python benchmarks/inverse/staged.py --json staged.jsonl [--groups near10 ...] [--walls 6]
+    [--objects F arrow hanzi_zhong] [--sizes 64 128] [--jobs 1] [--summary]
+
+One line of JSON for each finished case; started again, it goes on where it was cut off. Groups:
+near10, near14, near30: the start is 0.10, 0.14, 0.30 wave rms off, one image; diversity3: nothing
+is known, three images at defoci 0 and +-0.5 wave; walls4: nothing is known, four walls; calibrate:
+the wall from one image of a known R, then another object; noise5: as near10 at 5 % noise, beside
+Wiener and Richardson-Lucy with the same start; warm: iterations to the quality of a cold fit, for a
+wall known from another object; far: one image, nothing known, for the verdict's sake.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from cases import MODES, WAVELENGTH, Case, case, start
+
+FIRST_WALL = 1  # the fit was tuned on walls 101 to 104
+RMS = 0.5  # waves
+GROUPS = (
+    "near10",
+    "near14",
+    "diversity3",
+    "walls4",
+    "calibrate",
+    "noise5",
+    "warm",
+    "near30",
+    "far",
+)
+DIVERSITY = (0.0, 0.5 * WAVELENGTH, -0.5 * WAVELENGTH)
+
+
+def pupil(data: Case, coefficients: np.ndarray) -> Any:
+    """Point spread with a wave that starts at given coefficients, waves."""
+    import torch
+
+    from nlosoptics.inverse import PupilPSF
+
+    optics = dict(data.pupil)
+    # the camera's pixels are wider than Nyquist's by 1e-4, which shifts nothing that can be seen
+    nyquist = data.pupil["wavelength"] * data.pupil["image_distance"]
+    optics["pitch"] = min(optics["pitch"], nyquist / (4.0 * data.pupil["pupil_radius"]))
+    spread = PupilPSF.from_zernike(MODES, **optics, shape=data.truth.shape)
+    spread.coefficients = torch.nn.Parameter(torch.tensor(coefficients, dtype=torch.float32))
+    return spread
+
+
+def decibels(correlation: float, truth: np.ndarray) -> float:
+    """PSNR after the best shift, scale and offset, of a picture whose range is 1."""
+    return -10.0 * math.log10(max(float(truth.var()) * (1.0 - correlation**2), 1e-12))
+
+
+def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
+    """Figures of one case."""
+    from nlosoptics.inverse import registered_correlation
+
+    common = {"rms_waves": RMS, "size": size, "noise": 0.05 if group == "noise5" else 0.01}
+    data = case(name, wall, **common, **_frames(group))
+    known = group not in ("diversity3", "walls4", "far", "calibrate", "warm")
+    options: dict[str, Any] = {}
+    extra: dict[str, Any] = {}
+    first = np.zeros(len(MODES))
+    if known:
+        error = int(group[4:]) / 100 if group.startswith("near") else 0.10
+        first = start(data.coefficients, error, wall)[0]
+        options["start_error"] = error
+    elif group == "calibrate":
+        first, extra = _calibrated(wall, size)
+        options["start_error"] = 0.1
+    elif group == "warm":
+        return _warm(name, wall, size)
+    if group == "walls4":
+        options["walls"] = data.wall_of_image
+    found = _fit(data, first, **options)
+    correlation = registered_correlation(found, data.truth)
+    if group == "noise5":
+        extra = _rivals(data, first)
+    return {
+        "correlation": correlation,
+        "decibels": decibels(correlation, data.truth),
+        "image": registered_correlation(data.images[0], data.truth),
+        "status": found.status,
+        "score": found.score,
+        "margin": found.physical_parameters["margin"],
+        "iterations": len(found.history["objective"]),
+        "seconds": found.seconds,
+        **extra,
+    }
+
+
+def _frames(group: str) -> dict[str, Any]:
+    if group == "diversity3":
+        return {"defocus": DIVERSITY}
+    return {"n_walls": 4} if group == "walls4" else {}
+
+
+def _fit(data: Case, first: np.ndarray, **options: Any) -> Any:
+    from nlosoptics.inverse import pcin
+
+    return pcin(data.images, pupil(data, first), defocus=data.defocus, **options)
+
+
+def _calibrated(wall: int, size: int) -> tuple[np.ndarray, dict[str, Any]]:
+    """Coefficients of a wall from one image of a known letter."""
+    data = case("R", wall, rms_waves=RMS, size=size)
+    found = _fit(data, np.zeros(len(MODES)), known_object=data.truth)
+    coefficients = found.physical_parameters["coefficients"]
+    return coefficients, {
+        "calibration_score": found.score,
+        "calibration_seconds": found.seconds,
+        "calibration_error": float(np.linalg.norm(coefficients - data.coefficients[0])),
+    }
+
+
+def _rivals(data: Case, first: np.ndarray) -> dict[str, Any]:
+    """Solvers that hold the start's point spread for the true one."""
+    from nlosoptics import imaging, inverse
+
+    spread = pupil(data, first)
+    model = imaging.ForwardModel(
+        spread().detach().double().numpy(), shape=data.truth.shape, boundary="padded"
+    )
+    figures = {}
+    for name in ("wiener", "richardson_lucy", "tv_deconvolve"):
+        solver = getattr(inverse, name, None)
+        if solver is None:
+            continue
+        found = solver(data.images[0], model)
+        correlation = inverse.registered_correlation(found, data.truth)
+        figures[f"{name}_decibels"] = decibels(correlation, data.truth)
+    return figures
+
+
+def _warm(name: str, wall: int, size: int) -> dict[str, Any]:
+    """Iterations of cold fits and of fits that start at the wall found with another object.
+
+    Both see three images. What the cold fit of all its iterations reaches, less 0.005, is the
+    quality; the least share of the iterations that reaches it is sought for both.
+    """
+    from nlosoptics.inverse import registered_correlation
+
+    other = case("R", wall, rms_waves=RMS, size=size, defocus=DIVERSITY)
+    learnt = _fit(other, np.zeros(len(MODES))).physical_parameters["coefficients"]
+    data = case(name, wall, rms_waves=RMS, size=size, defocus=DIVERSITY)
+    cold = _fit(data, np.zeros(len(MODES)))
+    goal = registered_correlation(cold, data.truth) - 0.005
+    needed = {}
+    for label, first, options in (
+        ("cold", np.zeros(len(MODES)), {}),
+        ("warm", learnt, {"start_error": 0.05}),
+    ):
+        for most in (25, 50, 75, 100, 150, 200, 300, 400, 500, 600, 800):
+            found = _fit(data, first, max_iterations=most, **options)
+            if registered_correlation(found, data.truth) >= goal:
+                needed[label] = most
+                break
+    return {
+        "correlation": goal + 0.005,
+        "status": cold.status,
+        "score": cold.score,
+        "seconds": cold.seconds,
+        "cold_iterations": needed.get("cold"),
+        "warm_iterations": needed.get("warm"),
+    }
+
+
+def work(key: tuple[str, str, int, int]) -> dict[str, Any]:
+    """One line."""
+    group, name, wall, size = key
+    line = {"group": group, "object": name, "wall": wall, "size": size}
+    return {**line, **solved(group, name, wall, size)}
+
+
+def summary(lines: list[dict[str, Any]]) -> None:
+    """Least and median correlation, successes and verdicts of each group and size."""
+    for group in GROUPS:
+        for size in sorted({line["size"] for line in lines}):
+            rows = [x for x in lines if x["group"] == group and x["size"] == size]
+            if not rows:
+                continue
+            values = np.array([x["correlation"] for x in rows])
+            said = np.array([x["status"] == "converged" for x in rows])
+            seconds = np.median([x["seconds"] for x in rows])
+            print(
+                f"{group:10s} {size:4d} n = {len(rows):3d}  correlation least {values.min():.4f} "
+                f"median {np.median(values):.4f}  >= 0.95: {np.mean(values >= 0.95):.2f}  "
+                f"verdict right: {np.mean(said == (values > 0.9)):.2f}, wrong 'converged': "
+                f"{int(np.sum(said & (values <= 0.9)))}  {seconds:.1f} s"
+            )
+            for name in ("wiener_decibels", "richardson_lucy_decibels", "tv_deconvolve_decibels"):
+                gains = [x["decibels"] - x[name] for x in rows if name in x]
+                if gains:
+                    print(
+                        f"{'':15s} dB above {name[:-9]}: least {min(gains):.1f}, median "
+                        f"{np.median(gains):.1f}"
+                    )
+            pairs = [x for x in rows if x.get("cold_iterations") and x.get("warm_iterations")]
+            if pairs:
+                shares = [x["warm_iterations"] / x["cold_iterations"] for x in pairs]
+                print(f"{'':15s} warm over cold iterations: median {np.median(shares):.2f}")
+
+
+def main() -> None:
+    """Run what is not in the file yet."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, required=True, help="lines are added to it")
+    parser.add_argument("--groups", nargs="+", choices=GROUPS, default=list(GROUPS))
+    parser.add_argument("--walls", type=int, default=6)
+    parser.add_argument("--objects", nargs="+", default=["F", "arrow", "hanzi_zhong"])
+    parser.add_argument("--sizes", nargs="+", type=int, default=[64, 128])
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--summary", action="store_true", help="print what the file holds, no more")
+    options = parser.parse_args()
+    lines = []
+    if options.json.exists():
+        lines = [json.loads(line) for line in options.json.read_text().splitlines()]
+    done = {(x["group"], x["object"], x["wall"], x["size"]) for x in lines}
+    keys = [
+        (group, name, wall, size)
+        for size in options.sizes
+        for wall in range(FIRST_WALL, FIRST_WALL + options.walls)
+        for group in options.groups
+        for name in options.objects
+    ]
+    todo = [] if options.summary else [key for key in keys if key not in done]
+    with ProcessPoolExecutor(options.jobs) as pool, options.json.open("a") as file:
+        for future in as_completed([pool.submit(work, key) for key in todo]):
+            line = future.result()
+            lines.append(line)
+            file.write(json.dumps(line) + "\n")
+            file.flush()
+            short = {k: round(v, 4) if isinstance(v, float) else v for k, v in line.items()}
+            print(" ".join(f"{k}={v}" for k, v in short.items()), flush=True)
+    summary(lines)
+
+
+if __name__ == "__main__":
+    main()
