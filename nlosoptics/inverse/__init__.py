@@ -13,6 +13,7 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from .cnn_baseline import CnnBaseline, Training, train_cnn
 from .image_prior import deep_image_prior
 from .measurements import estimate_noise
 from .pupil_psf import PupilPSF
@@ -20,18 +21,24 @@ from .reconstructions import Reconstruction
 from .registration import registered_correlation
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
+from .training_pairs import TrainingPairs, training_pairs
 from .unets import UNet, UNetObject
 from .wiener_filter import wiener
 
 __all__ = [
+    "CnnBaseline",
     "PupilPSF",
     "Reconstruction",
     "TorchForwardModel",
+    "Training",
+    "TrainingPairs",
     "UNet",
     "UNetObject",
     "deep_image_prior",
     "estimate_noise",
     "registered_correlation",
+    "train_cnn",
+    "training_pairs",
     "tv_deconvolve",
     "wiener",
 ]
