@@ -84,7 +84,7 @@ def wu2024_fit(
     tv_weight : float
         Of the total variation in W(9), the image's range being 1.
     noise_sigma, background, fit_background, background_shape, gain
-        As in `tv_deconvolve`.
+        As in `tv_deconvolve`; the noise may be that of a list of one image.
     max_iterations : int or None
         Steps on angles and network together; None: 4000 cold, 1800 warm.
     seed : int
@@ -159,7 +159,7 @@ def wu2024_fit(
     data = measurement(
         _only(images, pupil_psf),
         pupil_psf.shape,
-        noise_sigma=noise_sigma,
+        noise_sigma=noise_sigma[0] if np.shape(noise_sigma) == (1,) else noise_sigma,
         background=background,
         fit_background=fit_background,
         background_shape=background_shape,

@@ -143,9 +143,21 @@ def test_no_blur_is_told(truth, pupil_psf):
     assert found.status == "trivial"
 
 
-def test_an_object_unlike_the_image_is_unconverged(image, cold):
-    assert inverse.registered_correlation(cold, image) < 0.95
-    assert cold.status == "unconverged"
+def test_an_object_unlike_the_image_is_unconverged(image, pupil_psf, sigma, cold):
+    """A network turned round sees dark where the image is bright."""
+    turned = {
+        **cold.physical_parameters,
+        "network_weights": -cold.physical_parameters["network_weights"],
+    }
+    found = wu2024_fit(
+        image,
+        pupil_psf,
+        noise_sigma=[sigma],
+        start=replace(cold, physical_parameters=turned),
+        max_iterations=1,
+    )
+    assert inverse.registered_correlation(found, image) < 0.95
+    assert found.status == "unconverged"
 
 
 def test_last_reconstruction_may_be_fed_back(image, pupil_psf, sigma, cold):
