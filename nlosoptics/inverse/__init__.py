@@ -24,6 +24,7 @@ from .total_variation import tv_deconvolve
 from .training_pairs import TrainingPairs, training_pairs
 from .unets import UNet, UNetObject
 from .wiener_filter import wiener
+from .wu2024_fit import wu2024_fit
 
 __all__ = [
     "CnnBaseline",
@@ -41,4 +42,5 @@ __all__ = [
     "training_pairs",
     "tv_deconvolve",
     "wiener",
+    "wu2024_fit",
 ]
