@@ -128,7 +128,7 @@ def run_command(
         _check_target(folder)
         _require("matplotlib", "views")
         if planned.runs("reconstruction"):
-            _require("torch", "inverse")
+            _require("torch", "inverse", ", or pass --no-reconstruct")
         with _progress() as progress:
             result = simulate(scene, tol, seed, reconstruct, progress=progress)
             progress("writing", 1.0)
@@ -236,6 +236,60 @@ def reconstruct_command(
             raise typer.Exit(FAILED)
 
 
+@app.command("train")
+def train_command(
+    scene_file: SceneFile,
+    out: Annotated[Path, typer.Option(help="File of the network.")] = Path("cnn.safetensors"),
+    pairs: Annotated[int, typer.Option(min=2, help="Images to learn from.")] = 2000,
+    epochs: Annotated[int, typer.Option(min=1, help="Times that each is shown.")] = 20,
+    waves: Annotated[float, typer.Option(help="Largest rms of a wall's aberration, waves.")] = 0.5,
+    frame: Annotated[
+        int | None, typer.Option(help="Pixels a side of a region of interest, object and all.")
+    ] = None,
+    base: Annotated[int, typer.Option(help="Channels of the network: 8, 16 or 32.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Of all random draws.")] = 0,
+    size: Size = None,
+    debug: Debug = False,
+) -> None:
+    """Train a network on simulated images of random objects by random walls.
+
+    Ctrl-C keeps the best network so far, with exit code 1.
+    """
+    with _told(debug):
+        _require("torch", "inverse")
+        _require("safetensors", "inverse")
+        scene = _load(scene_file, size)
+        _check_file(out)
+        from . import inverse
+
+        inverse.CnnBaseline(base=base)  # refuses what it cannot be before pairs are made
+        with _progress() as progress:
+            made = inverse.training_pairs(
+                scene,
+                pairs,
+                waves=waves,
+                size=frame,
+                seed=seed,
+                progress=lambda done, _: progress("training pairs", done),
+            )
+            training = inverse.train_cnn(
+                made,
+                base=base,
+                epochs=epochs,
+                seed=seed,
+                progress=lambda done, told: progress(told.removeprefix("training: "), done),
+            )
+            training.network.save(out)
+        error = training.history["validation"].min()
+        typer.echo(
+            f"{out}: mean squared error {error:.4f} on {max(1, round(0.1 * pairs))} pairs that it "
+            f"was not shown, {len(training.history['validation'])} epochs, {training.seconds:.0f} s"
+        )
+        if training.interrupted:
+            typer.echo(f"nlosoptics: interrupted; the best network so far is in {out}", err=True)
+            raise typer.Exit(FAILED)
+
+
 @app.command("schema")
 def schema_command(debug: Debug = False) -> None:
     """Print the JSON schema of scene files, for editors."""
@@ -252,12 +306,11 @@ def _load(path: Path, size: int | None) -> Scene:
     return scene if size is None else scene.resized(size)
 
 
-def _require(package: str, extra: str) -> None:
+def _require(package: str, extra: str, otherwise: str = "") -> None:
     """Raise `MissingExtraError` before any work that would end at a missing package."""
     if importlib.util.find_spec(package) is None:
         raise MissingExtraError(
-            f"{package} is not installed; run pip install 'nlosoptics[{extra}]'"
-            + (", or pass --no-reconstruct" if extra == "inverse" else "")
+            f"{package} is not installed; run pip install 'nlosoptics[{extra}]'{otherwise}"
         )
 
 
@@ -332,6 +385,18 @@ def _progress(width: int = 17) -> Iterator[Callable[[str, float], None]]:
     ) as bar:
         task = bar.add_task("reading", total=1.0)
         yield lambda stage, fraction: bar.update(task, description=stage, completed=fraction)
+
+
+def _check_file(path: Path) -> None:
+    """Refuse a file that could not be written in the end."""
+    parent = path.absolute().parent
+    for wrong, what in (
+        (path.is_dir(), "is a folder; name a file"),
+        (not parent.is_dir(), f"is in {parent}, which is no folder; create it first"),
+        (not os.access(parent, os.W_OK), f"is in {parent}, which cannot be written"),
+    ):
+        if wrong:
+            raise typer.BadParameter(f"{path} {what}", param_hint="--out")
 
 
 def _check_target(folder: Path) -> None:

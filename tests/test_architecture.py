@@ -43,6 +43,7 @@ MAY_IMPORT = {
 ONLY_IN = {
     "torch": ("inverse/", "transient/_gpu.py"),
     "deepinv": ("inverse/",),
+    "safetensors": ("inverse/",),
     "matplotlib": ("views/",),
     "pyvista": ("views/",),
     "vtk": ("views/",),

@@ -15,6 +15,7 @@ except ImportError:
 
 from ..limits import Feasibility, feasibility
 from .callbacks import Stop
+from .cnn_baseline import CnnBaseline, Training, train_cnn
 from .image_prior import deep_image_prior
 from .lucy import richardson_lucy
 from .measurements import estimate_noise
@@ -28,10 +29,13 @@ from .simple_filters import inverse_filter
 from .staged_fit import staged_fit
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
+from .training_pairs import TrainingPairs, training_pairs
 from .unets import UNet, UNetObject
 from .wiener_filter import wiener
+from .wu2024_fit import wu2024_fit
 
 __all__ = [
+    "CnnBaseline",
     "Feasibility",
     "PupilPSF",
     "Reconstruction",
@@ -39,6 +43,8 @@ __all__ = [
     "SceneLeaves",
     "Stop",
     "TorchForwardModel",
+    "Training",
+    "TrainingPairs",
     "UNet",
     "UNetObject",
     "deep_image_prior",
@@ -52,6 +58,9 @@ __all__ = [
     "registered_scores",
     "richardson_lucy",
     "staged_fit",
+    "train_cnn",
+    "training_pairs",
     "tv_deconvolve",
     "wiener",
+    "wu2024_fit",
 ]

@@ -9,6 +9,8 @@ import torch
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse.measurements import measurement
+from nlosoptics.inverse.scaled_images import ScaledImage
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +117,28 @@ def test_pixels_of_more_noise_count_less(small):
     )
     told = inverse.deep_image_prior(noisy, model, noise_sigma=sigma)
     assert inverse.registered_correlation(told, truth) > 0.95
+
+
+def test_gain_and_background_are_least_squares():
+    """Against a weighted fit by numpy, with a veil of known shape."""
+    rng = np.random.default_rng(2)
+    shape, seen, sigma = 0.5 + rng.random((3, 6, 7))
+    image = 4.0 * seen + 3.0 * shape + 0.1 * rng.normal(size=seen.shape)
+    data = measurement(
+        image,
+        image.shape,
+        noise_sigma=sigma,
+        background=0.0,
+        fit_background=True,
+        background_shape=shape,
+    )
+    gain, residual = ScaledImage(data, 2.0).misfit(torch.from_numpy(seen).float())
+    columns = np.stack([seen / sigma, shape / sigma], axis=-1).reshape(-1, 2)
+    expected = np.linalg.lstsq(columns, (image / sigma).ravel(), rcond=None)[0]
+    # single precision
+    assert 2.0 * gain.item() == pytest.approx(expected[0], rel=1e-5)
+    left = image - expected[0] * seen - expected[1] * shape
+    np.testing.assert_allclose(2.0 * residual.numpy(), left, atol=2e-5)
 
 
 @pytest.mark.parametrize("level", [0.0, 5.0])

@@ -1,0 +1,147 @@
+"""PCIN as published, from random angles and one image: correlation, status, seconds.
+
+python benchmarks/inverse/wu2024.py [--walls 6] [--rms 0.25 0.5 1] [--json FILE] [--jobs 2]
+python benchmarks/inverse/wu2024.py --memory
+
+Data by the simulator (cases.py). Each object is seen by each wall; "warm" starts the second and
+third object from the result of the first by the same wall. With --json, one line for each finished
+case, and those already there are not run again. --memory: three steps at 512 x 512 by each size of
+network, each in a process of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+from pathlib import Path
+
+import numpy as np
+import torch
+
+OBJECTS = ("F", "arrow", "hanzi_zhong")
+
+
+def pupil(data, size):
+    from cases import MODES
+
+    from nlosoptics.inverse import PupilPSF
+
+    return PupilPSF.from_zernike(MODES, shape=size, pixel_integrated=True, **data.pupil)
+
+
+def row(data, found, name, wall, rms, kind, options):
+    """One line of the table."""
+    from nlosoptics.inverse import registered_correlation
+
+    return {
+        "object": name,
+        "wall": wall,
+        "rms": rms,
+        "start": kind,
+        "size": options.size,
+        "image": round(registered_correlation(data.images[0], data.truth), 4),
+        "correlation": round(registered_correlation(found, data.truth), 4),
+        "like_image": round(registered_correlation(found, data.images[0]), 4),
+        "status": found.status,
+        "score": round(found.score, 4),
+        "strehl": round(found.physical_parameters["strehl"], 4),
+        "wave_rms": round(float(np.linalg.norm(found.physical_parameters["coefficients"])), 4),
+        "iterations": int(found.physical_parameters["iterations"]),
+        "seconds": round(found.seconds, 1),
+    }
+
+
+def one_wall(job):
+    """The objects seen by one wall: each cold, all but the first warm."""
+    wall, rms, options, done = job
+    from cases import case
+
+    from nlosoptics.inverse.wu2024_fit import wu2024_fit
+
+    rows, first = [], None
+    for name in OBJECTS:
+        wanted = [kind for kind in ("cold", "warm") if (name, wall, rms, kind) not in done]
+        if name == OBJECTS[0]:
+            wanted = ["cold"]
+        data = case(name, wall, rms_waves=rms, size=options.size, noise=options.noise)
+        shared = {"noise_sigma": float(data.noise_sigma[0]), "seed": wall, "base": options.base}
+        for kind in wanted:
+            steps = options.iterations if kind == "cold" else options.warm_iterations
+            start = first if kind == "warm" else None
+            found = wu2024_fit(
+                data.images, pupil(data, options.size), start=start, max_iterations=steps, **shared
+            )
+            first = found if first is None else first
+            if (name, wall, rms, kind) not in done:
+                rows.append(row(data, found, name, wall, rms, kind, options))
+    return rows
+
+
+def largest_memory():
+    """Of this process alone, MiB; what `getrusage` tells is also its parent's."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return float(line.split()[1]) / 1024
+    raise OSError("this system does not tell a process's largest memory")
+
+
+def peak(base):
+    """Largest memory, MiB, and milliseconds a step of six steps at 512 x 512."""
+    from nlosoptics.inverse import PupilPSF
+    from nlosoptics.inverse.wu2024_fit import wu2024_fit
+
+    wave = {"wavelength": 632.8e-9, "pupil_radius": 1e-3, "image_distance": 50e-3}
+    model = PupilPSF.from_zernike(range(4, 22), shape=512, pitch=7.9e-6, **wave)
+    image = np.random.default_rng(0).normal(size=(512, 512))
+    image[100:300, 200:300] += 20.0
+    found = wu2024_fit(image, model, base=base, max_iterations=6, alternate=1)
+    memory = largest_memory()
+    return round(memory), round(1e3 * found.seconds / 6)
+
+
+def main():
+    """Print a line for each case."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--walls", type=int, default=6)
+    parser.add_argument("--first-wall", type=int, default=100)
+    parser.add_argument("--rms", type=float, nargs="+", default=[0.25, 0.5, 1.0])
+    parser.add_argument("--size", type=int, default=64)
+    parser.add_argument("--noise", type=float, default=0.01)
+    parser.add_argument("--base", type=int, default=8)
+    parser.add_argument("--iterations", type=int, default=4000)
+    parser.add_argument("--warm-iterations", type=int, default=1800)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--memory", action="store_true")
+    options = parser.parse_args()
+    fresh = multiprocessing.get_context("spawn")
+    if options.memory:
+        for base in (8, 16, 32):
+            with fresh.Pool(1) as pool:
+                memory, step = pool.apply(peak, (base,))
+            print(f"512 x 512, base {base}: {memory} MiB, {step} ms a step", flush=True)
+        return
+    done = set()
+    if options.json and options.json.exists():
+        lines = map(json.loads, options.json.read_text().splitlines())
+        done = {(line["object"], line["wall"], line["rms"], line["start"]) for line in lines}
+    all_of_wall = {(name, kind) for name in OBJECTS for kind in ("cold", "warm")}
+    all_of_wall.discard((OBJECTS[0], "warm"))
+    jobs = [
+        (wall, rms, options, done)
+        for rms in options.rms
+        for wall in range(options.first_wall, options.first_wall + options.walls)
+        if any((name, wall, rms, kind) not in done for name, kind in all_of_wall)
+    ]
+    with fresh.Pool(options.jobs, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+        for rows in pool.imap_unordered(one_wall, jobs):
+            for line in map(json.dumps, rows):
+                print(line, flush=True)
+                if options.json:
+                    with options.json.open("a") as file:
+                        file.write(line + "\n")
+
+
+if __name__ == "__main__":
+    main()
