@@ -14,6 +14,7 @@ except ImportError:
     ) from None
 
 from .measurements import estimate_noise
+from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
 from .registration import registered_correlation
 from .torch_model import TorchForwardModel
@@ -21,6 +22,7 @@ from .total_variation import tv_deconvolve
 from .wiener_filter import wiener
 
 __all__ = [
+    "PupilPSF",
     "Reconstruction",
     "TorchForwardModel",
     "estimate_noise",

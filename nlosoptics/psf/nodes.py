@@ -135,14 +135,20 @@ def fitting_pitch(radius: float, samples: int) -> float:
     return 2 * radius / (samples - 1 + samples % 2)
 
 
-def circle_shares(x: Array, y: Array, pitch: float, radius: float) -> Array:
-    """Share of each cell of the grid ``y`` by ``x`` that lies within ``radius`` of 0, (ny, nx)."""
+def circle_shares(
+    x: Array, y: Array, pitch: float, radius: float, pitch_y: float | None = None
+) -> Array:
+    """Share of each cell of the grid ``y`` by ``x`` that lies within ``radius`` of 0, (ny, nx).
+
+    Cells are squares, or ``pitch`` by ``pitch_y``.
+    """
+    height = pitch if pitch_y is None else pitch_y
     edges_x = np.append(x - pitch / 2, x[-1] + pitch / 2)
-    edges_y = np.append(y - pitch / 2, y[-1] + pitch / 2)
+    edges_y = np.append(y - height / 2, y[-1] + height / 2)
     corner = _corner_areas(edges_x, edges_y, radius)
-    share = np.diff(np.diff(corner, axis=0), axis=1) / pitch**2
+    share = np.diff(np.diff(corner, axis=0), axis=1) / (pitch * height)
     # cells outside hold the rounding of areas up to radius^2, which must not pass for light
-    share[share < 4 * np.finfo(np.float64).eps * (radius / pitch) ** 2] = 0.0
+    share[share < 4 * np.finfo(np.float64).eps * radius**2 / (pitch * height)] = 0.0
     return np.clip(share, 0.0, 1.0)
 
 

@@ -1,0 +1,224 @@
+"""Point spreads of a wave's coefficients in torch, against `psf.point_spread`."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.inverse import PupilPSF
+from nlosoptics.psf import Wavefront, point_spread, zernike
+
+WAVELENGTH = 632.8e-9
+DISTANCE = 0.06
+PITCH = 5e-6
+MODES = {2: 0.2, 4: 0.3, 5: -0.1, 7: 0.1, 11: 0.07}  # waves
+
+
+def radius(cells, side, distance=DISTANCE):
+    """Pupil radius of so many cells of a period of so many pixels, m."""
+    return cells * WAVELENGTH * abs(distance) / (side * PITCH)
+
+
+def pupil(modes=MODES, *, shape=64, cells=14.0, distance=DISTANCE, dtype=torch.float64, **options):
+    if isinstance(modes, dict):
+        modes = {mode: value * WAVELENGTH for mode, value in modes.items()}
+    side = shape if isinstance(shape, int) else max(shape)
+    return PupilPSF.from_zernike(
+        modes,
+        wavelength=WAVELENGTH,
+        pupil_radius=radius(cells, side, distance),
+        image_distance=distance,
+        pitch=PITCH,
+        shape=shape,
+        dtype=dtype,
+        **options,
+    )
+
+
+def wave_of(module):
+    """The same pupil, cell by cell, as `psf` takes it."""
+    return Wavefront.from_map(
+        module.aberration().detach().numpy(),
+        module.optics.share,
+        wavelength=WAVELENGTH,
+        pupil_pitch=module.optics.pupil_pitch[0],
+        image_distance=module.optics.image_distance,
+        pupil_radius=module.optics.pupil_radius,
+    )
+
+
+@pytest.mark.parametrize("shape", [64, 65])
+@pytest.mark.parametrize("distance", [DISTANCE, -DISTANCE])
+@pytest.mark.parametrize("method", ["fft", "mdft"])
+def test_equals_the_point_spread_of_the_same_wave(shape, distance, method):
+    module = pupil(shape=shape, distance=distance, method=method)
+    expected = point_spread(wave_of(module), method=method, pitch=PITCH, shape=shape).intensity
+    found = module().detach().numpy()
+    # roundings of two transforms
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * expected.max())
+
+
+@pytest.mark.parametrize("cells", [14.0, 30.0])  # a pixel below Nyquist's and one twice as wide
+@pytest.mark.parametrize(("method", "tolerance"), [("mdft", 1e-12), ("fft", 1e-10)])
+def test_equals_pixel_integrals_of_the_same_wave(cells, method, tolerance):
+    # the transfer function of a pixel is exact; the sum over finer samples errs by 4e-11
+    module = pupil(cells=cells, method=method, pixel_integrated=True)
+    expected = point_spread(
+        wave_of(module), method="mdft", pitch=PITCH, shape=64, pixel_integrated=True
+    ).intensity
+    found = module().detach().numpy()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * expected.max())
+
+
+def test_single_precision_agrees_with_double():
+    expected = pupil()().detach()
+    found = pupil(dtype=torch.float32)()
+    assert found.dtype == torch.float32
+    # some ten roundings of 6e-8 in phases of some rad
+    torch.testing.assert_close(found.double(), expected, rtol=0, atol=3e-6 * float(expected.max()))
+
+
+def summed(module, finer=1):
+    """Energy at points of the image by the Fraunhofer sum over the module's cells."""
+    optics = module.optics
+    phase = 2 * np.pi / WAVELENGTH * module.aberration().detach().numpy()
+    field = optics.share * np.exp(1j * phase)
+    spread = WAVELENGTH * optics.image_distance
+    points = [(np.arange(n * finer) - (n // 2) * finer) * PITCH / finer for n in module.shape]
+    along_y, along_x = (
+        np.exp(-2j * np.pi * np.outer(x, u) / spread)
+        for x, u in zip(points, (optics.v, optics.u), strict=True)
+    )
+    energy = np.abs(along_y @ field @ along_x.T) ** 2
+    return energy / energy.sum()
+
+
+@pytest.mark.parametrize("shape", [(48, 80), (33, 20)])
+@pytest.mark.parametrize("distance", [DISTANCE, -DISTANCE])
+def test_oblong_images_have_oblong_cells(shape, distance):
+    cells = max(shape) * min(shape) / max(shape) / 4.5
+    module = pupil(shape=shape, distance=distance, cells=cells)
+    # the longer side has the finer cells; roundings of two transforms
+    assert module.optics.share.shape[shape[0] < shape[1]] > 2 * int(cells)
+    expected = summed(module)
+    np.testing.assert_allclose(
+        module().detach().numpy(), expected, rtol=0, atol=1e-12 * expected.max()
+    )
+
+
+@pytest.mark.parametrize("shape", [(24, 30), (21, 17)])
+def test_oblong_pixels_integrate_the_sum_over_cells(shape):
+    module = pupil(shape=shape, cells=7.0, pixel_integrated=True)
+    finer = 24  # an even number, with half samples at a pixel's two ends: the trapezium rule
+    fine = np.pad(summed(module, finer), finer // 2, mode="wrap")
+    ends = np.ones(finer + 1)
+    ends[[0, -1]] = 0.5
+    expected = np.empty(shape)
+    for row, column in np.ndindex(shape):
+        block = fine[row * finer :, column * finer :][: finer + 1, : finer + 1]
+        expected[row, column] = ends @ block @ ends
+    # the trapezium rule at 24 steps a pixel that is up to twice Nyquist's: 0.5/24^2
+    np.testing.assert_allclose(
+        module().detach().numpy(), expected, rtol=0, atol=2e-3 * expected.max()
+    )
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (33, 40)])
+@pytest.mark.parametrize("integrated", [False, True])
+@pytest.mark.parametrize("method", ["fft", "mdft"])
+def test_transfer_is_the_spectrum_of_the_point_spread(shape, integrated, method):
+    module = pupil(shape=shape, cells=7.0, method=method, pixel_integrated=integrated)
+    spread = module().roll((-(shape[0] // 2), -(shape[1] // 2)), (-2, -1))
+    # roundings of one transform; the spread sums to 1
+    torch.testing.assert_close(module.transfer(), torch.fft.rfft2(spread), rtol=0, atol=1e-13)
+
+
+def test_batches_and_defocused_frames_are_single_calls_side_by_side():
+    module = pupil([5, 6, 8])
+    leaves = torch.randn(2, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    defocus = torch.tensor([0.0, 3e-7], dtype=torch.float64)
+    stack = module(0.1 * leaves, defocus=defocus)
+    assert tuple(stack.shape) == (2, 2, 64, 64)
+    wide = pupil([5, 6, 8, 4])
+    for row, one in zip(stack, leaves, strict=True):
+        for spread, extra in zip(row, defocus, strict=True):
+            alone = wide(torch.cat((0.1 * one, extra[None] / WAVELENGTH)))
+            torch.testing.assert_close(spread, alone, rtol=0, atol=1e-15)  # energies below 0.1
+
+
+@pytest.mark.parametrize("method", ["fft", "mdft"])
+@pytest.mark.parametrize("integrated", [False, True])
+def test_gradients(method, integrated):
+    module = pupil(
+        list(MODES), shape=(12, 11), cells=2.4, method=method, pixel_integrated=integrated
+    )
+    leaves = torch.linspace(-0.2, 0.3, 10, dtype=torch.float64).view(2, 5).requires_grad_()
+    flat = torch.zeros(5, dtype=torch.float64, requires_grad=True)
+    for start in (leaves, flat):
+        assert torch.autograd.gradcheck(lambda c: module(c, defocus=[0.0, 2e-7]), start)
+        assert torch.autograd.gradcheck(lambda c: module.transfer(c), start)
+
+
+def test_start_values_are_waves_of_the_given_metres():
+    module = pupil()
+    torch.testing.assert_close(
+        module.coefficients.detach(), torch.tensor(list(MODES.values()), dtype=torch.float64)
+    )
+    assert module.modes == tuple(MODES)
+    optics = module.optics
+    v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
+    rho, theta = np.hypot(u, v) / optics.pupil_radius, np.arctan2(v, u)
+    expected = sum(value * WAVELENGTH * zernike(mode, rho, theta) for mode, value in MODES.items())
+    np.testing.assert_allclose(
+        module.aberration().detach().numpy(),
+        np.where(optics.share > 0, expected, 0.0),
+        rtol=0,
+        atol=1e-12 * WAVELENGTH,  # roundings of a sum of waves
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "text"),
+    [
+        ({"modes": [1, 2]}, SceneError, "piston"),
+        ({"modes": [4, 4]}, SceneError, "4 more than once"),
+        ({"modes": []}, SceneError, "modes is empty"),
+        ({"modes": 4}, SceneError, "give a sequence of Noll indices"),
+        ({"modes": {4: float("nan")}}, SceneError, r"modes\[4\]"),
+        ({"cells": 17.0}, SamplingError, "wider than Nyquist's"),
+        ({"cells": 0.7}, SamplingError, "samples the pupil every"),
+        ({"samples": 20}, SamplingError, "leave it out"),
+        ({"method": "mdft", "samples": 10}, SamplingError, "use samples = "),
+        ({"distance": 0.0}, SceneError, "image_distance = 0"),
+        ({"method": "dft"}, SceneError, "method"),
+        ({"dtype": torch.float16}, SamplingError, "float16 is not supported"),
+        ({"modes": range(2, 40), "cells": 2.0}, SamplingError, "cannot hold 38 modes"),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(options, kind, text):
+    options = dict(options)
+    modes = options.pop("modes", MODES)
+    if options.get("distance") == 0.0:
+        with pytest.raises(kind, match=text):
+            PupilPSF.from_zernike(
+                [4],
+                wavelength=WAVELENGTH,
+                pupil_radius=1e-3,
+                image_distance=0.0,
+                pitch=PITCH,
+                shape=64,
+            )
+        return
+    with pytest.raises(kind, match=text) as caught:
+        pupil(modes, **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_leaves_are_refused():
+    module = pupil()
+    with pytest.raises(SamplingError, match=r"must end in \(5,\)"):
+        module(torch.zeros(4, dtype=torch.float64))
+    with pytest.raises(SamplingError, match=r"must be \(K,\)"):
+        module(defocus=torch.zeros(2, 2))
