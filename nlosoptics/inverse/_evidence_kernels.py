@@ -24,11 +24,14 @@ def intensity(field, out):
 
 @njit(cache=True)
 def predict(transfer, pixel, objects, out):
-    """Multiply transfer (b, k, p, q) by the pixel's, in place, and by the objects' (b, p, q)."""
+    """Multiply transfer (b, k, p, q) by the detector's, in place, and by the objects' (b, p, q).
+
+    ``pixel`` (k, p, q) is the transfer function of a pixel times the frame's weight.
+    """
     for b in range(transfer.shape[0]):
         for k in range(transfer.shape[1]):
             for i in range(transfer.shape[2]):
-                h, m, o, w = transfer[b, k, i], objects[b, i], out[b, k, i], pixel[i]
+                h, m, o, w = transfer[b, k, i], objects[b, i], out[b, k, i], pixel[k, i]
                 for j in range(h.size):
                     x = h[j].real * w[j]
                     y = h[j].imag * w[j]
@@ -128,7 +131,7 @@ def spectra(
     """Posterior covariance, and both gradients as spectra.
 
     ``residual`` (b, k, p, q) becomes the gradient with respect to the transfer function before the
-    pixel's; ``toward_object`` (b, p, q) that with respect to the object; ``variances`` (b, 2) the
+    detector's; ``toward_object`` (b, p, q) that with respect to the object; ``variances`` (b, 2) the
     posterior variances of the differences along x and y.
     """
     frames, p, q = transfer.shape[1:]
@@ -170,9 +173,9 @@ def spectra(
                 for j in range(q):
                     times = 1.0 if j == 0 or (p % 2 == 0 and j == q - 1) else 2.0
                     total += times * (power[j] * i2 * covariance[j] - np.log(covariance[j]))
-            m, w = objects[b, i], pixel[i]
+            m = objects[b, i]
             for k in range(frames):
-                h, r = transfer[b, k, i], residual[b, k, i]
+                h, r, w = transfer[b, k, i], residual[b, k, i], pixel[k, i]
                 for j in range(q):
                     x, y = r[j].real * data_scale, r[j].imag * data_scale
                     c = trace_scale * covariance[j]
