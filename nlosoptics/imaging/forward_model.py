@@ -104,12 +104,7 @@ class ForwardModel:
                 )
             grid = shape
         else:
-            arms = (_longer_arm(k, n) for k, n in zip(kernel.shape, shape, strict=True))
-            rows, columns = (
-                int(fft.next_fast_len(n + arm, real=True))
-                for n, arm in zip(shape, arms, strict=True)
-            )
-            grid = (rows, columns)
+            grid = padded_grid(kernel.shape, shape)
         fits_memory(
             f"forward model of {shape[0]} x {shape[1]} pixels on a {grid[0]} x {grid[1]} grid",
             40.0 * len(modes) * math.prod(grid),
@@ -198,14 +193,13 @@ class ForwardModel:
         return np.ascontiguousarray(fft.irfft2(spectrum, s=self.grid)[..., :rows, :columns])
 
 
-def one_kernel(model: ForwardModel) -> ForwardModel:
-    """The model, if one point spread makes it, or the error that says what needs that."""
-    if model.weights is not None:
-        raise SamplingError(
-            f"the model's point spread varies over the field ({len(model.weights)} modes), and "
-            "this solver divides by one spectrum; give a model of one PointSpread"
-        )
-    return model
+def padded_grid(kernel: tuple[int, ...], shape: tuple[int, int]) -> tuple[int, int]:
+    """FFT grid of a frame and the longer arms of a kernel, which wrap around beyond the frame."""
+    arms = (_longer_arm(k, n) for k, n in zip(kernel, shape, strict=True))
+    rows, columns = (
+        int(fft.next_fast_len(n + arm, real=True)) for n, arm in zip(shape, arms, strict=True)
+    )
+    return rows, columns
 
 
 def _weights(

@@ -14,9 +14,11 @@ except ImportError:
     ) from None
 
 from .measurements import estimate_noise
+from .pcin import pcin
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
 from .registration import registered_correlation
+from .staged_fit import staged_fit
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
 from .wiener_filter import wiener
@@ -26,7 +28,9 @@ __all__ = [
     "Reconstruction",
     "TorchForwardModel",
     "estimate_noise",
+    "pcin",
     "registered_correlation",
+    "staged_fit",
     "tv_deconvolve",
     "wiener",
 ]

@@ -10,7 +10,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from .._checks import one_of
 from ..errors import SamplingError, SceneError
+from ..imaging.forward_model import Boundary
+from .padding import padded_transfer
 from .pupil_optics import Method, PupilOptics
 from .pupil_waves import DEFOCUS, ZernikeWaves, like, noll_mode, start_values
 
@@ -159,6 +162,62 @@ class PupilPSF(nn.Module):
         What `torch.fft.rfft2` of an object is multiplied by for an image in a circular frame.
         """
         return self.optics.transfer(self._turns(coefficients, defocus))
+
+    def image(
+        self,
+        object_image: Tensor,
+        coefficients: Tensor | None = None,
+        *,
+        defocus: Tensor | Sequence[float] | None = None,
+        gain: Tensor | float = 1.0,
+        background: Tensor | float = 0.0,
+        boundary: Boundary = "padded",
+    ) -> Tensor:
+        """Image of an object: ``gain * (point spread convolved with object) + background``.
+
+        Parameters
+        ----------
+        object_image : Tensor
+            (..., h, w), on the image's pixels; of the point spread's shape where ``boundary`` is
+            "circular". Its batch and that of the coefficients broadcast.
+        coefficients, defocus
+            As of `forward`; with ``defocus`` the result is (..., K, h, w).
+        gain, background : float or Tensor
+            Image units; tensors broadcast against the result.
+        boundary : {"padded", "circular"}
+            As of `imaging.ForwardModel`: nothing around the object, or its periodic copies.
+
+        Returns
+        -------
+        Tensor
+            (..., h, w).
+
+        Raises
+        ------
+        SamplingError
+            If the object does not fit the frame.
+        """
+        one_of("boundary", boundary, ("padded", "circular"))
+        frame = tuple(object_image.shape[-2:])
+        if object_image.ndim < 2 or 0 in frame:
+            raise SamplingError(
+                f"object_image has shape {tuple(object_image.shape)}, must be (..., h, w)"
+            )
+        if boundary == "circular":
+            if frame != self.shape:
+                raise SamplingError(
+                    f"object_image has shape {tuple(object_image.shape)}, must end in {self.shape} "
+                    "like the point spread; resample it, or use boundary='padded'"
+                )
+            grid, transfer = self.shape, self.transfer(coefficients, defocus=defocus)
+        else:
+            spread = self(coefficients, defocus=defocus)
+            grid, transfer = padded_transfer(spread, (frame[0], frame[1]))
+        if defocus is not None:
+            object_image = object_image.unsqueeze(-3)
+        seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(object_image, s=grid) * transfer, s=grid)
+        seen = gain * seen[..., : frame[0], : frame[1]] + background
+        return seen
 
     def aberration(self, coefficients: Tensor | None = None) -> Tensor:
         """W on the pupil's cells, m, (..., n_v, n_u), 0 outside the pupil."""

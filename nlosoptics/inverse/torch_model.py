@@ -8,16 +8,18 @@ import torch
 from torch import Tensor, nn
 
 from ..errors import SamplingError, SceneError
-from ..imaging.forward_model import ForwardModel, one_kernel
+from ..imaging.forward_model import ForwardModel
 
 
 class TorchForwardModel(nn.Module):
-    """Convolution with a point spread function on batches of tensors, differentiable.
+    """Convolution with a point spread, or a field of them, on batches of tensors, differentiable.
 
-    Build it by `from_numpy`; it shares grid, boundary and transfer function with that model.
+    Build it by `from_numpy`; it shares grid, boundary, transfer functions and weights with that
+    model.
     """
 
     _transfer: Tensor
+    weights: Tensor | None
 
     def __init__(self, model: ForwardModel) -> None:
         super().__init__()
@@ -27,6 +29,8 @@ class TorchForwardModel(nn.Module):
         # Stored as pairs of reals: Module.to(dtype) would drop the imaginary part.
         pairs = torch.view_as_real(torch.from_numpy(model.transfer.copy()))
         self.register_buffer("_transfer", pairs)
+        weights = None if model.weights is None else torch.from_numpy(model.weights.copy())
+        self.register_buffer("weights", weights)
 
     @classmethod
     def from_numpy(
@@ -51,38 +55,60 @@ class TorchForwardModel(nn.Module):
         Raises
         ------
         SamplingError
-            If ``dtype`` is another, or the model's point spread varies over the field.
+            If ``dtype`` is another.
         """
         if dtype not in (torch.float32, torch.float64):
             raise SamplingError(
                 f"dtype = {dtype} is not supported by the transform; "
                 "use torch.float32 or torch.float64"
             )
-        return cls(one_kernel(model)).to(device=device, dtype=dtype)
+        return cls(model).to(device=device, dtype=dtype)
 
     @property
     def transfer(self) -> Tensor:
-        """``rfft2`` of the kernel on ``grid``, complex."""
+        """``rfft2`` of the kernel on ``grid``, complex; (K, ...) of a field's modes."""
         return torch.view_as_complex(self._transfer)
+
+    @property
+    def mean_transfer(self) -> Tensor:
+        """``rfft2`` of the kernel's mean over the frame, one for a field too."""
+        if self.weights is None:
+            return self.transfer
+        shares = self.weights.mean(dim=(-2, -1))
+        return (shares[:, None, None] * self.transfer).sum(dim=0)
 
     def forward(self, object_image: Tensor) -> Tensor:
         """Image (..., H, W) of an object (..., H, W)."""
-        return self._filter("object_image", object_image, self.transfer)
+        self._check("object_image", object_image)
+        if self.weights is None:
+            return self._frame(self._spectrum(object_image) * self.transfer)
+        parts = self._spectrum(object_image.unsqueeze(-3) * self.weights)
+        return self._frame((parts * self.transfer).sum(dim=-3))
 
     def adjoint(self, image: Tensor) -> Tensor:
         """Transpose of `forward`: correlation of an image (..., H, W) with the kernel."""
-        return self._filter("image", image, self.transfer.conj())
+        self._check("image", image)
+        spectrum = self._spectrum(image)
+        if self.weights is None:
+            return self._frame(spectrum * self.transfer.conj())
+        parts = self._frame(spectrum.unsqueeze(-3) * self.transfer.conj())
+        return (parts * self.weights).sum(dim=-3)
 
-    def _filter(self, name: str, picture: Tensor, transfer: Tensor) -> Tensor:
+    def _check(self, name: str, picture: Tensor) -> None:
         if tuple(picture.shape[-2:]) != self.shape:
             raise SamplingError(
                 f"{name} has shape {tuple(picture.shape)}, must end in {self.shape}; "
                 "resample it or build the model for that shape"
             )
+
+    def _spectrum(self, picture: Tensor) -> Tensor:
+        spectrum: Tensor = torch.fft.rfft2(picture, s=self.grid)
+        return spectrum
+
+    def _frame(self, spectrum: Tensor) -> Tensor:
         rows, columns = self.shape
-        spectrum = torch.fft.rfft2(picture, s=self.grid) * transfer
-        result: Tensor = torch.fft.irfft2(spectrum, s=self.grid)
-        return result[..., :rows, :columns]
+        picture: Tensor = torch.fft.irfft2(spectrum, s=self.grid)
+        return picture[..., :rows, :columns]
 
 
 def torch_model(
@@ -95,7 +121,10 @@ def torch_model(
         twin = TorchForwardModel.__new__(TorchForwardModel)
         nn.Module.__init__(twin)
         twin.shape, twin.grid, twin.boundary = model.shape, model.grid, model.boundary
-        twin.register_buffer("_transfer", model._transfer.to(device=device, dtype=dtype))
+        weights = model.weights
+        for name, buffer in (("_transfer", model._transfer), ("weights", weights)):
+            moved = None if buffer is None else buffer.to(device=device, dtype=dtype)
+            twin.register_buffer(name, moved)
         return twin
     return TorchForwardModel.from_numpy(model, device, dtype)
 

@@ -81,9 +81,9 @@ def wiener(
     Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x``, S proportional to 1/(f^2 + f_0^2) with f_0
     one cycle per frame (the spectrum of natural scenes [1]_), its strength matched to the image's
     variance in excess of the noise. A circular frame without weights is the classical filter,
-    solved in one step. A padded frame sees only part of the light: the same filter is then the
-    preconditioner of conjugate gradients over the objects that lie in the frame, so no edge is
-    tapered and none rings.
+    solved in one step. A padded frame sees only part of the light, and a field has many spectra:
+    the filter, by a field's mean point spread, is then the preconditioner of conjugate gradients
+    over the objects that lie in the frame, so no edge is tapered and none rings.
 
     References
     ----------
@@ -128,7 +128,8 @@ class _NormalEquations:
         self.model = model
         rows, columns = model.grid
         device = data.data.device
-        transfer = model.transfer
+        # Of a field, its mean: what preconditions it, and what it passes of the prior.
+        transfer = model.mean_transfer
         power = transfer.real**2 + transfer.imag**2
         row_frequencies = torch.fft.fftfreq(rows, dtype=torch.float64, device=device)[:, None]
         column_frequencies = torch.fft.rfftfreq(columns, dtype=torch.float64, device=device)

@@ -6,6 +6,7 @@ import functools
 import importlib.util
 import sys
 
+import numpy as np
 import pytest
 
 
@@ -33,3 +34,26 @@ def case(known_psf, examples):
         return data, ForwardModel(data.kernel, shape=data.image.shape)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def point_spread_field():
+    """A spot that widens to the right and gets a neighbour upward: three modes on 4 x 4 nodes."""
+    from nlosoptics.psf import PointSpreadField
+
+    def spot(width, place=0.0):
+        axis = np.arange(15.0) - 7.0
+        values = np.exp(-((axis - place) ** 2 + axis[:, None] ** 2) / (2 * width**2))
+        return values / values.sum()
+
+    nodes = np.cos(np.pi * (2 * np.arange(4) + 1) / 8)[::-1].copy()
+    across, up = np.meshgrid(nodes, nodes)
+    return PointSpreadField(
+        modes=np.stack([spot(1.2), spot(2.5) - spot(1.2), spot(1.5, 2.0) - spot(1.2)]),
+        weights=np.stack([np.ones_like(across), 0.5 + 0.45 * across, 0.4 * up]),
+        across=nodes,
+        up=nodes.copy(),
+        pitch=1e-5,
+        truncation_error=0.0,
+        error_estimate=0.0,
+    )

@@ -9,6 +9,7 @@ import torch
 from nlosoptics.errors import SamplingError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import TorchForwardModel
+from nlosoptics.inverse.torch_model import torch_model
 
 CASES = [
     ((16, 16), (5, 5), "padded"),
@@ -57,6 +58,59 @@ def test_casting_the_module_keeps_the_complex_transfer():
     found = back(torch.from_numpy(stack)).numpy()
     # the transfer function went through float32
     np.testing.assert_allclose(found, model.forward(stack), rtol=0, atol=1e-5 * np.abs(found).max())
+
+
+def field_twins(point_spread_field, boundary, dtype=torch.float64):
+    model = ForwardModel(point_spread_field, shape=(21, 18), boundary=boundary)
+    return model, TorchForwardModel.from_numpy(model, "cpu", dtype)
+
+
+@pytest.mark.parametrize("boundary", ["padded", "circular"])
+@pytest.mark.parametrize("arrow", ["forward", "adjoint"])
+@pytest.mark.parametrize(
+    # a few roundings of each precision, relative to the largest value
+    ("dtype", "tolerance"),
+    [(torch.float64, 1e-12), (torch.float32, 1e-5)],
+)
+def test_fields_agree_with_numpy(point_spread_field, boundary, arrow, dtype, tolerance):
+    model, twin = field_twins(point_spread_field, boundary, dtype)
+    stack = np.random.default_rng(1).normal(size=(3, 2, 21, 18))
+    expected = getattr(model, arrow)(stack)
+    found = getattr(twin, arrow)(torch.from_numpy(stack).to(dtype))
+    assert found.dtype == dtype
+    np.testing.assert_allclose(
+        found.numpy(), expected, rtol=0, atol=tolerance * np.abs(expected).max()
+    )
+
+
+@pytest.mark.parametrize("boundary", ["padded", "circular"])
+def test_adjoint_of_a_field_is_its_transpose(point_spread_field, boundary):
+    _, twin = field_twins(point_spread_field, boundary)
+    generator = torch.Generator().manual_seed(0)
+    x, y = torch.randn(2, 21, 18, dtype=torch.float64, generator=generator)
+    seen, back = twin(x), twin.adjoint(y)
+    # roundings of sums of 378 products
+    assert float((seen * y).sum()) == pytest.approx(
+        float((x * back).sum()), rel=0, abs=1e-12 * float(seen.norm() * y.norm())
+    )
+
+
+def test_mean_transfer_is_that_of_the_mean_kernel(point_spread_field):
+    model, twin = field_twins(point_spread_field, "padded")
+    mean = np.tensordot(model.weights.mean(axis=(1, 2)), model.kernel, 1)
+    alone = ForwardModel(mean, shape=(21, 18))
+    # sums of three transforms of values below 1
+    np.testing.assert_allclose(twin.mean_transfer.numpy(), alone.transfer, rtol=0, atol=1e-13)
+    plain = TorchForwardModel.from_numpy(alone, "cpu", torch.float64)
+    assert torch.equal(plain.mean_transfer, plain.transfer)
+
+
+def test_a_field_moves_as_a_whole(point_spread_field):
+    _, twin = field_twins(point_spread_field, "padded")
+    single = torch_model(twin, torch.device("cpu"), torch.float32)
+    assert single.weights.dtype == torch.float32
+    assert twin.weights.dtype == torch.float64
+    assert single(torch.ones(21, 18)).dtype == torch.float32
 
 
 def test_bad_dtype_and_shape_are_refused():

@@ -147,14 +147,6 @@ def test_bad_input_is_refused(scene, field):
         ForwardModel(np.ones((3, 3)), shape=(8, 8), at=(np.zeros((8, 8)), np.zeros((8, 8))))
 
 
-def test_solvers_ask_for_one_point_spread(field):
-    pytest.importorskip("torch")
-    from nlosoptics import inverse
-
-    with pytest.raises(SamplingError, match="varies over the field"):
-        inverse.tv_deconvolve(np.ones((16, 16)), ForwardModel(field, shape=(16, 16)))
-
-
 def test_counts_may_be_numpys(scene):
     known = psf.point_spread_field(scene, 1, tol=1e-2, checks=1)
     found = psf.point_spread_field(scene, np.int64(1), tol=1e-2, checks=1.0)
