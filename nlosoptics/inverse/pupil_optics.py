@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from collections.abc import Callable
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 import torch
@@ -18,8 +19,20 @@ from ..psf.windows import Window, shape_of
 
 Array = NDArray[np.float64]
 Method = Literal["fft", "mdft"]
+#: Of u and v, m, to an amplitude.
+Transmission = Callable[[Array, Array], Array]
 #: Slack of comparisons of lengths that are given as rounded numbers.
 _ROUNDING = 1e-9
+
+
+class ImageOptions(TypedDict, total=False):
+    """Options of `PupilOptics` that every kind of wave takes."""
+
+    method: Method
+    samples: int | None
+    pixel_integrated: bool
+    device: torch.device | str
+    dtype: torch.dtype
 
 
 class PupilOptics(nn.Module):
@@ -39,6 +52,8 @@ class PupilOptics(nn.Module):
     pixel_integrated : bool
         Whether values are integrals over square pixels of side ``pitch``, which may then be any;
         point samples need a pitch of at most lambda |d|/(4 radius).
+    transmission : callable, optional
+        Relative amplitude at u, v, m; by default 1.
     device, dtype
         ``torch.float32`` or ``torch.float64``.
 
@@ -48,7 +63,9 @@ class PupilOptics(nn.Module):
         Coordinates of the pupil's cells, m: (n_u,) along columns and (n_v,) along rows, sample
         [n_v//2, n_u//2] on the axis.
     share : ndarray, (n_v, n_u)
-        Part of each cell that lies in the pupil; it is the amplitude.
+        Part of each cell that lies in the pupil.
+    amplitude : ndarray, (n_v, n_u)
+        The share times what is transmitted there.
     """
 
     _amplitude: Tensor
@@ -69,6 +86,7 @@ class PupilOptics(nn.Module):
         method: Method = "fft",
         samples: int | None = None,
         pixel_integrated: bool = False,
+        transmission: Transmission | None = None,
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> None:
@@ -96,6 +114,12 @@ class PupilOptics(nn.Module):
         pitch_v, pitch_u = (float(axis[1] - axis[0]) for axis in (self.v, self.u))
         self.pupil_pitch = (pitch_v, pitch_u)
         self.share = circle_shares(self.u, self.v, pitch_u, self.pupil_radius, pitch_v)
+        self.amplitude = self.share
+        if transmission is not None:
+            v, u = np.meshgrid(self.v, self.u, indexing="ij")
+            lit = self.share > 0
+            self.amplitude = np.zeros_like(self.share)
+            self.amplitude[lit] = self.share[lit] * transmission(u[lit], v[lit])
         self._prepare(device, dtype)
 
     @property
@@ -222,12 +246,12 @@ class PupilOptics(nn.Module):
         )
         cell = math.sqrt(math.prod(self.pupil_pitch))
         # Parseval: all samples of a period sum to 1
-        scale = self.pitch * cell / (self._spread * math.sqrt(np.sum(self.share**2)))
+        scale = self.pitch * cell / (self._spread * math.sqrt(np.sum(self.amplitude**2)))
 
         def keep(name: str, values: Array) -> None:
             self.register_buffer(name, torch.from_numpy(values).to(device=device, dtype=dtype))
 
-        keep("_amplitude", self.share * (scale / self._finer))
+        keep("_amplitude", self.amplitude * (scale / self._finer))
         if self.method == "mdft":
             rule = None
             if self.pixel_integrated:
@@ -283,11 +307,12 @@ class _SquaredModulus(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: Any, tangent: Tensor) -> Tensor:
         (field,) = ctx.saved_tensors
-        return 2.0 * (field.real * tangent.real + field.imag * tangent.imag)
+        change: Tensor = 2.0 * (field.real * tangent.real + field.imag * tangent.imag)
+        return change
 
 
 def _intensity(field: Tensor) -> Tensor:
-    intensity: Tensor = _SquaredModulus.apply(field)
+    intensity: Tensor = _SquaredModulus.apply(field)  # type: ignore[no-untyped-call]
     return intensity
 
 

@@ -2,47 +2,64 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
-from typing import Any, Self
+from functools import partial
+from typing import Any, Self, Unpack
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
-from .._checks import one_of
+from .._checks import one_of, positive
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import Boundary
+from ..psf import wavefront
+from ..scene import Scene
 from .padding import padded_transfer
-from .pupil_optics import Method, PupilOptics
-from .pupil_waves import DEFOCUS, ZernikeWaves, like, noll_mode, start_values
-
-Array = NDArray[np.float64]
+from .pupil_optics import ImageOptions, Method, PupilOptics
+from .pupil_waves import (
+    DEFOCUS,
+    SlopeWaves,
+    ZernikeWaves,
+    checked_slopes,
+    fitted_modes,
+    like,
+    noll_mode,
+    on_cells,
+    start_values,
+)
 
 
 class PupilPSF(nn.Module):
     """Point spread of a round pupil as a function of the wave's coefficients.
 
-    Build it by `from_zernike`. Everything is differentiable and batched: coefficients of shape
-    (..., M) give point spreads (..., H, W).
+    Build it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. Everything is
+    differentiable and batched: coefficients of shape (..., M), or (..., g, g, 2) for slopes, give
+    point spreads (..., H, W). Start values whose slope exceeds lambda/(2 pupil cell) draw a
+    warning; `steepest` tells it of any.
 
     Parameters
     ----------
     optics : PupilOptics
-    waves : ZernikeWaves
+    waves : ZernikeWaves or SlopeWaves
     coefficients : array_like
         Start values of the leaves, of shape ``waves.leaf_shape`` or (..., *leaf_shape).
 
     Attributes
     ----------
     coefficients : torch.nn.Parameter
-        Leaves. Zernike coefficients are in WAVES rms over the full disc, dimensionless, so that
-        an optimiser's steps have a natural size; all other lengths are in m.
+        Leaves, dimensionless, so that an optimiser's steps have a natural size: Zernike
+        coefficients in WAVES rms over the full disc, slopes in waves per pupil radius. All other
+        lengths are in m.
     """
 
     _defocus: Tensor
 
-    def __init__(self, optics: PupilOptics, waves: ZernikeWaves, coefficients: Any) -> None:
+    def __init__(
+        self, optics: PupilOptics, waves: ZernikeWaves | SlopeWaves, coefficients: Any
+    ) -> None:
         super().__init__()
         self.optics, self.waves = optics, waves
         self.coefficients = nn.Parameter(like(optics, coefficients))
@@ -50,6 +67,15 @@ class PupilPSF(nn.Module):
         if not bool(torch.isfinite(self.coefficients).all()):
             raise SceneError("coefficients hold NaN or infinity; give finite start values")
         self.register_buffer("_defocus", like(optics, noll_mode(DEFOCUS, optics)))
+        step = self.steepest()
+        if step > 0.5:
+            cell = min(optics.pupil_pitch)
+            warnings.warn(
+                f"the wave rises {step:.3g} waves from one pupil cell of {cell:.3g} m to the next, "
+                "limit 0.5, a slope of lambda/(2 cell): the point spread is aliased; use a larger "
+                "shape, or more samples",
+                stacklevel=3,
+            )
 
     @classmethod
     def from_zernike(
@@ -115,6 +141,165 @@ class PupilPSF(nn.Module):
         )
         return cls(optics, ZernikeWaves(modes, optics), start_values(modes, wavelength))
 
+    @classmethod
+    def from_slopes(
+        cls,
+        slopes: ArrayLike,
+        *,
+        slope_pitch: float,
+        wavelength: float,
+        pupil_radius: float,
+        image_distance: float,
+        pitch: float,
+        shape: int | tuple[int, int],
+        **options: Unpack[ImageOptions],
+    ) -> Self:
+        """Wave that fits slopes on a coarse grid in the least squares, by splines between.
+
+        Parameters
+        ----------
+        slopes : array_like, (g, g, 2)
+            Start values of dW/du and dW/dv, rad, rows along v, node [g//2, g//2] on the axis.
+        slope_pitch : float
+            Between nodes, m; the grid covers the pupil.
+        wavelength, pupil_radius, image_distance, pitch, shape
+            As of `from_zernike`.
+        **options
+            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype`` of
+            `from_zernike`.
+
+        Returns
+        -------
+        PupilPSF
+            ``coefficients`` (g, g, 2) are the slopes in waves per pupil radius.
+
+        Raises
+        ------
+        SceneError, SamplingError
+            As of `from_zernike`, and if the slopes are not finite or leave a part of the pupil.
+
+        Notes
+        -----
+        The wave is that of `psf.wavefront_from_slopes` on the whole grid, by its filter
+        (`psf.slopes.slope_filter`). What of the slopes no wave has is in `curl_residual`.
+        """
+        optics = PupilOptics(
+            wavelength=wavelength,
+            pupil_radius=pupil_radius,
+            image_distance=image_distance,
+            pitch=pitch,
+            shape=shape,
+            **options,
+        )
+        slope_pitch = positive("slope_pitch", slope_pitch, unit="m")
+        values = checked_slopes(slopes, slope_pitch, optics)
+        waves = SlopeWaves(len(values), slope_pitch, optics)
+        return cls(optics, waves, values * (optics.pupil_radius / optics.wavelength))
+
+    @classmethod
+    def from_angles(
+        cls,
+        angles: ArrayLike,
+        *,
+        angle_pitch: float,
+        wavelength: float,
+        pupil_radius: float,
+        image_distance: float,
+        pitch: float,
+        shape: int | tuple[int, int],
+        **options: Unpack[ImageOptions],
+    ) -> Self:
+        """Wave of the angles at which light leaves the exit pupil.
+
+        Parameters
+        ----------
+        angles : array_like, (g, g, 2)
+            Start values, rad, from the axis toward u and toward v, rows along v: the ray of a node
+            meets the image at ``tan(angle) image_distance``, so its slope is the tangent.
+        angle_pitch : float
+            Between nodes, m.
+        wavelength, pupil_radius, image_distance, pitch, shape, **options
+            As of `from_slopes`.
+
+        Returns
+        -------
+        PupilPSF
+            That of `from_slopes`.
+
+        Raises
+        ------
+        SceneError, SamplingError
+            As of `from_slopes`, and if an angle is not below pi/2.
+        """
+        try:
+            values = np.asarray(angles, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise SceneError("angles are not an array of real numbers; give (g, g, 2)") from None
+        if values.size and not np.abs(values).max() < np.pi / 2:
+            raise SceneError(
+                f"angles reach {np.abs(values).max():.3g} rad, must stay below pi/2; give finite "
+                "angles from the axis"
+            )
+        return cls.from_slopes(
+            np.tan(values),
+            slope_pitch=angle_pitch,
+            wavelength=wavelength,
+            pupil_radius=pupil_radius,
+            image_distance=image_distance,
+            pitch=pitch,
+            shape=shape,
+            **options,
+        )
+
+    @classmethod
+    def from_scene(
+        cls,
+        scene: Scene,
+        modes: Sequence[int],
+        *,
+        pitch: float,
+        shape: int | tuple[int, int],
+        object_point: ArrayLike | None = None,
+        **options: Unpack[ImageOptions],
+    ) -> Self:
+        """Wave of a scene whose wall is known nearly: its own W is the start.
+
+        Parameters
+        ----------
+        scene : Scene
+        modes : sequence of int
+            Noll indices that may change, as of `from_zernike`. They start at their least-squares
+            fit to W; what they leave of W stays as it is.
+        pitch, shape
+            As of `from_zernike`; the image's pixels are ``scene.camera``'s pixels binned.
+        object_point : array_like, (3,), optional
+            World, m; by default the hidden object's reference point.
+        **options
+            As of `from_slopes`.
+
+        Returns
+        -------
+        PupilPSF
+
+        Raises
+        ------
+        CausticError, NotWaveGradeError, SamplingError, SceneError
+            As of `psf.wavefront` on polar nodes, and of `from_zernike`.
+        """
+        wave = wavefront(scene, object_point, "polar")
+        series = wave.series(wave.amplitude)
+        optics = PupilOptics(
+            wavelength=wave.wavelength,
+            pupil_radius=wave.pupil_radius,
+            image_distance=wave.image_distance,
+            pitch=pitch,
+            shape=shape,
+            transmission=partial(on_cells, series),
+            **options,
+        )
+        known, fit = fitted_modes(wave, modes, optics)
+        return cls(optics, ZernikeWaves(modes, optics, known), fit)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the point spread."""
@@ -132,7 +317,7 @@ class PupilPSF(nn.Module):
 
     @property
     def modes(self) -> tuple[int, ...]:
-        """Noll indices of the coefficients."""
+        """Noll indices of the coefficients; empty for slopes."""
         return self.waves.modes
 
     def forward(
@@ -221,7 +406,35 @@ class PupilPSF(nn.Module):
 
     def aberration(self, coefficients: Tensor | None = None) -> Tensor:
         """W on the pupil's cells, m, (..., n_v, n_u), 0 outside the pupil."""
-        return self._turns(coefficients, None) * self.wavelength
+        if coefficients is None:
+            coefficients = self.coefficients
+        turns: Tensor = self.waves.unwrapped(self._checked(coefficients))
+        return turns * self.wavelength
+
+    def steepest(self, coefficients: Tensor | None = None) -> float:
+        """Largest step of W between neighbouring cells of the pupil, waves.
+
+        Above 1/2, which is a slope of lambda/(2 cell), the cells no longer hold the wave.
+        """
+        with torch.no_grad():
+            turns = self.aberration(coefficients) / self.wavelength
+        lit = torch.from_numpy(self.optics.share > 0).to(turns.device)
+        steps = []
+        for axis in (-2, -1):
+            pairs = lit.narrow(axis, 1, lit.shape[axis] - 1)
+            pairs = pairs & lit.narrow(axis, 0, lit.shape[axis] - 1)
+            steps.append(float((turns.diff(dim=axis).abs() * pairs).max()))
+        return max(steps)
+
+    def curl_residual(self, coefficients: Tensor | None = None) -> float:
+        """Rms of what the slopes between neighbours differ by from those of the wave, rad.
+
+        0 for a sum of modes, which is a wave already. See `psf.wavefront_from_slopes`.
+        """
+        if not isinstance(self.waves, SlopeWaves):
+            return 0.0
+        leaves = self._checked(self.coefficients if coefficients is None else coefficients)
+        return self.waves.curl_residual(leaves) * self.wavelength / self.optics.pupil_radius
 
     def _checked(self, coefficients: Tensor) -> Tensor:
         wanted = self.waves.leaf_shape

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -76,6 +77,56 @@ def wavefront_from_slopes(
         pupil_radius=pupil_radius,
     )
     return wavefront, residual
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SlopeFilter:
+    """`integrated_slopes` of a whole rectangle as products of small matrices.
+
+    With slopes s_x, s_y at nodes (ny, nx), ``surface/pitch = Y' [(Y s_x G_x' + G_y s_y X')/L] X``.
+
+    Parameters
+    ----------
+    cosines : (ndarray, ndarray)
+        Y (ny, ny) and X (nx, nx), orthonormal: row k is the k-th cosine.
+    sources : (ndarray, ndarray)
+        G_y and G_x: cosine transforms of minus the divergence of the neighbours' mean slopes.
+    inverse : ndarray, (ny, nx)
+        1/L, L the Laplacian's values; 0 for the mean.
+    """
+
+    cosines: tuple[Array, Array]
+    sources: tuple[Array, Array]
+    inverse: Array
+
+
+def slope_filter(shape: tuple[int, int]) -> SlopeFilter:
+    """Filter from slopes to the least-squares surface on a rectangle without holes.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Nodes (ny, nx).
+
+    Returns
+    -------
+    SlopeFilter
+    """
+    from scipy import fft
+
+    ny, nx = shape
+    cosines, sources = [], []
+    for n in shape:
+        nodes = np.eye(n)
+        steps = (nodes[1:] + nodes[:-1]) / 2
+        right = _divergence(np.zeros((n, n - 1)), steps)
+        sources.append(fft.dct(right, axis=0, norm="ortho"))
+        cosines.append(fft.dct(nodes, axis=0, norm="ortho"))
+    spectrum = _laplacian_spectrum(ny, nx)
+    spectrum[0, 0] = np.inf
+    return SlopeFilter(
+        cosines=(cosines[0], cosines[1]), sources=(sources[0], sources[1]), inverse=1 / spectrum
+    )
 
 
 def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple[Array, float]:
@@ -167,15 +218,21 @@ def _divergence(step_x: Array, step_y: Array) -> Array:
     return out
 
 
+def _laplacian_spectrum(ny: int, nx: int) -> Array:
+    """The Laplacian of a whole rectangle between its cosines."""
+    spectrum: Array = 4 * (
+        np.sin(np.pi * np.arange(nx) / (2 * nx)) ** 2
+        + np.sin(np.pi * np.arange(ny) / (2 * ny))[:, None] ** 2
+    )
+    return spectrum
+
+
 def _poisson(right: Array, pairs_x: Mask, pairs_y: Mask) -> Array:
     """Surface whose graph Laplacian over the pairs is ``right``, by conjugate gradients."""
     from scipy import fft
 
     ny, nx = right.shape
-    spectrum = 4 * (
-        np.sin(np.pi * np.arange(nx) / (2 * nx)) ** 2
-        + np.sin(np.pi * np.arange(ny) / (2 * ny))[:, None] ** 2
-    )
+    spectrum = _laplacian_spectrum(ny, nx)
     spectrum[0, 0] = 1.0  # its numerator is 0 but for rounding
     inside = np.zeros(right.shape, dtype=bool)
     inside[:, 1:] |= pairs_x

@@ -24,7 +24,9 @@ def radius(cells, side, distance=DISTANCE):
 
 def pupil(modes=MODES, *, shape=64, cells=14.0, distance=DISTANCE, dtype=torch.float64, **options):
     if isinstance(modes, dict):
-        modes = {mode: value * WAVELENGTH for mode, value in modes.items()}
+        # as many waves as few cells hold
+        share = WAVELENGTH * min(1.0, (cells / 14.0) ** 2)
+        modes = {mode: value * share for mode, value in modes.items()}
     side = shape if isinstance(shape, int) else max(shape)
     return PupilPSF.from_zernike(
         modes,
