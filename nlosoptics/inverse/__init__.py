@@ -13,6 +13,7 @@ except ImportError:
         "nlosoptics.inverse needs torch, which is not installed; pip install 'nlosoptics[inverse]'"
     ) from None
 
+from .evidence_fit import evidence_fit
 from .measurements import estimate_noise
 from .pcin import pcin
 from .pupil_psf import PupilPSF
@@ -28,6 +29,7 @@ __all__ = [
     "Reconstruction",
     "TorchForwardModel",
     "estimate_noise",
+    "evidence_fit",
     "pcin",
     "registered_correlation",
     "staged_fit",

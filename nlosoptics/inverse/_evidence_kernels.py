@@ -131,8 +131,8 @@ def spectra(
     """Posterior covariance, and both gradients as spectra.
 
     ``residual`` (b, k, p, q) becomes the gradient with respect to the transfer function before the
-    detector's; ``toward_object`` (b, p, q) that with respect to the object; ``variances`` (b, 2) the
-    posterior variances of the differences along x and y.
+    detector's; ``toward_object`` (b, p, q) that with respect to the object; ``variances`` (b, 2)
+    the posterior variances of the differences along x and y.
     """
     frames, p, q = transfer.shape[1:]
     real = steps.dtype.type

@@ -134,6 +134,8 @@ class FreeEnergy:
         Known extra Noll-4 of each frame, m rms.
     grid : int
         Samples p of the padded period along each side, at least n.
+    fit_background : bool
+        Whether each frame has an unknown even background.
     dtype : type
         ``numpy.float32`` or ``numpy.float64``.
 
@@ -158,6 +160,7 @@ class FreeEnergy:
         defocus: Floats,
         *,
         grid: int,
+        fit_background: bool = True,
         dtype: type = np.float32,
     ) -> None:
         self.sigma = float(np.mean(np.square(sigmas)) ** 0.5)
@@ -165,8 +168,12 @@ class FreeEnergy:
         self._weights = weights
         self._images = np.ascontiguousarray(images * weights[:, None, None], dtype=dtype)
         self._dtype, self._grid = dtype, grid
-        frames, n = self._images.shape[:2]
-        self._share = (n / grid) ** 2
+        self._fit_background = fit_background
+        modes = np.array(pupil_psf.modes)
+        orders = (np.sqrt(8.0 * modes - 7.0) - 1.0) // 2.0
+        #: signs of the wall with the same in-focus point spread, W(x) -> -W(-x)
+        self.twin = np.where(orders % 2 == 0, -1.0, 1.0)
+        self._share = (self._images.shape[1] / grid) ** 2
         self._steps = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(grid) / grid)).astype(dtype)
         optics, basis = _pupil(pupil_psf, grid)
         self._cells = optics.share.shape
@@ -176,7 +183,9 @@ class FreeEnergy:
         side = math.copysign(2.0 * math.pi, optics.image_distance)
         known = side * np.outer(turns, noll_mode(DEFOCUS, optics))
         self._known = torch.from_numpy(known.astype(dtype))
-        pixel = _array(optics, "_pixel") if optics.pixel_integrated else np.ones((grid, grid // 2 + 1))
+        pixel = (
+            _array(optics, "_pixel") if optics.pixel_integrated else np.ones((grid, grid // 2 + 1))
+        )
         self._pixel = (pixel * weights[:, None, None]).astype(dtype)
 
     @property
@@ -256,7 +265,7 @@ class FreeEnergy:
         kernels.predict(transfer, self._pixel, spectrum, product)
         seen = torch.fft.irfft2(torch.from_numpy(product), s=grid).numpy()
         squares, background = np.empty((count, frames)), np.empty((count, frames))
-        kernels.residuals(seen, self._images, True, squares, background)
+        kernels.residuals(seen, self._images, self._fit_background, squares, background)
         residual = torch.fft.rfft2(torch.from_numpy(seen)).numpy()
         by_prior, roughness = np.empty_like(mean), np.empty(count)
         weights = np.empty((count, 2))
@@ -328,9 +337,10 @@ class FreeEnergy:
         """Objects by Wiener's filter, (B, n, n), at least 0.01."""
         n, grid = self._images.shape[1], (self._grid, self._grid)
         transfer = self._transfer(wall)[0] * self._pixel
-        border = [self._images[:, [0, -1]].reshape(len(self._images), -1)]
-        border.append(self._images[:, :, [0, -1]].reshape(len(self._images), -1))
-        level = np.median(np.concatenate(border, axis=1), axis=1)
+        level = np.zeros(len(self._images))
+        if self._fit_background:
+            edges = [self._images[:, [0, -1]], self._images[:, :, [0, -1]].swapaxes(1, 2)]
+            level = np.median(np.concatenate(edges, axis=1), axis=(1, 2))
         data = torch.fft.rfft2(torch.from_numpy(self._images - level[:, None, None]), s=grid)
         rough = self._steps[:, None] + self._steps[: self._grid // 2 + 1]
         prior = (noise * self.sigma) ** 2 * (rough / 0.02 + 1e-3)

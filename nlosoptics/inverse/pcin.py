@@ -38,8 +38,8 @@ def pcin(
     defocus : array_like, optional
         (K,), known further defocus of each image, m rms (Noll 4).
     recipe : {"staged", "evidence", "wu2024"}
-        - ``staged``: object first, then both by small steps, starts judged by their free energy; see
-          `staged_fit`.
+        - ``staged``: object first, then both by small steps, starts judged by their free energy;
+          see `staged_fit`.
         - ``evidence``: a search from random starts by the free energy; see `evidence_fit`.
         - ``wu2024``: a U-net and the angles by turns, as published; see `wu2024_fit`.
     noise_sigma : float or array_like, optional
