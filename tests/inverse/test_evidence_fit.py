@@ -8,8 +8,7 @@ import torch
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.inverse import PupilPSF, evidence_fit, pcin, registered_correlation
-from nlosoptics.inverse.evidence_search import children, random_walls, without_blur
-from nlosoptics.inverse.evidence_search import Breeding
+from nlosoptics.inverse.evidence_search import Breeding, children, random_walls, without_blur
 from nlosoptics.inverse.free_energy import FreeEnergy, Stage
 
 WAVELENGTH = 632.8e-9
