@@ -15,7 +15,7 @@ from .._random import checked_seed, generator
 from ..errors import SamplingError
 from ._threads import single_thread
 from .blind_frames import Frames, frames_of
-from .evidence_search import Island, Watch, compare, evolve, gather, without_blur
+from .evidence_search import Island, Watch, evolve, gather, refine, without_blur
 from .free_energy import Floats, FreeEnergy, Starts
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, Status
@@ -29,12 +29,19 @@ _STRENGTHS = (0.3, 0.6, 1.0)
 #: Over a known strength.
 _AROUND = (0.9, 1.1, 1.4)
 _STARTS = 32
-#: rms of what a right answer may leave unexplained, over the images' range.
-_MODEL_ERROR = 0.014
+#: rms of what a right answer may leave unexplained, over the images' range: by no wall, and by each
+#: wave of it, whose higher modes no fit holds.
+_MODEL_ERROR = (0.004, 0.008)
+#: Over that: an answer that needs no more children.
+_WELL = 0.6
+_NEAR_FRAMES = 4
 #: Free energy below that of no blur from which an answer off one frame counts as right.
 _SURE_MARGIN = 100.0
 #: Length of coefficients, waves rms, under which an answer is no blur.
 _NO_BLUR = 0.12
+#: Of coefficients over the length that a search held them at.
+_LEAST_LENGTH = 0.7
+_GENERATIONS = 6
 _ROUNDS_OF_FRAMES = 3
 _ISLANDS = (
     Island(radius=0.6),
@@ -120,8 +127,8 @@ def evidence_fit(
     prefer no blur to the truth in one frame.
 
     With defocused frames the status is "converged" where what is left unexplained beyond the noise
-    is at most 1.4 % of the images' range; wrong answers leave 1.8 % or more. Off one frame it is
-    "converged" where ``margin`` is under -100, "trivial" where the answer has hardly any blur.
+    is at most 0.4 % of the images' range and 0.8 % more for each wave of the wall. Off one frame it
+    is "converged" where ``margin`` is under -100, "trivial" where the answer has hardly any blur.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -188,11 +195,22 @@ class _Search:
             strengths = _STRENGTHS if self._strength is None else self._around()
             if turn:
                 strengths = tuple(1.3 * s for s in strengths)
-            found = gather(
+            born = gather(
                 self._energy, np.array(strengths), _STARTS, slow=turn > 0, random=self._random
             )
+            found = refine(
+                self._energy,
+                born,
+                np.ones(self._energy.modes),
+                self._random,
+                least_length=0.0,
+                generations=_NEAR_FRAMES,
+                enough=lambda best: self._model_error(best) <= _WELL * self._model_limit(best),
+                watch=self._share_of(turn, rounds, 0.5),
+                frames=True,
+            )
             pool = self._better(pool, found)
-            if self._model_error(pool) <= self._model_limit():
+            if self._model_error(pool) <= self._model_limit(pool):
                 break
         assert pool is not None  # at least one round
         self._tell(1.0, "done")
@@ -208,8 +226,20 @@ class _Search:
             if self._tell(turn / rounds, "walls and their children"):
                 break
             island = self._island(turn)
-            born = evolve(narrow, island, narrow.twin, self._random, self._share_of(turn, rounds))
-            pool = self._better(pool, compare(self._energy, born))
+            born = evolve(
+                narrow, island, narrow.twin, self._random, self._share_of(turn, rounds, 0.0, 0.7)
+            )
+            found = refine(
+                self._energy,
+                born.best(8),
+                narrow.twin,
+                self._random,
+                least_length=_LEAST_LENGTH * island.radius,
+                generations=_GENERATIONS,
+                enough=lambda best: best.energy[0] - floor < -1.5 * _SURE_MARGIN,
+                watch=self._share_of(turn, rounds, 0.7),
+            )
+            pool = self._better(pool, found)
             if pool.energy[0] - floor < -_SURE_MARGIN:
                 break
         self._margin = float(pool.energy[0]) - floor
@@ -219,7 +249,7 @@ class _Search:
     def status(self, best: Starts) -> Status:
         """Whether the answer can be trusted, without the truth."""
         if self.diverse:
-            right = self._model_error(best) <= self._model_limit()
+            right = self._model_error(best) <= self._model_limit(best)
             return "converged" if right else "unconverged"
         if self._margin < -_SURE_MARGIN:
             return "converged"
@@ -311,15 +341,16 @@ class _Search:
         beyond: Floats = (best.chi_square[0] - 1.0) * self._sigmas**2
         return math.sqrt(max(float(beyond.mean()), 0.0))
 
-    def _model_limit(self) -> float:
+    def _model_limit(self, best: Starts) -> float:
         """Model error that is let pass; three standard errors of the mean square come to it."""
         count = self._frames.images[0].numel() * len(self._sigmas)
         noise = 3.0 * math.sqrt(2.0 / count) * float(np.mean(self._sigmas**2))
-        return math.sqrt(_MODEL_ERROR**2 + noise)
+        length = float(np.linalg.norm(best.coefficients[0]))
+        return math.sqrt((_MODEL_ERROR[0] + _MODEL_ERROR[1] * length) ** 2 + noise)
 
-    def _share_of(self, turn: int, rounds: int) -> Watch:
-        """Reports of one round as parts of all."""
-        return lambda done, text: self._tell((turn + done) / rounds, text)
+    def _share_of(self, turn: int, rounds: int, first: float, last: float = 1.0) -> Watch:
+        """Reports of a part of one round as parts of all."""
+        return lambda done, text: self._tell((turn + first + (last - first) * done) / rounds, text)
 
     def _tell(self, done: float, text: str) -> bool:
         """Report, and say whether time is up."""

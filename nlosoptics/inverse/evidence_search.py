@@ -23,8 +23,8 @@ _FINISH = Stage(iterations=250, kappa=0.5, first=1.5, last=1.0, share=0.3, wave_
 # over the field) then costs the truth less than no blur gains by following the noise.
 _TRIVIAL = Stage(iterations=400, kappa=0.5, first=3.0, last=1.5, share=0.3, wave_rate=0.008)
 _REFINE = Stage(iterations=200, kappa=1.0, first=4.0, last=1.5, share=0.8, wave_rate=0.008)
-_COMPARE = Stage(iterations=250, kappa=0.5, first=3.0, last=1.5, share=0.5, wave_rate=0.008)
-_FREE = Stage(iterations=400, kappa=0.5, first=2.5, last=1.5, share=0.3, wave_rate=0.005)
+_COMPARE = Stage(iterations=250, kappa=0.5, first=5.0, last=1.5, share=0.6, wave_rate=0.01)
+_FREE = Stage(iterations=200, kappa=0.5, first=2.0, last=1.5, share=0.3, wave_rate=0.005)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,9 +151,7 @@ def gather(
     """
     stage = _GATHER_SLOWLY if slow else _GATHER
     walls = random_walls(count, energy.modes, lengths, random)
-    pool = energy.descend(energy.starts(walls, stage.first), stage).best(count // 4)
-    pool = energy.descend(pool, _SETTLE).best(2)
-    return energy.descend(pool, _FINISH).best(2)
+    return energy.descend(energy.starts(walls, stage.first), stage).best(count // 4)
 
 
 def without_blur(energy: FreeEnergy, random: Generator) -> Starts:
@@ -207,12 +205,51 @@ def evolve(
     return pool
 
 
-def compare(energy: FreeEnergy, pool: Starts) -> Starts:
-    """Walls of a search under the prior that orders answers, free at last, least energy first.
+def refine(
+    energy: FreeEnergy,
+    pool: Starts,
+    twin: Floats,
+    random: Generator,
+    *,
+    least_length: float,
+    generations: int,
+    enough: Callable[[Starts], bool],
+    watch: Watch,
+    frames: bool = False,
+) -> Starts:
+    """Walls under the prior that orders answers, and children near them; least energy first.
 
-    Those that the search liked best stay in, whatever the new order says.
+    A descent alone stops in side valleys whose objects are right within a few per cent; children
+    of their walls, from objects of their own, get out.
+
+    Parameters
+    ----------
+    energy : FreeEnergy
+    pool : Starts
+        Least energy first.
+    twin : ndarray, (M,)
+        As of `children`.
+    random : Generator
+    least_length : float
+        Of the coefficients, waves rms; shorter ones are on their way to no blur and are dropped.
+    generations : int
+    enough : callable
+        Whether the best wall needs no more of them.
+    watch : Watch
+    frames : bool
+        Several frames that no blur cannot explain: their lengths are not guessed, and answers are
+        compared at the noise itself.
     """
-    settled = energy.descend(pool, _COMPARE)
-    order = np.argsort(settled.energy, kind="stable")[:6]
-    kept = np.union1d(order, np.arange(min(6, len(settled))))
-    return energy.descend(settled[kept].held(np.inf), _FREE).best(len(kept))
+    compare, finish = (_SETTLE, _FINISH) if frames else (_COMPARE, _FREE)
+    found = energy.descend(pool.best(8).held(np.inf), compare).best(8)
+    for turn in range(generations):
+        if enough(found) or watch(turn / generations, "near the best walls"):
+            break
+        walls = children(found[:4], 12, twin, Breeding(flips=0.03, noise=0.25), random)
+        # a radius is a guess, rather too large than too small: the first look further down
+        least = 0.8 if turn < 2 and not frames else 0.95
+        walls *= random.uniform(least, 1.05, size=(len(walls), 1))
+        both = joined([found, energy.descend(energy.starts(walls, compare.first), compare)])
+        long = np.linalg.norm(both.coefficients, axis=1) >= least_length
+        found = (both[long] if long.any() else found).best(8)
+    return energy.descend(found.best(2), finish).best(2)
