@@ -63,7 +63,7 @@ class Stage:
     def noise(self, iteration: int) -> float:
         """Assumed noise over the true one."""
         done = min(1.0, iteration / (self.share * self.iterations))
-        return self.first * (self.last / self.first) ** done
+        return self.first * math.exp(done * math.log(self.last / self.first))
 
     def pace(self, iteration: int) -> float:
         """Part of the rates: 1 for half of the iterations, then a cosine to 5 %."""
@@ -166,7 +166,7 @@ class FreeEnergy:
         self.sigma = float(np.mean(np.square(sigmas)) ** 0.5)
         weights = self.sigma / np.asarray(sigmas, dtype=np.float64)
         self._weights = weights
-        self._images = np.ascontiguousarray(images * weights[:, None, None], dtype=dtype)
+        self._images: Floats = np.ascontiguousarray(images * weights[:, None, None], dtype=dtype)
         self._dtype, self._grid = dtype, grid
         self._fit_background = fit_background
         modes = np.array(pupil_psf.modes)
@@ -174,7 +174,9 @@ class FreeEnergy:
         #: signs of the wall with the same in-focus point spread, W(x) -> -W(-x)
         self.twin = np.where(orders % 2 == 0, -1.0, 1.0)
         self._share = (self._images.shape[1] / grid) ** 2
-        self._steps = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(grid) / grid)).astype(dtype)
+        self._steps: Floats = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(grid) / grid)).astype(
+            dtype
+        )
         optics, basis = _pupil(pupil_psf, grid)
         self._cells = optics.share.shape
         self._amplitude = torch.from_numpy(_array(optics, "_amplitude").reshape(-1).astype(dtype))
@@ -186,7 +188,7 @@ class FreeEnergy:
         pixel = (
             _array(optics, "_pixel") if optics.pixel_integrated else np.ones((grid, grid // 2 + 1))
         )
-        self._pixel = (pixel * weights[:, None, None]).astype(dtype)
+        self._pixel: Floats = (pixel * weights[:, None, None]).astype(dtype)
 
     @property
     def modes(self) -> int:
@@ -204,7 +206,7 @@ class FreeEnergy:
         radius : float or ndarray, (B,)
             Length that the coefficients are held at; infinite: free.
         """
-        wall = np.ascontiguousarray(coefficients, dtype=self._dtype)
+        wall: Floats = np.ascontiguousarray(coefficients, dtype=self._dtype)
         found = []
         for first in range(0, len(wall), _CHUNK):
             found.append(self._objects(wall[first : first + _CHUNK], noise))
@@ -347,7 +349,8 @@ class FreeEnergy:
         power = (transfer.real**2 + transfer.imag**2).sum(axis=1)
         spectrum = (transfer.conj() * data.numpy()).sum(axis=1) / (power + prior)
         mean = torch.fft.irfft2(torch.from_numpy(spectrum), s=grid).numpy()[:, :n, :n]
-        return np.maximum(mean, 0.01)
+        bright: Floats = np.maximum(mean, 0.01)
+        return bright
 
     def _transfer(self, wall: Floats) -> tuple[Floats, Tensor, Floats]:
         """Transfer functions before the detector, (B, K, p, q), pupils and fields."""
