@@ -31,7 +31,7 @@ _AROUND = (0.9, 1.1, 1.4)
 _STARTS = 32
 #: rms of what a right answer may leave unexplained, over the images' range: by no wall, and by each
 #: wave of it, whose higher modes no fit holds.
-_MODEL_ERROR = (0.004, 0.008)
+_MODEL_ERROR = (0.004, 0.010)
 #: Over that: an answer that needs no more children.
 _WELL = 0.6
 _NEAR_FRAMES = 4
@@ -42,7 +42,7 @@ _NO_BLUR = 0.12
 #: Of coefficients over the length that a search held them at.
 _LEAST_LENGTH = 0.7
 _GENERATIONS = 6
-_ROUNDS_OF_FRAMES = 3
+_ROUNDS_OF_FRAMES = 2
 _ISLANDS = (
     Island(radius=0.6),
     Island(radius=0.35, kappa=1.0),
@@ -95,7 +95,7 @@ def evidence_fit(
     strength : float or None
         rms of the wall's wave, waves; None: unknown, several are tried.
     max_iterations : int, optional
-        Rounds of the search at most; by default 3 with a defocused frame, else 4. A round takes 32
+        Rounds of the search at most; by default 2 with a defocused frame, else 4. A round takes 32
         random walls down, or, off one frame, some 400 walls and children of the best.
     max_seconds : float, optional
         Start no further round or generation after that time; the answer then depends on the
@@ -127,7 +127,7 @@ def evidence_fit(
     prefer no blur to the truth in one frame.
 
     With defocused frames the status is "converged" where what is left unexplained beyond the noise
-    is at most 0.4 % of the images' range and 0.8 % more for each wave of the wall. Off one frame it
+    is at most 0.4 % of the images' range and 1 % more for each wave of the wall. Off one frame it
     is "converged" where ``margin`` is under -100, "trivial" where the answer has hardly any blur.
     """
     started = time.perf_counter()

@@ -18,6 +18,8 @@ _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave
 _GATHER_SLOWLY = Stage(iterations=500, kappa=1.0, first=60.0, last=3.0, share=0.9, wave_rate=0.016)
 _SETTLE = Stage(iterations=250, kappa=0.5, first=3.0, last=1.0, share=0.5, wave_rate=0.01)
 _FINISH = Stage(iterations=250, kappa=0.5, first=1.5, last=1.0, share=0.3, wave_rate=0.006)
+#: Gain of energy by a generation under which the next is not worth its time.
+_STANDSTILL = 5.0
 
 # One frame. Answers are compared at 1.5 times the noise: what the model lacks (higher modes, change
 # over the field) then costs the truth less than no blur gains by following the noise.
@@ -250,6 +252,9 @@ def refine(
         least = 0.8 if turn < 2 and not frames else 0.95
         walls *= random.uniform(least, 1.05, size=(len(walls), 1))
         both = joined([found, energy.descend(energy.starts(walls, compare.first), compare)])
+        before = float(found.energy[0])
         long = np.linalg.norm(both.coefficients, axis=1) >= least_length
         found = (both[long] if long.any() else found).best(8)
+        if frames and before - found.energy[0] < _STANDSTILL:
+            break
     return energy.descend(found.best(2), finish).best(2)
