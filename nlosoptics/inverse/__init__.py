@@ -16,6 +16,7 @@ except ImportError:
 from ..limits import Feasibility, feasibility
 from .callbacks import Stop
 from .cnn_baseline import CnnBaseline, Training, train_cnn
+from .evidence_fit import evidence_fit
 from .image_prior import deep_image_prior
 from .lucy import richardson_lucy
 from .measurements import estimate_noise
@@ -49,6 +50,7 @@ __all__ = [
     "UNetObject",
     "deep_image_prior",
     "estimate_noise",
+    "evidence_fit",
     "feasibility",
     "inverse_filter",
     "object_from_autocorrelation",

@@ -1,0 +1,359 @@
+"""Object and wall from random starts, judged by the evidence: the object integrated out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from .._checks import in_range, positive, whole
+from .._random import checked_seed, generator
+from ..errors import SamplingError
+from ._threads import single_thread
+from .blind_frames import Frames, frames_of
+from .evidence_search import Island, Watch, evolve, gather, refine, without_blur
+from .free_energy import Floats, FreeEnergy, Starts
+from .pupil_psf import PupilPSF
+from .reconstructions import Reconstruction, Status
+
+Progress = Callable[[float, str], None]
+
+#: Least spread of the known defoci, waves rms, at which no blur cannot explain all frames.
+_DIVERSE = 0.1
+#: Lengths of walls to start from, waves rms: rather too strong than too weak.
+_STRENGTHS = (0.3, 0.6, 1.0)
+#: Over a known strength.
+_AROUND = (0.9, 1.1, 1.4)
+_STARTS = 32
+#: rms of what a right answer may leave unexplained, over the images' range: by no wall, and by each
+#: wave of it, whose higher modes no fit holds.
+_MODEL_ERROR = (0.004, 0.010)
+#: Over that: an answer that needs no more children.
+_WELL = 0.6
+_NEAR_FRAMES = 4
+#: Free energy below that of no blur from which an answer off one frame counts as right.
+_SURE_MARGIN = 100.0
+#: Length of coefficients, waves rms, under which an answer is no blur.
+_NO_BLUR = 0.12
+#: Of coefficients over the length that a search held them at.
+_LEAST_LENGTH = 0.7
+_GENERATIONS = 6
+_ROUNDS_OF_FRAMES = 2
+_ISLANDS = (
+    Island(radius=0.6),
+    Island(radius=0.35, kappa=1.0),
+    Island(radius=0.6, first=20.0, wave_rate=0.032),
+    Island(radius=0.9, kappa=1.0, first=20.0),
+)
+
+
+@single_thread()
+def evidence_fit(
+    images: Any,
+    pupil_psf: PupilPSF,
+    *,
+    defocus: Any = None,
+    noise_sigma: Any = None,
+    background: Any = 0.0,
+    fit_background: bool = True,
+    gain: float | None = None,
+    strength: float | None = None,
+    max_iterations: int | None = None,
+    max_seconds: float | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object and wall from images alone, from random starts.
+
+    Give two frames, one with a known further defocus of half a wave (one wave for walls of a wave
+    rms): then no blur cannot explain both, and most random starts end at the truth. One frame is
+    the harder case: its search takes many times longer, and its answer is certain only where
+    ``status`` says so.
+
+    Parameters
+    ----------
+    images : ndarray or Tensor
+        (K, H, H) or (H, H), any unit, all of one object by one wall and with one gain. The object
+        lies within the frame.
+    pupil_psf : PupilPSF
+        By `PupilPSF.from_zernike`; only its modes and lengths count. Pixels up to Nyquist's pitch.
+    defocus : array_like, optional
+        (K,), known further defocus of each image, m rms (Noll 4).
+    noise_sigma : float or array_like, optional
+        One, (K,), (H, H) or (K, H, H), image units; of a picture its mean precision counts. None:
+        estimated.
+    background : float or array_like
+        Known background, likewise.
+    fit_background : bool
+        Whether each image has a further even background of unknown strength.
+    gain : float or None
+        Known image units per object unit; None: the object's largest value becomes 1.
+    strength : float or None
+        rms of the wall's wave, waves; None: unknown, several are tried.
+    max_iterations : int, optional
+        Rounds of the search at most; by default 2 with a defocused frame, else 4. A round takes 32
+        random walls down, or, off one frame, some 400 walls and children of the best.
+    max_seconds : float, optional
+        Start no further round or generation after that time; the answer then depends on the
+        machine's speed.
+    seed : int
+        Of the starts.
+    progress : callable or None
+        Called with the fraction done and a line of text.
+
+    Returns
+    -------
+    Reconstruction
+        ``physical_parameters`` also holds ``coefficients`` (M,), waves rms, ``free_energy``,
+        ``margin``, by how much that is above the one of fits from no blur (below 0: the answer is
+        better; NaN with a defocused frame), and ``model_error``, rms of what is left unexplained
+        beyond the noise over the images' range. ``background`` is (K,) of several images. History
+        has one entry a round.
+
+    Raises
+    ------
+    SamplingError
+        If the arrays do not fit each other, the frame is not square, or a pixel is too wide.
+    SceneError
+        If a value is out of range or not finite.
+
+    Notes
+    -----
+    The least free energy of `FreeEnergy` over all starts is the answer. Squared residuals would
+    prefer no blur to the truth in one frame.
+
+    With defocused frames the status is "converged" where what is left unexplained beyond the noise
+    is at most 0.4 % of the images' range and 1 % more for each wave of the wall. Off one frame it
+    is "converged" where ``margin`` is under -100, "trivial" where the answer has hardly any blur.
+    """
+    started = time.perf_counter()
+    checked_seed(seed)
+    gain = None if gain is None else positive("gain", gain)
+    if strength is not None:
+        strength = in_range("strength", strength, 0.0, 10.0, open_low=True, unit="waves")
+    rounds = None if max_iterations is None else whole("max_iterations", max_iterations)
+    seconds = math.inf if max_seconds is None else positive("max_seconds", max_seconds, unit="s")
+    frames = frames_of(
+        images,
+        pupil_psf,
+        defocus=defocus,
+        walls=None,
+        noise_sigma=noise_sigma,
+        background=background,
+        fit_background=fit_background,
+        background_shape=None,
+        boundary="padded",
+    )
+    rows, columns = frames.images.shape[-2:]
+    if rows != columns:
+        raise SamplingError(
+            f"images have {rows} x {columns} pixels, the evidence fit needs square ones; crop them"
+        )
+    search = _Search(frames, pupil_psf, strength, seed, started + seconds, progress)
+    if all(one.is_background() for one in frames.measured):
+        return search.result(None, gain, "too_few_photons", started)
+    if search.diverse:
+        best = search.of_frames(_ROUNDS_OF_FRAMES if rounds is None else rounds)
+    else:
+        best = search.of_one(len(_ISLANDS) if rounds is None else rounds)
+    return search.result(best, gain, search.status(best), started)
+
+
+class _Search:
+    """Rounds of one fit and what they have found."""
+
+    def __init__(
+        self,
+        frames: Frames,
+        pupil_psf: PupilPSF,
+        strength: float | None,
+        seed: int,
+        deadline: float,
+        progress: Progress | None,
+    ) -> None:
+        self._frames, self._pupil, self._strength = frames, pupil_psf, strength
+        self._random = generator(seed, 0)
+        self._deadline, self._progress = deadline, progress
+        self._sigmas = np.array([one.sigma for one in frames.measured]) / frames.scale
+        defoci = frames.defocus.double().cpu().numpy()
+        self.diverse = bool(np.ptp(defoci) >= _DIVERSE * pupil_psf.wavelength)
+        self._defoci = defoci
+        self._energy = self._on_grid(1.5)
+        self._margin = math.nan
+        self._history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
+
+    def of_frames(self, rounds: int) -> Starts:
+        """The best wall of frames with different defoci."""
+        pool: Starts | None = None
+        for turn in range(rounds):
+            if self._tell(turn / rounds, "random walls") and pool is not None:
+                break
+            strengths = _STRENGTHS if self._strength is None else self._around()
+            if turn:
+                strengths = tuple(1.3 * s for s in strengths)
+            born = gather(
+                self._energy, np.array(strengths), _STARTS, slow=turn > 0, random=self._random
+            )
+            found = refine(
+                self._energy,
+                born,
+                np.ones(self._energy.modes),
+                self._random,
+                least_length=0.0,
+                generations=_NEAR_FRAMES,
+                enough=lambda best: self._model_error(best) <= _WELL * self._model_limit(best),
+                watch=self._share_of(turn, rounds, 0.5),
+                frames=True,
+            )
+            pool = self._better(pool, found)
+            if self._model_error(pool) <= self._model_limit(pool):
+                break
+        assert pool is not None  # at least one round
+        self._tell(1.0, "done")
+        return pool
+
+    def of_one(self, rounds: int) -> Starts:
+        """The best wall where no blur is an answer too."""
+        reference = without_blur(self._energy, self._random)
+        floor = float(reference.energy[0])
+        narrow = self._on_grid(1.125)
+        pool = self._better(None, reference)
+        for turn in range(rounds):
+            if self._tell(turn / rounds, "walls and their children"):
+                break
+            island = self._island(turn)
+            born = evolve(
+                narrow, island, narrow.twin, self._random, self._share_of(turn, rounds, 0.0, 0.7)
+            )
+            found = refine(
+                self._energy,
+                born.best(8),
+                narrow.twin,
+                self._random,
+                least_length=_LEAST_LENGTH * island.radius,
+                generations=_GENERATIONS,
+                enough=lambda best: best.energy[0] - floor < -1.5 * _SURE_MARGIN,
+                watch=self._share_of(turn, rounds, 0.7),
+            )
+            pool = self._better(pool, found)
+            if pool.energy[0] - floor < -_SURE_MARGIN:
+                break
+        self._margin = float(pool.energy[0]) - floor
+        self._tell(1.0, "done")
+        return pool
+
+    def status(self, best: Starts) -> Status:
+        """Whether the answer can be trusted, without the truth."""
+        if self.diverse:
+            right = self._model_error(best) <= self._model_limit(best)
+            return "converged" if right else "unconverged"
+        if self._margin < -_SURE_MARGIN:
+            return "converged"
+        weak = float(np.linalg.norm(best.coefficients[0])) < _NO_BLUR
+        return "trivial" if weak or self._margin == 0.0 else "unconverged"
+
+    def result(
+        self, best: Starts | None, gain: float | None, status: Status, started: float
+    ) -> Reconstruction:
+        """What is returned, in image units; without walls, no object."""
+        frames, data = self._frames, self._frames.measured[0]
+        if best is None:
+            level = np.zeros(frames.images.shape[-2:])
+            backgrounds = np.array([m.background_strength(m.data) for m in frames.measured])
+            scores = [
+                m.score(m.background(b)) for m, b in zip(frames.measured, backgrounds, strict=True)
+            ]
+            found = {"coefficients": np.zeros(self._energy.modes), "free_energy": math.nan}
+            square, error = float(np.mean(np.square(scores))), math.nan
+        else:
+            level = self._energy.objects(best)[0].astype(np.float64) * frames.scale
+            backgrounds = self._energy.background(best)[0] * frames.scale
+            square, error = float(best.chi_square[0].mean()), self._model_error(best)
+            found = {
+                "coefficients": best.coefficients[0].astype(np.float64),
+                "free_energy": float(best.energy[0]),
+            }
+        if gain is None:
+            gain = float(level.max()) if level.max() > 0.0 else 1.0
+        single = len(frames.measured) == 1
+        sigmas = self._sigmas * frames.scale
+        records = {name: np.asarray(values) for name, values in self._history.items()}
+        for record in records.values():
+            record.flags.writeable = False
+        return Reconstruction(
+            object=data.like_input(data.data.new_tensor(level / gain)),
+            physical_parameters={
+                "gain": gain,
+                "background": float(backgrounds[0]) if single else backgrounds,
+                "noise_sigma": float(sigmas[0]) if single else sigmas,
+                "margin": self._margin,
+                "model_error": error,
+                **found,
+            },
+            status=status,
+            score=math.sqrt(square),
+            history=records,
+            seconds=time.perf_counter() - started,
+        )
+
+    def _on_grid(self, padding: float) -> FreeEnergy:
+        """Free energy with some room around the frame."""
+        n = int(self._frames.images.shape[-1])
+        return FreeEnergy(
+            self._frames.images.double().cpu().numpy(),
+            self._sigmas,
+            self._pupil,
+            self._defoci,
+            grid=8 * math.ceil(padding * n / 8),
+            fit_background=self._frames.fit_background,
+        )
+
+    def _island(self, turn: int) -> Island:
+        island = _ISLANDS[turn % len(_ISLANDS)]
+        if self._strength is None:
+            return island
+        around = self._around()
+        return replace(island, radius=around[(turn + 1) % len(around)])
+
+    def _around(self) -> tuple[float, ...]:
+        assert self._strength is not None
+        return tuple(self._strength * factor for factor in _AROUND)
+
+    def _better(self, pool: Starts | None, found: Starts) -> Starts:
+        """The one of least energy; notes how far the search has come."""
+        best = found.best(1)
+        if pool is not None and pool.energy[0] <= best.energy[0]:
+            best = pool
+        now = float(best.energy[0])
+        before = self._history["objective"][-1] if self._history["objective"] else math.inf
+        self._history["objective"].append(now)
+        self._history["residual"].append(math.sqrt(float(best.chi_square[0].mean())))
+        change = (before - now) / max(abs(now), 1.0) if math.isfinite(before) else 1.0
+        self._history["change"].append(change)
+        return best
+
+    def _model_error(self, best: Starts) -> float:
+        """What is unexplained beyond the noise, rms over the images' range."""
+        beyond: Floats = (best.chi_square[0] - 1.0) * self._sigmas**2
+        return math.sqrt(max(float(beyond.mean()), 0.0))
+
+    def _model_limit(self, best: Starts) -> float:
+        """Model error that is let pass; three standard errors of the mean square come to it."""
+        count = self._frames.images[0].numel() * len(self._sigmas)
+        noise = 3.0 * math.sqrt(2.0 / count) * float(np.mean(self._sigmas**2))
+        length = float(np.linalg.norm(best.coefficients[0]))
+        return math.sqrt((_MODEL_ERROR[0] + _MODEL_ERROR[1] * length) ** 2 + noise)
+
+    def _share_of(self, turn: int, rounds: int, first: float, last: float = 1.0) -> Watch:
+        """Reports of a part of one round as parts of all."""
+        return lambda done, text: self._tell((turn + first + (last - first) * done) / rounds, text)
+
+    def _tell(self, done: float, text: str) -> bool:
+        """Report, and say whether time is up."""
+        if self._progress is not None:
+            self._progress(done, f"evidence: {text}")
+        return time.perf_counter() > self._deadline
