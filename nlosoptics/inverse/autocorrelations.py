@@ -46,20 +46,25 @@ class SpectrumModulus:
 def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
     """Autocorrelation of an image about its mean, zero lag at the centre, odd counts.
 
-    Without a model each lag is the mean over the pairs that the frame holds. With one the power
+    Without a model each lag is the mean over the pairs of counting pixels that the frame holds. With one the power
     spectrum is divided by the wall's, where that carries more than the noise.
     """
     clean = (data.data - data.data.mean()).cpu().numpy()
+    counts = np.ones(clean.shape)
+    if data.weights is not None:
+        # a pixel that does not count holds the mean of those that do, by their weights
+        counts = (data.weights > 0.0).cpu().numpy().astype(np.float64)
+        clean = np.where(counts > 0.0, clean - clean[counts > 0.0].mean(), 0.0)
     if model is None:
         grid = tuple(int(fft.next_fast_len(2 * n, real=True)) for n in clean.shape)
         power = np.abs(fft.rfft2(clean, s=grid)) ** 2
-        pairs = fft.irfft2(np.abs(fft.rfft2(np.ones(clean.shape), s=grid)) ** 2, s=grid)
+        pairs = fft.irfft2(np.abs(fft.rfft2(counts, s=grid)) ** 2, s=grid)
         lags = fft.irfft2(power, s=grid) / np.maximum(pairs, 1.0)
     else:
         grid = model.grid
         power = np.abs(fft.rfft2(clean, s=grid)) ** 2
         passed = torch.abs(model.transfer).cpu().numpy() ** 2
-        noise = data.sigma**2 * clean.size
+        noise = data.noise_power()
         # the Wiener filter of the power: signal over noise is told by the image's own mean
         floor = noise / max(power.mean() - noise, 1e-12 * power.mean()) * passed.mean()
         lags = fft.irfft2(np.maximum(power - noise, 0.0) * passed / (passed**2 + floor**2), s=grid)

@@ -139,7 +139,7 @@ class Energy:
             variances.lerp_(spread[..., None, None], 0.5).clamp_min_(_SMALLEST_VARIANCE)
         energy = fit / factor**2 + (weights * slopes.square()).sum((-3, -2, -1)) + rest
         energy = energy + (self._share * covariance * power).sum((-2, -1))
-        return 0.5 * energy, fit.detach() / frames.images.numel()
+        return 0.5 * energy, fit.detach() / frames.counted
 
 
 class KnownObjectEnergy(Energy):
@@ -180,7 +180,7 @@ class KnownObjectEnergy(Energy):
         seen = frames.seen(level, transfer)
         residual = frames.residual(seen if gains is None else gains * seen)
         fit = (frames.precision * residual.square()).sum((-3, -2, -1))
-        return 0.5 * fit / factor**2, fit.detach() / frames.images.numel()
+        return 0.5 * fit / factor**2, fit.detach() / frames.counted
 
 
 def _power(transfer: Tensor) -> Tensor:

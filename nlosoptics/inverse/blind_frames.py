@@ -58,6 +58,11 @@ class Frames:
         return int(self.walls.max()) + 1
 
     @property
+    def counted(self) -> int:
+        """Pixels that count, of all images."""
+        return sum(one.counted for one in self.measured)
+
+    @property
     def fit_background(self) -> bool:
         """Whether each image has an unknown background."""
         return self.measured[0].fit_background
@@ -94,8 +99,8 @@ class Frames:
         return misfit - self.backgrounds(misfit) * self.shapes
 
     def mean_square(self, residual: Tensor) -> Tensor:
-        """Squared residual over squared noise, mean over all pixels, (B,)."""
-        return (self.precision * residual.square()).mean((-3, -2, -1))
+        """Squared residual over squared noise, mean over the pixels that count, (B,)."""
+        return (self.precision * residual.square()).sum((-3, -2, -1)) / self.counted
 
 
 def frames_of(

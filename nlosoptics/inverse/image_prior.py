@@ -255,13 +255,12 @@ class _Fit:
     def _objective(self, picture: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Objective per pixel, mean squared residual, and object times gain."""
         gain, residual = self._image.misfit(self._model(picture))
-        square = self._image.weighted(residual * residual).mean()
         level = gain * picture
-        objective = 0.5 * square
+        objective = 0.5 * self._image.weighted(residual * residual).mean()
         if self._tv_weight > 0.0:
             edges = gain * total_variation(picture, _SMOOTH) / level.numel()
             objective = objective + self._tv_weight * edges
-        return objective, square, level
+        return objective, self._image.mean_square(residual.detach()), level
 
     def _keep(self, iteration: int, objective: float, level: Tensor) -> None:
         if objective < self._best[0]:

@@ -58,6 +58,19 @@ class Measurement:
             return self.data.numel()
         return int(torch.count_nonzero(self.weights))
 
+    def noise_power(self) -> float:
+        """Expected squares of what is no light of the object, summed over all pixels.
+
+        A pixel that does not count holds the mean, which errs by the image's own spread.
+        """
+        if self.weights is None:
+            return self.sigma**2 * self.data.numel()
+        counts = self.weights > 0.0
+        values = self.data[counts]
+        missing = self.data.numel() - values.numel()
+        noise = self.sigma**2 * total((1.0 / self.weights[counts])[None])
+        return noise + missing * float(values.var(correction=0))
+
     def weighted(self, values: Tensor) -> Tensor:
         """Values times the pixel weights."""
         return values if self.weights is None else values * self.weights

@@ -28,6 +28,7 @@ class ScaledImage:
 
     def __init__(self, data: Measurement, unit: float) -> None:
         self.unit = unit
+        self._per_counted = data.data.numel() / data.counted
         self._weights = None if data.weights is None else data.weights.float()
         self._shape: Tensor | None = None
         level = data.background(data.background_strength(data.data))
@@ -54,6 +55,11 @@ class ScaledImage:
     def weighted(self, values: Tensor) -> Tensor:
         """Values times the pixel weights, whose mean is 1."""
         return values if self._weights is None else values * self._weights
+
+    def mean_square(self, residual: Tensor) -> Tensor:
+        """Weighted mean square of a residual over the pixels that count."""
+        mean: Tensor = self.weighted(residual * residual).mean() * self._per_counted
+        return mean
 
     def _without_background(self, values: Tensor) -> Tensor:
         if self._shape is None:

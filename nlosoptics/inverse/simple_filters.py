@@ -150,7 +150,6 @@ def _noise_guard(data: Measurement, spectrum: Tensor, size: Tensor, grid: tuple[
     power[:, 1 : (grid[1] + 1) // 2] *= 2.0
     order = torch.argsort(size.flatten())
     left_out = torch.cumsum(power.flatten()[order], dim=0) / (grid[0] * grid[1])
-    relative = 1.0 if data.weights is None else float((1.0 / data.weights).mean())
-    allowed = relative * data.sigma**2 * data.data.numel()
+    allowed = data.noise_power()
     first_kept = int(torch.searchsorted(left_out, allowed, right=True))
     return max(float(size.flatten()[order][min(first_kept, size.numel() - 1)]), _ROUNDING)

@@ -268,7 +268,7 @@ class _Pcin:
         loss.backward()  # type: ignore[no-untyped-call]
         adam.step()
         change = (self.angles.detach() - before).norm() / before.norm().clamp_min(1e-30)
-        rms = math.sqrt(square.item() / residual.numel())
+        rms = math.sqrt(self.image.mean_square(residual.detach()).item())
         self.history["objective"].append(loss.item())
         self.history["residual"].append(rms / self._noise if self._noise > 0.0 else rms)
         self.history["change"].append(change.item())

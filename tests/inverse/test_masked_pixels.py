@@ -1,0 +1,102 @@
+"""Pixels of infinite noise: what they read has no say, and residuals are of the others alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse import (
+    PupilPSF,
+    deep_image_prior,
+    inverse_filter,
+    phase_retrieval,
+    registered_correlation,
+    staged_fit,
+    wu2024_fit,
+)
+
+SHAPE = (33, 48)
+NOISE = 0.01
+
+
+@pytest.fixture(scope="module")
+def pictures():
+    """Object, model, image, and noise that is infinite for a part of the pixels."""
+    truth = np.zeros(SHAPE)
+    truth[8:16, 12:16], truth[16:20, 12:36] = 1.0, 0.7
+    axis = np.arange(9.0) - 4.0
+    kernel = np.exp(-(axis**2 + axis[:, None] ** 2) / 4.0)
+    model = ForwardModel(kernel / kernel.sum(), shape=SHAPE)
+    rng = np.random.default_rng(0)
+    image = model.forward(truth) + NOISE * rng.standard_normal(SHAPE)
+
+    def masked(part):
+        out = rng.random(SHAPE) < part
+        return np.where(out, 1e6, image), np.where(out, np.inf, NOISE)
+
+    return truth, model, masked
+
+
+def test_inverse_filter_keeps_its_frequencies(pictures):
+    truth, model, masked = pictures
+    image, noise = masked(0.01)
+    found = inverse_filter(image, model, noise_sigma=noise)
+    # a constant, of correlation 0, where infinite noise allowed to leave all of them out
+    assert registered_correlation(found, truth) > 0.8
+
+
+def test_residual_of_the_network_is_over_the_counting_pixels(pictures):
+    _, model, masked = pictures
+    image, noise = masked(0.5)
+    options = {"noise_sigma": noise, "fit_background": False, "tv_weight": 0.0}
+    found = deep_image_prior(image, model, guide="noise", max_iterations=1, **options)
+    # one iterate is the best one; the network runs in single precision
+    assert found.history["residual"][-1] == pytest.approx(found.score, rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def pupil():
+    wavelength, radius, distance = 5e-7, 5e-3, 0.1
+    return PupilPSF.from_zernike(
+        [4, 5],
+        wavelength=wavelength,
+        pupil_radius=radius,
+        image_distance=distance,
+        pitch=wavelength * distance / (4 * radius),
+        shape=SHAPE,
+    )
+
+
+def test_residual_of_the_published_fit_is_over_the_counting_pixels(pictures, pupil):
+    _, _, masked = pictures
+    image, noise = masked(0.5)
+    found = wu2024_fit(image, pupil, noise_sigma=noise, max_iterations=300, learning_rate=1e-9)
+    # steps of nothing leave the last residual that of the answer
+    assert found.history["residual"][-1] == pytest.approx(found.score, rel=1e-3)
+
+
+def test_score_of_the_staged_fit_is_over_the_counting_pixels(pictures, pupil):
+    truth, _, masked = pictures
+    image, noise = masked(0.5)
+    found = staged_fit(
+        image, pupil, noise_sigma=noise, known_object=truth, starts=1, max_iterations=20
+    )
+    seen = np.isfinite(noise)
+    strength = found.physical_parameters["gain"] * found.object
+    kernel = pupil(pupil.coefficients.new_tensor(found.physical_parameters["coefficients"]))
+    model = ForwardModel(kernel.detach().double().numpy(), shape=SHAPE)
+    misfit = (image - model.forward(strength) - found.physical_parameters["background"])[seen]
+    # the fit's point spread has a longer period than the model's
+    assert found.score == pytest.approx(np.sqrt(np.mean(misfit**2)) / NOISE, rel=0.02)
+
+
+def test_lags_of_masked_pixels_are_not_taken_for_an_object(pictures):
+    _, model, masked = pictures
+    sizes = []
+    for part in (0.3, 0.0):
+        image, noise = masked(part)
+        found = phase_retrieval(image, model, noise_sigma=noise, method="raar", max_iterations=20)
+        sizes.append(np.array(found.physical_parameters["object_size"]))
+    # 2 x 2 pixels, one pixel's own lag, where the masked ones were taken for light
+    assert sizes[0].min() >= sizes[1].min() // 2
