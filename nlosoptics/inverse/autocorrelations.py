@@ -46,8 +46,8 @@ class SpectrumModulus:
 def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
     """Autocorrelation of an image about its mean, zero lag at the centre, odd counts.
 
-    Without a model each lag is the mean over the pairs of counting pixels that the frame holds. With one the power
-    spectrum is divided by the wall's, where that carries more than the noise.
+    Without a model each lag is the mean over the pairs of counting pixels that the frame holds.
+    With one the power spectrum is divided by the wall's, where that carries more than the noise.
     """
     clean = (data.data - data.data.mean()).cpu().numpy()
     counts = np.ones(clean.shape)

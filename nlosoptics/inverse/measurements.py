@@ -162,6 +162,11 @@ def measurement(
     weights = None
     if noise_sigma is None:
         sigma = estimate_noise(data.cpu().numpy())
+        if sigma == 0.0 and float(data.max()) > float(data.min()):
+            raise SceneError(
+                "image is without noise (noise_sigma None, estimated 0) though not uniform; "
+                "give noise_sigma"
+            )
     elif np.ndim(noise_sigma) == 0:
         sigma = _positive_sigma(noise_sigma)
     else:
@@ -201,7 +206,14 @@ def estimate_noise(image: ArrayLike) -> float:
     Returns
     -------
     float
-        Image units; 0 for a uniform image.
+        Image units; 0 for a uniform image, and for one whose rows or columns are all alike.
+
+    Raises
+    ------
+    SamplingError
+        If the image is smaller, or not one image.
+    SceneError
+        If a value is not finite.
 
     Notes
     -----
@@ -220,6 +232,11 @@ def estimate_noise(image: ArrayLike) -> float:
     if values.ndim != 2 or min(values.shape) < 3:
         raise SamplingError(
             f"image has shape {values.shape}, noise needs at least 3 x 3 pixels; give noise_sigma"
+        )
+    if not np.isfinite(values).all():
+        raise SceneError(
+            f"image has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that are "
+            "not finite; replace bad pixels by their neighbours"
         )
     # The mask (1, -2, 1) x (1, -2, 1) has norm 6.
     response = np.abs(np.diff(np.diff(values, n=2, axis=0), n=2, axis=1)) / 6.0

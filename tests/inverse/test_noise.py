@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nlosoptics.errors import SamplingError
-from nlosoptics.inverse import estimate_noise
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse import estimate_noise, wiener
 
 
 @pytest.mark.parametrize("sigma", [1e-3, 7.0])
@@ -41,3 +42,20 @@ def test_uniform_and_sparse_images():
 def test_image_must_hold_a_second_difference():
     with pytest.raises(SamplingError, match="at least 3 x 3"):
         estimate_noise(np.ones((2, 9)))
+
+
+def test_values_that_are_not_finite_are_refused():
+    image = np.zeros((9, 8))
+    image[3, 4] = np.nan
+    with pytest.raises(SceneError, match="1 of 72 values that are not finite; replace"):
+        estimate_noise(image)
+
+
+def test_a_picture_without_noise_is_not_taken_for_no_light():
+    """Rows all alike have second differences of nothing."""
+    stripes = np.zeros((24, 24))
+    stripes[:, 6:10] = 1.0
+    model = ForwardModel(np.ones((1, 1)), shape=stripes.shape)
+    with pytest.raises(SceneError, match="estimated 0.*give noise_sigma"):
+        wiener(stripes, model)
+    assert wiener(np.ones((24, 24)), model).status == "too_few_photons"
