@@ -62,10 +62,13 @@ class UNet(nn.Module):
         self.in_channels = whole("in_channels", in_channels)
         self.out_channels = whole("out_channels", out_channels)
         draw = generator(seed, WEIGHTS)
-        # Torch draws weights from one global generator, which others must find as it was.
+        # Torch draws weights from one global generator, which others must find as it was;
+        # torch.manual_seed would set those of accelerators too.
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(draw.integers(2**63)))
-            self._build()
+            torch.default_generator.manual_seed(int(draw.integers(2**63)))
+            # in single precision on the processor whatever torch's defaults are
+            with torch.device("cpu"):
+                self._build()
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def _build(self) -> None:
@@ -75,7 +78,7 @@ class UNet(nn.Module):
         self.decoder = nn.ModuleList(
             _stage(coarse + fine, fine, 1) for fine, coarse in pairwise(widths)
         )
-        self.head = nn.Conv2d(self.base, self.out_channels, 1)
+        self.head = nn.Conv2d(self.base, self.out_channels, 1, dtype=torch.float32)
 
     def forward(self, picture: Tensor) -> Tensor:
         """Picture (B, out_channels, H, W) of a picture (B, in_channels, H, W)."""
@@ -146,8 +149,8 @@ def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
     for channels in (entering, leaving)[:convolutions]:
         layers += [
             # the normalisation that follows has a constant of its own
-            nn.Conv2d(channels, leaving, 3, padding=1, bias=False),
-            nn.GroupNorm(1, leaving),
+            nn.Conv2d(channels, leaving, 3, padding=1, bias=False, dtype=torch.float32),
+            nn.GroupNorm(1, leaving, dtype=torch.float32),
             nn.LeakyReLU(_SLOPE, inplace=True),
         ]
     return nn.Sequential(*layers)

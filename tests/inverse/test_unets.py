@@ -73,6 +73,20 @@ def test_seed_decides_the_weights_and_nothing_else():
     assert not torch.equal(first["head.weight"], other["head.weight"])
 
 
+def test_torch_defaults_and_accelerators_have_no_say(monkeypatch):
+    seeded = []
+    monkeypatch.setattr(torch.cuda, "manual_seed_all", seeded.append)
+    expected = inverse.UNet(8, 2, seed=3).state_dict()
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = inverse.UNet(8, 2, seed=3).state_dict()
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert not seeded
+    for name, values in expected.items():
+        torch.testing.assert_close(found[name], values, rtol=0, atol=0)
+
+
 def test_object_is_between_zero_and_one_and_ignores_level_and_scale():
     guide = torch.rand(20, 24)
     first = inverse.UNetObject(guide, seed=1)().detach()
