@@ -96,7 +96,13 @@ def started_from(start: Any, shape: tuple[int, int], device: torch.device) -> Te
     if isinstance(start, Tensor):
         level = start.detach().to(device=device, dtype=torch.float64)
     else:
-        level = torch.tensor(np.asarray(start, dtype=np.float64), device=device)
+        try:
+            level = torch.tensor(np.asarray(start, dtype=np.float64), device=device)
+        except (TypeError, ValueError):
+            raise SceneError(
+                f"start of type {type(start).__name__} is no array of numbers; give an object in "
+                "image units, as a Reconstruction's gain times its object"
+            ) from None
     if tuple(level.shape) != shape:
         raise SamplingError(
             f"start has shape {tuple(level.shape)}, must be {shape} like the model; resample it or "

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from .._random import checked_seed
+from ..errors import SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .callbacks import Progress, goes_on, started_from, state_of
@@ -163,10 +164,16 @@ class _Maximisation:
         self._ceiling = self._model.adjoint(self._weighted(torch.ones_like(image)))
         # A pixel that no light reaches the frame from has no say in the image, and stays dark.
         self._reached = self._ceiling > 1e-6 * self._ceiling.max()
-        flat = total(image.clamp_min(0.0)) / total(self._model(self._reached.to(dtype)))
-        self._object = self.best = flat * self._reached
+        reached = self._reached.to(dtype)
+        flat = total(image.clamp_min(0.0)) / total(self._model(reached))
+        self._object = self.best = flat * reached
         if first is not None:
-            self._object = self.best = (first / self.scale).to(dtype).clamp_min(0.0) * self._reached
+            self._object = self.best = (first / self.scale).to(dtype).clamp_min(0.0) * reached
+            if not bool(self._object.any()):
+                raise SceneError(
+                    f"start has no light (largest value {float(first.max()):g}), and what is dark "
+                    "stays dark; leave it out"
+                )
         self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
     def run(self, max_iterations: int, tolerance: float, progress: Progress | None) -> bool:

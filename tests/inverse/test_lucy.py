@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from nlosoptics import inverse
+from nlosoptics.errors import SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.psf import PointSpreadField
 
@@ -164,3 +166,29 @@ def test_same_as_scikit_images_on_a_periodic_frame(periodic):
     inside = (slice(10, 32), slice(16, 28))
     # they start at one half everywhere and lose what spreads over the edge
     assert np.corrcoef(ours.object[inside].ravel(), theirs[inside].ravel())[0, 1] > 0.999
+
+
+def test_torch_default_precision_has_no_say(periodic):
+    model, _, image = periodic
+    noisy = image + 0.01 * np.random.default_rng(1).normal(size=image.shape)
+    expected = inverse.richardson_lucy(noisy, model, noise_sigma=0.01)
+    torch.set_default_dtype(torch.float64)
+    try:
+        found = inverse.richardson_lucy(noisy, model, noise_sigma=0.01)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    np.testing.assert_array_equal(found.object, expected.object)
+
+
+def test_a_dark_start_is_refused(periodic):
+    """It would stay as it is, which looks like convergence."""
+    model, _, image = periodic
+    with pytest.raises(SceneError, match="start has no light"):
+        inverse.richardson_lucy(image, model, noise_sigma=0.01, start=np.zeros(image.shape))
+
+
+@pytest.mark.parametrize("start", ["bright", {"object": [["a"]]}, object()])
+def test_a_start_of_no_numbers_is_one_line(periodic, start):
+    model, _, image = periodic
+    with pytest.raises(SceneError, match="no array of numbers; give"):
+        inverse.richardson_lucy(image, model, noise_sigma=0.01, start=start)
