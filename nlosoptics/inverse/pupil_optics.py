@@ -114,6 +114,7 @@ class PupilOptics(nn.Module):
         self.v, self.u = self._cells(samples)
         pitch_v, pitch_u = (float(axis[1] - axis[0]) for axis in (self.v, self.u))
         self.pupil_pitch = (pitch_v, pitch_u)
+        self._finer, self._grid = self._samples()
         self.share = circle_shares(self.u, self.v, pitch_u, self.pupil_radius, pitch_v)
         self.amplitude = self.share
         if transmission is not None:
@@ -255,17 +256,22 @@ class PupilOptics(nn.Module):
             )
         return (np.arange(samples, dtype=np.float64) - samples // 2) * cell
 
+    def _samples(self) -> tuple[int, tuple[int, int]]:
+        """Samples per pixel and in all, once they are known to fit in memory."""
+        finer = 1
+        if self.method == "fft" and self.pixel_integrated:
+            finer = math.ceil(self.pitch / self.nyquist_pitch * (1 - _ROUNDING))
+        grid = (self.shape[0] * finer, self.shape[1] * finer)
+        cells = (self.v.size, self.u.size)
+        fits_memory(
+            f"the transform of {cells} pupil cells to {grid} samples",
+            64.0 * (math.prod(grid) + sum(cells) * sum(grid)),
+            "use fewer pixels, a finer pitch or a smaller pupil",
+        )
+        return finer, grid
+
     def _prepare(self, device: torch.device | str, dtype: torch.dtype) -> None:
         """Tensors of the chosen transform."""
-        self._finer = 1
-        if self.method == "fft" and self.pixel_integrated:
-            self._finer = math.ceil(self.pitch / self.nyquist_pitch * (1 - _ROUNDING))
-        self._grid = (self.shape[0] * self._finer, self.shape[1] * self._finer)
-        fits_memory(
-            f"the transform of {self.share.shape} pupil cells to {self._grid} samples",
-            64.0 * (math.prod(self._grid) + sum(self.share.shape) * sum(self._grid)),
-            "use fewer pixels",
-        )
         cell = math.sqrt(math.prod(self.pupil_pitch))
         # Parseval: all samples of a period sum to 1
         scale = self.pitch * cell / (self._spread * math.sqrt(np.sum(self.amplitude**2)))

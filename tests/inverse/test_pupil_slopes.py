@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from nlosoptics import Scene, psf
-from nlosoptics.errors import CausticError, SamplingError, SceneError
+from nlosoptics.errors import CausticError, MemoryLimitError, SamplingError, SceneError
 from nlosoptics.inverse import PupilPSF
 from nlosoptics.scene import ConcaveWall
 
@@ -217,3 +217,16 @@ def test_scenes_without_a_wave_are_refused(concave):
         scene_pupil(concave, [1, 4])
     with pytest.raises(CausticError):
         scene_pupil(replace(concave, wall=ConcaveWall(1.1, size=(1.4, 1.0))))
+
+
+def test_a_scene_beyond_the_memory_is_refused_before_any_work(examples):
+    """Pixels of 0.6 mm, of which the lens' wave needs 900 samples a side each."""
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+    with pytest.raises(MemoryLimitError, match=r"pupil cells.*fewer pixels, a finer pitch"):
+        PupilPSF.from_scene(
+            scene,
+            [4, 5],
+            pitch=scene.camera.image_pitch,
+            shape=2048,
+            pixel_integrated=True,
+        )
