@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -171,7 +172,10 @@ def _or(value: Tensor | None, other: Tensor) -> Tensor:
 
 
 def _stack(images: Any) -> Any:
-    stack = images if isinstance(images, Tensor) else np.asarray(images)
+    try:
+        stack = images if isinstance(images, Tensor) else np.asarray(images)
+    except ValueError:
+        raise SamplingError("images differ in shape; give one array (K, H, W)") from None
     if stack.ndim == 2:
         stack = stack[None]
     if stack.ndim != 3 or 0 in stack.shape:
@@ -233,8 +237,16 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
         wide = (max(own[0], rows), max(own[1], columns))
     optics = pupil_psf.optics
-    if wide == own or optics.method == "mdft":
+    if wide == own:
         return pupil_psf
+    if pupil_psf.waves.has_rest or optics.amplitude is not optics.share:
+        raise SamplingError(
+            f"pupil_psf of a scene has shape {own}, and a padded frame of {shape} needs {wide}; "
+            f"build it with shape={wide}, or use boundary='circular'"
+        )
+    samples = None
+    if optics.method == "mdft":
+        samples = math.ceil(len(optics.u) * max(wide) / max(own))
     return PupilPSF.from_zernike(
         pupil_psf.modes,
         wavelength=optics.wavelength,
@@ -242,6 +254,8 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         image_distance=optics.image_distance,
         pitch=optics.pitch,
         shape=wide,
+        method=optics.method,
+        samples=samples,
         pixel_integrated=optics.pixel_integrated,
         device=optics.device,
         dtype=optics.dtype,
