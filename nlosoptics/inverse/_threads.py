@@ -1,4 +1,4 @@
-"""Torch's threads during a solve."""
+"""Torch's threads and gradients during a solve."""
 
 from __future__ import annotations
 
@@ -22,3 +22,10 @@ def single_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@contextmanager
+def gradients() -> Iterator[None]:
+    """Record gradients also where the caller has switched them off."""
+    with torch.inference_mode(False), torch.enable_grad():
+        yield

@@ -21,7 +21,7 @@ from .._random import checked_seed, generator
 from ..errors import MissingExtraError, SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ..psf.whole_files import write_whole
-from ._threads import single_thread
+from ._threads import gradients, single_thread
 from .measurements import measurement
 from .reconstructions import Reconstruction, assemble, without_object
 from .scaled_images import ScaledImage
@@ -204,6 +204,7 @@ class Training:
 
 
 @single_thread()
+@gradients()
 def train_cnn(
     pairs: TrainingPairs,
     *,

@@ -13,7 +13,7 @@ from torch import Tensor
 from .._checks import in_range, one_of, positive, whole
 from .._random import checked_seed, generator
 from ..imaging.forward_model import ForwardModel
-from ._threads import single_thread
+from ._threads import gradients, single_thread
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, without_object
 from .scaled_images import ScaledImage, total_variation
@@ -37,6 +37,7 @@ _SMOOTH = 1e-3
 
 
 @single_thread()
+@gradients()
 def deep_image_prior(
     image: Any,
     model: ForwardModel | TorchForwardModel,

@@ -15,7 +15,7 @@ from .._checks import one_of, positive, whole
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
-from ._threads import single_thread
+from ._threads import gradients, single_thread
 from .blind_frames import Frames, frames_of
 from .blind_stages import BlindFit, Progress, Report, Stage, State, far_stages, near_stages
 from .image_prior import deep_image_prior
@@ -42,6 +42,7 @@ _TOLERANCE = 2e-5
 
 
 @single_thread()
+@gradients()
 def staged_fit(
     images: Any,
     pupil_psf: PupilPSF,
@@ -178,7 +179,7 @@ def staged_fit(
         frames,
         first,
         start_error,
-        support=_picture("support", support, frames),
+        support=None if support is None else _support(support, frames),
         known=_picture("known_object", known_object, frames),
         guess=_picture("start_object", start_object, frames),
         fit_gains=fit_gains,
@@ -186,7 +187,7 @@ def staged_fit(
     report = Report(progress, sum(s.iterations for s in stages))
     if all(one.is_background() for one in frames.measured):
         state = fit.begin(first[None], 1.0)
-        state.theta = torch.full_like(state.theta, -math.inf)
+        state.theta = torch.full_like(state.theta, 0.0 if fit.known else -math.inf)
         return _assembled(fit, state, gain, "too_few_photons", started, math.nan)
     sharp = _no_blur_fit(fit, tolerance) if len(frames.images) == 1 and not fit.known else None
     state = fit.begin(_drawn(first, start_error, starts, seed), stages[0].noise[0])
@@ -244,6 +245,13 @@ def _picture(name: str, value: Any, frames: Frames) -> Tensor | None:
             "with some light; leave it out where it is unknown"
         )
     return torch.from_numpy(picture).to(frames.images)
+
+
+def _support(value: Any, frames: Frames) -> Tensor:
+    """1 where the object may be bright, 0 where it is known to be dark."""
+    picture = _picture("support", value, frames)
+    assert picture is not None
+    return (picture > 0.0).to(picture)
 
 
 def _no_blur_fit(fit: BlindFit, tolerance: float) -> State:
@@ -330,7 +338,9 @@ def _assembled(
         brightest = float(picture.max())
         gain = brightest if brightest > 0.0 else 1.0
     coefficients = state.coefficients[0].double().cpu().numpy()
-    relative = np.ones(len(frames.images)) if gains is None else gains[0, :, 0, 0].double().numpy()
+    relative = (
+        np.ones(len(frames.images)) if gains is None else gains[0, :, 0, 0].double().cpu().numpy()
+    )
     records = {name: np.asarray(values) for name, values in state.history.items()}
     for record in records.values():
         record.flags.writeable = False

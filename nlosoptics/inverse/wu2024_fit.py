@@ -16,7 +16,7 @@ from .._checks import in_range, one_of, positive, whole
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
-from ._threads import single_thread
+from ._threads import gradients, single_thread
 from .measurements import Measurement, measurement
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, assemble, without_object
@@ -36,6 +36,7 @@ _TRIVIAL_CORRELATION = 0.95
 
 
 @single_thread()
+@gradients()
 def wu2024_fit(
     images: Any,
     pupil_psf: PupilPSF,
@@ -151,7 +152,9 @@ def wu2024_fit(
     started = time.perf_counter()
     checked_seed(seed)
     alternate = whole("alternate", alternate)
-    max_iterations = whole("max_iterations", max_iterations or (_COLD if start is None else _WARM))
+    if max_iterations is None:
+        max_iterations = _COLD if start is None else _WARM
+    max_iterations = whole("max_iterations", max_iterations)
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     learning_rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
     one_of("network_input", network_input, ("image", "reconstruction"))

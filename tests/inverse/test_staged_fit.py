@@ -17,6 +17,7 @@ from nlosoptics.inverse import PupilPSF, pcin, registered_correlation, staged_fi
 from nlosoptics.inverse.blind_energy import Energy
 from nlosoptics.inverse.blind_frames import frames_of
 from nlosoptics.psf import Wavefront, point_spread
+from nlosoptics.scene import Scene
 
 # Walls that no schedule was tuned on.
 WALL = 31
@@ -265,3 +266,86 @@ def test_front_door_refuses_options_of_no_recipe():
     with pytest.raises(TypeError, match="colour"):
         pcin(images, spread, colour="red")
     assert inverse.pcin is pcin
+
+
+def test_light_of_nothing_with_a_known_object_is_finite():
+    _, spread, _, truth = made()
+    noise = 5.0 + np.random.default_rng(1).normal(size=(32, 40))
+    found = staged_fit(noise, spread, known_object=truth, noise_sigma=1.0, **SHORT)
+    assert found.status == "too_few_photons"
+    assert not found.object.any()
+    # 1 to four standard errors of an rms of 1280 values
+    assert found.score == pytest.approx(1.0, abs=0.08)
+
+
+def test_a_support_says_where_and_no_more():
+    images, spread, _, _ = made()
+    support = np.zeros(images.shape[-2:])
+    support[8:24, 8:32] = 1.0
+    first, other = (
+        staged_fit(images, spread, support=s, **SHORT) for s in (support, 255 * support)
+    )
+    np.testing.assert_array_equal(other.object, first.object)
+
+
+def test_gradients_switched_off_outside_are_on_inside():
+    images, spread, _, _ = made()
+    expected = staged_fit(images, spread, **SHORT)
+    with torch.no_grad():
+        found = staged_fit(images, spread, **SHORT)
+        assert not torch.is_grad_enabled()
+    np.testing.assert_array_equal(found.object, expected.object)
+    with torch.inference_mode():
+        found = staged_fit(images, spread, **SHORT)
+    np.testing.assert_array_equal(found.object, expected.object)
+
+
+def test_images_of_different_shapes_are_one_line():
+    images, spread, _, _ = made(gains=(1.0, 1.0))
+    with pytest.raises(SamplingError, match="differ in shape"):
+        staged_fit([images[0], images[1][:9]], spread, **SHORT)
+
+
+def framed(spread, boundary):
+    """Frames of noise on a point spread, for one wall."""
+    noise = np.random.default_rng(0).normal(size=(1, 32, 40))
+    return frames_of(
+        noise,
+        spread,
+        defocus=None,
+        walls=None,
+        noise_sigma=1.0,
+        background=0.0,
+        fit_background=True,
+        background_shape=None,
+        boundary=boundary,
+    )
+
+
+def test_a_padded_frame_of_matrix_products_wraps_nothing_around():
+    """Light at the right edge is not seen at the left."""
+    _, spread, _, _ = made()
+    optics = spread.optics
+    matrices = PupilPSF.from_zernike(
+        spread.modes,
+        wavelength=optics.wavelength,
+        pupil_radius=optics.pupil_radius,
+        image_distance=optics.image_distance,
+        pitch=optics.pitch,
+        shape=(32, 40),
+        method="mdft",
+    )
+    edge = torch.zeros(1, 32, 40)
+    edge[0, :, -1] = 1.0
+    frames = framed(matrices, "padded")
+    with torch.no_grad():
+        seen = frames.seen(edge, frames.transfer(torch.zeros(1, 1, len(spread.modes))))
+    assert float(seen[..., 0].max()) < 0.01 * float(seen.max())
+
+
+def test_a_scene_is_not_widened_without_what_is_known_of_it(examples):
+    scene = Scene.load(examples / "scenes" / "letter_speckle.toml")
+    spread = PupilPSF.from_scene(scene, [4, 5], pitch=4.5e-6, shape=(32, 40))
+    with pytest.raises(SamplingError, match=r"needs \(48, 60\); build it with shape=\(48, 60\)"):
+        framed(spread, "padded")
+    assert framed(spread, "circular").pupil is spread
