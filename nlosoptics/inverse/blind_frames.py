@@ -254,7 +254,7 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         image_distance=optics.image_distance,
         pitch=optics.pitch,
         shape=wide,
-        method=optics.method,
+        method=optics.method,  # type: ignore[arg-type]
         samples=samples,
         pixel_integrated=optics.pixel_integrated,
         device=optics.device,
