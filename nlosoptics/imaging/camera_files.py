@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import positive
+from .._checks import positive, whole
 from ..errors import SamplingError, SceneError
 
 Array = NDArray[np.float64]
@@ -149,7 +149,7 @@ def camera_image(
     ------
     SceneError
         If a file cannot be read, all pixels read the same, no light is left above the dark frame,
-        or more than half of the pixels are full.
+        more than half of the pixels are full, or ``full`` is beyond what a file can hold.
     SamplingError
         If sizes differ.
     """
@@ -157,6 +157,7 @@ def camera_image(
     if not files:
         raise SceneError("no picture is given; name one file or more")
     full = None if full is None else positive("full", full, unit="counts")
+    shape = None if shape is None else _whole_shape(shape)
     total: Array | None = None
     saturated: Mask | None = None
     for path in files:
@@ -169,12 +170,24 @@ def camera_image(
             total, saturated = np.zeros(counts.shape), np.zeros(counts.shape, dtype=bool)
         _same_shape(path, counts, files[0], total)
         limit = largest if full is None else full
+        if limit is not None and largest is not None and limit > largest:
+            raise SceneError(
+                f"full = {limit:g} counts, {path} holds up to {largest:g}: no pixel could be full; "
+                "give the count at which the camera's pixels are"
+            )
         if limit is not None:
             saturated |= counts >= limit
         total += counts / len(files)
     assert total is not None and saturated is not None  # noqa: PT018  (there is a file)
     values, dead = _corrected(total, files[0], dark, flat)
     return _checked(files[0], *_grouped(files[0], values, saturated, dead, shape))
+
+
+def _whole_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    if len(shape) != 2:
+        raise SamplingError(f"shape has {len(shape)} counts; give (rows, columns)")
+    rows, columns = (whole(f"shape[{i}]", count) for i, count in enumerate(shape))
+    return rows, columns
 
 
 def _corrected(

@@ -117,6 +117,13 @@ BAD = {
     "another size": (COUNTS * 1.0, {"shape": (64, 64)}, ["16 x 12 pixels", "64 x 64"]),
     "another aspect": (COUNTS * 1.0, {"shape": (6, 4)}, ["16 x 12 pixels", "4 x 6"]),
     "bad limit": (COUNTS * 1.0, {"full": 0.0}, ["full = 0"]),
+    "limit beyond the type": (
+        COUNTS.astype(np.uint8),
+        {"full": 4095.0},
+        ["full = 4095 counts", "up to 255", "give the count"],
+    ),
+    "no rows": (COUNTS * 1.0, {"shape": (0, 4)}, ["shape[0] = 0"]),
+    "three sides": (COUNTS * 1.0, {"shape": (6, 8, 1)}, ["3 counts", "(rows, columns)"]),
 }
 
 
