@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, special
 
 from .._checks import in_range, positive, whole
+from ..errors import SamplingError, SceneError
 from ..imaging.detector import noise_variance
 from ..imaging.geometry import chief_rays, wall_visibility
 from ..imaging.objects import Patches
@@ -45,12 +46,16 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
     ndarray
         q z K1(q z) with q = 2 pi f: the transform of the irradiance z^2/(r^2 + z^2)^2 of a point,
         1 at frequency 0.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range or not finite.
     """
-    x = 2 * math.pi * np.asarray(frequency, dtype=np.float64) * positive("distance", distance)
-    if x.size and not (np.isfinite(x).all() and float(x.min()) >= 0.0):
-        in_range("frequency", float(np.asarray(frequency).min()), 0.0, unit="cycles/m")
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(x > 0.0, x * special.k1(np.maximum(x, 1e-300)), 1.0))
+    scale = 2 * math.pi * positive("distance", distance)
+    # K1 is 0 in double precision from 750 on
+    x = np.minimum(_frequencies(frequency), 1e3 / scale) * scale
+    return np.asarray(np.where(x > 0.0, x * special.k1(np.maximum(x, 1e-300)), 1.0))
 
 
 def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float) -> Array:
@@ -69,9 +74,16 @@ def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float)
     -------
     ndarray
         exp(-8 pi^2 slope_rms^2 distance^2 f^2): facets of slope t look 2 t distance aside.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range or not finite.
     """
     blur = 2.0 * in_range("slope_rms", slope_rms, 0.0) * positive("distance", distance)
-    return np.exp(-2.0 * (math.pi * blur * np.asarray(frequency, dtype=np.float64)) ** 2)
+    # the exponential is 0 in double precision from 750 on
+    turns = np.minimum(_frequencies(frequency), 1e3 / max(blur, 1e-300)) * blur
+    return np.exp(-2.0 * (math.pi * turns) ** 2)
 
 
 def lambert_relay_limit(electrons: float, distance: float) -> float:
@@ -88,7 +100,13 @@ def lambert_relay_limit(electrons: float, distance: float) -> float:
     -------
     float
         Where ``lambert_relay_transfer(f, distance) * sqrt(electrons/2) = 1``.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
     """
+    distance = positive("distance", distance, unit="m")
     in_range("electrons", electrons, 2.0, open_low=True)
     target = -0.5 * math.log(electrons / 2.0)
 
@@ -128,6 +146,13 @@ def relay_modes(
         Singular values above 1 of the response (bins by cells, electrons) over the noise of each
         bin, times `CONTRAST`, by which cells vary, each on its own.
 
+    Raises
+    ------
+    SamplingError
+        If ``light`` is not of the camera's shape.
+    SceneError
+        If a value is out of range or not finite.
+
     Notes
     -----
     The lobes are the diffuse ones, and mirror-like ones whose slopes blur over two cells or more;
@@ -139,13 +164,43 @@ def relay_modes(
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     response, pixels = relay_response(scene, material, exposure=exposure, cells=cells, bins=bins)
     camera = scene.camera
+    freedom = None if freedom is None else positive("freedom", freedom)
     if light is None:
         arriving = MEAN_ALBEDO * response.sum(axis=1)
     else:
-        arriving = _binned(light, _bin_counts(camera.shape, bins)).ravel()
+        arriving = _binned(
+            _checked_light(light, camera.shape), _bin_counts(camera.shape, bins)
+        ).ravel()
     dark = camera.dark_current * exposure * camera.binning**2
     variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
     return count_modes(response, variance)
+
+
+def _frequencies(values: ArrayLike) -> Array:
+    """Frequencies, finite and at least 0."""
+    try:
+        found = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError("frequency is no array of numbers; give cycles/m") from None
+    wrong = ~(np.isfinite(found) & (found >= 0.0))
+    if wrong.any():
+        in_range("frequency", float(found[wrong][0]), 0.0, unit="cycles/m")
+    return found
+
+
+def _checked_light(light: ArrayLike, shape: tuple[int, int]) -> Array:
+    """Expected electrons of every pixel."""
+    found = np.asarray(light, dtype=np.float64)
+    if found.shape != shape:
+        raise SamplingError(
+            f"light has shape {found.shape}, must be {shape} like the camera's image; resample it"
+        )
+    if not (np.isfinite(found).all() and float(found.min()) >= 0.0):
+        raise SceneError(
+            f"light spans {float(found.min()):g} to {float(found.max()):g} electrons, must be "
+            "finite and non-negative; give expected values"
+        )
+    return found
 
 
 def count_modes(response: Array, variance: Array) -> int:

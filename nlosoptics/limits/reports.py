@@ -257,7 +257,7 @@ class _View:
         self._scale = object_scale(scene)
         camera, dark = scene.camera, image.ledger["dark"] / image.ideal.size
         # a dark current's noise is photons'; the background holds it
-        light = image.expected - dark
+        light = np.maximum(image.expected - dark, 0.0)  # rounding where there is none
         self._light = light
         self._freedom = image.speckle_contrast**-2 if image.speckle_contrast > 0.0 else None
         still = np.zeros((1, 1))

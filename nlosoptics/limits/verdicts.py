@@ -126,6 +126,11 @@ def _too_noisy(picture: Picture) -> str:
         told = picture.with_noise(quiet)
         if told.score() >= GOOD or _exposure_factor(told) is not None:
             return "speckle is too strong at any exposure; average patterns, or use a wider pixel"
+    if picture.with_noise(NOISELESS).score() >= GOOD:
+        return (
+            f"the picture is too faint even at {_longer(MOST_EXPOSURE)}; use a stronger "
+            "mirror-like lobe, or a larger lens"
+        )
     return "optics and pixels pass too little detail; use a sharper focus or finer pixels"
 
 

@@ -107,6 +107,12 @@ def test_weak_light_is_told_with_the_exposure_that_would_do(scene: Scene) -> Non
     assert not limits.feasibility(dark, exposure=0.9e-4 * factor).recoverable
 
 
+def test_light_too_weak_for_any_exposure_is_not_laid_to_the_optics(scene: Scene) -> None:
+    found = limits.feasibility(walled(scene, 0.0, exposure=1e-12))
+    assert not found.recoverable
+    assert "too faint even at 1e+06 times the exposure" in found.verdict
+
+
 def test_speckle_is_told_as_such(scene: Scene) -> None:
     """A stop so small that a pixel holds a speckle: no exposure helps."""
     laser = replace(scene.laser, independent_patterns=1, power=50.0)

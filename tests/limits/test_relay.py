@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from pytest import approx
 from scipy import constants, integrate, special
 
 from nlosoptics import limits
-from nlosoptics.errors import SceneError
+from nlosoptics.errors import NlosError
 from nlosoptics.imaging.objects import Patches
 from nlosoptics.imaging.radiometry import laser_spot
 from nlosoptics.limits.relay import count_modes, passed_radiance
@@ -181,8 +182,31 @@ def test_a_mirror_has_no_wide_lobe() -> None:
         (lambda: limits.lambert_relay_limit(2.0, 1.0), "electrons"),
         (lambda: limits.lobe_relay_transfer(1.0, 1.0, -0.1), "slope_rms"),
         (lambda: limits.relay_modes(truth_scene(), cells=1), "cells"),
+        (lambda: limits.lambert_relay_transfer([0.0, math.inf], 1.0), "frequency = inf"),
+        (lambda: limits.lambert_relay_transfer("low", 1.0), "frequency is no array"),
+        (lambda: limits.lobe_relay_transfer([0.0, math.nan], 1.0, 0.1), "frequency = nan"),
+        (lambda: limits.lobe_relay_transfer(-1.0, 1.0, 0.1), "frequency = -1"),
+        (lambda: limits.lambert_relay_limit(1e6, 0.0), "distance = 0"),
+        (lambda: limits.lambert_relay_limit(1e6, -1.0), "distance = -1"),
+        (lambda: limits.relay_modes(truth_scene(), freedom=0.0), "freedom = 0"),
+        (lambda: lit(math.nan), "light spans nan"),
+        (lambda: lit(-1.0), "light spans -1"),
+        (lambda: limits.relay_modes(truth_scene(), light=np.ones((3, 3))), r"shape \(3, 3\)"),
     ],
 )
 def test_bad_input_is_named(call, named: str) -> None:
-    with pytest.raises(SceneError, match=named):
+    with pytest.raises(NlosError, match=named):
         call()
+
+
+def lit(electrons: float) -> int:
+    scene = truth_scene()
+    return limits.relay_modes(scene, light=np.full(scene.camera.shape, electrons))
+
+
+def test_frequencies_beyond_all_pass_nothing() -> None:
+    high = [0.0, 1e5, 1e308]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert limits.lambert_relay_transfer(high, 1.0).tolist() == [1.0, 0.0, 0.0]
+        assert limits.lobe_relay_transfer(high, 1.0, 0.1).tolist() == [1.0, 0.0, 0.0]
