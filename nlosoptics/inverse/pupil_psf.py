@@ -422,10 +422,20 @@ class PupilPSF(nn.Module):
 
     def _checked(self, coefficients: Tensor) -> Tensor:
         wanted = self.waves.leaf_shape
+        if not isinstance(coefficients, Tensor):
+            raise SceneError(
+                f"coefficients of type {type(coefficients).__name__} are no tensor; give "
+                "torch.tensor(values)"
+            )
         if tuple(coefficients.shape[-len(wanted) :]) != wanted:
             raise SamplingError(
                 f"coefficients have shape {tuple(coefficients.shape)}, must end in {wanted}; "
                 "give one value per leaf"
+            )
+        if coefficients.dtype != self.coefficients.dtype:
+            raise SamplingError(
+                f"coefficients are {coefficients.dtype}, the point spread "
+                f"{self.coefficients.dtype}; give coefficients.to(...) or build it with that dtype"
             )
         return coefficients
 

@@ -288,3 +288,20 @@ def test_wrong_leaves_are_refused():
         module.image(torch.zeros(64))
     with pytest.raises(SamplingError, match=r"must be \(K,\)"):
         module(defocus=torch.zeros(2, 2))
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "kind", "words"),
+    [
+        (np.zeros(2), SceneError, "ndarray are no tensor; give"),
+        ([0.0, 0.0], SceneError, "list are no tensor; give"),
+        (torch.zeros(2, dtype=torch.float64), SamplingError, "torch.float64.*torch.float32; give"),
+    ],
+)
+def test_coefficients_of_another_kind_are_one_line(coefficients, kind, words):
+    spread = PupilPSF.from_zernike(
+        [4, 5], wavelength=5e-7, pupil_radius=5e-3, image_distance=0.1, pitch=2e-6, shape=32
+    )
+    for call in (spread, spread.transfer, spread.aberration):
+        with pytest.raises(kind, match=words):
+            call(coefficients)
