@@ -246,7 +246,9 @@ def train_cnn(
     Raises
     ------
     SceneError
-        If a value is out of range, or pairs are too few to hold one out.
+        If a value is out of range or not finite, or pairs are too few to hold one out.
+    SamplingError
+        If images and objects do not fit each other.
     KeyboardInterrupt
         If Ctrl-C came before the first epoch was done.
     """
@@ -255,13 +257,13 @@ def train_cnn(
     epochs, batch = whole("epochs", epochs), whole("batch", batch)
     learning_rate = positive("learning_rate", learning_rate)
     validation = in_range("validation", validation, 0.0, 0.9, open_low=True)
-    held = max(1, round(validation * len(pairs.images)))
-    shown = len(pairs.images) - held
-    if shown < 1:
-        raise SceneError(f"{len(pairs.images)} pairs, needs 2 to hold one out; make more")
+    count = len(pairs.images)
+    held = min(max(1, round(validation * count)), count - 1)
+    shown = count - held
+    if held < 1:
+        raise SceneError(f"{count} pairs, needs 2 to hold one out; make more")
     made = CnnBaseline(base=base, depth=depth, seed=seed).to(device)
-    images = torch.from_numpy(pairs.images).to(device)
-    objects = torch.from_numpy(pairs.objects).to(device)
+    images, objects = (values.to(device) for values in _tensors(pairs))
     adam = torch.optim.Adam(made.parameters(), learning_rate, fused=True)
     draw = generator(seed, BATCHES)
     best, least = None, math.inf
@@ -308,6 +310,27 @@ def train_cnn(
         interrupted=interrupted,
         seconds=time.perf_counter() - started,
     )
+
+
+def _tensors(pairs: TrainingPairs) -> tuple[Tensor, Tensor]:
+    """Images and objects in single precision, checked."""
+    images, objects = (
+        torch.tensor(np.asarray(values), dtype=torch.float32)
+        for values in (pairs.images, pairs.objects)
+    )
+    if images.ndim != 3 or images.shape != objects.shape:
+        raise SamplingError(
+            f"pairs.images has shape {tuple(images.shape)}, pairs.objects "
+            f"{tuple(objects.shape)}; give (N, H, W) both"
+        )
+    for name, values in (("images", images), ("objects", objects)):
+        n_bad = int((~torch.isfinite(values)).sum())
+        if n_bad:
+            raise SceneError(
+                f"pairs.{name} has {n_bad} of {values.numel()} values that are not finite; "
+                "leave their pairs out"
+            )
+    return images, objects
 
 
 def _validation(made: CnnBaseline, images: Tensor, objects: Tensor, batch: int) -> float:

@@ -11,7 +11,7 @@ import torch
 
 import nlosoptics
 from nlosoptics import cli, inverse
-from nlosoptics.errors import SceneError
+from nlosoptics.errors import NlosError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.scene import ConcaveWall, Lambert, Ward
 
@@ -256,3 +256,30 @@ def test_bad_input_is_one_line_and_writes_nothing(train, tmp_path, arguments, wo
     assert answer.err.count("\n") == 1
     assert words in answer.err
     assert list(tmp_path.iterdir()) == []
+
+
+FEW = np.random.default_rng(0).random((4, 9, 10), dtype=np.float32)
+SMALL = {"base": 8, "depth": 1, "epochs": 1, "batch": 2}
+
+
+def test_pairs_of_any_precision_train_and_half_may_be_held_out():
+    single = inverse.train_cnn(inverse.TrainingPairs(images=FEW, objects=FEW), **SMALL)
+    doubles = inverse.TrainingPairs(images=FEW.astype(float), objects=FEW.astype(float))
+    found = inverse.train_cnn(doubles, **SMALL)
+    np.testing.assert_array_equal(found.history["training"], single.history["training"])
+    two = inverse.TrainingPairs(images=FEW[:2], objects=FEW[:2])
+    # nine tenths of two pairs are both, and one is to be shown
+    assert len(inverse.train_cnn(two, validation=0.9, **SMALL).history["validation"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("images", "objects", "words"),
+    [
+        (FEW, FEW[:3], "give .N, H, W. both"),
+        (FEW[:, 0], FEW[:, 0], "give .N, H, W. both"),
+        (np.where(FEW > 0.9, np.nan, FEW), FEW, "pairs.images has .* not finite; leave"),
+    ],
+)
+def test_bad_pairs_are_refused(images, objects, words):
+    with pytest.raises(NlosError, match=words):
+        inverse.train_cnn(inverse.TrainingPairs(images=images, objects=objects), **SMALL)
