@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -123,9 +124,16 @@ def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> Spectr
     return SpectrumModulus(modulus=modulus, grid=(grid[0], grid[1]), object_size=object_size)
 
 
-def checked_lags(autocorrelation: Array) -> Array:
+def checked_lags(autocorrelation: Any) -> Array:
     """An autocorrelation made even about its centre, or the error that says what is wrong."""
-    lags = np.asarray(autocorrelation, dtype=np.float64)
+    try:
+        if isinstance(autocorrelation, torch.Tensor):
+            autocorrelation = autocorrelation.detach().cpu().numpy()
+        if np.iscomplexobj(autocorrelation):
+            raise TypeError
+        lags = np.asarray(autocorrelation, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError("autocorrelation is no array of real numbers; give (odd, odd)") from None
     if lags.ndim != 2 or min(lags.shape) < 5 or not all(n % 2 for n in lags.shape):
         raise SamplingError(
             f"autocorrelation has shape {lags.shape}, must be (odd, odd) with the zero lag at the "

@@ -277,13 +277,15 @@ def _picture(
     name: str, value: Any, shape: tuple[int, int], device: torch.device, *, infinite: bool = False
 ) -> Tensor:
     try:
+        if np.iscomplexobj(value) or (isinstance(value, Tensor) and value.is_complex()):
+            raise TypeError
         if isinstance(value, Tensor):
             picture = value.detach().to(device=device, dtype=torch.float64)
         else:
             picture = torch.tensor(np.asarray(value, dtype=np.float64), device=device)
     except (TypeError, ValueError):
         raise SceneError(
-            f"{name} of type {type(value).__name__} is not an array of numbers; "
+            f"{name} of type {type(value).__name__} is not an array of real numbers; "
             "give an array or a tensor"
         ) from None
     if tuple(picture.shape) != shape:

@@ -187,7 +187,7 @@ def object_from_autocorrelation(
         If a value is out of range or not finite.
     """
     started = time.perf_counter()
-    lags = checked_lags(np.asarray(autocorrelation))
+    lags = checked_lags(autocorrelation)
     search = _Search(method, object_size, restarts, max_iterations, seed, progress)
     found, score, errors, parameters = search.run(lags, lags.shape, torch.device("cpu"))
     errors.flags.writeable = False

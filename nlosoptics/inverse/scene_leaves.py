@@ -150,8 +150,16 @@ class SceneLeaves(nn.Module):
         """W on the pupil's cells, m, float64, (n_v, n_u) or (K, n_v, n_u), 0 outside the pupil."""
         if field is None:
             return self._path(self._value("object_position"))
-        places = np.asarray(field, dtype=np.float64)
-        if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
+        try:
+            places = np.asarray(field, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise SceneError("field is no array of numbers; give places (K, 2), m") from None
+        if (
+            places.ndim != 2
+            or places.shape[1] != 2
+            or not len(places)
+            or not np.isfinite(places).all()
+        ):
             raise SceneError(f"field has shape {places.shape}; give finite places (K, 2), m")
         if not isinstance(self.scene.hidden, PlanarObject):
             raise SceneError("field needs a planar object, and the hidden object is a mesh")

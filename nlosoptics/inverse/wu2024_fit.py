@@ -85,7 +85,7 @@ def wu2024_fit(
     tv_weight : float
         Of the total variation in W(9), the image's range being 1.
     noise_sigma, background, fit_background, background_shape, gain
-        As in `tv_deconvolve`; the noise may be that of a list of one image.
+        As in `tv_deconvolve`; noise and background may be those of a list of one image.
     max_iterations : int or None
         Steps on angles and network together; None: 4000 cold, 1800 warm.
     seed : int
@@ -162,8 +162,8 @@ def wu2024_fit(
     data = measurement(
         _only(images, pupil_psf),
         pupil_psf.shape,
-        noise_sigma=noise_sigma[0] if np.shape(noise_sigma) == (1,) else noise_sigma,
-        background=background,
+        noise_sigma=_of_one(noise_sigma),
+        background=_of_one(background),
         fit_background=fit_background,
         background_shape=background_shape,
     )
@@ -329,6 +329,12 @@ def _only(images: Any, pupil_psf: PupilPSF) -> Any:
             'them to recipe "staged"'
         )
     return images[0]
+
+
+def _of_one(value: Any) -> Any:
+    """What holds of one image, of (1,) or (1, H, W) as of a list of images."""
+    shape = np.shape(value)
+    return value[0] if len(shape) in (1, 3) and shape[0] == 1 else value
 
 
 def _only_defocus(defocus: Any) -> list[float] | None:

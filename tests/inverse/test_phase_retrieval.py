@@ -230,3 +230,22 @@ def test_bad_input_is_refused_in_one_line(change, kind, words):
 def test_bad_autocorrelation_is_refused(lags, kind, words):
     with pytest.raises(kind, match=words):
         inverse.object_from_autocorrelation(lags)
+
+
+def test_lags_may_be_a_tensor_and_other_things_are_named():
+    axis = np.arange(21.0) - 10.0
+    lags = np.exp(-np.hypot(axis, axis[:, None]) / 3.0)
+    options = {"max_iterations": 5, "object_size": (6, 6)}
+    expected = inverse.object_from_autocorrelation(lags, **options)
+    tensor = torch.tensor(lags, requires_grad=True)
+    found = inverse.object_from_autocorrelation(tensor, **options)
+    np.testing.assert_array_equal(found.object, expected.object)
+    for wrong in ([["a"] * 5] * 5, lags + 0j):
+        with pytest.raises(SceneError, match="no array of real numbers; give"):
+            inverse.object_from_autocorrelation(wrong)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, torch.from_numpy])
+def test_complex_images_are_refused(kind):
+    with pytest.raises(SceneError, match="not an array of real numbers"):
+        inverse.phase_retrieval(kind(np.ones((16, 16)) + 1j))

@@ -249,3 +249,10 @@ def test_blur_needs_a_period_and_field_a_plane(speckle):
         module([0.1, 0.2])
     with pytest.raises(SceneError, match=r"give finite places \(K, 2\)"):
         module([[0.1, np.nan]])
+
+
+@pytest.mark.parametrize("field", ["a", np.zeros((0, 2)), [[1.0, np.nan]]])
+def test_bad_fields_are_refused(speckle, field):
+    leaves = leaves_of(speckle, ("object_position",))
+    with pytest.raises(SceneError, match="field .*; give"):
+        leaves(field)

@@ -221,3 +221,22 @@ def test_start_of_another_solver_is_refused(image, pupil_psf, cold):
     cut = {**cold.physical_parameters, "network_weights": np.zeros(5, np.float32)}
     with pytest.raises(SamplingError, match="start has 5 network_weights"):
         wu2024_fit(image, pupil_psf, start=replace(cold, physical_parameters=cut))
+
+
+def test_noise_and_background_may_be_those_of_a_list_of_one(image, pupil_psf, sigma):
+    options = {"max_iterations": 2}
+    veil = np.full(image.shape, 0.1)
+    expected = wu2024_fit(
+        image, pupil_psf, noise_sigma=sigma, background=veil, **options
+    ).physical_parameters
+    for noise, known in (([sigma], veil), (np.full((1, SIDE, SIDE), sigma), veil[None])):
+        found = wu2024_fit(
+            image[None], pupil_psf, noise_sigma=noise, background=known, **options
+        ).physical_parameters
+        # rounding of the mean of a map of noise
+        assert found["background"] == pytest.approx(expected["background"], rel=1e-4)
+
+
+def test_no_iterations_are_refused(image, pupil_psf, sigma):
+    with pytest.raises(SceneError, match="max_iterations = 0"):
+        wu2024_fit(image, pupil_psf, noise_sigma=sigma, max_iterations=0)
