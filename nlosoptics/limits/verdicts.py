@@ -109,8 +109,8 @@ def _too_rough(case: Case) -> str:
         blurred = case.picture.with_lobe(middle * case.reach, instead=case.sharp)
         low, high = (middle, high) if blurred.score() >= GOOD else (low, middle)
     text = (
-        f"{_stroke_words(case)}; a lobe of about {low:.1g} rad or less would do, or the object nearer "
-        "the wall"
+        f"{_stroke_words(case)}; a lobe of about {low:.1g} rad or less would do, or the object "
+        "nearer the wall"
     )
     longer = _exposure_factor(case.picture)
     return text if longer is None else f"{text}, or {_longer(longer)}"
