@@ -30,7 +30,7 @@ _STRENGTHS = (0.3, 0.6, 1.0)
 _AROUND = (0.9, 1.1, 1.4)
 _STARTS = 32
 #: rms of what a right answer may leave unexplained, over the images' range: by no wall, and by each
-#: wave of it, whose higher modes no fit holds.
+#: wave of it up to the first, whose higher modes no fit holds. Longer walls were more often wrong.
 _MODEL_ERROR = (0.004, 0.010)
 #: Over that: an answer that needs no more children.
 _WELL = 0.6
@@ -345,7 +345,7 @@ class _Search:
         """Model error that is let pass; three standard errors of the mean square come to it."""
         count = self._frames.images[0].numel() * len(self._sigmas)
         noise = 3.0 * math.sqrt(2.0 / count) * float(np.mean(self._sigmas**2))
-        length = float(np.linalg.norm(best.coefficients[0]))
+        length = min(float(np.linalg.norm(best.coefficients[0])), 1.0)
         return math.sqrt((_MODEL_ERROR[0] + _MODEL_ERROR[1] * length) ** 2 + noise)
 
     def _share_of(self, turn: int, rounds: int, first: float, last: float = 1.0) -> Watch:

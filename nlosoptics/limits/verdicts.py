@@ -102,15 +102,15 @@ def _stroke_words(case: Case) -> str:
 
 
 def _too_rough(case: Case) -> str:
-    """Blur is what stands in the way: with the slope that would do."""
+    """Blur is what stands in the way: with the slope that would do, as if the lobe were round."""
     low, high = 0.0, case.slope
     for _ in range(20):
         middle = (low + high) / 2
         blurred = case.picture.with_lobe(middle * case.reach, instead=case.sharp)
         low, high = (middle, high) if blurred.score() >= GOOD else (low, middle)
     text = (
-        f"{_stroke_words(case)}; a lobe of {low:.2g} rad or less would do, or the object nearer "
-        "the wall"
+        f"{_stroke_words(case)}; a lobe of about {low:.1g} rad or less would do, or the object "
+        "nearer the wall"
     )
     longer = _exposure_factor(case.picture)
     return text if longer is None else f"{text}, or {_longer(longer)}"

@@ -91,9 +91,9 @@ def test_no_lobe_is_not_recoverable_and_says_which_would_do(scene: Scene) -> Non
 def test_wide_lobe_is_told_with_the_slope_that_would_do(scene: Scene) -> None:
     found = limits.feasibility(walled(scene, 0.05))
     assert not found.recoverable
-    needed = float(re.search(r"a lobe of ([\d.]+) rad", found.verdict)[1])  # type: ignore[index]
+    needed = float(re.search(r"a lobe of about ([\d.]+) rad", found.verdict)[1])  # type: ignore[index]
     # the lobe thought of is round, that of an oblique wall is longer in the plane of incidence
-    assert limits.feasibility(walled(scene, 0.8 * needed)).recoverable
+    assert limits.feasibility(walled(scene, 0.7 * needed)).recoverable
     assert not limits.feasibility(walled(scene, 1.2 * needed)).recoverable
 
 
