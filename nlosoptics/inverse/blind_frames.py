@@ -230,6 +230,11 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
     optics = pupil_psf.optics
     if wide == own or optics.method == "mdft":
         return pupil_psf
+    if pupil_psf.holds_more:
+        raise SamplingError(
+            f"pupil_psf has shape {own}, and its known wave or transmission cannot be had on the "
+            f"{wide} samples that padded images need; build it with that shape"
+        )
     return PupilPSF.from_zernike(
         pupil_psf.modes,
         wavelength=optics.wavelength,

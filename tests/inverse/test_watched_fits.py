@@ -14,7 +14,8 @@ from nlosoptics.imaging import ForwardModel
 
 SIDE = 32
 WAVELENGTH = 632.8e-9
-SIGMA = 0.01
+UNIT = 50.0  # image units of the brightest object
+SIGMA = 0.01 * UNIT
 DEFOCUS = np.array([0.0, 0.5 * WAVELENGTH])
 
 
@@ -42,7 +43,7 @@ def case() -> tuple[np.ndarray, np.ndarray, ForwardModel]:
         kernels = pupil()(wall, defocus=DEFOCUS).double().numpy()
     models = [ForwardModel(kernel, shape=truth.shape, boundary="circular") for kernel in kernels]
     noise = SIGMA * np.random.default_rng(0).normal(size=(2, SIDE, SIDE))
-    return np.stack([model.forward(truth) for model in models]) + noise, truth, models[0]
+    return np.stack([model.forward(UNIT * truth) for model in models]) + noise, truth, models[0]
 
 
 def image_prior(**watched):
@@ -95,7 +96,7 @@ def phases(method):
             case()[0][0],
             method=method,
             restarts=4,
-            object_size=(20, 16),
+            object_size=(16, 12),
             noise_sigma=SIGMA,
             max_iterations=60,
             **watched,
@@ -167,11 +168,11 @@ def test_an_ended_fit_has_an_object_and_a_preview_in_image_units(solver, last) -
     assert np.isfinite(found.object).all()
     assert found.object.max() == 1.0
     assert np.isfinite(found.score)
-    # object and image have the same brightness in all, and so has a preview; the background of a
-    # dark frame, which is fitted, takes a part (of phases alone no unit is known)
-    light = case()[0][0].sum() if "gain" in found.physical_parameters else None
-    if light is not None:
-        assert preview.sum() == pytest.approx(light, rel=0.35)
+    if "gain" in found.physical_parameters:  # of phases alone no unit is known
+        # what is returned may be a step behind or, of a search just begun, one descent ahead
+        gain = found.physical_parameters["gain"]
+        assert preview.max() == pytest.approx(gain, rel=0.4)
+        assert inverse.registered_correlation(preview, found.object) > 0.9
 
 
 def test_the_search_by_evidence_goes_on_from_its_wall() -> None:
@@ -186,7 +187,7 @@ def test_the_search_by_evidence_goes_on_from_its_wall() -> None:
 
 def test_an_object_is_a_start_of_a_staged_fit() -> None:
     _, truth, _ = case()
-    known = staged(start=3.0 * truth)
+    known = staged(start=2.0 * truth)
     assert staged(start={"object": truth}).object.tobytes() == known.object.tobytes()
     assert staged().object.tobytes() != known.object.tobytes()
 
