@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
-import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -50,8 +49,6 @@ CNN = "cnn"
 METHODS = (*KNOWN, CNN, *BLIND)
 #: Noll modes of the wave that a blind method fits: n = 2..5.
 MODES = tuple(range(4, 22))
-#: Side of a blind fit's point spread over the image's: what leaves one edge comes in at no other.
-PADDING = {"staged": 1.5, "evidence": 1.0, "wu2024": 1.0}
 #: More values of one figure than these are in the arrays alone.
 MOST_VALUES = 200
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
@@ -240,6 +237,7 @@ def _trained(task: Task) -> Callable[..., Reconstruction]:
 def _blind(task: Task, start: Mapping[str, Any] | None, progress: Any) -> Reconstruction:
     """Fit of object and wave, from frames of known extra focus."""
     from . import inverse
+    from .inverse.blind_frames import padded_shape
 
     scene = task.scene
     frames = np.stack([image.values for image in task.images])
@@ -247,15 +245,14 @@ def _blind(task: Task, start: Mapping[str, Any] | None, progress: Any) -> Recons
         raise SceneError(
             f"{task.method} takes no masked pixels, and some are full; expose shorter, or use tv"
         )
-    rows, columns = (
-        2 * math.ceil(PADDING[task.method] * side / 2) if PADDING[task.method] > 1.0 else side
-        for side in scene.camera.shape
-    )
+    shape = scene.camera.shape
+    if task.method != "wu2024":  # which has no room around its frame
+        shape = padded_shape(shape)
     pupil = inverse.PupilPSF.from_scene(
         scene,
         MODES,
         pitch=scene.camera.image_pitch,
-        shape=(rows, columns),
+        shape=shape,
         pixel_integrated=True,
     )
     offered = _always(task, start, progress)

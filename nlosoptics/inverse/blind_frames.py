@@ -209,6 +209,12 @@ def _defoci(defocus: Any, count: int) -> Tensor:
     return torch.from_numpy(values)
 
 
+def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """Samples of a point spread for images with room around them."""
+    rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
+    return rows, columns
+
+
 def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> PupilPSF:
     """The point spread over a period that holds the frame, with room around it if padded."""
     one_of("boundary", boundary, ("padded", "circular"))
@@ -225,7 +231,7 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         )
     wide = own
     if boundary == "padded":
-        rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
+        rows, columns = padded_shape(shape)
         wide = (max(own[0], rows), max(own[1], columns))
     optics = pupil_psf.optics
     if wide == own or optics.method == "mdft":

@@ -169,10 +169,11 @@ def test_an_ended_fit_has_an_object_and_a_preview_in_image_units(solver, last) -
     assert found.object.max() == 1.0
     assert np.isfinite(found.score)
     if "gain" in found.physical_parameters:  # of phases alone no unit is known
-        # what is returned may be a step behind or, of a search just begun, one descent ahead
-        gain = found.physical_parameters["gain"]
-        assert preview.max() == pytest.approx(gain, rel=0.4)
-        assert inverse.registered_correlation(preview, found.object) > 0.9
+        # what is returned may be a step behind or, of a search just begun, one descent ahead: its
+        # light is the same but for what the background takes
+        light = found.physical_parameters["gain"] * found.object.sum()
+        assert preview.sum() == pytest.approx(light, rel=0.3)
+        assert inverse.registered_correlation(preview, found.object) > 0.5
 
 
 def test_the_search_by_evidence_goes_on_from_its_wall() -> None:
