@@ -170,9 +170,9 @@ def test_an_ended_fit_has_an_object_and_a_preview_in_image_units(solver, last) -
     assert np.isfinite(found.score)
     if "gain" in found.physical_parameters:  # of phases alone no unit is known
         # what is returned may be a step behind or, of a search just begun, one descent ahead: its
-        # light is the same but for what the background takes
+        # light is the same but for what the background takes, a third where it is only guessed
         light = found.physical_parameters["gain"] * found.object.sum()
-        assert preview.sum() == pytest.approx(light, rel=0.3)
+        assert preview.sum() == pytest.approx(light, rel=0.5)
         assert inverse.registered_correlation(preview, found.object) > 0.5
 
 
