@@ -24,7 +24,7 @@ from ..psf.whole_files import write_whole
 from ._threads import single_thread
 from .callbacks import Progress
 from .measurements import measurement
-from .reconstructions import Reconstruction, assemble, without_object
+from .reconstructions import Reconstruction, assemble, frozen, without_object
 from .scaled_images import ScaledImage
 from .torch_model import TorchForwardModel, model_shape, torch_model
 from .training_pairs import TrainingPairs
@@ -297,12 +297,9 @@ def train_cnn(
     made.load_state_dict(best)
     if progress is not None and not interrupted:
         progress(1.0, f"training: validation {least:.4f}")
-    records = {name: np.array(values) for name, values in history.items()}
-    for record in records.values():
-        record.flags.writeable = False
     return Training(
         network=made.cpu(),
-        history=records,
+        history=frozen(history),
         interrupted=interrupted,
         seconds=time.perf_counter() - started,
     )

@@ -20,7 +20,7 @@ from .callbacks import Progress, State, goes_on, state_of
 from .evidence_search import Island, Watch, evolve, gather, refine, without_blur
 from .free_energy import Floats, FreeEnergy, Starts
 from .pupil_psf import PupilPSF
-from .reconstructions import Reconstruction, Status
+from .reconstructions import Reconstruction, Status, frozen
 
 #: Least spread of the known defoci, waves rms, at which no blur cannot explain all frames.
 _DIVERSE = 0.1
@@ -298,9 +298,6 @@ class _Search:
             gain = float(level.max()) if level.max() > 0.0 else 1.0
         single = len(frames.measured) == 1
         sigmas = self._sigmas * frames.scale
-        records = {name: np.asarray(values) for name, values in self._history.items()}
-        for record in records.values():
-            record.flags.writeable = False
         return Reconstruction(
             object=data.like_input(data.data.new_tensor(level / gain)),
             physical_parameters={
@@ -313,7 +310,7 @@ class _Search:
             },
             status=status,
             score=math.sqrt(square),
-            history=records,
+            history=frozen(self._history),
             seconds=time.perf_counter() - started,
         )
 

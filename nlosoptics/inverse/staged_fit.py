@@ -32,7 +32,7 @@ from .blind_stages import (
 from .callbacks import Progress, started_from
 from .image_prior import deep_image_prior
 from .pupil_psf import PupilPSF
-from .reconstructions import Reconstruction, Status
+from .reconstructions import Reconstruction, Status, frozen
 from .registration import registered_correlation
 from .total_variation import tv_deconvolve
 
@@ -396,9 +396,6 @@ def _assembled(
         gain = brightest if brightest > 0.0 else 1.0
     coefficients = state.coefficients[0].double().cpu().numpy()
     relative = np.ones(len(frames.images)) if gains is None else gains[0, :, 0, 0].double().numpy()
-    records = {name: np.asarray(values) for name, values in state.history.items()}
-    for record in records.values():
-        record.flags.writeable = False
     return Reconstruction(
         object=frames.measured[0].like_input(picture / gain),
         physical_parameters={
@@ -412,6 +409,6 @@ def _assembled(
         },
         status=status,
         score=math.sqrt(float(square[0])),
-        history=records,
+        history=frozen(state.history),
         seconds=time.perf_counter() - started,
     )
