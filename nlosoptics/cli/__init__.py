@@ -16,6 +16,8 @@ from .. import __version__
 from . import forward, reconstructions  # noqa: F401  # their commands, in the order of the help
 from .shell import DONE, app, tell
 
+__all__ = ["main"]
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with 0 (done), 1 (failed) or 2 (bad input).
