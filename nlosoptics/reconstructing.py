@@ -29,22 +29,28 @@ from .scene import Scene
 from .simulation import veil_shape
 
 if TYPE_CHECKING:
-    from .inverse import Reconstruction
+    from .inverse import CnnBaseline, Reconstruction
     from .inverse.callbacks import Snapshot
 
 Array = NDArray[np.float64]
 
-#: Names of methods, the function of `inverse` each means, and the recipe of `pcin`.
-METHODS: dict[str, tuple[str, str | None]] = {
-    "tv": ("tv_deconvolve", None),
-    "wiener": ("wiener", None),
-    "inverse": ("inverse_filter", None),
-    "richardson-lucy": ("richardson_lucy", None),
-    "image-prior": ("deep_image_prior", None),
-    "staged": ("pcin", "staged"),
-    "evidence": ("pcin", "evidence"),
-    "wu2024": ("pcin", "wu2024"),
+#: Names of methods that take the point spread from the scene; the function of `inverse`.
+KNOWN = {
+    "tv": "tv_deconvolve",
+    "wiener": "wiener",
+    "inverse_filter": "inverse_filter",
+    "richardson_lucy": "richardson_lucy",
+    "deep_image_prior": "deep_image_prior",
+    "phase_retrieval": "phase_retrieval",
 }
+#: Recipes of `inverse.pcin`, which fit the wall's wave too.
+BLIND = ("staged", "evidence", "wu2024")
+CNN = "cnn"
+METHODS = (*KNOWN, CNN, *BLIND)
+#: Noll modes of the wave that a blind method fits: n = 2..5.
+MODES = tuple(range(4, 22))
+#: More values of one figure than these are in the arrays alone.
+MOST_VALUES = 200
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
 FILES = ("object.npy", "object.png", "reconstruction.npz")
 KEPT_EVERY = 5.0  # s between two states kept
@@ -61,9 +67,13 @@ class Task:
     images : tuple of CameraImage
         One, or frames of different known focus.
     method : str
-        One of `methods`.
+        One of `METHODS`.
     defocus : tuple of float
         Known extra focus of each frame, waves rms; empty where the method takes none.
+    network : inverse.CnnBaseline or None
+        Of the method "cnn".
+    iterations : int or None
+        At most so many, or as many as the method takes by itself.
     seed : int
     tol : float
         Wanted error of the point spread, as of `plan`.
@@ -73,6 +83,8 @@ class Task:
     images: tuple[CameraImage, ...]
     method: str
     defocus: tuple[float, ...] = ()
+    network: CnnBaseline | None = None
+    iterations: int | None = None
     seed: int = 0
     tol: float = 1e-3
 
@@ -81,15 +93,8 @@ class Task:
         digest = hashlib.sha256(self.method.encode())
         for image in self.images:
             digest.update(image.values.tobytes() + image.masked.tobytes())
-        digest.update(repr((self.defocus, self.seed)).encode())
+        digest.update(repr((self.defocus, self.seed, self.iterations)).encode())
         return digest.hexdigest()
-
-
-def methods() -> tuple[str, ...]:
-    """Names of the methods that `inverse` has; loads torch."""
-    from . import inverse
-
-    return tuple(name for name, (function, _) in METHODS.items() if hasattr(inverse, function))
 
 
 def prepared(
@@ -101,6 +106,8 @@ def prepared(
     flat: Path | None = None,
     full: float | None = None,
     defocus: Sequence[float] = (),
+    network: Path | None = None,
+    iterations: int | None = None,
     seed: int = 0,
     tol: float = 1e-3,
 ) -> Task:
@@ -112,11 +119,15 @@ def prepared(
     paths : sequence of Path
         Picture files; exposures of one scene are averaged, unless ``defocus`` tells them apart.
     method : str
-        One of `methods`.
+        One of `METHODS`.
     dark, flat, full
         As of `imaging.camera_image`.
     defocus : sequence of float
         Known extra focus of each picture, waves rms, for methods that fit the wall's wave too.
+    network : Path, optional
+        File of the network of the method "cnn".
+    iterations : int, optional
+        At most so many.
     seed : int
     tol : float
 
@@ -130,15 +141,14 @@ def prepared(
         If a picture, the scene or an option does not fit.
     """
     checked_seed(seed)
-    known = methods()
-    if method not in known:
-        raise SceneError(f"method = {method!r} is unknown, must be one of {', '.join(known)}")
+    if method not in METHODS:
+        raise SceneError(f"method = {method!r} is unknown, must be one of {', '.join(METHODS)}")
     if scene.wall_material.specular_reflectance == 0.0:
         raise SceneError(
             "the scene's wall has no mirror-like lobe (wall.material), and a diffuse wall passes "
             "no picture; nlosoptics feasibility tells what it does pass"
         )
-    blind = METHODS[method][1] is not None
+    blind = method in BLIND
     if defocus and not blind:
         raise SceneError(
             f"defocus is given, and {method} takes the point spread from the scene; leave it out"
@@ -147,6 +157,9 @@ def prepared(
         raise SceneError(
             f"defocus has {len(defocus)} values for {len(paths)} pictures; give one for each"
         )
+    if iterations is not None and method in (CNN, "inverse_filter"):
+        raise SceneError(f"iterations is given, and {method} has none; leave it out")
+    loaded = _network(method, network)
     groups: list[Sequence[Path]] = [[path] for path in paths] if blind else [paths]
     images = tuple(
         camera_image(group, shape=scene.camera.shape, dark=dark, flat=flat, full=full)
@@ -157,9 +170,22 @@ def prepared(
         images=images,
         method=method,
         defocus=tuple(defocus),
+        network=loaded,
+        iterations=iterations,
         seed=seed,
         tol=tol,
     )
+
+
+def _network(method: str, path: Path | None) -> CnnBaseline | None:
+    """The trained network that a method needs."""
+    from .inverse import CnnBaseline
+
+    if path is None and method == CNN:
+        raise SceneError("cnn needs a trained network; name its file, made by nlosoptics train")
+    if path is not None and method != CNN:
+        raise SceneError(f"network is given, and {method} uses none; leave it out")
+    return None if path is None else CnnBaseline.load(path)
 
 
 def reconstructed(
@@ -187,12 +213,9 @@ def reconstructed(
     """
     from . import inverse
 
-    function, recipe = METHODS[task.method]
-    solver = getattr(inverse, function)
-    found: Reconstruction
-    if recipe is not None:
-        found = _blind(task, solver, recipe, start, progress)
-        return found
+    if task.method in BLIND:
+        return _blind(task, start, progress)
+    solver = getattr(inverse, KNOWN[task.method]) if task.network is None else _trained(task)
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol)
     veil = veil_shape(task.scene)
@@ -200,37 +223,50 @@ def reconstructed(
     offered = {
         "noise_sigma": image.noise(sigma) if sigma > 0.0 else None,
         "background_shape": veil if veil.any() else None,
-        "seed": task.seed,
-        "start": start,
-        "progress": progress,
+        **_always(task, start, progress),
     }
-    found = solver(image.values, model, **_taken(solver, task.method, offered))
+    found: Reconstruction = solver(image.values, model, **_taken(solver, task.method, offered))
     return found
 
 
-def _blind(
-    task: Task, solver: Any, recipe: str, start: Mapping[str, Any] | None, progress: Any
-) -> Reconstruction:
+def _trained(task: Task) -> Callable[..., Reconstruction]:
+    assert task.network is not None  # `prepared` has seen to it
+    return task.network.reconstruct
+
+
+def _blind(task: Task, start: Mapping[str, Any] | None, progress: Any) -> Reconstruction:
     """Fit of object and wave, from frames of known extra focus."""
     from . import inverse
+    from .inverse.blind_frames import padded_shape
 
+    scene = task.scene
     frames = np.stack([image.values for image in task.images])
     if any(image.masked.any() for image in task.images):
         raise SceneError(
             f"{task.method} takes no masked pixels, and some are full; expose shorter, or use tv"
         )
-    waves = np.array(task.defocus or [0.0] * len(frames))
-    offered = {
-        "defocus": waves * task.scene.laser.wavelength,
-        "recipe": recipe,
-        "seed": task.seed,
-        "start": start,
-        "progress": progress,
-    }
-    # by name, as the solver is: without torch's part there is neither
-    pupil = getattr(inverse, "PupilPSF").from_scene(task.scene)  # noqa: B009
-    found: Reconstruction = solver(frames, pupil, **_taken(solver, task.method, offered))
-    return found
+    shape = scene.camera.shape
+    if task.method != "wu2024":  # which has no room around its frame
+        shape = padded_shape(shape)
+    pupil = inverse.PupilPSF.from_scene(
+        scene,
+        MODES,
+        pitch=scene.camera.image_pitch,
+        shape=shape,
+        pixel_integrated=True,
+    )
+    offered = _always(task, start, progress)
+    if task.defocus:
+        offered["defocus"] = np.array(task.defocus) * scene.laser.wavelength
+    return inverse.pcin(frames, pupil, recipe=task.method, **offered)
+
+
+def _always(task: Task, start: Mapping[str, Any] | None, progress: Any) -> dict[str, Any]:
+    """Options that any method may take."""
+    offered: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
+    if task.iterations is not None:
+        offered["max_iterations"] = task.iterations
+    return offered
 
 
 def _taken(solver: Any, method: str, offered: dict[str, Any]) -> dict[str, Any]:
@@ -323,7 +359,7 @@ def carry_out(
         "files": ["result.json", CHECKPOINT, PREVIEW],
     }
     model = None
-    if METHODS[task.method][1] is None:
+    if task.method not in BLIND:
         if progress is not None:
             progress("point spread", 0.0)
         model = known_model(task.scene, tol=task.tol)
@@ -355,14 +391,15 @@ def _write_object(task: Task, found: Reconstruction, folder: Path, keeper: Keepe
     with (folder / ".reconstruction.npz").open("wb") as file:
         np.savez(file, **arrays(found))
     (folder / ".reconstruction.npz").replace(folder / "reconstruction.npz")
-    keeper.finish({"object": picture * float(found.physical_parameters["gain"])})
+    keeper.finish({"object": picture * float(found.physical_parameters.get("gain", 1.0))})
 
 
 def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:
     """Numbers that sum up a reconstruction."""
     settled = {
-        name: value if np.ndim(value) == 0 else np.asarray(value).tolist()
+        name: _plain(np.asarray(value))
         for name, value in found.physical_parameters.items()
+        if np.size(value) <= MOST_VALUES
     }
     records = [len(record) for record in found.history.values()]
     return {
@@ -375,6 +412,14 @@ def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:
         "saturated_fraction": max(image.saturated_fraction for image in task.images),
         "masked_fraction": max(float(image.masked.mean()) for image in task.images),
     }
+
+
+def _plain(values: NDArray[Any]) -> Any:
+    """Numbers for JSON, which has none for what a method does not tell: null."""
+    told: Any = values.tolist()
+    if values.dtype.kind != "f" or np.isfinite(values).all():
+        return told
+    return None if values.ndim == 0 else [_plain(np.asarray(value)) for value in told]
 
 
 class Keeper:

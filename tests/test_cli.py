@@ -18,6 +18,7 @@ from PIL import Image
 
 import nlosoptics
 from nlosoptics import _random, cli, records
+from nlosoptics.cli import forward, shell
 from nlosoptics.scene import Scene
 
 
@@ -246,7 +247,7 @@ def test_run_writes_the_whole_result(examples: Path, scene_file: Path, run: Run)
 
 def test_seed_limit_is_the_generators() -> None:
     """Written twice, because the command line's help loads no numpy."""
-    assert cli.MOST_SEED == _random.MOST_SEED
+    assert shell.MOST_SEED == _random.MOST_SEED
 
 
 def test_help_of_tol_claims_no_more_than_it_does(run: Run) -> None:
@@ -314,7 +315,7 @@ def interrupt(*_: object, **__: object) -> None:
     signal.raise_signal(signal.SIGINT)
 
 
-@pytest.mark.parametrize("step", ["_load", "_write_arrays", "_write_pictures"])
+@pytest.mark.parametrize("step", ["load", "_write_arrays", "_write_pictures"])
 @pytest.mark.parametrize(
     ("break_it", "said"),
     [(disk_full, "disk full"), (interrupt, "interrupted; nothing was written")],
@@ -331,7 +332,7 @@ def test_broken_run_leaves_the_old_folder(
     command = ("run", scene_file, "--no-reconstruct")
     assert run(*command).code == 0
     before = contents(scene_file.parent)
-    monkeypatch.setattr(cli, step, break_it)
+    monkeypatch.setattr(forward, step, break_it)
     answer = run(*command, "--seed", 1)
     assert answer.code == 1
     assert said in answer.err
@@ -354,7 +355,7 @@ def test_renaming_that_fails_puts_the_old_folder_back(
         return rename(self, to)
 
     monkeypatch.setattr(Path, "rename", break_second)
-    with pytest.raises(OSError, match="no"), cli._whole_folder(target) as new:
+    with pytest.raises(OSError, match="no"), shell.whole_folder(target) as new:
         (new / "new.txt").write_text("new")
     assert contents(tmp_path) == {"result/old.txt": b"old"}
 
@@ -365,7 +366,7 @@ def test_missing_extra_is_told_before_any_work(
 ) -> None:
     """Exit code 1: the input is good, the installation is not."""
     before = contents(scene_file.parent)
-    monkeypatch.setattr(cli.importlib.util, "find_spec", lambda name: name != package or None)
+    monkeypatch.setattr(shell.importlib.util, "find_spec", lambda name: name != package or None)
     answer = run("run", scene_file)
     assert answer.code == 1
     assert f"pip install 'nlosoptics[{extra}]'" in answer.err

@@ -112,39 +112,6 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
         assert named in err
 
 
-def test_solvers_of_frames_get_a_stack_and_their_focus(
-    taken: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A solver is found by its name in `inverse`, and gets what its signature names."""
-    got = {}
-
-    def pcin(images, pupil_psf, *, defocus=None, recipe="staged", seed=0, progress=None):
-        got.update(images=images, pupil=pupil_psf, defocus=defocus, recipe=recipe, seed=seed)
-        return "found"
-
-    class PupilPSF:
-        @classmethod
-        def from_scene(cls, scene: Scene) -> str:
-            return f"pupil of {scene.camera.shape}"
-
-    monkeypatch.setattr(inverse, "pcin", pcin, raising=False)
-    monkeypatch.setattr(inverse, "PupilPSF", PupilPSF, raising=False)
-    clean = np.asarray(np.load("dark.npy"))
-    for name in ("a.npy", "b.npy"):
-        np.save(name, clean)
-    assert "evidence" in reconstructing.methods()
-    scene = Scene.load("letter.toml")
-    task = reconstructing.prepared(
-        scene, [Path("a.npy"), Path("b.npy")], method="evidence", defocus=(0.0, 0.5), seed=3
-    )
-    assert reconstructing.reconstructed(task) == "found"
-    assert got["images"].shape == (2, 64, 64)
-    assert got["defocus"] == pytest.approx([0.0, 0.5 * scene.laser.wavelength])
-    assert (got["pupil"], got["recipe"], got["seed"]) == ("pupil of (64, 64)", "evidence", 3)
-    with pytest.raises(nlosoptics.errors.SceneError, match="cannot go on"):
-        reconstructing.reconstructed(task, start={"object": clean})
-
-
 def bad_files() -> None:
     """Pictures that cannot be used."""
     good = np.load("dark.npy")

@@ -218,6 +218,12 @@ def _defoci(defocus: Any, count: int) -> Tensor:
     return torch.from_numpy(values)
 
 
+def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """Samples of a point spread for images with room around them."""
+    rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
+    return rows, columns
+
+
 def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> PupilPSF:
     """The point spread over a period that holds the frame, with room around it if padded."""
     one_of("boundary", boundary, ("padded", "circular"))
@@ -234,15 +240,15 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         )
     wide = own
     if boundary == "padded":
-        rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
+        rows, columns = padded_shape(shape)
         wide = (max(own[0], rows), max(own[1], columns))
     optics = pupil_psf.optics
     if wide == own:
         return pupil_psf
-    if pupil_psf.waves.has_rest or optics.amplitude is not optics.share:
+    if pupil_psf.holds_more:
         raise SamplingError(
-            f"pupil_psf of a scene has shape {own}, and a padded frame of {shape} needs {wide}; "
-            f"build it with shape={wide}, or use boundary='circular'"
+            f"pupil_psf has shape {own}, and its known wave or transmission cannot be had on the "
+            f"{wide} samples that padded images need; build it with that shape"
         )
     samples = None
     if optics.method == "mdft":

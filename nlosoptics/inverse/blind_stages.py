@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from ..errors import SamplingError
+from . import callbacks
+from .adam_states import adam_state, take_up_adam
 from .blind_energy import Energy, KnownObjectEnergy
 from .blind_frames import Frames
-
-Progress = Callable[[float, str], None]
 
 _OBJECT_STEP = 0.05
 _GAIN_STEP = 0.01
 _BETAS = (0.9, 0.99)
 _CHECK_EVERY = 25
+#: What a batch of fits is made of.
+BATCH = ("theta", "coefficients", "log_gains", "variances", "energy", "square")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,8 +147,15 @@ class BlindFit:
         logs = state.log_gains - state.log_gains.mean(-1, keepdim=True)
         return logs.exp()[..., None, None]
 
-    def run(self, state: State, stage: Stage, tolerance: float, report: Report | None) -> State:
-        """One stage."""
+    def run(
+        self,
+        state: State,
+        stage: Stage,
+        tolerance: float,
+        report: Report,
+        kept: Mapping[str, Any] | None = None,
+    ) -> State:
+        """One stage, from its start or, within it, from what `Report` kept."""
         moves = stage.step > 0.0
         groups: list[dict[str, Any]] = [
             {"params": [state.theta.requires_grad_()], "lr": _OBJECT_STEP}
@@ -155,17 +166,20 @@ class BlindFit:
             groups.append({"params": [state.coefficients.requires_grad_()], "lr": stage.step})
         optimiser = torch.optim.Adam(groups, betas=_BETAS)
         steps = [group["lr"] for group in groups]
-        kept = None if moves else self.frames.transfer(state.coefficients).detach()
+        still = None if moves else self.frames.transfer(state.coefficients).detach()
         final = stage.noise == (1.0, 1.0)
-        lowest, last = None, math.inf
-        for iteration in range(stage.iterations):
+        lowest, last, first = None, math.inf, 0
+        if kept is not None:
+            take_up_adam("fit", optimiser, kept)
+            first, last = int(kept["place"][1]), float(kept["place"][2])
+        for iteration in range(first, stage.iterations):
             done = iteration / max(1, stage.iterations - 1)
             factor = stage.noise[0] * (stage.noise[1] / stage.noise[0]) ** min(1.0, done / 0.7)
             pace = _pace(done)
             for group, step in zip(optimiser.param_groups, steps, strict=True):
                 group["lr"] = pace * step
             level = self.energy.level(state.theta)
-            transfer = self.frames.transfer(state.coefficients) if kept is None else kept
+            transfer = self.frames.transfer(state.coefficients) if still is None else still
             energy, square = self.energy(
                 level, transfer, state.variances, factor, self.gains(state)
             )
@@ -177,21 +191,22 @@ class BlindFit:
             if final and (lowest is None or float(state.energy[0]) < float(lowest.energy[0])):
                 lowest = state.chosen(torch.zeros(1, dtype=torch.int64))
             optimiser.step()
-            self._record(state, last)
-            if report is not None:
-                report.tell(state, factor)
+            self._record(state)
             if final and iteration % _CHECK_EVERY == _CHECK_EVERY - 1:
                 now = float(state.energy.min())
                 if abs(last - now) <= tolerance * abs(now):
                     state.settled = True
                     break
                 last = now
+            place = (iteration + 1, last)
+            if not report.tell(self, state, factor, optimiser, place):
+                break
         found = state if lowest is None else lowest
         found.settled = state.settled
         return found.chosen(torch.arange(len(found.theta)))
 
     @staticmethod
-    def _record(state: State, last: float) -> None:
+    def _record(state: State) -> None:
         at = int(state.energy.argmin())
         objective = float(state.energy[at])
         before = state.history["objective"][-1] if state.history["objective"] else math.inf
@@ -203,21 +218,97 @@ class BlindFit:
 
 
 class Report:
-    """Fraction done, told now and then."""
+    """Fraction done, told now and then, with a state to go on from.
 
-    def __init__(self, progress: Progress | None, total: int) -> None:
+    Parameters
+    ----------
+    progress : callable or None
+    total : int
+        Iterations of all stages.
+
+    Attributes
+    ----------
+    stage : int
+        The one that runs.
+    no_blur : float
+        Free energy of the fit from no blur; NaN without one.
+    ended : bool
+        Whether the callback asked the fit to end.
+    """
+
+    def __init__(self, progress: callbacks.Progress | None, total: int) -> None:
         self._progress, self._total, self._done = progress, total, 0
+        self.stage, self.no_blur, self.ended = 0, math.nan, False
 
-    def tell(self, state: State, factor: float) -> None:
-        """After each iteration."""
+    def skip(self, iterations: int) -> None:
+        """Count iterations that were made before."""
+        self._done += iterations
+
+    def tell(
+        self,
+        fit: BlindFit,
+        state: State,
+        factor: float,
+        adam: torch.optim.Adam,
+        place: tuple[int, float],
+    ) -> bool:
+        """After each iteration; False where the fit is to end."""
         self._done += 1
-        if self._progress is not None and self._done % _CHECK_EVERY == 0:
-            at = int(state.energy.argmin())
-            self._progress(
-                min(1.0, self._done / self._total),
-                f"staged fit: residual {math.sqrt(float(state.square[at])):.3f} of the noise, "
-                f"free energy {float(state.energy[at]):.1f} at noise x {factor:.2g}",
+        if self._done % _CHECK_EVERY:
+            return True
+        at = int(state.energy.argmin())
+        self.ended = not callbacks.goes_on(
+            self._progress,
+            min(1.0, self._done / self._total),
+            f"staged fit: residual {math.sqrt(float(state.square[at])):.3f} of the noise, "
+            f"free energy {float(state.energy[at]):.1f} at noise x {factor:.2g}",
+            lambda: self._state(fit, state, adam, place),
+        )
+        return not self.ended
+
+    def _state(
+        self, fit: BlindFit, state: State, adam: torch.optim.Adam, place: tuple[int, float]
+    ) -> callbacks.State:
+        """The object of the best start; all that the next iteration begins with."""
+        at = int(state.energy.argmin())
+        with torch.no_grad():
+            level = fit.energy.level(state.theta)[at] * fit.frames.scale
+        return callbacks.state_of(
+            level,
+            **{name: getattr(state, name) for name in BATCH},
+            **adam_state("fit", adam),
+            place=[self.stage, *place, self.no_blur],
+        )
+
+
+class NoBlurReport(Report):
+    """That of the fit from no blur, which comes first and from whose midst none goes on."""
+
+    def _state(
+        self, fit: BlindFit, state: State, adam: torch.optim.Adam, place: tuple[int, float]
+    ) -> callbacks.State:
+        with torch.no_grad():
+            return callbacks.state_of(fit.energy.level(state.theta)[0] * fit.frames.scale, place=[])
+
+
+def taken_up(state: State, kept: Mapping[str, Any]) -> State:
+    """A batch as `Report` kept it.
+
+    Raises
+    ------
+    SamplingError
+        If it is of other images or walls.
+    """
+    for name in BATCH:
+        mine = getattr(state, name)
+        values = torch.as_tensor(np.array(kept[name]), dtype=mine.dtype, device=mine.device)
+        if values.shape[1:] != mine.shape[1:]:
+            raise SamplingError(
+                f"start's {name} has shape {tuple(values.shape)}, this fit's has "
+                f"{tuple(mine.shape)}; it is of other images, leave it out"
             )
+        setattr(state, name, values)
+    return state
 
 
 def _pace(done: float) -> float:

@@ -6,7 +6,7 @@ import copy
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -22,14 +22,13 @@ from ..errors import MissingExtraError, SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ..psf.whole_files import write_whole
 from ._threads import gradients, single_thread
+from .callbacks import Progress
 from .measurements import measurement
-from .reconstructions import Reconstruction, assemble, without_object
+from .reconstructions import Reconstruction, assemble, frozen, without_object
 from .scaled_images import ScaledImage
 from .torch_model import TorchForwardModel, model_shape, torch_model
 from .training_pairs import TrainingPairs
 from .unets import UNet
-
-Progress = Callable[[float, str], None]
 
 BATCHES = 605  # stream of the order in which pairs are shown
 _FORMAT = "nlosoptics CnnBaseline 1"
@@ -301,12 +300,9 @@ def train_cnn(
     made.load_state_dict(best)
     if progress is not None and not interrupted:
         progress(1.0, f"training: validation {least:.4f}")
-    records = {name: np.array(values) for name, values in history.items()}
-    for record in records.values():
-        record.flags.writeable = False
     return Training(
         network=made.cpu(),
-        history=records,
+        history=frozen(history),
         interrupted=interrupted,
         seconds=time.perf_counter() - started,
     )

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
 from .._checks import in_range, positive, whole
 from .._random import checked_seed, generator
-from ..errors import SamplingError
+from ..errors import SamplingError, SceneError
 from ._threads import single_thread
 from .blind_frames import Frames, frames_of
+from .callbacks import Progress, State, goes_on, state_of
 from .evidence_search import Island, Watch, evolve, gather, refine, without_blur
 from .free_energy import Floats, FreeEnergy, Starts
 from .pupil_psf import PupilPSF
-from .reconstructions import Reconstruction, Status
-
-Progress = Callable[[float, str], None]
+from .reconstructions import Reconstruction, Status, frozen
 
 #: Least spread of the known defoci, waves rms, at which no blur cannot explain all frames.
 _DIVERSE = 0.1
@@ -65,6 +65,7 @@ def evidence_fit(
     max_iterations: int | None = None,
     max_seconds: float | None = None,
     seed: int = 0,
+    start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Object and wall from images alone, from random starts.
@@ -102,8 +103,12 @@ def evidence_fit(
         machine's speed.
     seed : int
         Of the starts.
+    start : mapping, optional
+        A state of this solver with the same images and options, see `callbacks`: the search goes
+        on after the rounds that were done, and its ``coefficients`` are one more start.
     progress : callable or None
-        Called with the fraction done and a line of text.
+        Called with the fraction done and a line of text; may raise `Stop`, which ends the search
+        after the descent at work.
 
     Returns
     -------
@@ -153,7 +158,7 @@ def evidence_fit(
         raise SamplingError(
             f"images have {rows} x {columns} pixels, the evidence fit needs square ones; crop them"
         )
-    search = _Search(frames, pupil_psf, strength, seed, started + seconds, progress)
+    search = _Search(frames, pupil_psf, strength, seed, started + seconds, progress, start)
     if all(one.is_background() for one in frames.measured):
         return search.result(None, gain, "too_few_photons", started)
     if search.diverse:
@@ -174,9 +179,12 @@ class _Search:
         seed: int,
         deadline: float,
         progress: Progress | None,
+        start: Mapping[str, Any] | None,
     ) -> None:
         self._frames, self._pupil, self._strength = frames, pupil_psf, strength
-        self._random = generator(seed, 0)
+        self._behind, self._start = _from_state(start, len(pupil_psf.modes))
+        # rounds that come after others draw other walls
+        self._random = generator(seed, self._behind)
         self._deadline, self._progress = deadline, progress
         self._sigmas = np.array([one.sigma for one in frames.measured]) / frames.scale
         defoci = frames.defocus.double().cpu().numpy()
@@ -184,13 +192,19 @@ class _Search:
         self._defoci = defoci
         self._energy = self._on_grid(1.5)
         self._margin = math.nan
+        self._rounds, self._ended = 0, False
+        self._best: Starts | None = None
         self._history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
     def of_frames(self, rounds: int) -> Starts:
         """The best wall of frames with different defoci."""
-        pool: Starts | None = None
-        for turn in range(rounds):
-            if self._tell(turn / rounds, "random walls") and pool is not None:
+        pool = self._kept(frames=True)
+        for turn in range(min(self._behind, rounds - 1), rounds):
+            self._rounds = turn
+            late = self._tell(turn / rounds, "random walls")
+            if pool is None and self._ended:
+                pool = self._finished(np.zeros(self._energy.modes), frames=True)
+            if late and pool is not None:
                 break
             strengths = _STRENGTHS if self._strength is None else self._around()
             if turn:
@@ -213,7 +227,7 @@ class _Search:
             if self._model_error(pool) <= self._model_limit(pool):
                 break
         assert pool is not None  # at least one round
-        self._tell(1.0, "done")
+        self._tell_end()
         return pool
 
     def of_one(self, rounds: int) -> Starts:
@@ -221,8 +235,9 @@ class _Search:
         reference = without_blur(self._energy, self._random)
         floor = float(reference.energy[0])
         narrow = self._on_grid(1.125)
-        pool = self._better(None, reference)
-        for turn in range(rounds):
+        pool = self._better(self._kept(frames=False), reference)
+        for turn in range(min(self._behind, rounds - 1), rounds):
+            self._rounds = turn
             if self._tell(turn / rounds, "walls and their children"):
                 break
             island = self._island(turn)
@@ -243,11 +258,13 @@ class _Search:
             if pool.energy[0] - floor < -_SURE_MARGIN:
                 break
         self._margin = float(pool.energy[0]) - floor
-        self._tell(1.0, "done")
+        self._tell_end()
         return pool
 
     def status(self, best: Starts) -> Status:
         """Whether the answer can be trusted, without the truth."""
+        if self._ended:
+            return "unconverged"
         if self.diverse:
             right = self._model_error(best) <= self._model_limit(best)
             return "converged" if right else "unconverged"
@@ -281,9 +298,6 @@ class _Search:
             gain = float(level.max()) if level.max() > 0.0 else 1.0
         single = len(frames.measured) == 1
         sigmas = self._sigmas * frames.scale
-        records = {name: np.asarray(values) for name, values in self._history.items()}
-        for record in records.values():
-            record.flags.writeable = False
         return Reconstruction(
             object=data.like_input(data.data.new_tensor(level / gain)),
             physical_parameters={
@@ -296,7 +310,7 @@ class _Search:
             },
             status=status,
             score=math.sqrt(square),
-            history=records,
+            history=frozen(self._history),
             seconds=time.perf_counter() - started,
         )
 
@@ -328,6 +342,7 @@ class _Search:
         best = found.best(1)
         if pool is not None and pool.energy[0] <= best.energy[0]:
             best = pool
+        self._best = best
         now = float(best.energy[0])
         before = self._history["objective"][-1] if self._history["objective"] else math.inf
         self._history["objective"].append(now)
@@ -352,8 +367,58 @@ class _Search:
         """Reports of a part of one round as parts of all."""
         return lambda done, text: self._tell((turn + first + (last - first) * done) / rounds, text)
 
+    def _kept(self, *, frames: bool) -> Starts | None:
+        """The wall of the state that the search goes on from, if any."""
+        return None if self._start is None else self._finished(self._start, frames=frames)
+
+    def _finished(self, wall: Floats, *, frames: bool) -> Starts:
+        """What one wall, (M,), comes to."""
+        found = refine(
+            self._energy,
+            self._energy.starts(wall[None], 3.0),
+            np.ones(self._energy.modes),
+            self._random,
+            least_length=0.0,
+            generations=0,
+            enough=lambda _: True,
+            watch=lambda *_: True,
+            frames=frames,
+        )
+        self._best = found.best(1)
+        return self._best
+
+    def _state(self) -> State:
+        """The best wall and its object; the rounds that are done."""
+        best = self._best
+        if best is None:
+            best = self._energy.starts(np.zeros((1, self._energy.modes)), 3.0)
+        level = self._energy.objects(best)[0].astype(np.float64) * self._frames.scale
+        return state_of(
+            torch.from_numpy(level), coefficients=best.coefficients[0], rounds=self._rounds
+        )
+
     def _tell(self, done: float, text: str) -> bool:
-        """Report, and say whether time is up."""
-        if self._progress is not None:
-            self._progress(done, f"evidence: {text}")
-        return time.perf_counter() > self._deadline
+        """Report, and say whether to stop: by the callback's wish, or because time is up."""
+        if not self._ended:
+            self._ended = not goes_on(self._progress, done, f"evidence: {text}", self._state)
+        return self._ended or time.perf_counter() > self._deadline
+
+    def _tell_end(self) -> None:
+        """Report that all is done, which no wish changes."""
+        if not self._ended:
+            goes_on(self._progress, 1.0, "evidence: done", self._state)
+
+
+def _from_state(start: Mapping[str, Any] | None, modes: int) -> tuple[int, Floats | None]:
+    """Rounds and wall (M,) of a state."""
+    if start is None:
+        return 0, None
+    if not isinstance(start, Mapping) or not {"coefficients", "rounds"} <= set(start):
+        raise SceneError("start holds no wall; give a state of evidence_fit, or leave it out")
+    wall = np.asarray(start["coefficients"], dtype=np.float64)
+    if wall.shape != (modes,) or not np.isfinite(wall).all():
+        raise SamplingError(
+            f"start has coefficients of shape {wall.shape}, must be ({modes},) and finite; it is "
+            "of another pupil_psf, leave it out"
+        )
+    return int(start["rounds"]), wall

@@ -30,6 +30,8 @@ _SOFTNESS = 0.1
 _CHUNK = 8
 #: Pitch over Nyquist's that is still taken for Nyquist's: 2 % beyond it the transfer is under 1e-3.
 _NYQUIST_SLACK = 1.02
+#: rms of a known wave beside the modes, waves, that still changes no answer.
+_MOST_REST = 0.05
 _LEAST_VARIANCE = 1e-6
 _SHRINK = np.array([0.9, 0.99])
 
@@ -385,6 +387,16 @@ def _pupil(pupil_psf: PupilPSF, grid: int) -> tuple[PupilOptics, Floats]:
             f"pupil_psf has leaves of kind {type(waves).__name__}; the evidence fit takes those of "
             "PupilPSF.from_zernike"
         )
+    if waves.rest is not None:
+        share = torch.as_tensor(given.share).to(waves.rest)
+        mean = (share * waves.rest).sum() / share.sum()
+        rest = float(((share * (waves.rest - mean) ** 2).sum() / share.sum()).sqrt())
+        if rest > _MOST_REST:
+            raise SceneError(
+                f"pupil_psf has a known wave of {rest:.3g} waves rms beside its modes, limit "
+                f"{_MOST_REST:g}: the evidence fit sees modes alone; give more of them, or use "
+                'recipe "staged"'
+            )
     pitch = given.pitch
     if pitch > given.nyquist_pitch:
         if pitch > given.nyquist_pitch * _NYQUIST_SLACK:

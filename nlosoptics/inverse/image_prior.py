@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from .._checks import in_range, one_of, positive, whole
 from .._random import checked_seed, generator
+from ..errors import SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
+from .adam_states import adam_state, take_up_adam
+from .callbacks import Progress, State, goes_on, started_from, state_of
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, without_object
 from .scaled_images import ScaledImage, total_variation
@@ -22,7 +27,6 @@ from .total_variation import tv_deconvolve
 from .unets import UNetObject
 from .wiener_filter import wiener
 
-Progress = Callable[[float, str], None]
 Guide = Literal["tv", "wiener", "noise"]
 
 GUIDE = 602  # stream of the noise that a network is fed with
@@ -55,6 +59,7 @@ def deep_image_prior(
     max_iterations: int = 200,
     tolerance: float = 0.1,
     seed: int = 0,
+    start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Object that an untrained U-net makes of an image, fitted to that image alone.
@@ -92,8 +97,11 @@ def deep_image_prior(
         By how much the residual may exceed the noise, as a part of it, in a fit that converged.
     seed : int
         Of the network's first weights, and of noise that it is fed with.
+    start : mapping or None
+        A state of this solver with the same options, from which it goes on bit by bit; an object
+        alone is no start for a network. See `callbacks`.
     progress : callable or None
-        Called now and then with the fraction done and a line of text.
+        Called now and then with the fraction done and a line of text; may raise `Stop`.
 
     Returns
     -------
@@ -147,7 +155,7 @@ def deep_image_prior(
     picture, found_weight = _guide(guide, tv_weight, data, model, seed)
     network = UNetObject(picture, base=base, depth=depth, seed=seed)
     fit = _Fit(network, data, model, found_weight, learning_rate)
-    fit.run(max_iterations, progress)
+    ended = not fit.run(0 if start is None else fit.go_on(start), max_iterations, progress)
     level = fit.chosen()
     residual = data.data - torch_model(model, level.device, torch.float64)(level)
     strength = data.background_strength(residual)
@@ -158,7 +166,7 @@ def deep_image_prior(
         model=model,
         background=strength,
         gain=gain,
-        status="converged" if converged else "unconverged",
+        status="converged" if converged and not ended else "unconverged",
         history=fit.history,
         started=started,
         tv_weight=found_weight,
@@ -213,10 +221,13 @@ class _Fit:
         self._average: Tensor | None = None
         self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
-    def run(self, max_iterations: int, progress: Progress | None) -> None:
-        """Step until the residual is what the noise leaves, or to the last iteration."""
+    def run(self, first: int, max_iterations: int, progress: Progress | None) -> bool:
+        """Step until the residual is what the noise leaves, or to the last iteration.
+
+        False where the callback ended it before.
+        """
         before = self._best[1]
-        for iteration in range(max_iterations):
+        for iteration in range(first, max_iterations):
             share = 0.5 + 0.5 * math.cos(math.pi * iteration / max_iterations)
             rate = self._rate * (_LAST_RATE + (1.0 - _LAST_RATE) * share)
             self._adam.param_groups[0]["lr"] = rate
@@ -227,13 +238,47 @@ class _Fit:
             for name, value in zip(self.history, (objective, residual, change), strict=True):
                 self.history[name].append(value)
             done = residual <= self._target or iteration + 1 == max_iterations
-            if progress is not None and (done or iteration % 10 == 9):
-                progress(
+            on = True
+            if done or iteration % 10 == 9:
+                on = goes_on(
+                    progress,
                     1.0 if done else (iteration + 1) / max_iterations,
                     f"deep image prior: residual {residual:.3f} after {iteration + 1} iterations",
+                    partial(self._state, iteration + 1),
                 )
-            if done:
-                return
+            if done or not on:
+                return done
+        return True
+
+    def _state(self, count: int) -> State:
+        """All that the next iteration starts from."""
+        more = {} if self._average is None else {"average": self._average}
+        objective, level = self._best
+        return state_of(
+            self.chosen(),
+            **adam_state("network", self._adam),
+            **more,
+            best=level,
+            numbers=[objective, float(count)],
+        )
+
+    def go_on(self, state: Mapping[str, Any]) -> int:
+        """Take up a state; the iterations behind it."""
+        if not isinstance(state, Mapping) or not {"numbers", "best"} <= set(state):
+            raise SceneError(
+                "start holds no network; give a state of deep_image_prior, or leave it out"
+            )
+        take_up_adam("network", self._adam, state)
+        objective, count = (float(number) for number in np.ravel(state["numbers"]))
+        self._best = (objective, self._picture(state["best"]))
+        self._average = self._picture(state["average"]) if "average" in state else None
+        return int(count)
+
+    def _picture(self, values: Any) -> Tensor:
+        image = self._image.image
+        level = started_from(values, (image.shape[0], image.shape[1]), image.device)
+        assert level is not None  # one was given
+        return level.to(image)
 
     def chosen(self) -> Tensor:
         """Running average or best iterate, whichever has the lower objective, image units."""

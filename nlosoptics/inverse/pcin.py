@@ -7,10 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 from .._checks import one_of
+from .callbacks import Progress
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
-
-Progress = Callable[[float, str], None]
 
 RECIPES = ("staged", "evidence", "wu2024")
 
@@ -24,6 +23,7 @@ def pcin(
     noise_sigma: Any = None,
     max_iterations: int | None = None,
     seed: int = 0,
+    start: Any = None,
     progress: Progress | None = None,
     **options: Any,
 ) -> Reconstruction:
@@ -49,8 +49,10 @@ def pcin(
         By default as many as the recipe needs.
     seed : int
         Of all that is drawn.
+    start : mapping, optional
+        A state of the same recipe, from which it goes on; see `callbacks`.
     progress : callable or None
-        Called with the fraction done and a line of text.
+        Called with the fraction done and a line of text; may raise `Stop`.
     **options
         Handed to the recipe, which refuses what it does not know.
 
@@ -76,6 +78,7 @@ def pcin(
         defocus=defocus,
         noise_sigma=noise_sigma,
         seed=seed,
+        start=start,
         progress=progress,
         **options,
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .alternating import alternating_minimisation, spectral_start
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
-from .callbacks import Progress
+from .callbacks import Progress, State, goes_on, state_of
 from .measurements import measurement
 from .projections import averaged, fourier_errors, projected
 from .reconstructions import Reconstruction, Status
@@ -75,7 +76,9 @@ def phase_retrieval(
         Of each restart.
     seed : int
     progress : callable or None
-        Called now and then with the fraction done and a line of text.
+        Called now and then with the fraction done and a line of text; may raise `Stop`, and then
+        has the mean of the restarts so far. The state that it may look at is a preview, largest
+        value 1: restarts are many and short, and none goes on from it.
 
     Returns
     -------
@@ -133,7 +136,7 @@ def phase_retrieval(
         found, score, errors, parameters = search.run(
             image_lags(data, twin), shape, data.data.device
         )
-        status = "converged" if score >= _AGREED else "unconverged"
+        status = search.status(score)
     errors.flags.writeable = False
     return Reconstruction(
         object=data.like_input(found),
@@ -172,7 +175,7 @@ def object_from_autocorrelation(
         Of each restart.
     seed : int
     progress : callable or None
-        Called now and then with the fraction done and a line of text.
+        As of `phase_retrieval`.
 
     Returns
     -------
@@ -194,7 +197,7 @@ def object_from_autocorrelation(
     return Reconstruction(
         object=found.numpy(),
         physical_parameters=parameters,
-        status="converged" if score >= _AGREED else "unconverged",
+        status=search.status(score),
         score=score,
         history={"fourier_error": errors},
         seconds=time.perf_counter() - started,
@@ -220,6 +223,7 @@ class _Search:
         self._seed = checked_seed(seed)
         self._object_size = object_size
         self._progress = progress
+        self._ended = False
         if object_size is not None:
             if not hasattr(object_size, "__len__") or len(object_size) != 2:
                 raise SceneError(f"object_size = {object_size!r} is no size; give (rows, columns)")
@@ -231,29 +235,50 @@ class _Search:
     ) -> tuple[Tensor, float, Any, dict[str, Any]]:
         """Object in its frame, correlation of the halves, errors, parameters."""
         spectrum = spectrum_modulus(lags, self._object_size)
-        objects, errors = self._objects(spectrum, device)
-        halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
-        score = registered_correlation(halves[0], halves[1], flip=True)
-        rows, columns = spectrum.object_size
-        box = averaged(objects, errors)[:rows, :columns].double()
-        frame = torch.zeros(shape, dtype=torch.float64, device=device)
-        top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
-        frame[top : top + rows, left : left + columns] = box / box.max()
+        modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
+
+        def watch(done: float, objects: Tensor) -> bool:
+            def preview() -> State:
+                errors = fourier_errors(objects, modulus)
+                return state_of(_framed(averaged(objects, errors), spectrum, shape))
+
+            self._ended = not goes_on(
+                self._progress,
+                done,
+                f"phase retrieval: {self._restarts} restarts by {self._method}",
+                preview,
+            )
+            return not self._ended
+
+        objects, errors = self._objects(spectrum, modulus, watch)
+        if not self._ended:
+            watch(1.0, objects)
+            self._ended = False  # nothing was left to do
+        score = 0.0
+        if len(objects) > 1:
+            halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
+            score = registered_correlation(halves[0], halves[1], flip=True)
         parameters = {
             "fourier_error": float(errors.min()),
             "object_size": spectrum.object_size,
         }
+        frame = _framed(averaged(objects, errors), spectrum, shape)
         return frame, score, errors.double().cpu().numpy(), parameters
 
-    def _objects(self, spectrum: SpectrumModulus, device: torch.device) -> tuple[Tensor, Tensor]:
-        """What each restart finds, (R, g_y, g_x), and its Fourier error."""
+    def status(self, score: float) -> Status:
+        """Whether two halves of all restarts agree."""
+        return "converged" if score >= _AGREED and not self._ended else "unconverged"
+
+    def _objects(
+        self, spectrum: SpectrumModulus, modulus: Tensor, watch: Callable[[float, Tensor], bool]
+    ) -> tuple[Tensor, Tensor]:
+        """What each restart finds, (R, g_y, g_x), and its Fourier error; fewer if ended."""
         rows, columns = spectrum.object_size
-        modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
-        support = torch.zeros(spectrum.grid, dtype=torch.bool, device=device)
+        support = torch.zeros(spectrum.grid, dtype=torch.bool, device=modulus.device)
         support[:rows, :columns] = True
         random = generator(self._seed, _STARTS)
         starts = random.random((self._restarts, *spectrum.grid), dtype=np.float32)
-        first = torch.from_numpy(starts).to(device)
+        first = torch.from_numpy(starts).to(modulus)
         if self._method != "alternating":
             return projected(
                 modulus,
@@ -261,14 +286,16 @@ class _Search:
                 first,
                 method=self._method,
                 iterations=self._iterations,
-                progress=self._tell,
+                watch=watch,
             )
-        used = torch.from_numpy(random.random((self._restarts, *modulus.shape)) < 0.5).to(device)
-        found = torch.stack(
-            [self._alternating(modulus, support, *s) for s in zip(first, used, strict=True)]
-        )
-        self._tell(1.0)
-        return found, fourier_errors(found, modulus)
+        draws = random.random((self._restarts, *modulus.shape)) < 0.5
+        used = torch.from_numpy(draws).to(modulus.device)
+        found: list[Tensor] = []
+        for begin in zip(first, used, strict=True):
+            found.append(self._alternating(modulus, support, *begin))
+            if len(found) < len(first) and not watch(len(found) / len(first), torch.stack(found)):
+                break
+        return torch.stack(found), fourier_errors(torch.stack(found), modulus)
 
     def _alternating(self, modulus: Tensor, support: Tensor, first: Tensor, used: Tensor) -> Tensor:
         def within(spectrum: Tensor) -> Tensor:
@@ -288,6 +315,13 @@ class _Search:
         # An overall sign is not seen by the modulus.
         return found if float(found.sum()) >= 0.0 else -found
 
-    def _tell(self, done: float) -> None:
-        if self._progress is not None:
-            self._progress(done, f"phase retrieval: {self._restarts} restarts by {self._method}")
+
+def _framed(objects: Tensor, spectrum: SpectrumModulus, shape: tuple[int, ...]) -> Tensor:
+    """An object in the middle of its frame, largest value 1."""
+    rows, columns = spectrum.object_size
+    box = objects[:rows, :columns].double()
+    frame = torch.zeros(shape, dtype=torch.float64, device=box.device)
+    top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
+    brightest = float(box.max())
+    frame[top : top + rows, left : left + columns] = box / (brightest if brightest > 0.0 else 1.0)
+    return frame

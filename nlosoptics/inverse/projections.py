@@ -29,7 +29,7 @@ def projected(
     *,
     method: Projections,
     iterations: int,
-    progress: Callable[[float], None],
+    watch: Callable[[float, Tensor], bool],
 ) -> tuple[Tensor, Tensor]:
     """Non-negative objects in a support whose spectra have a modulus.
 
@@ -45,8 +45,9 @@ def projected(
         Hybrid input-output (Fienup 1982), its feedback falling from 2 to 0, or relaxed averaged
         alternating reflections (Luke 2005), its relaxation from 0.9 to 0.5.
     iterations : int
-    progress : callable
-        Called with the fraction done.
+    watch : callable
+        Called with the fraction done and the objects so far, (R', H, W); where it returns False,
+        these are settled and are all.
 
     Returns
     -------
@@ -57,18 +58,23 @@ def projected(
     """
     per_chunk = max(1, _CHUNK // support.numel())
     chunks = [starts[i : i + per_chunk] for i in range(0, len(starts), per_chunk)]
-    found = []
+    found: list[Tensor] = []
     for number, chunk in enumerate(chunks):
         objects = chunk * support
+        on = True
         for iteration in range(iterations):
             share = iteration / iterations
             objects = _step(objects, modulus, support, method, share)
             if iteration % 20 == 19:
-                progress((number + share) / len(chunks))
+                allowed = _allowed(objects, support)
+                on = watch((number + share) / len(chunks), torch.cat([*found, allowed]))
+            if not on:
+                break
         for _ in range(_SETTLING):
             objects = _allowed(_with_modulus(objects, modulus), support)
         found.append(objects)
-    progress(1.0)
+        if not on:
+            break
     objects = torch.cat(found)
     return objects, fourier_errors(objects, modulus)
 

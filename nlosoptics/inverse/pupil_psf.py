@@ -292,6 +292,12 @@ class PupilPSF(nn.Module):
         return cls(optics, ZernikeWaves(modes, optics, known), fit)
 
     @property
+    def holds_more(self) -> bool:
+        """Whether a wave or a transmission is known that its leaves do not tell."""
+        known = isinstance(self.waves, ZernikeWaves) and self.waves.rest is not None
+        return known or self.optics.amplitude is not self.optics.share
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the point spread."""
         return self.optics.shape

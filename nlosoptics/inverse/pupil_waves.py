@@ -40,10 +40,12 @@ class ZernikeWaves(nn.Module):
     ----------
     leaf_shape : (int,)
         Shape of one set of coefficients: waves rms over the full disc.
+    rest : Tensor or None
+        (n_v, n_u), what is added, over the wavelength.
     """
 
     _basis: Tensor
-    _rest: Tensor | None
+    rest: Tensor | None
     _phase: Tensor | None
 
     def __init__(
@@ -65,7 +67,7 @@ class ZernikeWaves(nn.Module):
         turns = None if rest is None else np.where(optics.share > 0, rest, 0.0) / optics.wavelength
         # whole turns taken off before single precision cuts digits away
         phase = None if turns is None else turns - np.round(turns)
-        self.register_buffer("_rest", None if turns is None else like(optics, turns))
+        self.register_buffer("rest", None if turns is None else like(optics, turns))
         self.register_buffer("_phase", None if phase is None else like(optics, phase))
 
     @property
@@ -81,7 +83,7 @@ class ZernikeWaves(nn.Module):
     def unwrapped(self, coefficients: Tensor) -> Tensor:
         """The same with its whole turns."""
         turns = self._sum(coefficients)
-        return turns if self._rest is None else turns + self._rest
+        return turns if self.rest is None else turns + self.rest
 
     def _sum(self, coefficients: Tensor) -> Tensor:
         flat = coefficients @ self._basis.flatten(1)

@@ -57,6 +57,14 @@ class Reconstruction:
     seconds: float
 
 
+def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float64]]:
+    """Records of a fit as read-only arrays."""
+    records = {name: np.array(values, dtype=np.float64) for name, values in history.items()}
+    for record in records.values():
+        record.flags.writeable = False
+    return records
+
+
 def assemble(
     data: Measurement,
     level: Tensor,
@@ -94,9 +102,6 @@ def assemble(
     if gain is None:
         brightest = float(level.max())
         gain = brightest if brightest > 0.0 else 1.0
-    records = {name: np.asarray(values, dtype=np.float64) for name, values in history.items()}
-    for record in records.values():
-        record.flags.writeable = False
     return Reconstruction(
         object=data.like_input(level / gain),
         physical_parameters={
@@ -107,7 +112,7 @@ def assemble(
         },
         status=status,
         score=data.score(explained),
-        history=records,
+        history=frozen(history),
         seconds=time.perf_counter() - started,
     )
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -17,10 +18,21 @@ from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
 from .blind_frames import Frames, frames_of
-from .blind_stages import BlindFit, Progress, Report, Stage, State, far_stages, near_stages
+from .blind_stages import (
+    BATCH,
+    BlindFit,
+    NoBlurReport,
+    Report,
+    Stage,
+    State,
+    far_stages,
+    near_stages,
+    taken_up,
+)
+from .callbacks import Progress, started_from
 from .image_prior import deep_image_prior
 from .pupil_psf import PupilPSF
-from .reconstructions import Reconstruction, Status
+from .reconstructions import Reconstruction, Status, frozen
 from .registration import registered_correlation
 from .total_variation import tv_deconvolve
 
@@ -52,7 +64,6 @@ def staged_fit(
     start_error: float | None = None,
     starts: int | None = None,
     known_object: Any = None,
-    start_object: Any = None,
     support: Any = None,
     object_model: str = "pixels",
     boundary: str = "padded",
@@ -65,6 +76,7 @@ def staged_fit(
     max_iterations: int | None = None,
     tolerance: float = _TOLERANCE,
     seed: int = 0,
+    start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Object and walls from one or more images, by stages.
@@ -87,8 +99,6 @@ def staged_fit(
         Starts tried, drawn with that error; by default 4, and 16 above 0.25 waves.
     known_object : array_like, optional
         (H, W): the object of the images is known, and the walls alone are fitted.
-    start_object : array_like, optional
-        (H, W), where the object starts, in any unit; by default a Wiener filter's answer.
     support : array_like, optional
         (H, W), 0 where the object is known to be dark.
     object_model : {"pixels", "unet"}
@@ -115,8 +125,11 @@ def staged_fit(
         Relative change of the free energy in 25 iterations at which the last stage ends.
     seed : int
         Of the starts.
+    start : array_like, mapping or None
+        (H, W), where the object starts, in any unit; or a state of this solver with the same
+        images and options, from which it goes on; see `callbacks`. None: a Wiener filter's answer.
     progress : callable or None
-        Called with the fraction done and a line of text.
+        Called with the fraction done and a line of text; may raise `Stop`.
 
     Returns
     -------
@@ -175,27 +188,77 @@ def staged_fit(
     near = start_error <= _NEAR
     starts = (4 if near else 16) if starts is None else whole("starts", starts)
     stages = _shortened((near_stages if near else far_stages)(starts), max_iterations)
+    kept = start if isinstance(start, Mapping) and {*BATCH, "place"} <= set(start) else None
     fit = BlindFit(
         frames,
         first,
         start_error,
         support=None if support is None else _support(support, frames),
         known=_picture("known_object", known_object, frames),
-        guess=_picture("start_object", start_object, frames),
+        guess=None if kept is not None else _picture("start", _object_of(start), frames),
         fit_gains=fit_gains,
     )
-    report = Report(progress, sum(s.iterations for s in stages))
     if all(one.is_background() for one in frames.measured):
         state = fit.begin(first[None], 1.0)
         state.theta = torch.full_like(state.theta, 0.0 if fit.known else -math.inf)
         return _assembled(fit, state, gain, "too_few_photons", started, math.nan)
-    sharp = _no_blur_fit(fit, tolerance) if len(frames.images) == 1 and not fit.known else None
     state = fit.begin(_drawn(first, start_error, starts, seed), stages[0].noise[0])
-    for stage in stages:
-        state = fit.run(fit.best(state, stage.starts), stage, tolerance, report)
-    margin = math.nan if sharp is None else float(state.energy[0] - sharp.energy[0])
+    state, no_blur, ended = _through(fit, state, stages, tolerance, progress, kept)
+    if ended:
+        return _assembled(fit, state, gain, "unconverged", started, _margin(state, no_blur))
     level = _refined(fit, state, object_model, boundary, seed) if refined else None
-    return _assembled(fit, state, gain, _status(fit, state, sharp), started, margin, level)
+    status = _status(fit, state, no_blur)
+    return _assembled(fit, state, gain, status, started, _margin(state, no_blur), level)
+
+
+def _through(
+    fit: BlindFit,
+    state: State,
+    stages: tuple[Stage, ...],
+    tolerance: float,
+    progress: Progress | None,
+    kept: Mapping[str, Any] | None,
+) -> tuple[State, float, bool]:
+    """The best fit, the free energy from no blur (NaN without), and whether it was ended."""
+    judged = len(fit.frames.images) == 1 and not fit.known
+    before = sum(stage.iterations for stage in near_stages(1)[1:]) if judged else 0
+    total = before + sum(stage.iterations for stage in stages)
+    report, at = Report(progress, total), 0
+    report.skip(before)
+    if kept is not None:
+        at = int(kept["place"][0])
+        state = taken_up(state, kept)
+        report.no_blur = float(kept["place"][3])
+        report.skip(sum(stage.iterations for stage in stages[:at]) + int(kept["place"][1]))
+    elif judged:
+        first = NoBlurReport(progress, total)
+        sharp = _no_blur_fit(fit, tolerance, first)
+        if first.ended:
+            return fit.best(state, 1), math.nan, True
+        report.no_blur = float(sharp.energy[0])
+    for number in range(at, len(stages)):
+        report.stage = number
+        if kept is None:
+            state = fit.best(state, stages[number].starts)
+        state = fit.run(state, stages[number], tolerance, report, kept)
+        kept = None
+        if report.ended:
+            return fit.best(state, 1), report.no_blur, True
+    return state, report.no_blur, False
+
+
+def _object_of(start: Any) -> Any:
+    """What a start holds of the object."""
+    if not isinstance(start, Mapping):
+        return start
+    if "place" in start:  # ended before the first stage: all is still to do
+        return None
+    return started_from(start, np.shape(start.get("object", ())), torch.device("cpu"))
+
+
+def _margin(state: State, no_blur: float) -> float:
+    """Free energy above that of the fit from no blur."""
+    return float(state.energy[0]) - no_blur
 
 
 def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Tensor:
@@ -254,7 +317,7 @@ def _support(value: Any, frames: Frames) -> Tensor:
     return (picture > 0.0).to(picture)
 
 
-def _no_blur_fit(fit: BlindFit, tolerance: float) -> State:
+def _no_blur_fit(fit: BlindFit, tolerance: float, report: Report) -> State:
     """The fit that starts at no blur, its coefficients free."""
     sharp = BlindFit(
         fit.frames,
@@ -267,17 +330,19 @@ def _no_blur_fit(fit: BlindFit, tolerance: float) -> State:
     )
     state = sharp.begin(torch.zeros_like(fit.first)[None], 5.0)
     for stage in near_stages(1)[1:]:
-        state = sharp.run(state, stage, tolerance, None)
+        state = sharp.run(state, stage, tolerance, report)
+        if report.ended:
+            break
     return state
 
 
-def _status(fit: BlindFit, state: State, sharp: State | None) -> Status:
+def _status(fit: BlindFit, state: State, no_blur: float) -> Status:
     """Whether the answer can be trusted, without the truth."""
-    if sharp is None:
+    if math.isnan(no_blur):
         faint = min(one.sigma for one in fit.frames.measured) / fit.frames.scale
         limit = 1.0 + (_UNEXPLAINED / faint) ** 2
         return "converged" if float(state.square[0]) <= limit else "unconverged"
-    margin = float(state.energy[0] - sharp.energy[0])
+    margin = _margin(state, no_blur)
     score = math.sqrt(float(state.square[0]))
     if margin < -_SURE_MARGIN or (margin < 0.0 and score > _OVERFITTED):
         return "converged"
@@ -341,9 +406,6 @@ def _assembled(
     relative = (
         np.ones(len(frames.images)) if gains is None else gains[0, :, 0, 0].double().cpu().numpy()
     )
-    records = {name: np.asarray(values) for name, values in state.history.items()}
-    for record in records.values():
-        record.flags.writeable = False
     return Reconstruction(
         object=frames.measured[0].like_input(picture / gain),
         physical_parameters={
@@ -357,6 +419,6 @@ def _assembled(
         },
         status=status,
         score=math.sqrt(float(square[0])),
-        history=records,
+        history=frozen(state.history),
         seconds=time.perf_counter() - started,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,8 +14,8 @@ from .._random import checked_seed, generator
 from ..errors import SceneError
 from ..imaging import form_image
 from ..scene import PlanarObject, Scene
+from .callbacks import Progress
 
-Progress = Callable[[float, str], None]
 Array = NDArray[np.float32]
 
 PAIRS = 604  # stream of the random pictures and walls

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +18,8 @@ from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
+from .adam_states import adam_state, joined, spread, take_up_adam
+from .callbacks import Progress, State, goes_on, state_of
 from .measurements import Measurement, measurement
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, assemble, without_object
@@ -24,7 +27,6 @@ from .registration import registered_correlation
 from .scaled_images import ScaledImage, total_variation
 from .unets import UNetObject
 
-Progress = Callable[[float, str], None]
 NetworkInput = Literal["image", "reconstruction"]
 
 ANGLES = 603  # stream of the random angles
@@ -42,7 +44,7 @@ def wu2024_fit(
     pupil_psf: PupilPSF,
     *,
     defocus: Any = None,
-    start: Reconstruction | None = None,
+    start: Reconstruction | Mapping[str, Any] | None = None,
     start_waves: float = 0.5,
     base: int = 8,
     depth: int = 4,
@@ -69,9 +71,10 @@ def wu2024_fit(
         Of shape (H, W). What of it is fitted stands for the exit angles; it is not changed.
     defocus : sequence of one float, or None
         Known further defocus of the image, m rms.
-    start : Reconstruction or None
+    start : Reconstruction, mapping or None
         An earlier result of this function for the same kind of object, from whose angles and
-        network this run starts (warm); None: both are random (cold).
+        network this run starts (warm); a state of a run with the same options, from which it goes
+        on bit by bit (see `callbacks`); None: both are random (cold).
     start_waves : float
         rms of a cold start's wave aberration, waves.
     base, depth : int
@@ -91,7 +94,7 @@ def wu2024_fit(
     seed : int
         Of the random angles and weights.
     progress : callable or None
-        Called now and then with the fraction done and a line of text.
+        Called after each turn with the fraction done and a line of text; may raise `Stop`.
 
     Returns
     -------
@@ -153,7 +156,7 @@ def wu2024_fit(
     checked_seed(seed)
     alternate = whole("alternate", alternate)
     if max_iterations is None:
-        max_iterations = _COLD if start is None else _WARM
+        max_iterations = _WARM if isinstance(start, Reconstruction) else _COLD
     max_iterations = whole("max_iterations", max_iterations)
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
     learning_rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
@@ -173,13 +176,14 @@ def wu2024_fit(
         return without_object(data, model=model, gain=gain, started=started)
     unit = float(data.data.max() - data.data.min())
     image = ScaledImage(data, unit)
-    if start is None:
+    if isinstance(start, Reconstruction):
+        angles, network = _from_earlier(start, pupil_psf, image.image)
+    else:
         angles = _random_angles(pupil_psf, start_waves, seed)
         network = UNetObject(image.image, base=base, depth=depth, seed=seed)
-    else:
-        angles, network = _from_earlier(start, pupil_psf, image.image)
     fit = _Pcin(image, pupil_psf, extra, angles, network, learning_rate, tv_weight, data.sigma)
-    fit.run(max_iterations, alternate, network_input, progress)
+    behind = fit.go_on(start) if isinstance(start, Mapping) else 0
+    fit.run(behind, max_iterations, alternate, network_input, progress)
     return _result(fit, data, gain, started)
 
 
@@ -210,13 +214,14 @@ class _Pcin:
 
     def run(
         self,
+        behind: int,
         max_iterations: int,
         alternate: int,
         network_input: NetworkInput,
         progress: Progress | None,
     ) -> None:
         """Steps 1 and 2 by turns (step 3) until the iterations are used up."""
-        left = max_iterations
+        left = max_iterations - behind
         while left > 0:
             for phase in (self._fit_angles, self._fit_network):
                 steps = min(alternate, left)
@@ -224,13 +229,35 @@ class _Pcin:
                 left -= steps
             if network_input == "reconstruction":
                 self.network.set_guide(self.object())
-            if progress is not None:
-                residual = self.history["residual"][-1]
-                done = max_iterations - left
-                progress(
-                    done / max_iterations,
-                    f"pcin, Wu 2024: residual {residual:.3f} after {done} iterations",
-                )
+            done = max_iterations - left
+            if not goes_on(
+                progress,
+                done / max_iterations,
+                f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after {done} "
+                "iterations",
+                partial(self._state, done),
+            ):
+                return
+
+    def _state(self, count: int) -> State:
+        """All that the next turn starts from."""
+        return state_of(
+            self.gain() * self.object(),
+            coefficients=self.angles,
+            **adam_state("angles", self._adams[0]),
+            **adam_state("network", self._adams[1]),
+            guide=self.network.guide,
+            count=count,
+        )
+
+    def go_on(self, state: Mapping[str, Any]) -> int:
+        """Take up a state; the iterations behind it."""
+        if not {"guide", "count"} <= set(state):
+            raise SceneError("start holds no network; give a state of wu2024_fit, or leave it out")
+        take_up_adam("angles", self._adams[0], state)
+        take_up_adam("network", self._adams[1], state)
+        spread("guide", state["guide"], [self.network.guide])
+        return int(state["count"])
 
     def object(self) -> Tensor:
         """The network's answer now, 0 to 1."""
@@ -293,8 +320,7 @@ def _result(fit: _Pcin, data: Measurement, gain: float | None, started: float) -
     flat = _model(fit.pupil_psf, torch.zeros_like(coefficients), None)
     strehl = float(model.kernel.max() / flat.kernel.max())
     alike = registered_correlation(picture, data.data)
-    # torch's own vector of parameters takes no channels_last
-    weights = torch.cat([values.reshape(-1) for values in fit.network.network.parameters()])
+    weights = joined(list(fit.network.network.parameters()))
     return assemble(
         data,
         level,
@@ -305,7 +331,7 @@ def _result(fit: _Pcin, data: Measurement, gain: float | None, started: float) -
         history=fit.history,
         started=started,
         coefficients=_frozen(coefficients.to(torch.float64)),
-        network_weights=_frozen(weights.detach()),
+        network_weights=_frozen(weights),
         network_base=float(fit.network.network.base),
         network_depth=float(fit.network.network.depth),
         strehl=strehl,
@@ -379,18 +405,7 @@ def _from_earlier(
         )
     base, depth = int(found["network_base"]), int(found["network_depth"])
     network = UNetObject(image, base=base, depth=depth)
-    weights = torch.from_numpy(np.array(found["network_weights"])).to(image)
-    sizes = [values.numel() for values in network.network.parameters()]
-    if weights.numel() != sum(sizes):
-        raise SamplingError(
-            f"start has {weights.numel()} network_weights, its network {sum(sizes)}; give the "
-            "Reconstruction as wu2024_fit returned it"
-        )
-    with torch.no_grad():
-        for values, part in zip(
-            network.network.parameters(), torch.split(weights, sizes), strict=True
-        ):
-            values.copy_(part.reshape(values.shape))
+    spread("network_weights", found["network_weights"], list(network.network.parameters()))
     angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
     return angles, network
 

@@ -99,11 +99,12 @@ def test_warm_start_goes_on_where_the_cold_one_stopped(image, pupil_psf, sigma, 
 
 def test_published_numbers_of_steps(image, pupil_psf, sigma, cold, monkeypatch):
     taken = []
+    # the package's own name of that kind is the function
     module = importlib.import_module("nlosoptics.inverse.wu2024_fit")
     monkeypatch.setattr(
         module._Pcin,
         "run",
-        lambda self, n, *_: (taken.append(n), self.history["residual"].append(1.0)),
+        lambda self, behind, n, *_: (taken.append(n), self.history["residual"].append(1.0)),
     )
     wu2024_fit(image, pupil_psf, noise_sigma=sigma, depth=3)
     wu2024_fit(image, pupil_psf, noise_sigma=sigma, start=cold)

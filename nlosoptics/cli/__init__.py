@@ -1,0 +1,52 @@
+"""The command line: parse, call, write.
+
+Exit codes: 0 done, 1 failed, 2 bad input. An error is one line on stderr, without a traceback
+unless ``--debug`` asks for it. A run's output folder appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from .. import __version__
+from . import forward, reconstructions  # noqa: F401  # their commands, in the order of the help
+from .shell import DONE, app, tell
+
+__all__ = ["main"]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with 0 (done), 1 (failed) or 2 (bad input).
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after the program's name; those of this process by default.
+    """
+    try:
+        code = app(args=arguments, prog_name="nlosoptics", standalone_mode=False)
+    except (Exception, KeyboardInterrupt) as error:
+        code = tell(error)
+    sys.exit(code or DONE)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"nlosoptics {__version__}")
+        raise typer.Exit(DONE)
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    pass

@@ -1,0 +1,228 @@
+"""Commands that simulate: plan, run and schema."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..records import arrays, peak_memory, scene_hash, versions
+from .shell import (
+    Debug,
+    SceneFile,
+    Seed,
+    Size,
+    Tol,
+    app,
+    check_target,
+    errors_told,
+    load,
+    progress_bar,
+    require,
+    whole_folder,
+)
+
+if TYPE_CHECKING:
+    from ..simulation import Result
+
+
+@app.command("plan")
+def plan_command(
+    scene_file: SceneFile, tol: Tol = 1e-3, size: Size = None, debug: Debug = False
+) -> None:
+    """Say what a run computes, what it skips and why, with predicted seconds and error."""
+    with errors_told(debug):
+        from ..planning import plan
+
+        typer.echo(str(plan(load(scene_file, size), tol, reconstruct=True)))
+
+
+@app.command("run")
+def run_command(
+    scene_file: SceneFile,
+    tol: Tol = 1e-3,
+    seed: Seed = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Output folder; ./<scene's name> by default.")
+    ] = None,
+    size: Size = None,
+    reconstruct: Annotated[
+        bool, typer.Option("--reconstruct/--no-reconstruct", help="Reconstruct the hidden object.")
+    ] = True,
+    debug: Debug = False,
+) -> None:
+    """Simulate a scene file; write figures, arrays and pictures into one folder."""
+    with errors_told(debug):
+        start = time.perf_counter()
+        folder = Path(scene_file.stem) if out is None else out
+        from ..planning import plan
+        from ..scene.file import format_scene
+        from ..simulation import simulate
+
+        scene = load(scene_file, size)
+        planned = plan(scene, tol, reconstruct=reconstruct)
+        check_target(folder)
+        require("matplotlib", "views")
+        if planned.runs("reconstruction"):
+            require("torch", "inverse", ", or pass --no-reconstruct")
+        with progress_bar() as progress:
+            result = simulate(scene, tol, seed, reconstruct, progress=progress)
+            progress("writing", 1.0)
+            report = _report(result)
+            with whole_folder(folder) as new:
+                began = time.perf_counter()
+                _write_arrays(result, new)
+                _write_pictures(result, new)
+                (new / "scene.toml").write_text(format_scene(scene, folder), encoding="utf-8")
+                report["seconds"]["writing"] = time.perf_counter() - began
+                report["seconds"]["total"] = time.perf_counter() - start
+                report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
+                text = json.dumps(report, indent=2, allow_nan=False)
+                (new / "result.json").write_text(text + "\n")
+        _print_summary(report, folder)
+
+
+@app.command("schema")
+def schema_command(debug: Debug = False) -> None:
+    """Print the JSON schema of scene files, for editors."""
+    with errors_told(debug):
+        from ..scene.file import scene_schema
+
+        typer.echo(json.dumps(scene_schema(), indent=2))
+
+
+def _report(result: Result) -> dict[str, Any]:
+    """Machine-readable account of a run: the contents of result.json."""
+    from dataclasses import asdict
+
+    return {
+        "program": "nlosoptics",
+        "status": "done",
+        "figures": _figures(result),
+        "seed": result.seed,
+        "tol": result.plan.tol,
+        "scene_sha256": scene_hash(result.scene),
+        "seconds": dict(result.timings),
+        "plan": {
+            "stages": [asdict(stage) for stage in result.plan.stages],
+            "skipped": [asdict(stage) for stage in result.plan.skipped],
+        },
+        "versions": versions(),
+    }
+
+
+def _figures(result: Result) -> dict[str, Any]:
+    """Numbers that sum up a run, SI units."""
+    from .. import psf
+
+    pupil, wave, spread, image = (
+        result.exit_pupil,
+        result.wavefront,
+        result.point_spread,
+        result.image,
+    )
+    found: dict[str, Any] = {
+        "exit_pupil_radius": pupil.radius,
+        "image_distance": pupil.image_distance,
+        "f_number": pupil.f_number,
+        "stop": pupil.stop,
+        "vignetting": pupil.vignetting,
+        "aberration_rms": psf.rms_aberration(wave),
+        "aberration_rms_waves": psf.rms_aberration(wave) / wave.wavelength,
+        "point_spread_method": spread.method,
+        "point_spread_error": spread.error_estimate,
+        "errors": dict(result.errors),
+        "field_nodes": 1 if result.field is None else result.field.weights[0].size,
+        "field_modes": 1 if result.field is None else len(result.field.modes),
+        "image_shape": list(image.electrons.shape),
+        "electrons_peak": float(image.electrons.max()),
+        "electrons_mean": float(image.electrons.mean()),
+        "signal_electrons_peak": float(image.signal.max()),
+        "noise_sigma_mean": float(image.noise_sigma.mean()),
+        "saturated_fraction": image.saturated_fraction,
+        "electrons_in_total": dict(image.ledger),
+    }
+    if result.reconstruction is not None:
+        from ..inverse import registered_correlation
+
+        found["reconstruction_status"] = result.reconstruction.status
+        found["reconstruction_score"] = result.reconstruction.score
+        if image.ideal.any():
+            correlation = registered_correlation(result.reconstruction, image.ideal)
+            found["correlation_with_truth"] = correlation
+    found["peak_memory_bytes"] = peak_memory()
+    return found
+
+
+def _write_arrays(result: Result, folder: Path) -> None:
+    """Write every noun's arrays and numbers, one ``.npz`` each."""
+    import numpy as np
+
+    nouns = {
+        "wavefront": result.wavefront,
+        "point_spread": result.point_spread,
+        "field": result.field,
+        "image": result.image,
+        "reconstruction": result.reconstruction,
+    }
+    for name, noun in nouns.items():
+        if noun is not None:
+            np.savez(folder / f"{name}.npz", **arrays(noun))
+
+
+def _write_pictures(result: Result, folder: Path) -> None:
+    """Write the pictures, one PNG each."""
+    from .. import views
+
+    views.save(views.scene_sketch(result.scene), folder / "scene.png")
+    views.save(views.wavefront(result.wavefront), folder / "wavefront.png")
+    views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
+    views.save(views.image(result.image), folder / "image.png")
+    if result.reconstruction is not None:
+        brightest = result.image.ideal.max()
+        truth = result.image.ideal / brightest if brightest > 0 else None
+        axes = views.reconstruction(result.reconstruction, truth)
+        views.save(axes, folder / "reconstruction.png")
+
+
+def _print_summary(report: dict[str, Any], folder: Path) -> None:
+    """Print a run's figures as a table."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    f = report["figures"]
+    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    table.add_row("exit pupil", f"radius {1e3 * f['exit_pupil_radius']:.4g} mm, stop: {f['stop']}")
+    table.add_row("working F-number", f"{f['f_number']:.4g}")
+    table.add_row(
+        "wave aberration",
+        f"{f['aberration_rms_waves']:.3g} waves rms ({1e9 * f['aberration_rms']:.3g} nm)",
+    )
+    table.add_row(
+        "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
+    )
+    if f["field_nodes"] > 1:
+        error = f["errors"]["field of point spreads"]
+        table.add_row(
+            "field", f"{f['field_nodes']} points in {f['field_modes']} modes, error {error:.1e}"
+        )
+    table.add_row(
+        "electrons per pixel",
+        f"{f['electrons_peak']:.3g} at most, {f['electrons_mean']:.3g} on average, "
+        f"signal {f['signal_electrons_peak']:.3g}",
+    )
+    if "reconstruction_status" in f:
+        told = "no light from the object reaches the camera"
+        if "correlation_with_truth" in f:
+            told = f"correlation with truth {f['correlation_with_truth']:.4f}"
+        table.add_row("reconstruction", f"{f['reconstruction_status']}, {told}")
+    for stage, seconds in report["seconds"].items():
+        table.add_row(f"  {stage}", f"{seconds:.2f} s")
+    if f["peak_memory_bytes"] is not None:
+        table.add_row("peak memory", f"{f['peak_memory_bytes'] / 2**20:.0f} MiB")
+    table.add_row("written to", str(folder))
+    Console().print(table)

@@ -1,0 +1,206 @@
+"""Commands that invert: feasibility, reconstruct and train."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .shell import (
+    FAILED,
+    Debug,
+    SceneFile,
+    Seed,
+    Size,
+    Tol,
+    app,
+    check_file,
+    check_target,
+    errors_told,
+    interruptible,
+    load,
+    numbers,
+    progress_bar,
+    require,
+)
+
+
+@app.command("feasibility")
+def feasibility_command(
+    scene_file: SceneFile,
+    size: Size = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Also write a picture: .png or .pdf.")] = None,
+    debug: Debug = False,
+) -> None:
+    """Say before any fit what an image can tell: light, noise, modulation, modes, the wave."""
+    with errors_told(debug):
+        from ..limits import feasibility
+
+        scene = load(scene_file, size)
+        if out is not None:
+            require("matplotlib", "views")
+        with progress_bar() as progress:
+            progress("feasibility", 0.0)
+            found = feasibility(scene)
+        if out is not None:
+            from .. import views
+
+            views.save(views.feasibility(found), out)
+        typer.echo(json.dumps(found.figures(), indent=2) if as_json else str(found))
+
+
+@app.command("reconstruct")
+def reconstruct_command(
+    images: Annotated[
+        list[Path], typer.Argument(metavar="IMAGE...", help="Pictures: PNG, TIFF or .npy, grey.")
+    ],
+    scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML).")],
+    dark: Annotated[Path | None, typer.Option(help="Dark frame of the same exposure.")] = None,
+    flat: Annotated[Path | None, typer.Option(help="Flat field, of an even light.")] = None,
+    full: Annotated[
+        float | None, typer.Option(help="Count at which a pixel is full; the type's by default.")
+    ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="With the point spread known: tv, wiener, inverse_filter, richardson_lucy, "
+            "deep_image_prior, phase_retrieval; by a trained network: cnn; wall and object "
+            "together: staged, evidence, wu2024."
+        ),
+    ] = "tv",
+    network: Annotated[
+        Path | None, typer.Option(help="File of the network for cnn, by nlosoptics train.")
+    ] = None,
+    iterations: Annotated[
+        int | None, typer.Option(min=1, help="At most so many; as the method needs by default.")
+    ] = None,
+    defocus: Annotated[
+        str, typer.Option(help="Known extra focus of each picture, waves rms: '0, 0.5'.")
+    ] = "",
+    tol: Tol = 1e-3,
+    seed: Seed = 0,
+    size: Size = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Output folder; ./<first image's name> by default.")
+    ] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on from the kept state.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print result.json.")] = False,
+    debug: Debug = False,
+) -> None:
+    """Reconstruct the hidden object from a camera's pictures; Ctrl-C keeps the best so far.
+
+    Exit code 1 where it was interrupted: --resume goes on.
+    """
+    with errors_told(debug):
+        require("torch", "inverse")
+        if network is not None:
+            require("safetensors", "inverse")
+        from .. import reconstructing
+
+        folder = Path(images[0].stem) if out is None else out
+        scene = load(scene_file, size)
+        check_target(folder)
+        task = reconstructing.prepared(
+            scene,
+            images,
+            method=method,
+            dark=dark,
+            flat=flat,
+            full=full,
+            defocus=numbers("--defocus", defocus),
+            network=network,
+            iterations=iterations,
+            seed=seed,
+            tol=tol,
+        )
+        with progress_bar(width=60) as progress, interruptible() as interrupted:
+            report = reconstructing.carry_out(
+                task, folder, resume=resume, progress=progress, interrupted=interrupted
+            )
+        if as_json:
+            typer.echo(json.dumps(report, indent=2))
+        else:
+            _print_reconstruction(report, folder)
+        if report["status"] == "interrupted":
+            typer.echo(
+                f"nlosoptics: interrupted; the best so far is in {folder}, --resume goes on",
+                err=True,
+            )
+            raise typer.Exit(FAILED)
+
+
+@app.command("train")
+def train_command(
+    scene_file: SceneFile,
+    out: Annotated[Path, typer.Option(help="File of the network.")] = Path("cnn.safetensors"),
+    pairs: Annotated[int, typer.Option(min=2, help="Images to learn from.")] = 2000,
+    epochs: Annotated[int, typer.Option(min=1, help="Times that each is shown.")] = 20,
+    waves: Annotated[float, typer.Option(help="Largest rms of a wall's aberration, waves.")] = 0.5,
+    frame: Annotated[
+        int | None, typer.Option(help="Pixels a side of a region of interest, object and all.")
+    ] = None,
+    base: Annotated[int, typer.Option(help="Channels of the network: 8, 16 or 32.")] = 16,
+    seed: Seed = 0,
+    size: Size = None,
+    debug: Debug = False,
+) -> None:
+    """Train a network on simulated images of random objects by random walls.
+
+    Ctrl-C keeps the best network so far, with exit code 1.
+    """
+    with errors_told(debug):
+        require("torch", "inverse")
+        require("safetensors", "inverse")
+        scene = load(scene_file, size)
+        check_file(out)
+        from .. import inverse
+
+        inverse.CnnBaseline(base=base)  # refuses what it cannot be before pairs are made
+        with progress_bar() as progress:
+            made = inverse.training_pairs(
+                scene,
+                pairs,
+                waves=waves,
+                size=frame,
+                seed=seed,
+                progress=lambda done, _: progress("training pairs", done),
+            )
+            training = inverse.train_cnn(
+                made,
+                base=base,
+                epochs=epochs,
+                seed=seed,
+                progress=lambda done, told: progress(told.removeprefix("training: "), done),
+            )
+            training.network.save(out)
+        error = training.history["validation"].min()
+        typer.echo(
+            f"{out}: mean squared error {error:.4f} on {max(1, round(0.1 * pairs))} pairs that it "
+            f"was not shown, {len(training.history['validation'])} epochs, {training.seconds:.0f} s"
+        )
+        if training.interrupted:
+            typer.echo(f"nlosoptics: interrupted; the best network so far is in {out}", err=True)
+            raise typer.Exit(FAILED)
+
+
+def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
+    """Print a reconstruction's figures as a table."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    f = report["figures"]
+    table = Table("figure", "value", box=box.SIMPLE_HEAD)
+    told = f"{f['method']}: {f['reconstruction_status']} after {f['iterations']} iterations"
+    table.add_row("reconstruction", told)
+    if f["method"] == "phase_retrieval":
+        table.add_row("agreement of halves", f"{f['reconstruction_score']:.4g}")
+    else:
+        table.add_row("residual", f"{f['reconstruction_score']:.4g} of the noise")
+    table.add_row("full pixels", f"{100 * f['saturated_fraction']:.2g} %")
+    table.add_row("seconds", f"{report['seconds']['total']:.2f} s")
+    table.add_row("written to", str(folder))
+    Console().print(table)
