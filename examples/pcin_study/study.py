@@ -38,7 +38,7 @@ def keys(setting: str) -> list[Key]:
     """All cases of a setting, those that share data beside each other."""
     if setting == "smallest":
         fast = ("image", "inverse_filter", "tv", "hio", "wu2024", "staged_2frames")
-        return list(_cases("wall", ["letter"], ["concave"], [40], fast, 32, iterations=20))
+        return list(_cases("wall", ["letter"], ["concave"], [40], fast, 48, iterations=20))
     if setting == "full":
         blind = [m for m in methods.NAMES if m not in methods.FAST and m != "evidence"]
         everything = (*methods.FAST, *blind, "evidence")
@@ -59,7 +59,7 @@ def _small() -> Iterator[Iterator[Key]]:
     yield _cases("wall", ["hanzi"], concave, [40], ("staged", "staged_2frames"), 64)
     yield _cases("wall", ["letter", "hanzi"], concave, [20, 30], (*fast, *two), 64)
     yield _cases("wall", ["posed", "cartoon", "tilted"], concave, [40], (*fast, "staged", *two), 64)
-    yield _cases("wall", ["letter"], concave, [10], two, 64)
+    yield _cases("wall", ["letter"], concave, [10], ["staged_2frames"], 64)
     yield _cases("wall", ["letter"], ["flat", "concave"], [40], ("wu2024",), 64)
     yield _cases("wall", ["letter"], concave, [40], ("wu2024_warm", "staged_2frames_warm"), 64)
     yield _cases("wall", ["tilted"], concave, [40], ("wu2024",), 64)
