@@ -11,6 +11,7 @@ noise of each, and four of them are summed.
 
 from __future__ import annotations
 
+import math
 import zlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -51,12 +52,13 @@ DIVERSITY = 0.5  # waves rms, focus of the second frame
 class Exposure:
     """One exposure and its truth, electrons, (n, n).
 
+    ``noise`` is what the camera's data sheet says of it, rms over the frame: photons and readout.
     ``scene`` is the one whose pixels the arrays have: that of the fits, not of the simulation.
     """
 
     image: Array
     truth: Array
-    background: float
+    noise: float
     scene: Scene
     seconds: float
 
@@ -130,12 +132,13 @@ def exposure_of(
     where = (scale, name, wall, size, milliseconds * 1e-3)
     seed = zlib.crc32(repr((*where, second)).encode())
     found = nlos.simulate(study_scene(*where, fine=FINE, focus=focus), TOL, seed=seed)
-    taken = found.image
+    image, fitted = _summed(found.image.electrons), study_scene(*where, focus=focus)
+    readout = fitted.camera.read_noise * fitted.camera.binning
     return Exposure(
-        image=_summed(taken.electrons),
-        truth=_summed(taken.ideal),
-        background=float(_summed(taken.background).mean()),
-        scene=study_scene(*where, focus=focus),
+        image=image,
+        truth=_summed(found.image.ideal),
+        noise=math.sqrt(max(float(image.mean()), 0.0) + readout**2),
+        scene=fitted,
         seconds=sum(found.timings.values()),
     )
 

@@ -83,7 +83,10 @@ def _place(key: dict[str, Any]) -> tuple[str, str, str, int]:
 def _inverse_filter(key: dict[str, Any], taken: data.Exposure) -> Any:
     place = _place(key)
     found = inverse.inverse_filter(
-        taken.image, data.known_model(*place), background_shape=data.veil(*place)
+        taken.image,
+        data.known_model(*place),
+        noise_sigma=taken.noise,
+        background_shape=data.veil(*place),
     )
     return found, {}
 
@@ -91,20 +94,26 @@ def _inverse_filter(key: dict[str, Any], taken: data.Exposure) -> Any:
 def _tv(key: dict[str, Any], taken: data.Exposure) -> Any:
     place = _place(key)
     found = inverse.tv_deconvolve(
-        taken.image, data.known_model(*place), background_shape=data.veil(*place)
+        taken.image,
+        data.known_model(*place),
+        noise_sigma=taken.noise,
+        background_shape=data.veil(*place),
     )
     return found, {}
 
 
 def _phase_retrieval(key: dict[str, Any], taken: data.Exposure) -> Any:
     method = "alternating" if key["method"] == "phase_retrieval" else "hio"
-    return inverse.phase_retrieval(taken.image, method=method, seed=SEED), {}
+    found = inverse.phase_retrieval(taken.image, method=method, noise_sigma=taken.noise, seed=SEED)
+    return found, {}
 
 
 def _cnn(key: dict[str, Any], taken: data.Exposure) -> Any:
     network, seconds = trained(key["size"], key["pairs"])
     # the image model only says how well the answer explains the image
-    found = network.reconstruct(taken.image, data.known_model(*_place(key)))
+    found = network.reconstruct(
+        taken.image, data.known_model(*_place(key)), noise_sigma=taken.noise
+    )
     return found, {"training_seconds": round(seconds, 1), "iterations": 0}
 
 
@@ -130,6 +139,7 @@ def _wu2024_run(name: str, wall: str, size: int, milliseconds: int, iterations: 
         taken.image,
         data.fitted_pupil(size),
         recipe="wu2024",
+        noise_sigma=taken.noise,
         max_iterations=iterations,
         seed=SEED,
     )
@@ -151,6 +161,7 @@ def _wu2024_warm(key: dict[str, Any], taken: data.Exposure) -> Any:
         taken.image,
         data.fitted_pupil(key["size"]),
         recipe="wu2024",
+        noise_sigma=taken.noise,
         start=_wu2024_run(WARM_FROM, *place),
         max_iterations=max(1, round(asked * WARM / COLD)),
         seed=SEED,
@@ -168,25 +179,28 @@ def _first_below(residuals: Any, goal: float) -> int | None:
     return int(reached[0]) + 1 if len(reached) else None
 
 
-def _frames(key: dict[str, Any], taken: data.Exposure, name: str = "") -> Any:
-    """Two frames and their defoci, m rms."""
-    _, own, wall, size = _place(key)[0], key["object"], key["wall"], key["size"]
-    name = name or own
+def _frames(key: dict[str, Any], name: str) -> tuple[Any, dict[str, Any]]:
+    """Two frames of an object, and what is known of them: defocus, m rms, and noise."""
+    wall, size = key["wall"], key["size"]
     first = data.exposure_of("wall", name, wall, size, key["exposure_ms"])
     second = data.exposure_of("wall", name, wall, size, key["exposure_ms"], second=True)
-    wavelength = taken.scene.laser.wavelength
-    return np.stack([first.image, second.image]), [0.0, data.defocus_waves(size) * wavelength]
+    extra = data.defocus_waves(size) * first.scene.laser.wavelength
+    known = {"defocus": [0.0, extra], "noise_sigma": [first.noise, second.noise]}
+    return np.stack([first.image, second.image]), known
 
 
 def _blind(key: dict[str, Any], taken: data.Exposure) -> Any:
     recipe, _, frames = key["method"].partition("_")
-    images, defocus = _frames(key, taken) if frames else (taken.image, None)
-    options = {"max_seconds": key["max_seconds"]} if key["method"] == "evidence" else {}
+    images: Any = taken.image
+    options: dict[str, Any] = {"noise_sigma": taken.noise}
+    if frames:
+        images, options = _frames(key, key["object"])
+    if "max_seconds" in key:
+        options["max_seconds"] = key["max_seconds"]
     found = inverse.pcin(
         images,
         data.fitted_pupil(key["size"]),
         recipe=recipe,
-        defocus=defocus,
         seed=SEED,
         **options,
     )
@@ -197,17 +211,15 @@ def _staged_warm(key: dict[str, Any], taken: data.Exposure) -> Any:
     """From the wall that was found with another object."""
     import torch
 
-    images, defocus = _frames(key, taken, WARM_FROM)
+    images, known = _frames(key, WARM_FROM)
     other = inverse.pcin(
-        images, data.fitted_pupil(key["size"]), recipe="staged", defocus=defocus, seed=SEED
+        images, data.fitted_pupil(key["size"]), recipe="staged", seed=SEED, **known
     )
     pupil = data.fitted_pupil(key["size"])
     with torch.no_grad():
         pupil.coefficients.copy_(torch.tensor(other.physical_parameters["coefficients"]))
-    images, defocus = _frames(key, taken)
-    found = inverse.pcin(
-        images, pupil, recipe="staged", defocus=defocus, seed=SEED, start_error=0.05
-    )
+    images, known = _frames(key, key["object"])
+    found = inverse.pcin(images, pupil, recipe="staged", seed=SEED, start_error=0.05, **known)
     return found, {}
 
 

@@ -60,13 +60,13 @@ def _small() -> Iterator[Iterator[Key]]:
     yield _cases("wall", ["letter", "hanzi"], concave, [20, 30], (*fast, *two), 64)
     yield _cases("wall", ["posed", "cartoon", "tilted"], concave, [40], (*fast, "staged", *two), 64)
     yield _cases("wall", ["letter"], concave, [10], ["staged_2frames"], 64)
+    yield _cases("paper", ["letter"], flat, EXPOSURES, KNOWN, 192)
+    yield _cases("paper", ["hanzi"], flat, [10, 40], KNOWN, 192)
+    yield _cases("paper", ["letter"], ["concave", "convex", "wavy"], [10, 40], KNOWN, 192)
     yield _cases("wall", ["letter"], ["flat", "concave"], [40], ("wu2024",), 64)
     yield _cases("wall", ["letter"], concave, [40], ("wu2024_warm", "staged_2frames_warm"), 64)
     yield _cases("wall", ["tilted"], concave, [40], ("wu2024",), 64)
     yield _cases("wall", ["letter"], concave, [40], ("evidence",), 64)
-    yield _cases("paper", ["letter"], flat, EXPOSURES, KNOWN, 192)
-    yield _cases("paper", ["hanzi"], flat, [10, 40], KNOWN, 192)
-    yield _cases("paper", ["letter"], ["concave", "convex", "wavy"], [10, 40], KNOWN, 192)
 
 
 def _cases(
