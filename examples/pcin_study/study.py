@@ -26,6 +26,8 @@ import pcin_methods as methods
 import pcin_report as report
 from numpy.typing import NDArray
 
+from nlosoptics import limits
+
 Key = dict[str, Any]
 
 EXPOSURES = (10, 20, 30, 40)  # ms
@@ -135,9 +137,15 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--setting", choices=SETTINGS, default="small")
     parser.add_argument("--out", type=Path, default=Path("pcin_study"))
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument(
+        "--feasibility", action="store_true", help="what the scenes can show at all, and no fit"
+    )
     parser.add_argument("--report", action="store_true", help="tables and pictures alone")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True, exist_ok=True)
+    if options.feasibility:
+        print(feasibility())
+        return
     path = options.out / f"{options.setting}.jsonl"
     lines = finished(path)
     done = {report.name_of(line, line["method"]) for line in lines}
@@ -151,6 +159,27 @@ def main(arguments: list[str] | None = None) -> None:
                 told = (report.name_of(line, line["method"]), line.get("correlation"))
                 print(*told, line["status"], line.get("seconds"), flush=True)
     report.write(lines, options.out)
+
+
+def feasibility() -> str:
+    """What `limits.feasibility` says of the letter's scenes, as a table."""
+    rows = [
+        "| scale | wall | ms | electrons | noise | veil | blur passes at two strokes | predicted"
+        " correlation | Z4 one frame | Z4 two frames |",
+        "|---" * 10 + "|",
+    ]
+    for scale, size in (("wall", 64), ("paper", 192)):
+        for wall, exposure in itertools.product(data.WALLS, (10, 40)):
+            scene = data.study_scene(scale, "letter", wall, size, exposure * 1e-3)
+            told = limits.feasibility(scene)
+            # a period of two strokes is what tells a stroke from its neighbour
+            passed = np.interp(0.5 / told.stroke, told.frequency, told.modulation)
+            rows.append(
+                f"| {scale} | {wall} | {exposure} | {told.brightest:.0f} | "
+                f"{told.noise['total']:.1f} | {told.veil:.2g} | {passed:.2f} | {told.score:.3f} | "
+                f"{told.wave_bounds[4]:.2g} | {told.two_frame_bounds[4]:.2g} |"
+            )
+    return "\n".join(rows)
 
 
 def _results(jobs: list[tuple[Key, Path]], processes: int) -> Iterator[dict[str, Any]]:
