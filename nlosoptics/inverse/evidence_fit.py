@@ -132,8 +132,9 @@ def evidence_fit(
     prefer no blur to the truth in one frame.
 
     With defocused frames the status is "converged" where what is left unexplained beyond the noise
-    is at most 0.4 % of the images' range and 1 % more for each wave of the wall. Off one frame it
-    is "converged" where ``margin`` is under -100, "trivial" where the answer has hardly any blur.
+    is at most 0.4 % of the images' range and 1 % more for each wave of the wall up to one. Off one
+    frame it is "converged" where ``margin`` is under -100, "trivial" where the answer has hardly
+    any blur.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -153,6 +154,12 @@ def evidence_fit(
         background_shape=None,
         boundary="padded",
     )
+    left_out = frames.images.numel() - frames.counted
+    if left_out:
+        raise SamplingError(
+            f"{left_out} of {frames.images.numel()} pixels do not count (infinite noise), and the "
+            "evidence fit takes all of them; crop the images, or use recipe='staged'"
+        )
     rows, columns = frames.images.shape[-2:]
     if rows != columns:
         raise SamplingError(

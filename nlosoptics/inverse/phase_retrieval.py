@@ -85,8 +85,9 @@ def phase_retrieval(
     Reconstruction
         The object in the middle of the frame, its place and a half turn being unknown, largest
         value 1. ``score`` is the registered correlation, half turns allowed, between what two
-        independent halves of the restarts find; from 0.9 on ``status`` is "converged", else
-        "unconverged". ``physical_parameters`` has ``fourier_error`` (least of the restarts),
+        independent halves of the restarts find. ``status`` is "unconverged" however well they
+        agree: whether the image's lags are the object's, as those off a wall of many grains, is not
+        seen from them. ``physical_parameters`` has ``fourier_error`` (least of the restarts),
         ``object_size`` and ``noise_sigma``, ``history`` the ``fourier_error`` of each restart.
 
     Raises
@@ -136,7 +137,7 @@ def phase_retrieval(
         found, score, errors, parameters = search.run(
             image_lags(data, twin), shape, data.data.device
         )
-        status = search.status(score)
+        status = "unconverged"
     errors.flags.writeable = False
     return Reconstruction(
         object=data.like_input(found),

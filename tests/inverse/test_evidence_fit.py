@@ -227,3 +227,19 @@ def test_wide_pixels_are_refused():
     coarse = PupilPSF.from_zernike(MODES, shape=32, **{**OPTICS, "pitch": 12e-6})
     with pytest.raises(SamplingError, match="Nyquist"):
         evidence_fit(data, coarse, defocus=DEFOCUS, noise_sigma=sigma)
+
+
+def test_pixels_that_do_not_count_are_refused():
+    spread = PupilPSF.from_zernike(
+        [4, 5],
+        wavelength=633e-9,
+        pupil_radius=1e-3,
+        image_distance=0.05,
+        pitch=7e-6,
+        shape=(16, 16),
+    )
+    images = np.random.default_rng(0).uniform(0.0, 1.0, (2, 16, 16))
+    noise = np.full((2, 16, 16), 0.01)
+    noise[0, 3, 4] = np.inf
+    with pytest.raises(SamplingError, match="1 of 512 pixels do not count"):
+        evidence_fit(images, spread, defocus=[0.0, 3e-7], noise_sigma=noise)
