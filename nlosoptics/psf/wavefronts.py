@@ -218,11 +218,12 @@ class Wavefront:
                 )
             u, v, weights = shared_polar_nodes(pupil_radius, n_r, n_theta, obscuration)
         if nodes == "polar" and u.size <= KEPT:
-            amplitude = kept_even(*u.shape)
+            amplitude, aberration = kept_even(*u.shape), np.zeros(u.shape)
             heights = [real(f"coefficients[{j}]", value) for j, value in coefficients.items()]
-            modes = kept_zernikes(tuple(coefficients), ordering, *u.shape, float(obscuration))
-            # einsum without BLAS: the same bits for any thread count
-            aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
+            if heights:
+                modes = kept_zernikes(tuple(coefficients), ordering, *u.shape, float(obscuration))
+                # einsum without BLAS: the same bits for any thread count
+                aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
         else:
             amplitude = np.ones_like(u)
             aberration = _zernike_sum(coefficients, u, v, pupil_radius, ordering)
