@@ -24,7 +24,7 @@ from ..psf.whole_files import write_whole
 from ._threads import gradients, single_thread
 from .callbacks import Progress
 from .measurements import measurement
-from .reconstructions import Reconstruction, assemble, frozen, without_object
+from .reconstructions import Reconstruction, assemble, beside, frozen, without_object
 from .scaled_images import ScaledImage
 from .torch_model import TorchForwardModel, model_shape, torch_model
 from .training_pairs import TrainingPairs
@@ -112,9 +112,7 @@ class CnnBaseline(nn.Module):
             found = self(scaled.image[None].to(next(self.parameters())))[0].to(scaled.image)
             strength = scaled.misfit(blur(found))[0].item() * scaled.unit
         level = strength * found.double()
-        seen = torch_model(model, level.device, torch.float64)(level)
-        veil = data.background_strength(data.data - seen)
-        score = data.score(seen + data.background(veil))
+        veil, score = beside(data, level, model)
         return assemble(
             data,
             level,

@@ -20,7 +20,7 @@ from ._threads import gradients, single_thread
 from .adam_states import adam_state, take_up_adam
 from .callbacks import Progress, State, goes_on, started_from, state_of
 from .measurements import Measurement, measurement
-from .reconstructions import Reconstruction, assemble, without_object
+from .reconstructions import Reconstruction, assemble, beside, without_object
 from .scaled_images import ScaledImage, total_variation
 from .torch_model import TorchForwardModel, model_shape, torch_model
 from .total_variation import tv_deconvolve
@@ -157,9 +157,8 @@ def deep_image_prior(
     fit = _Fit(network, data, model, found_weight, learning_rate)
     ended = not fit.run(0 if start is None else fit.go_on(start), max_iterations, progress)
     level = fit.chosen()
-    residual = data.data - torch_model(model, level.device, torch.float64)(level)
-    strength = data.background_strength(residual)
-    converged = data.score(data.data - residual + data.background(strength)) <= 1.0 + tolerance
+    strength, score = beside(data, level, model)
+    converged = score <= 1.0 + tolerance
     return assemble(
         data,
         level,

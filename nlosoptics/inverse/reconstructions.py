@@ -117,6 +117,15 @@ def assemble(
     )
 
 
+def beside(
+    data: Measurement, level: Tensor, model: ForwardModel | TorchForwardModel
+) -> tuple[float, float]:
+    """Strength of the unknown background that fits best beside an object, and the score of both."""
+    seen = torch_model(model, level.device, torch.float64)(level)
+    strength = data.background_strength(data.data - seen)
+    return strength, data.score(seen + data.background(strength))
+
+
 def without_object(
     data: Measurement,
     *,

@@ -14,7 +14,7 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .callbacks import Progress
 from .measurements import Measurement, measurement
-from .reconstructions import Reconstruction, assemble, without_object
+from .reconstructions import Reconstruction, assemble, beside, without_object
 from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
 
 # A transfer of this part of the largest is what rounding leaves of zero.
@@ -103,9 +103,7 @@ def inverse_filter(
     if data.is_background():
         return without_object(data, model=model, gain=gain, started=started)
     level, guard = _divided(data, twin, guard)
-    residual = data.data - twin(level)
-    strength = data.background_strength(residual)
-    score = data.score(twin(level) + data.background(strength))
+    strength, score = beside(data, level, twin)
     if progress is not None:
         progress(1.0, f"inverse filter: residual {score:.2g} of the noise")
     return assemble(

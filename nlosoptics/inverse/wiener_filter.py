@@ -16,7 +16,7 @@ from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .callbacks import Progress, goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
-from .reconstructions import Reconstruction, Status, assemble, without_object
+from .reconstructions import Reconstruction, Status, assemble, beside, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
 
 
@@ -112,12 +112,11 @@ def wiener(
         problem, max_iterations, tolerance, first, progress
     )
     status: Status = "converged" if converged else "unconverged"
-    residual = data.data - problem.model(level)
     return assemble(
         data,
         level,
         model=model,
-        background=data.background_strength(residual),
+        background=beside(data, level, problem.model)[0],
         gain=gain,
         status=status,
         history=history,

@@ -136,8 +136,7 @@ class Task:
         """Intensity at `samples`, averaged over pixels where asked."""
         if self.rule is None:
             return fine
-        half = self.rule.mean(fine)
-        return self.rule.mean(np.ascontiguousarray(half.T)).T
+        return self.rule.mean_down(self.rule.mean(fine))
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,6 +58,14 @@ class PixelRule:
         # einsum without BLAS: the same bits for any thread count.
         return np.asarray(np.einsum("rpt,t->rp", runs[:, :: self.factor], self.taps))
 
+    def mean_down(self, fine: Array) -> Array:
+        """The same along the first axis of (n factor + 2 margin, columns)."""
+        return self.mean(np.ascontiguousarray(fine.T)).T
+
+    def count(self, samples: int) -> int:
+        """Pixels that so many fine samples make."""
+        return (samples - 2 * self.margin) // self.factor
+
 
 def pixel_rule(pitch: float, nyquist_pitch: float, n: int) -> PixelRule:
     """Weights for pixels of side ``pitch``, ``n`` of them across.

@@ -192,7 +192,7 @@ def _unfolded(
 
     nx = even.shape[1]
     # rows are averaged along as they come: the fine image need not fit the memory
-    across = nx if rule is None else (nx - 2 * rule.margin) // rule.factor
+    across = nx if rule is None else rule.count(nx)
     half = np.empty((ny, across))
     blocks = _blocks((ny + 1) // 2, nx, len(odd))
     rows = blocks[0][1]
@@ -213,9 +213,7 @@ def _unfolded(
         up, down = fine[:, : stop - start]
         _pupil_kernels.split_squares(a, b, scale, up, down)
         above[...], below[...] = rule.mean(up), rule.mean(down)
-    if rule is None:
-        return half
-    return rule.mean(np.ascontiguousarray(half.T)).T
+    return half if rule is None else rule.mean_down(half)
 
 
 def _waves(
@@ -302,7 +300,7 @@ def _padded_intensity(
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
     step = max(8, BLOCK_BYTES // (16 * size))
     # rows are averaged along as they come: the fine image need not fit the memory
-    across = nx if rule is None else (nx - 2 * rule.margin) // rule.factor
+    across = nx if rule is None else rule.count(nx)
     half = np.empty((ny, across))
     energy = np.empty((0 if rule is None else step, nx))
     padded = _workspace("padded", (step, size), values.dtype)
@@ -316,9 +314,7 @@ def _padded_intensity(
         fine = energy[: len(part)]
         _pupil_kernels.squares(part, scale, fine)
         half[start : start + step] = rule.mean(fine)
-    if rule is None:
-        return half
-    return rule.mean(np.ascontiguousarray(half.T)).T
+    return half if rule is None else rule.mean_down(half)
 
 
 @lru_cache(maxsize=16)
