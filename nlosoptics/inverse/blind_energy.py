@@ -117,10 +117,7 @@ class Energy:
             By which the noise is taken for larger than it is.
         gains : Tensor, (B, K, 1, 1), optional
         """
-        frames = self.frames
-        seen = frames.seen(level, transfer)
-        residual = frames.residual(seen if gains is None else gains * seen)
-        fit = (frames.precision * residual.square()).sum((-3, -2, -1))
+        fit = self.squares(level, transfer, gains)
         slopes = torch.stack(
             [
                 level.diff(dim=-2, append=level[..., -1:, :]),
@@ -139,7 +136,14 @@ class Energy:
             variances.lerp_(spread[..., None, None], 0.5).clamp_min_(_SMALLEST_VARIANCE)
         energy = fit / factor**2 + (weights * slopes.square()).sum((-3, -2, -1)) + rest
         energy = energy + (self._share * covariance * power).sum((-2, -1))
-        return 0.5 * energy, fit.detach() / frames.counted
+        return 0.5 * energy, fit.detach() / self.frames.counted
+
+    def squares(self, level: Tensor, transfer: Tensor, gains: Tensor | None) -> Tensor:
+        """Sum of squared residuals over the noise, (B,)."""
+        frames = self.frames
+        seen = frames.seen(level, transfer)
+        residual = frames.residual(seen if gains is None else gains * seen)
+        return (frames.precision * residual.square()).sum((-3, -2, -1))
 
 
 class KnownObjectEnergy(Energy):
@@ -176,11 +180,8 @@ class KnownObjectEnergy(Energy):
         gains: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """As of `Energy`."""
-        frames = self.frames
-        seen = frames.seen(level, transfer)
-        residual = frames.residual(seen if gains is None else gains * seen)
-        fit = (frames.precision * residual.square()).sum((-3, -2, -1))
-        return 0.5 * fit / factor**2, fit.detach() / frames.counted
+        fit = self.squares(level, transfer, gains)
+        return 0.5 * fit / factor**2, fit.detach() / self.frames.counted
 
 
 def _power(transfer: Tensor) -> Tensor:

@@ -71,12 +71,8 @@ class Frames:
     def transfer(self, coefficients: Tensor) -> Tensor:
         """Transfer functions (B, K, rows, columns//2 + 1) of coefficients (B, n_walls, M)."""
         each = coefficients[:, self.walls]
-        turns = self.pupil.waves(each) + self._known_turns(each)
+        turns = self.pupil.waves(each) + self.pupil.defocus_turns(self.defocus.to(each))
         return self.pupil.optics.transfer(turns)
-
-    def _known_turns(self, like: Tensor) -> Tensor:
-        extra = (self.defocus / self.pupil.wavelength).to(like)
-        return extra[:, None, None] * self.pupil._defocus
 
     def seen(self, level: Tensor, transfer: Tensor) -> Tensor:
         """Images (B, K, H, W) of objects (B, H, W)."""

@@ -459,5 +459,8 @@ class PupilPSF(nn.Module):
             raise SamplingError(
                 f"defocus has shape {tuple(extra.shape)}, must be (K,); give one value per frame"
             )
-        frames = (extra / self.wavelength)[:, None, None] * self._defocus
-        return turns.unsqueeze(-3) + frames
+        return turns.unsqueeze(-3) + self.defocus_turns(extra)
+
+    def defocus_turns(self, extra: Tensor) -> Tensor:
+        """Known defoci (K,), m rms, over the wavelength, (K, rows, columns)."""
+        return (extra / self.wavelength)[:, None, None] * self._defocus
