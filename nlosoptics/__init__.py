@@ -9,6 +9,7 @@ camera looks at the wall. The subpackages follow the light:
 - `imaging`: radiance, photons, camera noise, the forward model.
 - `limits`: what an image can tell, before any fit.
 - `inverse`: reconstructions, in torch.
+- `transient`: time-resolved captures and their pictures.
 - `views`: pictures.
 
 `plan` says what a scene needs, `simulate` runs exactly that.

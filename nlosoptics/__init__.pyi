@@ -6,6 +6,7 @@ from . import limits as limits
 from . import psf as psf
 from . import raytrace as raytrace
 from . import scene as scene
+from . import transient as transient
 from . import views as views
 from .planning import Plan as Plan
 from .planning import plan as plan

@@ -1,0 +1,10 @@
+"""Time-resolved light: captures off a relay wall, rendered or measured, and their pictures.
+
+- `captures`: `TransientCapture`, light at wall points over optical path.
+- `volumes`: `Volume`, where a hidden scene is looked for, and `VolumeImage`, what was seen there.
+"""
+
+from .captures import TransientCapture, wall_grid
+from .volumes import Volume, VolumeImage
+
+__all__ = ["TransientCapture", "Volume", "VolumeImage", "wall_grid"]

@@ -1,0 +1,200 @@
+"""What a time-resolved capture holds: light at wall points over time, per laser point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import Vector, one_of, positive, real, vector
+from ..errors import SamplingError, SceneError
+
+Array = NDArray[np.floating]
+Pairing = Literal["all", "confocal"]
+Quantity = Literal["irradiance", "radiance", "radiosity", "counts", "unknown"]
+
+QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TransientCapture:
+    """Light at points of the relay wall in bins of optical path.
+
+    The wall is the plane z = 0 with its normal +z, unless normals say otherwise. Grids of points
+    are [y, x], row 0 at the lowest y.
+
+    Parameters
+    ----------
+    H : array_like
+        (n_bins, *laser_shape, *sensor_shape) where each laser point is seen at each sensor point
+        (``pairing="all"``), (n_bins, *shape) where each at its own (``"confocal"``, which need not
+        be the same point). The integral over each bin, not a density. Single precision is kept.
+    laser_points, sensor_points : array_like
+        (*laser_shape, 3) and (*sensor_shape, 3), m. One point may be (3,): it adds no axis.
+    delta_t : float
+        Width of a bin, m of optical path.
+    t_start : float
+        Where bin 0 begins, m of optical path.
+    pairing : {"all", "confocal"}
+    quantity : {"irradiance", "radiance", "radiosity", "counts", "unknown"}
+    outer_legs : bool
+        Whether the times hold the legs from the laser to the wall and from the wall to the sensor.
+    laser_origin, sensor_origin : array_like of 3 floats, optional
+        Where the laser and the sensor stand, m; needed to take the outer legs away.
+    laser_normals, sensor_normals : array_like, optional
+        Of the points' shapes; None: +z.
+    by_bounce : mapping of int to array_like
+        Parts of ``H`` by the number of reflections, wall included: 3, 4, 5.
+    standard_error : array_like, optional
+        Of ``H``, same shape and unit; 0 where nothing was drawn at random.
+    details : mapping
+        What else a file or a renderer had to say.
+
+    Raises
+    ------
+    SamplingError
+        If shapes do not fit one another.
+    SceneError
+        If a value is not finite or out of range.
+    """
+
+    H: Array
+    laser_points: Array
+    sensor_points: Array
+    delta_t: float
+    t_start: float = 0.0
+    pairing: Pairing = "all"
+    quantity: Quantity = "irradiance"
+    outer_legs: bool = False
+    laser_origin: Vector | None = None
+    sensor_origin: Vector | None = None
+    laser_normals: Array | None = None
+    sensor_normals: Array | None = None
+    by_bounce: Mapping[int, Array] = field(default_factory=dict)
+    standard_error: Array | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        one_of("pairing", self.pairing, ("all", "confocal"))
+        one_of("quantity", self.quantity, QUANTITIES)
+        put = object.__setattr__
+        put(self, "delta_t", positive("delta_t", self.delta_t, unit="m"))
+        put(self, "t_start", real("t_start", self.t_start))
+        for name in ("laser", "sensor"):
+            points = _points(f"{name}_points", getattr(self, f"{name}_points"))
+            put(self, f"{name}_points", points)
+            normals = getattr(self, f"{name}_normals")
+            if normals is not None:
+                normals = _points(f"{name}_normals", normals)
+                if normals.shape != points.shape:
+                    raise SamplingError(
+                        f"{name}_normals have shape {normals.shape}, must be {points.shape} like "
+                        "the points"
+                    )
+                put(self, f"{name}_normals", normals)
+            origin = getattr(self, f"{name}_origin")
+            if origin is not None:
+                put(self, f"{name}_origin", vector(f"{name}_origin", origin))
+        put(self, "H", self._bins("H", self.H))
+        if self.standard_error is not None:
+            put(self, "standard_error", self._bins("standard_error", self.standard_error))
+        parts = {int(n): self._bins(f"by_bounce[{n}]", h) for n, h in self.by_bounce.items()}
+        put(self, "by_bounce", MappingProxyType(parts))
+        put(self, "details", MappingProxyType(dict(self.details)))
+
+    @property
+    def laser_shape(self) -> tuple[int, ...]:
+        """Axes of the laser points, () for one."""
+        return self.laser_points.shape[:-1]
+
+    @property
+    def sensor_shape(self) -> tuple[int, ...]:
+        """Axes of the sensor points, () for one."""
+        return self.sensor_points.shape[:-1]
+
+    @property
+    def n_bins(self) -> int:
+        """Bins of time."""
+        return int(self.H.shape[0])
+
+    @property
+    def edges(self) -> Array:
+        """(n_bins + 1,), m of optical path."""
+        return self.t_start + self.delta_t * np.arange(self.n_bins + 1)
+
+    @property
+    def times(self) -> Array:
+        """(n_bins,), the bins' middles, m of optical path."""
+        return self.t_start + self.delta_t * (np.arange(self.n_bins) + 0.5)
+
+    @property
+    def is_confocal(self) -> bool:
+        """Whether each laser point is seen at that very point."""
+        return self.pairing == "confocal" and bool(
+            np.allclose(self.laser_points, self.sensor_points, rtol=0.0, atol=1e-9)
+        )
+
+    def _bins(self, name: str, values: Any) -> Array:
+        array = np.asarray(values)
+        if array.dtype not in (np.float32, np.float64):
+            if array.dtype.kind not in "iuf":
+                raise SceneError(f"{name} of type {array.dtype} is not an array of real numbers")
+            array = array.astype(np.float64)
+        if self.pairing == "confocal":
+            if self.laser_shape != self.sensor_shape:
+                raise SamplingError(
+                    f"laser points {self.laser_shape} and sensor points {self.sensor_shape} are "
+                    "not pairs; give as many of both, or pairing='all'"
+                )
+            shape = self.sensor_shape
+        else:
+            shape = self.laser_shape + self.sensor_shape
+        if array.ndim == 0 or array.shape[0] == 0 or array.shape[1:] != shape:
+            raise SamplingError(
+                f"{name} has shape {array.shape}, must be (n_bins, {str(shape).strip('(),')}) for "
+                f"these points and pairing = {self.pairing!r}"
+            )
+        n_bad = int(array.size - np.count_nonzero(np.isfinite(array)))
+        if n_bad:
+            raise SceneError(
+                f"{name} has {n_bad} of {array.size} values that are not finite; replace them"
+            )
+        return array
+
+
+def _points(name: str, values: ArrayLike) -> Array:
+    array = np.array(values, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3 or array.size == 0:
+        raise SamplingError(f"{name} have shape {array.shape}, must be (..., 3), m")
+    if not np.isfinite(array).all():
+        raise SceneError(f"{name} have values that are not finite")
+    return array
+
+
+def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Middles of the cells of a square grid on the wall z = 0.
+
+    Parameters
+    ----------
+    side : float
+        Of the square, m.
+    count : int
+        Cells along each side.
+    centre : (float, float)
+        m.
+
+    Returns
+    -------
+    ndarray
+        (count, count, 3), [y, x], m.
+    """
+    side = positive("side", side, unit="m")
+    along = (np.arange(count) + 0.5) * (side / count) - 0.5 * side
+    points = np.zeros((count, count, 3))
+    points[..., 0] = along + centre[0]
+    points[..., 1] = along[:, None] + centre[1]
+    return points

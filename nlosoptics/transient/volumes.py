@@ -1,0 +1,140 @@
+"""Where a hidden scene is looked for, and what was seen there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import pair, positive, vector, whole
+from ..errors import SamplingError, SceneError
+
+Array = NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class Volume:
+    """A grid of points along x, y and z: voxel centres, evenly spaced and rising.
+
+    Parameters
+    ----------
+    x, y, z : array_like
+        (nx,), (ny,) and (nz,), m; one value makes a plane. z is the distance from the wall.
+
+    Raises
+    ------
+    SamplingError
+        If an axis is empty, uneven or falls.
+    SceneError
+        If a value is not finite.
+    """
+
+    x: Array
+    y: Array
+    z: Array
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "z"):
+            object.__setattr__(self, name, _axis(name, getattr(self, name)))
+
+    @classmethod
+    def box(cls, centre: Any, size: Any, pitch: float) -> Volume:
+        """Voxels of one pitch that fill a box.
+
+        Parameters
+        ----------
+        centre, size : array_like of 3 floats
+            m; as many voxels as fit best, at least one along each axis.
+        pitch : float
+            m.
+        """
+        middle, pitch = vector("centre", centre), positive("pitch", pitch, unit="m")
+        extents = vector("size", size)
+        if min(extents) < 0.0:
+            raise SceneError(f"size = {extents} m has an extent below 0")
+        counts = [max(1, round(extent / pitch)) for extent in extents]
+        axes = [middle[i] + pitch * (np.arange(n) - 0.5 * (n - 1)) for i, n in enumerate(counts)]
+        return cls(*axes)
+
+    @classmethod
+    def before(cls, side: Any, count: int, depths: ArrayLike) -> Volume:
+        """Planes in front of the wall's cells, of `wall_grid`'s pitch, at given distances.
+
+        Parameters
+        ----------
+        side : float or (float, float)
+            Of the wall, m.
+        count : int
+            Cells along each side.
+        depths : array_like
+            (nz,), m.
+        """
+        width, height = pair("side", side)
+        middles = (np.arange(whole("count", count)) + 0.5) / count - 0.5
+        return cls(middles * width, middles * height, np.asarray(depths, dtype=np.float64))
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(nz, ny, nx)."""
+        return (len(self.z), len(self.y), len(self.x))
+
+    @property
+    def points(self) -> Array:
+        """(nz, ny, nx, 3), m."""
+        z, y, x = np.meshgrid(self.z, self.y, self.x, indexing="ij")
+        return np.stack([x, y, z], axis=-1)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VolumeImage:
+    """Brightness of a hidden scene on a volume.
+
+    Parameters
+    ----------
+    intensity : ndarray
+        (nz, ny, nx), non-negative, any unit.
+    volume : Volume
+    method : str
+        What made it.
+    seconds : float
+        That it took.
+    details : mapping
+        Parameters and figures of the method.
+    """
+
+    intensity: Array
+    volume: Volume
+    method: str
+    seconds: float = 0.0
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.intensity.shape != self.volume.shape:
+            raise SamplingError(
+                f"intensity has shape {self.intensity.shape}, must be {self.volume.shape} like the "
+                "volume"
+            )
+        object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
+
+    def projection(self, axis: str = "z") -> Array:
+        """Brightest voxel along an axis: (ny, nx) along z, (nz, nx) along y, (nz, ny) along x."""
+        return np.asarray(self.intensity.max(axis="zyx".index(axis)))
+
+
+def _axis(name: str, values: ArrayLike) -> Array:
+    axis = np.array(values, dtype=np.float64, ndmin=1)
+    if axis.ndim != 1 or axis.size == 0:
+        raise SamplingError(f"volume.{name} has shape {axis.shape}, must be (n,), m")
+    if not np.isfinite(axis).all():
+        raise SceneError(f"volume.{name} has values that are not finite")
+    steps = np.diff(axis)
+    if len(steps) and (steps.min() <= 0.0 or np.ptp(steps) > 1e-6 * steps.mean()):
+        raise SamplingError(
+            f"volume.{name} steps by {steps.min():g} to {steps.max():g} m; give values that rise "
+            "evenly"
+        )
+    return axis

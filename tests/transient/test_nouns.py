@@ -1,0 +1,94 @@
+"""Captures and volumes check what they are given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.transient import TransientCapture, Volume, VolumeImage, wall_grid
+
+GRID = wall_grid(2.0, 4)
+
+
+def capture(**changes):
+    given = {
+        "H": np.zeros((6, 4, 4)),
+        "laser_points": (0.0, 0.0, 0.0),
+        "sensor_points": GRID,
+        "delta_t": 0.01,
+        "t_start": 1.0,
+    }
+    return TransientCapture(**{**given, **changes})
+
+
+def test_wall_grid_is_of_cell_middles_row_0_lowest():
+    assert GRID.shape == (4, 4, 3)
+    assert tuple(GRID[0, 0]) == (-0.75, -0.75, 0.0)
+    assert tuple(GRID[1, 0]) == (-0.75, -0.25, 0.0)
+
+
+def test_one_laser_point_adds_no_axis_and_bins_have_edges():
+    one = capture()
+    assert (one.laser_shape, one.sensor_shape, one.n_bins) == ((), (4, 4), 6)
+    assert one.edges[[0, -1]] == pytest.approx([1.0, 1.06])
+    assert one.times[0] == pytest.approx(1.005)
+    assert not one.is_confocal
+
+
+def test_confocal_pairs():
+    pairs = capture(laser_points=GRID, pairing="confocal")
+    assert pairs.is_confocal
+    assert not capture(laser_points=GRID + 0.1, pairing="confocal").is_confocal
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind", "words"),
+    [
+        ({"H": np.zeros((6, 4))}, SamplingError, r"\(6, 4\), must be \(n_bins, 4, 4\)"),
+        ({"H": np.full((6, 4, 4), np.nan)}, SceneError, "96 of 96 values"),
+        ({"H": np.zeros((6, 4, 4), complex)}, SceneError, "complex128"),
+        ({"delta_t": 0.0}, SceneError, "delta_t"),
+        ({"pairing": "confocal"}, SamplingError, "not pairs"),
+        ({"sensor_points": np.zeros((4, 2))}, SamplingError, r"\(4, 2\)"),
+        ({"quantity": "lumen"}, SceneError, "lumen"),
+        ({"standard_error": np.zeros(3)}, SamplingError, "standard_error"),
+        ({"by_bounce": {3: np.zeros(3)}}, SamplingError, r"by_bounce\[3\]"),
+        ({"sensor_normals": np.zeros(3)}, SamplingError, "sensor_normals"),
+    ],
+)
+def test_bad_captures(changes, kind, words):
+    with pytest.raises(kind, match=words):
+        capture(**changes)
+
+
+def test_single_precision_is_kept_and_counts_become_floats():
+    assert capture(H=np.zeros((6, 4, 4), np.float32)).H.dtype == np.float32
+    assert capture(H=np.zeros((6, 4, 4), np.uint16)).H.dtype == np.float64
+
+
+def test_volume_points_are_z_y_x():
+    volume = Volume.box((0.1, 0.2, 1.0), (0.4, 0.2, 0.0), 0.1)
+    assert volume.shape == (1, 2, 4)
+    assert volume.points[0, 1, 2] == pytest.approx([0.15, 0.25, 1.0])
+    same = Volume.before(2.0, 4, [1.0, 1.5])
+    assert same.points[0, :, :, :2] == pytest.approx(GRID[..., :2])
+
+
+def test_bad_volumes():
+    with pytest.raises(SamplingError, match="rise evenly"):
+        Volume([0.0, 0.1, 0.3], [0.0], [1.0])
+    with pytest.raises(SceneError, match="not finite"):
+        Volume([0.0], [np.inf], [1.0])
+    with pytest.raises(SamplingError, match="like the volume"):
+        VolumeImage(intensity=np.zeros((1, 1)), volume=Volume([0.0], [0.0], [1.0]), method="none")
+
+
+def test_projection_takes_the_brightest():
+    seen = np.zeros((2, 3, 4))
+    seen[1, 2, 3] = 5.0
+    image = VolumeImage(
+        intensity=seen, volume=Volume(np.arange(4.0), np.arange(3.0), [1.0, 2.0]), method="none"
+    )
+    assert image.projection()[2, 3] == 5.0
+    assert image.projection("x").shape == (2, 3)
