@@ -57,6 +57,7 @@ def solved(key: dict[str, Any]) -> dict[str, Any]:
         "status": found.status,
         "score": found.score,
         "margin": None if np.isnan(settled["margin"]) else settled["margin"],
+        "sharp_margin": None if np.isnan(settled["sharp_margin"]) else settled["sharp_margin"],
         "model_error": settled["model_error"],
         "length": float(np.linalg.norm(settled["coefficients"])),
         "rounds": len(found.history["objective"]),

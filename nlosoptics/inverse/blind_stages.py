@@ -140,6 +140,10 @@ class BlindFit:
             count = len(state.theta)
         return state.chosen(state.energy.argsort()[:count])
 
+    def held(self, coefficients: Tensor) -> Tensor:
+        """Free energy of coefficients (B, n_walls, M) by their distance from the start, (B,)."""
+        return self._stiffness * (coefficients - self.first).square().sum((-2, -1))
+
     def gains(self, state: State) -> Tensor | None:
         """Relative brightness of the images, their logarithms' mean 0, (B, K, 1, 1)."""
         if not self.fit_gains:
@@ -183,8 +187,7 @@ class BlindFit:
             energy, square = self.energy(
                 level, transfer, state.variances, factor, self.gains(state)
             )
-            offset = (state.coefficients - self.first).square().sum((-2, -1))
-            energy = energy + self._stiffness * offset
+            energy = energy + self.held(state.coefficients)
             optimiser.zero_grad()
             energy.sum().backward()  # type: ignore[no-untyped-call]
             state.energy, state.square = energy.detach(), square
@@ -217,6 +220,22 @@ class BlindFit:
         )
 
 
+@dataclass(frozen=True)
+class NoBlur:
+    """What a fit that starts at no blur comes to; NaN without one.
+
+    Parameters
+    ----------
+    energy : float
+        Free energy, its coefficients free.
+    held : float
+        What `BlindFit.held` would add.
+    """
+
+    energy: float = math.nan
+    held: float = math.nan
+
+
 class Report:
     """Fraction done, told now and then, with a state to go on from.
 
@@ -230,15 +249,15 @@ class Report:
     ----------
     stage : int
         The one that runs.
-    no_blur : float
-        Free energy of the fit from no blur; NaN without one.
+    no_blur : NoBlur
+        What a fit from no blur comes to.
     ended : bool
         Whether the callback asked the fit to end.
     """
 
     def __init__(self, progress: callbacks.Progress | None, total: int) -> None:
         self._progress, self._total, self._done = progress, total, 0
-        self.stage, self.no_blur, self.ended = 0, math.nan, False
+        self.stage, self.no_blur, self.ended = 0, NoBlur(), False
 
     def skip(self, iterations: int) -> None:
         """Count iterations that were made before."""
@@ -277,7 +296,7 @@ class Report:
             level,
             **{name: getattr(state, name) for name in BATCH},
             **adam_state("fit", adam),
-            place=[self.stage, *place, self.no_blur],
+            place=[self.stage, *place, self.no_blur.energy, self.no_blur.held],
         )
 
 

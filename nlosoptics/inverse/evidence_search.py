@@ -28,6 +28,9 @@ _REFINE = Stage(iterations=200, kappa=1.0, first=4.0, last=1.5, share=0.8, wave_
 _COMPARE = Stage(iterations=250, kappa=0.5, first=5.0, last=1.5, share=0.6, wave_rate=0.01)
 _FREE = Stage(iterations=200, kappa=0.5, first=2.0, last=1.5, share=0.3, wave_rate=0.005)
 
+#: Length of a wall that blurs nothing, waves rms.
+_SHARP = 0.01
+
 
 @dataclass(frozen=True, kw_only=True)
 class Breeding:
@@ -161,6 +164,12 @@ def without_blur(energy: FreeEnergy, random: Generator) -> Starts:
     walls = random_walls(4, energy.modes, np.array([0.1]), random)
     walls[0] = 0.0
     return energy.descend(energy.starts(walls, _TRIVIAL.first), _TRIVIAL).best(4)
+
+
+def sharp(energy: FreeEnergy, random: Generator) -> Starts:
+    """What a fit finds that takes the image for the object: the coefficients are kept near 0."""
+    walls = random_walls(1, energy.modes, np.array([_SHARP]), random)
+    return energy.descend(energy.starts(walls, _TRIVIAL.first, _SHARP), _TRIVIAL)
 
 
 def evolve(

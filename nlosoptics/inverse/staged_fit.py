@@ -21,6 +21,7 @@ from .blind_frames import Frames, frames_of
 from .blind_stages import (
     BATCH,
     BlindFit,
+    NoBlur,
     NoBlurReport,
     Report,
     Stage,
@@ -42,9 +43,12 @@ _GIVEN_ERROR = 0.1
 _UNKNOWN_ERROR = 0.5
 #: Start errors above this are too far for an object of the start's own point spread.
 _NEAR = 0.25
-#: Free energy below that of a fit from no blur which tells an answer from chance; with less, the
-#: residual over the noise under which an answer has fitted noise, as wrong ones do.
+#: Free energy below that of a fit from no blur which tells an answer from chance. Where the start
+#: is known well enough to put no blur so far off, the answer's own may be a little above, and the
+#: residual at least so much of the noise: wrong answers have fitted it.
 _SURE_MARGIN = 50.0
+_SURE_START = 100.0
+_LITTLE_ABOVE = 20.0
 _OVERFITTED = 0.93
 #: Correlation with the image from which such an answer is the image.
 _LIKE_THE_IMAGE = 0.9
@@ -156,9 +160,11 @@ def staged_fit(
     ``start_error``.
 
     One image: "converged" where the free energy is 50 or more below that of a fit which started
-    at no blur, or below it with the residual above 0.93 of the noise, since wrong answers fit
-    noise; otherwise "trivial" where the object is the image itself. Several: "converged" where the
-    residual in excess of the noise is below 1.4 % of the brightest pixel, rms.
+    at no blur and whose coefficients are free; also where it is at most 20 above, the prior of
+    ``start_error`` puts no blur 100 or more above the answer, and the residual is at least 0.93 of
+    the noise, since wrong answers fit noise. Otherwise "trivial" where the object is the image
+    itself. Several: "converged" where the residual in excess of the noise is below 1.4 % of the
+    brightest pixel, rms.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -204,11 +210,12 @@ def staged_fit(
         return _assembled(fit, state, gain, "too_few_photons", started, math.nan)
     state = fit.begin(_drawn(first, start_error, starts, seed), stages[0].noise[0])
     state, no_blur, ended = _through(fit, state, stages, tolerance, progress, kept)
+    margin = float(state.energy[0]) - no_blur.energy
     if ended:
-        return _assembled(fit, state, gain, "unconverged", started, _margin(state, no_blur))
+        return _assembled(fit, state, gain, "unconverged", started, margin)
     level = _refined(fit, state, object_model, boundary, seed) if refined else None
-    status = _status(fit, state, no_blur)
-    return _assembled(fit, state, gain, status, started, _margin(state, no_blur), level)
+    status = _status(fit, state, margin, no_blur.held)
+    return _assembled(fit, state, gain, status, started, margin, level)
 
 
 def _through(
@@ -218,8 +225,8 @@ def _through(
     tolerance: float,
     progress: Progress | None,
     kept: Mapping[str, Any] | None,
-) -> tuple[State, float, bool]:
-    """The best fit, the free energy from no blur (NaN without), and whether it was ended."""
+) -> tuple[State, NoBlur, bool]:
+    """The best fit, what no blur comes to, and whether it was ended."""
     judged = len(fit.frames.images) == 1 and not fit.known
     before = sum(stage.iterations for stage in near_stages(1)[1:]) if judged else 0
     total = before + sum(stage.iterations for stage in stages)
@@ -228,14 +235,14 @@ def _through(
     if kept is not None:
         at = int(kept["place"][0])
         state = taken_up(state, kept)
-        report.no_blur = float(kept["place"][3])
+        report.no_blur = NoBlur(*(float(value) for value in kept["place"][3:]))
         report.skip(sum(stage.iterations for stage in stages[:at]) + int(kept["place"][1]))
     elif judged:
         first = NoBlurReport(progress, total)
         sharp = _no_blur_fit(fit, tolerance, first)
         if first.ended:
-            return fit.best(state, 1), math.nan, True
-        report.no_blur = float(sharp.energy[0])
+            return fit.best(state, 1), report.no_blur, True
+        report.no_blur = NoBlur(float(sharp.energy[0]), float(fit.held(sharp.coefficients)[0]))
     for number in range(at, len(stages)):
         report.stage = number
         if kept is None:
@@ -254,11 +261,6 @@ def _object_of(start: Any) -> Any:
     if "place" in start:  # ended before the first stage: all is still to do
         return None
     return started_from(start, np.shape(start.get("object", ())), torch.device("cpu"))
-
-
-def _margin(state: State, no_blur: float) -> float:
-    """Free energy above that of the fit from no blur."""
-    return float(state.energy[0]) - no_blur
 
 
 def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Tensor:
@@ -336,15 +338,15 @@ def _no_blur_fit(fit: BlindFit, tolerance: float, report: Report) -> State:
     return state
 
 
-def _status(fit: BlindFit, state: State, no_blur: float) -> Status:
+def _status(fit: BlindFit, state: State, margin: float, held: float) -> Status:
     """Whether the answer can be trusted, without the truth."""
-    if math.isnan(no_blur):
+    if math.isnan(margin):
         faint = min(one.sigma for one in fit.frames.measured) / fit.frames.scale
         limit = 1.0 + (_UNEXPLAINED / faint) ** 2
         return "converged" if float(state.square[0]) <= limit else "unconverged"
-    margin = _margin(state, no_blur)
-    score = math.sqrt(float(state.square[0]))
-    if margin < -_SURE_MARGIN or (margin < 0.0 and score > _OVERFITTED):
+    fitted_noise = math.sqrt(float(state.square[0])) < _OVERFITTED
+    by_start = margin - held < -_SURE_START and margin < _LITTLE_ABOVE and not fitted_noise
+    if margin < -_SURE_MARGIN or by_start:
         return "converged"
     level = fit.energy.level(state.theta)[0]
     alike = registered_correlation(level, fit.frames.images[0], upsampling=1)

@@ -195,6 +195,17 @@ def test_no_blur_is_flagged(pupil):
     assert found.physical_parameters["margin"] == 0.0
 
 
+def test_a_weak_wall_is_told_from_the_image_taken_as_sharp(pupil):
+    """No search: the descent from no blur ends at the wall, so that the answer has no rival."""
+    data, sigma = images(32, wall(0.2, seed=4), defocus=np.zeros(1))
+    found = evidence_fit(data, pupil, noise_sigma=sigma, max_iterations=1, max_seconds=1e-9)
+    settled = found.physical_parameters
+    assert settled["margin"] == 0.0
+    assert found.status == "converged"
+    # the data's point spread has two frames of room, the fit's one and a half
+    assert registered_correlation(found, letter(32)) > 0.99
+
+
 def test_no_blur_is_the_same_whoever_asks(energy):
     first, second = (without_blur(energy, np.random.default_rng(2)) for _ in range(2))
     assert np.array_equal(first.energy, second.energy)

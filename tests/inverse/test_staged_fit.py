@@ -64,6 +64,24 @@ def test_one_image_and_a_start_a_tenth_of_a_wave_off(near):
     assert np.linalg.norm(coefficients - data.coefficients[0]) < 0.1
 
 
+def test_a_start_rules_no_blur_out_where_free_energies_are_alike(cases):
+    """Of a busy object no blur is as likely as the truth; what is known of the wall decides."""
+    data = cases.case("hanzi_zhong", 5, rms_waves=0.5)
+    first = cases.start(data.coefficients, 0.1, 5)[0]
+    found = pcin(data.images[0], unknown(data, first, cases.MODES), start_error=0.1)
+    assert abs(found.physical_parameters["margin"]) < 50.0
+    assert registered_correlation(found, data.truth) > 0.95
+    assert found.status == "converged"
+
+
+def test_an_answer_a_little_below_no_blur_is_not_trusted_without_a_start(cases):
+    data = cases.case("F", 4, rms_waves=0.5)
+    found = pcin(data.images[0], unknown(data, np.zeros(18), cases.MODES))
+    assert registered_correlation(found, data.truth) < 0.9
+    assert -50.0 < found.physical_parameters["margin"] < 0.0
+    assert found.status != "converged"
+
+
 def test_score_and_background_are_those_of_the_answer(near):
     data, _, found = near
     wave = Wavefront.from_zernike(
