@@ -10,7 +10,7 @@
 from .backprojections import backprojection
 from .captures import TransientCapture, wall_grid
 from .depths import DepthError, DepthMap, depth_error, depth_map, true_depths, voxelised
-from .gating import distance_weighted, downsampled, gated, without_outer_legs
+from .gating import distance_weighted, downsampled, gated, smoothed, without_outer_legs
 from .light_cones import lct
 from .migration import fk_migration
 from .volumes import Volume, VolumeImage
@@ -29,6 +29,7 @@ __all__ = [
     "fk_migration",
     "gated",
     "lct",
+    "smoothed",
     "true_depths",
     "voxelised",
     "wall_grid",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit, prange
 
 
@@ -61,40 +62,60 @@ def stolt(
 
 @njit(cache=True, parallel=True)
 def backproject(
-    series, lasers, sensors, laser_of, sensor_of, legs, x, y, z, start, width, power, out, hits
+    series, lasers, sensors, laser_of, sensor_of, legs, x, y, z, start, width, power, out, seen
 ):
     """Fill ``out`` (ny, nx, nz) with sums over paths of the light at each path's length.
 
-    ``series`` (n_paths, n_bins) is the light of the path from ``lasers[laser_of[p]]`` over the
-    voxel to ``sensors[sensor_of[p]]``, whose times hold ``legs[p]`` more. Light is taken from the
-    two bins whose middles are next to the path's length, and nothing from outside of the first and
-    last middle; ``hits`` counts the paths that are inside. It is weighted by (r1 r2)^power.
+    ``series`` (n_paths, n_bins + 2) is the light of the path from ``lasers[laser_of[p]]`` over the
+    voxel to ``sensors[sensor_of[p]]``, whose times hold ``legs[p]`` more, with an empty bin before
+    and after. Light is taken from the two bins whose middles are next to the path's length. It is
+    weighted by (r1 r2)^power, power one of -2, 0, 1, 2. ``seen`` is whether any path is in a bin.
     """
-    n_bins = series.shape[1]
+    last = series.shape[1] - 1.0
     nz = z.shape[0]
+    per_bin = 1.0 / width
     for column in prange(y.shape[0] * x.shape[0]):
         iy = column // x.shape[0]
         ix = column % x.shape[0]
-        for k in range(nz):
-            out[iy, ix, k] = 0.0
-            hits[iy, ix, k] = 0
+        total = np.zeros(nz)
+        lengths = np.empty(nz)
+        weights = np.ones(nz)
+        inside = np.zeros(nz, dtype=np.bool_)
         for p in range(series.shape[0]):
             a, b = laser_of[p], sensor_of[p]
             dx, dy = x[ix] - lasers[a, 0], y[iy] - lasers[a, 1]
             ex, ey = x[ix] - sensors[b, 0], y[iy] - sensors[b, 1]
             d_sq, e_sq = dx * dx + dy * dy, ex * ex + ey * ey
+            laser_z, sensor_z = lasers[a, 2], sensors[b, 2]
+            if d_sq == e_sq and laser_z == sensor_z:
+                for k in range(nz):
+                    r = math.sqrt(d_sq + (z[k] - laser_z) ** 2)
+                    lengths[k] = r + r
+                    weights[k] = r * r
+            else:
+                for k in range(nz):
+                    r1 = math.sqrt(d_sq + (z[k] - laser_z) ** 2)
+                    r2 = math.sqrt(e_sq + (z[k] - sensor_z) ** 2)
+                    lengths[k] = r1 + r2
+                    weights[k] = r1 * r2
+            if power == -2:
+                for k in range(nz):
+                    weights[k] = 1.0 / (weights[k] * weights[k])
+            elif power == 2:
+                for k in range(nz):
+                    weights[k] *= weights[k]
+            elif power == 0:
+                for k in range(nz):
+                    weights[k] = 1.0
+            shift = legs[p] - start
             for k in range(nz):
-                dz, ez = z[k] - lasers[a, 2], z[k] - sensors[b, 2]
-                r1, r2 = math.sqrt(d_sq + dz * dz), math.sqrt(e_sq + ez * ez)
-                place = (r1 + r2 + legs[p] - start) / width - 0.5
-                if place < 0.0 or place > n_bins - 1:
-                    continue
-                cell = min(int(place), n_bins - 2)
+                place = (lengths[k] + shift) * per_bin + 0.5
+                inside[k] |= (place >= 0.5) & (place <= last - 0.5)
+                place = min(max(place, 0.0), last)
+                cell = min(int(place), series.shape[1] - 2)
                 part = place - cell
                 light = series[p, cell] + part * (series[p, cell + 1] - series[p, cell])
-                if power == -2:
-                    light /= r1 * r1 * r2 * r2
-                elif power > 0:
-                    light *= (r1 * r2) ** power
-                out[iy, ix, k] += light
-                hits[iy, ix, k] += 1
+                total[k] += light * weights[k]
+        for k in range(nz):
+            out[iy, ix, k] = total[k]
+            seen[iy, ix, k] = inside[k]

@@ -73,8 +73,8 @@ def backprojection(
     Notes
     -----
     Each voxel adds the light at the path ``r1 + r2`` over it, taken between the middles of the two
-    nearest bins, in float32 with sums in float64 [1]_. The filters sharpen what is a blur by about
-    1/distance [2]_.
+    nearest bins (nothing is outside of the first and last), in float32 with sums in float64 [1]_.
+    The filters sharpen what is a blur by about 1/distance [2]_.
 
     References
     ----------
@@ -143,11 +143,11 @@ def _sums(
         laser_of = sensor_of = np.arange(n_paths)
     else:
         laser_of, sensor_of = np.divmod(np.arange(n_paths), len(sensors))
-    series = np.ascontiguousarray(capture.H.reshape(capture.n_bins, n_paths).T, dtype=np.float32)
-    if capture.n_bins == 1:
-        raise SamplingError("backprojection needs at least 2 bins, the capture has 1")
+    series = np.zeros((n_paths, capture.n_bins + 2), dtype=np.float32)
+    series[:, 1:-1] = capture.H.reshape(capture.n_bins, n_paths).T
+    legs = outer_legs(capture).ravel()
     found = np.empty((ny, nx, nz))
-    hits = np.empty((ny, nx, nz), dtype=np.int32)
+    seen = np.empty((ny, nx, nz), dtype=np.bool_)
     for first in range(0, ny, BLOCK):
         rows = slice(first, first + BLOCK)
         kernels.backproject(
@@ -156,7 +156,7 @@ def _sums(
             sensors,
             laser_of,
             sensor_of,
-            outer_legs(capture).ravel(),
+            legs,
             volume.x,
             volume.y[rows],
             volume.z,
@@ -164,11 +164,11 @@ def _sums(
             capture.delta_t,
             power,
             found[rows],
-            hits[rows],
+            seen[rows],
         )
         if progress is not None:
             progress(min(1.0, (first + BLOCK) / ny), "backprojection")
-    unseen = np.flatnonzero((hits == 0).any(axis=(0, 1)))
+    unseen = np.flatnonzero(~seen.all(axis=(0, 1)))
     if len(unseen):
         raise SamplingError(
             f"voxels at depths {volume.z[unseen[0]]:g} to {volume.z[unseen[-1]]:g} m have no path "
@@ -179,7 +179,7 @@ def _sums(
 
 
 def _filtered(sums: Array, volume: Volume, filter: str, width: float) -> Array:
-    """Second derivative along z, or along all axes that have voxels, of a Gaussian's blur, 1/m^2."""
+    """Minus second derivatives of a Gaussian's blur along z or all axes with voxels, per m^2."""
     from scipy.ndimage import gaussian_filter
 
     axes = [volume.z, volume.y, volume.x]

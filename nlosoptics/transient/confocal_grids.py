@@ -124,7 +124,7 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     total = float(np.abs(flat).sum(dtype=np.float64))
     if direct > DIRECT_SHARE * total:
         raise SceneError(
-            f"{method}: {100 * direct / total:.2g} % of the light comes straight from the lit point "
+            f"{method}: {100 * direct / total:.2g} % of the light comes from the lit point itself, "
             f"along the wall, limit {100 * DIRECT_SHARE:g} %; cut it with "
             "transient.gated(capture, start=...)"
         )
@@ -141,12 +141,14 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
     if volume is None:
         volume = grid.volume()
     low, high = float(volume.z[0]), float(volume.z[-1])
+    # a point nearer than the first bin is still seen aslant, from as far as the grid is wide
+    aslant = float(np.ptp(grid.x) ** 2 + np.ptp(grid.y) ** 2)
+    nearest = math.sqrt(max(grid.start**2 - aslant, 0.0)) if grid.start > 0.0 else 0.0
     slack = 1e-6 * grid.pitch
-    if low <= 0.0 or low < grid.start - slack or high > grid.stop + slack:
+    if low <= 0.0 or low < nearest - slack or high > grid.stop + slack:
         raise SamplingError(
             f"{method}: the volume's depths {low:g} to {high:g} m are not within the "
-            f"{max(grid.start, 0.0):g} to {grid.stop:g} m that the time window covers; move it or "
-            "take more bins"
+            f"{nearest:g} to {grid.stop:g} m that the time window covers; move it or take more bins"
         )
     for name, own, asked in (("x", grid.x, volume.x), ("y", grid.y, volume.y)):
         width = (own[1] - own[0]) * len(own)
@@ -154,8 +156,8 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
         off = max(abs(asked[0] - middle), abs(asked[-1] - middle))
         if off > 0.75 * width:
             raise SamplingError(
-                f"{method}: the volume reaches {off:g} m from the grid's middle along {name}, limit "
-                f"{0.75 * width:g} m; make it smaller or use backprojection"
+                f"{method}: the volume reaches {off:g} m from the grid's middle along {name}, "
+                f"limit {0.75 * width:g} m; make it smaller or use backprojection"
             )
     return volume
 

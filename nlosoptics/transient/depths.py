@@ -273,7 +273,9 @@ def voxelised(
 
 
 def _several(meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh]) -> Sequence[trimesh.Trimesh]:
-    several = [meshes] if hasattr(meshes, "faces") else list(meshes)
+    import trimesh
+
+    several = [meshes] if isinstance(meshes, trimesh.Trimesh) else list(meshes)
     if not several:
         raise SceneError("no mesh was given; give at least one")
     return several

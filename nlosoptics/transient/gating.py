@@ -1,4 +1,4 @@
-"""What measured captures need before imaging: gates, coarser bins and grids, weights, legs."""
+"""What measured captures need before imaging: gates, coarser bins, blurs, weights, legs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import real, whole
+from .._checks import in_range, real, whole
 from ..errors import SamplingError, SceneError
 from .captures import TransientCapture
 
@@ -82,12 +82,14 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
         h = h.reshape(-1, bins, *h.shape[1:]).sum(axis=1)
         return _means(h, 1, h.ndim, grid)
 
-    def points(p: Array | None) -> Array | None:
-        return None if p is None else _means(p, 0, p.ndim - 1, grid)
+    def points(p: Array) -> Array:
+        return _means(p, 0, p.ndim - 1, grid)
 
     def normals(p: Array | None) -> Array | None:
+        if p is None:
+            return None
         mean = points(p)
-        return None if mean is None else mean / np.linalg.norm(mean, axis=-1, keepdims=True)
+        return np.asarray(mean / np.linalg.norm(mean, axis=-1, keepdims=True))
 
     error = capture.standard_error
     if error is not None:
@@ -101,6 +103,40 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
         laser_normals=normals(capture.laser_normals),
         sensor_normals=normals(capture.sensor_normals),
     )
+
+
+def smoothed(
+    capture: TransientCapture, *, path: float = 0.0, grid: float = 0.0
+) -> TransientCapture:
+    """Light blurred by a Gaussian: as long as the detector's pulse, it holds down what is noise.
+
+    Parameters
+    ----------
+    capture : TransientCapture
+    path : float
+        Standard deviation over time, m of optical path.
+    grid : float
+        The same along the axes of the grids of points, in steps between neighbours.
+
+    Raises
+    ------
+    SceneError
+        If a standard deviation is below 0, or the capture has standard errors, which neighbours
+        would then share.
+
+    Notes
+    -----
+    Beyond its ends a histogram or grid goes on with its outermost values.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    path, grid = in_range("path", path, 0.0, unit="m"), in_range("grid", grid, 0.0)
+    if capture.standard_error is not None:
+        raise SceneError(
+            "smoothed makes standard errors depend on each other; give a capture without any"
+        )
+    sigma = [path / capture.delta_t, *[grid] * (capture.H.ndim - 1)]
+    return _mapped(capture, lambda h: np.asarray(gaussian_filter(h, sigma, mode="nearest")))
 
 
 def distance_weighted(capture: TransientCapture, power: float) -> TransientCapture:
@@ -125,11 +161,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
         raise SceneError(
             f"bin 0 is at a path of {capture.times[0]:g} m, must be above 0; gate the capture first"
         )
-    return weighted(capture, half**power)
-
-
-def weighted(capture: TransientCapture, weights: Array) -> TransientCapture:
-    """Light times weights (n_bins,) over time."""
+    weights = half**power
     return _mapped(capture, lambda h: h * weights.reshape(-1, *[1] * (h.ndim - 1)).astype(h.dtype))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -115,11 +114,11 @@ def lct(
 
 
 def _squares(grid: ConfocalGrid, volume: Volume) -> Array:
-    """(n,) evenly spaced middles of cells of squared distance, m^2, over the whole window.
+    """(n,) evenly spaced middles of cells of squared distance, m^2, over window and volume.
 
     As fine as the bins at the nearest depth of the volume, within reason.
     """
-    low, high = max(grid.start, 0.0) ** 2, grid.stop**2
+    low, high = min(max(grid.start, 0.0), float(volume.z[0])) ** 2, grid.stop**2
     wanted = (high - low) / (2.0 * float(volume.z[0]) * grid.pitch)
     n = math.ceil(min(max(wanted, grid.n_bins), FINEST * grid.n_bins))
     return np.asarray(low + (np.arange(n) + 0.5) * ((high - low) / n))
@@ -193,7 +192,7 @@ def _inverted(
         (ky[:, None] * 2 * (grid.y[1] - grid.y[0])) ** 2
     )
     spectrum = scipy.fft.rfft(light, size, axis=0)
-    found = np.empty((len(frequencies), len(volume.y), len(volume.x)), dtype=kind)
+    found: Waves = np.empty((len(frequencies), len(volume.y), len(volume.x)), dtype=kind)
     for i, frequency in enumerate(frequencies):
         cone = along_y[i][:, None] * along_x[i]
         noise = mean / snr

@@ -1,4 +1,4 @@
-"""Frequency-wavenumber migration of confocal captures: a wave run back to when it left the scene."""
+"""Frequency-wavenumber migration of confocal captures: a wave run back to its start."""
 
 from __future__ import annotations
 
@@ -21,6 +21,8 @@ Waves = NDArray[np.complexfloating]
 Progress = Callable[[float, str], None]
 Target = Literal["diffuse", "retroreflective"]
 Precision = Literal["single", "double"]
+
+PRECISIONS: Final = ("single", "double")
 
 #: Powers of the distance with which the light of a target falls off, confocal.
 FALLOFF: Final = {"diffuse": 4, "retroreflective": 2}
@@ -106,9 +108,6 @@ def fk_migration(
     )
 
 
-PRECISIONS: Final = ("single", "double")
-
-
 def _migrated(
     amplitude: Array, grid: ConfocalGrid, volume: Volume, kind: type, progress: Progress | None
 ) -> Waves:
@@ -127,12 +126,12 @@ def _migrated(
     nz, ny, nx = volume.shape
     n_rows, width, n_f = spectrum.shape
     table = _kernel_table()
-    field = np.zeros((ny, nx * nz), dtype=kind)
+    field: Waves = np.zeros((ny, nx * nz), dtype=kind)
     for first in range(0, len(ky), ROWS):
         rows = slice(first, first + ROWS)
         waves = (to_ky[rows] @ spectrum.reshape(n_rows, -1)).reshape(-1, width, n_f)
         waves = np.matmul(to_kx, waves)
-        deep = np.empty((len(waves), len(kx), n), dtype=kind)
+        deep: Waves = np.empty((len(waves), len(kx), n), dtype=kind)
         lateral_sq = ky[rows, None] ** 2 + kx**2
         kernels.stolt(
             waves,
