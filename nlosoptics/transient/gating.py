@@ -94,14 +94,15 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     error = capture.standard_error
     if error is not None:
         error = np.sqrt(coarse(error**2) / grid ** len(shape))
-    return replace(
-        _mapped(replace(capture, standard_error=None), coarse),
+    return _mapped(
+        replace(capture, standard_error=None),
+        coarse,
         delta_t=capture.delta_t * bins,
-        standard_error=error,
         laser_points=points(capture.laser_points),
         sensor_points=points(capture.sensor_points),
         laser_normals=normals(capture.laser_normals),
         sensor_normals=normals(capture.sensor_normals),
+        standard_error=error,
     )
 
 
@@ -254,10 +255,9 @@ def _mapped(
 ) -> TransientCapture:
     """A capture whose histograms, parts and errors went through one linear change."""
     error = capture.standard_error
-    return replace(
-        capture,
-        H=change(capture.H),
-        by_bounce={n: change(h) for n, h in capture.by_bounce.items()},
-        standard_error=None if error is None else change(error),
-        **others,
-    )
+    changed: dict[str, Any] = {
+        "H": change(capture.H),
+        "by_bounce": {n: change(h) for n, h in capture.by_bounce.items()},
+        "standard_error": None if error is None else change(error),
+    }
+    return replace(capture, **(changed | others))

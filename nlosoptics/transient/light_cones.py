@@ -204,7 +204,7 @@ def _inverted(
         wiener = (np.conj(cone) / (np.abs(cone) ** 2 + weight)).astype(kind)
         waves = (to_ky @ spectrum[i] @ to_kx.T) * wiener
         found[i] = from_ky @ waves @ from_kx.T
-        if progress is not None and i % 64 == 0:
+        if progress is not None and (i % 64 == 0 or i == len(frequencies) - 1):
             progress((i + 1) / len(frequencies), "light-cone transform")
     return np.asarray(scipy.fft.irfft(found, size, axis=0)[: len(squares)])
 
