@@ -152,6 +152,22 @@ def plot(folder, rows):
         plt.close(figure)
 
 
+def shown(rows):
+    """Rows, after a line of each is printed."""
+    for row, _ in rows:
+        if "failed" in row:
+            print(f"{row['chart']:22} {row['method']}: {row['failed']}")
+            continue
+        full = row.get("seconds_full", float("nan"))
+        print(
+            f"{row['chart']:22} {row['method']:26} {row['seconds']:5.2f} {full:6.2f}"
+            f" {1e3 * row['median_m']:9.1f} {1e3 * row['mae_m']:7.2f} {row['coverage']:6.2f}"
+            f"   at half: {1e3 * row['mae_at_half_m']:.2f} mm, {row['coverage_at_half']:.2f}",
+            flush=True,
+        )
+    return rows
+
+
 def main():
     """Measure, print a table, and write what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -161,25 +177,15 @@ def main():
     parser.add_argument("--json", type=Path)
     parser.add_argument("--plots", type=Path)
     given = parser.parse_args()
+    print("chart                  method                    s   s full  median mm  MAE mm  share")
     rows = []
     for name, nominal in CHARTS.items():
         path = given.data / f"data_{name}.mat"
         if not path.exists():
             sys.exit(f"{path} is not there; --data is the folder with the published captures")
-        rows += our_rows(name, nominal, path, given.repeats)
+        rows += shown(our_rows(name, nominal, path, given.repeats))
         if given.peer_python:
-            rows += peer_rows(name, nominal, path, given.peer_python, given.repeats)
-    print("chart                  method                    s   s full  median mm  MAE mm  share")
-    for row, _ in rows:
-        if "failed" in row:
-            print(f"{row['chart']:22} {row['method']}: {row['failed']}")
-            continue
-        full = row.get("seconds_full", float("nan"))
-        print(
-            f"{row['chart']:22} {row['method']:26} {row['seconds']:5.2f} {full:6.2f}"
-            f" {1e3 * row['median_m']:9.1f} {1e3 * row['mae_m']:7.2f} {row['coverage']:6.2f}"
-            f"   at half: {1e3 * row['mae_at_half_m']:.2f} mm, {row['coverage_at_half']:.2f}"
-        )
+            rows += shown(peer_rows(name, nominal, path, given.peer_python, given.repeats))
     if given.json:
         given.json.write_text(json.dumps([row for row, _ in rows], indent=1) + "\n")
     if given.plots:

@@ -240,7 +240,7 @@ def true_depths(
 def voxelised(
     meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Volume
 ) -> NDArray[np.bool_]:
-    """Which voxels a surface passes through, as rays along z through their columns see it.
+    """Which voxels a surface passes through, as rays through their centres see it.
 
     Parameters
     ----------
@@ -252,24 +252,45 @@ def voxelised(
     Returns
     -------
     ndarray of bool
-        (nz, ny, nx). Surfaces along z, which no such ray meets, are missing.
-    """
-    from ..raytrace import all_hits
+        (nz, ny, nx). The rays run along each axis that has voxels, so that a surface along one of
+        them is met by those along the others.
 
+    Raises
+    ------
+    SamplingError
+        If the volume has one voxel along z.
+    SceneError
+        If there is no mesh.
+    """
     if len(volume.z) < 2:
         raise SamplingError("voxels need a depth; give a volume of at least 2 along z")
-    nz, ny, nx = volume.shape
-    origins = np.zeros((ny * nx, 3))
-    origins[:, 0] = np.tile(volume.x, ny)
-    origins[:, 1] = np.repeat(volume.y, nx)
-    full = np.zeros((nz, ny * nx), dtype=bool)
-    pitch = volume.z[1] - volume.z[0]
-    for mesh in _several(meshes):
-        hits = all_hits(mesh, origins, (0.0, 0.0, 1.0))
-        level = np.floor((hits.distance - volume.z[0]) / pitch + 0.5).astype(np.int64)
-        inside = (level >= 0) & (level < nz)
-        full[level[inside], hits.ray[inside]] = True
-    return full.reshape(nz, ny, nx)
+    several, axes = _several(meshes), (volume.x, volume.y, volume.z)
+    full = np.zeros([len(a) for a in axes], dtype=bool)
+    for along in range(3):
+        if len(axes[along]) > 1:
+            for mesh in several:
+                _pierce(np.moveaxis(full, along, -1), mesh, axes, along)
+    return np.ascontiguousarray(full.transpose(2, 1, 0))
+
+
+def _pierce(
+    full: NDArray[np.bool_], mesh: trimesh.Trimesh, axes: tuple[Array, ...], along: int
+) -> None:
+    """Mark the voxels (across, across, along) in which rays along an axis meet a mesh."""
+    from ..raytrace import all_hits
+
+    across = [i for i in range(3) if i != along]
+    axis = axes[along]
+    pitch = axis[1] - axis[0]
+    origins = np.empty((*full.shape[:2], 3))
+    origins[..., across[0]] = axes[across[0]][:, None]
+    origins[..., across[1]] = axes[across[1]]
+    origins[..., along] = axis[0] - 0.5 * pitch
+    hits = all_hits(mesh, origins, np.eye(3)[along])
+    level = np.floor(hits.distance / pitch).astype(np.int64)
+    inside = level < len(axis)
+    rows, columns = np.unravel_index(hits.ray[inside], full.shape[:2])
+    full[rows, columns, level[inside]] = True
 
 
 def _several(meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh]) -> Sequence[trimesh.Trimesh]:

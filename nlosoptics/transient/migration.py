@@ -91,10 +91,15 @@ def fk_migration(
     kind = np.complex64 if one_of("precision", precision, PRECISIONS) == "single" else np.complex128
     grid = confocal_grid(capture, "fk_migration")
     volume = reached_volume(grid, volume, "fk_migration")
+    n = _depth_axis(grid, volume)[1]
     nz, ny, nx = volume.shape
-    spectrum_size = len(grid.x) * len(grid.y) * (grid.n_bins + 2 * TAPS) * np.dtype(kind).itemsize
-    room = 2 * spectrum_size + 2 * nz * ny * nx * np.dtype(kind).itemsize
-    fits_memory("f-k migration", room, "give a smaller volume, or a coarser capture")
+    columns, n_f = len(grid.x) * len(grid.y), grid.n_bins + 2 * TAPS
+    room = 3 * columns * n_f + 3 * nz * ny * nx + 2 * ROWS * 2 * len(grid.x) * (n_f + n)
+    fits_memory(
+        "f-k migration",
+        float(room) * np.dtype(kind).itemsize,
+        "give a volume of fewer or wider voxels, or a coarser capture",
+    )
     amplitude = np.sqrt(capture.H * grid.depths[:, None, None] ** FALLOFF[target])
     field = _migrated(amplitude, grid, volume, kind, progress)
     intensity = field.real**2 + field.imag**2
@@ -119,9 +124,7 @@ def _migrated(
     spectrum, size, centre = _gridded(amplitude, grid, kind)
     kx, to_kx, from_kx = waves_along(grid.x, volume.x, next_size(2 * len(grid.x)), kind)
     ky, to_ky, from_ky = waves_along(grid.y, volume.y, next_size(2 * len(grid.y)), kind)
-    pitch = volume.z[1] - volume.z[0] if len(volume.z) > 1 else grid.pitch
-    farthest = max(MARGIN * max(grid.stop, volume.z[-1]), np.ptp(volume.z) + grid.pitch)
-    n = next_size(farthest / pitch)
+    pitch, n = _depth_axis(grid, volume)
     n_waves = int(0.5 / grid.pitch * n * pitch) + 1
     nz, ny, nx = volume.shape
     n_rows, width, n_f = spectrum.shape
@@ -153,6 +156,12 @@ def _migrated(
         if progress is not None:
             progress(min(1.0, (first + ROWS) / len(ky)), "f-k migration")
     return field.reshape(ny, nx, nz).transpose(2, 0, 1)
+
+
+def _depth_axis(grid: ConfocalGrid, volume: Volume) -> tuple[float, int]:
+    """Pitch, m, and number of the depths that the waves' period along z is cut into."""
+    pitch = float(volume.z[1] - volume.z[0]) if len(volume.z) > 1 else grid.pitch
+    return pitch, next_size(MARGIN * grid.stop / pitch)
 
 
 def _gridded(amplitude: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, float]:
