@@ -33,8 +33,10 @@ class Job:
         (pairs, 2), (laser, sensor), sorted by laser.
     orders : tuple of int
         Rising.
-    clock : (float, float)
-        Start of the first bin, m, and bins per m.
+    starts : ndarray
+        (pairs,), m, where the first bin of each begins.
+    rate : float
+        Bins per m.
     n_bins, seed : int
     n_seen, n_each : int
         Vertices that sensors see in a batch, and paths that go on from each.
@@ -47,7 +49,8 @@ class Job:
     sensors: Array
     rows: NDArray[np.int64]
     orders: tuple[int, ...]
-    clock: tuple[float, float]
+    starts: Array
+    rate: float
     n_bins: int
     seed: int
     n_seen: int
@@ -80,10 +83,10 @@ def openness(job: Job) -> tuple[float, float]:
     columns, shifts = scrambled_sobol(job.seed, STREAM - 1, 1)
     sampler = (np.uint64(job.seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts))
     seen = _points(job, sampler)
-    hit = seen[:, kernels.SURFACE] >= 0.0
+    hit = seen[:, kernels.TRIANGLE] >= 0.0
     leaving = np.empty((len(seen), kernels.LEAVE))
     new = _leg(job, sampler, 4, True, seen, leaving)[0]
-    again = new[:, kernels.SURFACE] >= 0.0
+    again = new[:, kernels.TRIANGLE] >= 0.0
     n_hit = int(hit.sum())
     between = 1.0 - float(again.sum()) / n_hit if n_hit else 1.0
     return 1.0 - n_hit / len(seen), between
@@ -97,24 +100,33 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     points = np.ascontiguousarray(seen[:, kernels.P])
 
     def work(part: slice) -> None:
-        kernels.seen_from(job.sensors[part], seen, factor[part], distance[part])
+        kernels.seen_from(
+            job.around.kernel, job.sensors[part], seen, factor[part], distance[part]
+        )
 
     on_threads(work, len(job.sensors), len(seen))
-    step = max(1, ROWS // len(seen))
+    if not job.around.kernel.asked:
+        _shade(job, points, factor)
+    # of rays from all sensors, and of points over the area
+    density = (1.0 - job.aimed[0]) / np.pi * factor.mean(axis=0)
+    both = job.around.kernel.sides[seen[:, kernels.TRIANGLE].astype(np.int64)] == 0
+    density += job.aimed[0] / job.around.kernel.area * np.where(both, 0.5, 1.0)
+    unseen = ~(factor > 0.0).any(axis=0)
+    seen[unseen, kernels.TRIANGLE] = -1.0
+    n_paths = job.n_seen * job.n_each
+    seen[:, kernels.WEIGHT] = np.where(unseen, 0.0, 1.0 / (n_paths * np.where(unseen, 1.0, density)))
+    return seen, (factor, distance)
+
+
+def _shade(job: Job, points: Array, factor: Array) -> None:
+    """Set factors (sensors, vertices) to 0 where something stands in between."""
+    step = max(1, ROWS // len(points))
     for start in range(0, len(job.sensors), step):
         part = factor[start : start + step]
         at, vertex = np.nonzero(part > 0.0)
         value = part[at, vertex]
         job.around.clear(value, points[vertex], job.sensors[start + at])
         part[at, vertex] = value
-    # of rays from all sensors, and of points over the area
-    density = (1.0 - job.aimed[0]) / np.pi * factor.mean(axis=0)
-    density += job.aimed[0] / job.around.kernel.area
-    unseen = ~(factor > 0.0).any(axis=0)
-    seen[unseen, kernels.SURFACE] = -1.0
-    n_paths = job.n_seen * job.n_each
-    seen[:, kernels.WEIGHT] = np.where(unseen, 0.0, 1.0 / (n_paths * np.where(unseen, 1.0, density)))
-    return seen, (factor, distance)
 
 
 def _points(job: Job, sampler: Any) -> Array:
@@ -126,16 +138,15 @@ def _points(job: Job, sampler: Any) -> Array:
     rays = np.flatnonzero(triangle < 0)
     distance, met = job.around.first_hits(origins[rays], directions[rays])
     met = np.where(met < kernel.shares.size - 1, met, -1)  # the wall is not seen from the wall
-    # a front alone reflects
-    turned = (directions[rays] * kernel.normals[met]).sum(axis=1) >= 0.0
-    met = np.where(turned, -1, met)
     hit = met >= 0
     triangle[rays] = met
     origins[rays[hit]] += distance[hit, None] * directions[rays[hit]]
     seen = np.zeros((n, kernels.VERTEX))
-    seen[:, kernels.P] = origins
-    seen[:, kernels.N] = kernel.normals[triangle]
-    seen[:, kernels.SURFACE] = np.where(triangle >= 0, kernel.owner[triangle], -1)
+    seen[:, kernels.P], seen[:, kernels.N] = origins, directions
+    normals = kernel.normals[met]
+    against = (directions[rays] * normals).sum(axis=1, keepdims=True) > 0.0
+    seen[rays, kernels.N] = np.where(against, -normals, normals)
+    seen[:, kernels.TRIANGLE] = triangle
     seen[:, kernels.WEIGHT] = 1.0
     return seen
 
@@ -217,8 +228,9 @@ def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
                 )
 
             on_threads(work, n, 1)
-            points = vertices[:, kernels.P]
-            job.around.clear(value[at, order], points, np.broadcast_to(laser, points.shape))
+            if not job.around.kernel.asked:
+                points = vertices[:, kernels.P]
+                job.around.clear(value[at, order], points, np.broadcast_to(laser, points.shape))
     shape = (len(lasers), len(ends), job.n_seen, job.n_each)
     return value.reshape(shape), length.reshape(shape)
 
@@ -236,6 +248,7 @@ def _gather(
 ) -> None:
     """Bin the paths of the pairs ``span`` whose lasers begin with the one at ``start``."""
     rows = job.rows[span] - np.array([start, 0])
+    starts = job.starts[span]
     into, again = total[:, span], squares[:, span]
 
     def work(part: slice) -> None:
@@ -244,10 +257,11 @@ def _gather(
             seen,
             first,
             rows[part],
+            starts[part],
+            job.rate,
             table,
             job.sensors,
             found,
-            job.clock,
             into[:, part],
             again[:, part],
         )

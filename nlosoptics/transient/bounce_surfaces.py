@@ -1,20 +1,16 @@
-"""Hidden meshes and the relay wall as paths of several reflections meet them."""
+"""Hidden surfaces and the relay wall as paths of several reflections meet them."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, pair
-from ..errors import SceneError
 from ..raytrace import intersect_mesh, occluded
-from ..scene import Lambert, Material
-from ..scene._material import BECKMANN, GGX
+from ..scene import Lambert
+from .hidden_surfaces import HiddenSurfaces
 
 if TYPE_CHECKING:
     import trimesh
@@ -23,7 +19,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 GAP: Final = 1e-9  # of the scene's extent: what paths leave is not met nearer than this
-BEHIND: Final = 1e-9  # of the scene's extent: rounding of vertices on the wall
+ASKED: Final = 4096  # triangles up to which kernels look for shadows by themselves
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,94 +55,61 @@ class BounceSurfaces:
 
 
 def bounce_surfaces(
-    surfaces: Sequence[tuple[Any, Material]], wall_albedo: float, wall_size: Any
+    surfaces: HiddenSurfaces,
+    wall_points: Array,
+    wall_albedo: float,
+    wall_size: tuple[float, float] | None,
 ) -> BounceSurfaces:
-    """Join hidden meshes, m, world, and a wall of ``wall_size`` (m, or None) about the origin."""
+    """Join hidden surfaces and a wall of ``wall_size`` (x, y), m, or None, about the origin.
+
+    ``wall_points`` (n, 3), m, are those that see the surfaces.
+    """
+    from ..raytrace.triangles import Facets
     from ._bounce_kernels import Surfaces
 
-    albedo = in_range("wall_albedo", wall_albedo, 0.0, 1.0)
-    parts = [_part(k, *entry) for k, entry in enumerate(_pairs(surfaces))]
-    corners = [part for part, _ in parts]
-    materials = [material for _, material in parts]
-    n_hidden = sum(len(part) for part in corners)
+    corners, lobes, spans = surfaces.corners, surfaces.lobes, surfaces.spans
+    n_hidden = len(corners)
     if wall_size is not None:
-        x, y = (0.5 * side for side in pair("wall_size", wall_size))
+        x, y = 0.5 * wall_size[0], 0.5 * wall_size[1]
         a, b, c, d = ([-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0])
-        corners.append(np.array([[a, b, c], [a, c, d]]))
-        materials.append(Lambert(albedo))
-    owner = np.repeat(np.arange(len(corners)), [len(part) for part in corners])
-    points = np.concatenate(corners)
-    across = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+        corners = np.concatenate([corners, [[a, b, c], [a, c, d]]])
+        lobes = np.concatenate([lobes, Lambert(wall_albedo)._lobes()])
+        spans = np.concatenate([spans, np.tile([len(lobes) - 1, len(lobes)], (2, 1))])
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(first, second)
     doubled = np.sqrt((across * across).sum(axis=1))
-    area = 0.5 * float(doubled[:n_hidden].sum())
-    if area == 0.0:
-        raise SceneError("the hidden surfaces have no area; give meshes with triangles")
+    normals = across / doubled[:, None]
     shares = np.insert(np.cumsum(doubled[:n_hidden]), 0, 0.0)
-    shares /= shares[-1]
-    lobes = [material._lobes() for material in materials]
+    facets = Facets(surfaces.mesh)
     kernel = Surfaces(
-        lobes=np.ascontiguousarray(np.concatenate(lobes)),
-        starts=np.array([0, *itertools.accumulate(len(rows) for rows in lobes)]),
-        owner=owner.astype(np.int64),
-        triangles=np.ascontiguousarray(
-            np.concatenate(
-                [points[:, 0], points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]], axis=1
-            )
-        ),
-        normals=across / np.where(doubled > 0.0, doubled, 1.0)[:, None],
-        shares=shares,
-        area=area,
+        lobes=np.ascontiguousarray(lobes),
+        spans=np.ascontiguousarray(spans, dtype=np.int64),
+        triangles=np.ascontiguousarray(np.concatenate([corners[:, 0], first, second], axis=1)),
+        normals=np.ascontiguousarray(normals),
+        sides=_sides(corners, normals, wall_points),
+        shares=shares / shares[-1],
+        area=0.5 * float(shares[-1]),
+        rows=facets.rows,
+        boxes=facets.boxes,
+        asked=n_hidden <= ASKED,
     )
-    extent = float(np.abs(points[:n_hidden]).max())
-    if points[:n_hidden, :, 2].min() < -BEHIND * extent:
-        raise SceneError(
-            f"a hidden surface reaches to z = {points[:n_hidden, :, 2].min():g} m, behind the wall "
-            "z = 0; move it in front"
-        )
-    hidden = _mesh(points[:n_hidden])
-    met = hidden if wall_size is None else _mesh(points)
-    return BounceSurfaces(hidden=hidden, met=met, kernel=kernel, gap=GAP * extent)
+    met = surfaces.mesh if wall_size is None else _mesh(corners)
+    extent = float(np.abs(corners[:n_hidden]).max())
+    return BounceSurfaces(hidden=surfaces.mesh, met=met, kernel=kernel, gap=GAP * extent)
 
 
-def _pairs(surfaces: Any) -> list[tuple[Any, Any]]:
-    try:
-        pairs = [(mesh, material) for mesh, material in surfaces]
-    except (TypeError, ValueError):
-        pairs = []
-    if not pairs:
-        raise SceneError(
-            "surfaces hold no pair of a mesh and a material; give such as "
-            "[(trimesh.Trimesh, scene.Lambert(0.8))]"
-        )
-    return pairs
+def _sides(corners: Array, normals: Array, points: Array) -> NDArray[np.int64]:
+    """Side of each triangle's plane on which all points are: 1, -1, or 0 where there are both."""
+    # the points' box will do: its corners are on the side that all points are on, or on both
+    low, high = points.min(axis=0), points.max(axis=0)
+    box = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    heights = np.einsum("tk,bk->tb", normals, box) - (normals * corners[:, 0]).sum(axis=1)[:, None]
+    above, below = (heights > 0.0).any(axis=1), (heights < 0.0).any(axis=1)
+    return np.where(above & below, 0, np.where(below, -1, 1)).astype(np.int64)
 
 
-def _part(number: int, mesh: Any, material: Any) -> tuple[Array, Material]:
-    """Corners (n, 3, 3) of a mesh, and its material, checked."""
-    place = f"surfaces[{number}]"
-    if not hasattr(mesh, "faces") or not hasattr(mesh, "vertices"):
-        raise SceneError(f"{place} has a {type(mesh).__name__} as its mesh; give a trimesh.Trimesh")
-    if not isinstance(material, Material):
-        raise SceneError(
-            f"{place} has a {type(material).__name__} as its material; give one of "
-            "nlosoptics.scene, such as Lambert(0.8)"
-        )
-    corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
-    if not len(corners):
-        raise SceneError(f"{place} has no triangles; give a surface mesh")
-    if not np.isfinite(corners).all():
-        raise SceneError(f"{place} has NaN or infinite vertices; mend it")
-    lobes = material._lobes()
-    if ((lobes[:, 2] == 0.0) & (lobes[:, 1] > 0.0) & np.isin(lobes[:, 0], (BECKMANN, GGX))).any():
-        raise SceneError(
-            f"{place} has a smooth mirror, slope_rms = 0, which no spot of the wall can be joined "
-            "to; give it a slope, such as 0.01"
-        )
-    return corners, material
-
-
-def _mesh(points: Array) -> trimesh.Trimesh:
+def _mesh(corners: Array) -> trimesh.Trimesh:
     import trimesh
 
-    faces = np.arange(3 * len(points)).reshape(-1, 3)
-    return trimesh.Trimesh(points.reshape(-1, 3), faces, process=False)
+    faces = np.arange(3 * len(corners)).reshape(-1, 3)
+    return trimesh.Trimesh(corners.reshape(-1, 3), faces, process=False)

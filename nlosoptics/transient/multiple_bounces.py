@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, in_range, one_of, positive, real, whole
+from .._checks import fits_memory, in_range, one_of, pair, positive, whole
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
-from ..scene import Material
 from .bounce_surfaces import bounce_surfaces
+from .hidden_surfaces import HiddenSurfaces
 
 if TYPE_CHECKING:
-    import trimesh
-
     from .bounce_batches import Job
 
 Array = NDArray[np.float64]
@@ -47,14 +45,14 @@ class MultipleBounces(NamedTuple):
 
 
 def multiple_bounces(
-    surfaces: Sequence[tuple[trimesh.Trimesh, Material]],
+    surfaces: HiddenSurfaces,
     laser_points: ArrayLike,
     sensor_points: ArrayLike,
     *,
     pairing: str = "all",
     wall_albedo: float = 1.0,
     wall_size: float | tuple[float, float] | None = None,
-    t_start: float = 0.0,
+    starts: ArrayLike = 0.0,
     delta_t: float,
     n_bins: int,
     orders: Iterable[int] = (4, 5),
@@ -67,9 +65,8 @@ def multiple_bounces(
 
     Parameters
     ----------
-    surfaces : sequence of (trimesh.Trimesh, Material)
-        Hidden, in front of the wall z = 0, world, m. They reflect where their faces turn
-        counterclockwise, and are black behind.
+    surfaces : HiddenSurfaces
+        In front of the wall z = 0, world, m.
     laser_points, sensor_points : array_like, (..., 3)
         On the wall, m.
     pairing : {"all", "confocal"}
@@ -79,8 +76,12 @@ def multiple_bounces(
     wall_size : float or (float, float), optional
         Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
         object, wall, object, wall. None: the wall reflects at laser points alone.
-    t_start, delta_t, n_bins
-        Bins of optical path between the wall's points, m.
+    starts : float or array_like
+        Where the first bin begins, m of optical path between the wall's points; one for all, or
+        one for each pair.
+    delta_t : float
+        Width of a bin, m.
+    n_bins : int
     orders : iterable of int
         Numbers of reflections, 4 to 32, those on the wall at the laser's spot and at the sensor's
         point included.
@@ -125,7 +126,7 @@ def multiple_bounces(
     if tol is not None:
         tol = in_range("tol", tol, 1e-5, 1.0)
     budget = whole("n_rays", n_rays, LEAST) if n_rays is not None else BUDGET
-    around = bounce_surfaces(surfaces, wall_albedo, wall_size)
+    albedo = in_range("wall_albedo", wall_albedo, 0.0, 1.0)
     lasers, laser_shape = _wall_points("laser_points", laser_points)
     sensors, sensor_shape = _wall_points("sensor_points", sensor_points)
     rows = _rows(pairing, laser_shape, sensor_shape)
@@ -133,6 +134,8 @@ def multiple_bounces(
     turned = pairing == "all" and len(lasers) > len(sensors)
     if turned:
         lasers, sensors, rows = sensors, lasers, rows[:, ::-1]
+    begins = _starts(starts, len(rows))
+    size = None if wall_size is None else pair("wall_size", wall_size)
     # the kernels go through lasers in their order; `back` undoes it
     order = np.argsort(rows[:, 0], kind="stable")
     back = np.argsort(order)
@@ -143,12 +146,13 @@ def multiple_bounces(
     )
     n_seen, n_each = _sizes(len(sensors), budget)
     job = bounce_batches.Job(
-        around=around,
+        around=bounce_surfaces(surfaces, sensors, albedo, size),
         lasers=lasers,
         sensors=sensors,
         rows=np.ascontiguousarray(rows[order]),
         orders=chosen,
-        clock=(real("t_start", t_start), 1.0 / positive("delta_t", delta_t, unit="m")),
+        starts=begins[order],
+        rate=1.0 / positive("delta_t", delta_t, unit="m"),
         n_bins=shape[0],
         seed=checked_seed(seed),
         n_seen=n_seen,
@@ -157,7 +161,7 @@ def multiple_bounces(
     )
     job = dataclasses.replace(job, aimed=_aimed(job))
     total, squares, batches, reached = _run(job, tol, budget, progress)
-    factor = in_range("wall_albedo", wall_albedo, 0.0, 1.0) / math.pi
+    factor = albedo / math.pi
     by_bounce, errors = {}, {}
     for k, number in enumerate(chosen):
         mean = total[k] / batches
@@ -257,6 +261,15 @@ def _wall_points(name: str, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
     if off > 1e-9:
         raise SceneError(f"{name} are up to {off:g} m off the wall z = 0; put them on it")
     return np.ascontiguousarray(points.reshape(-1, 3)), points.shape[:-1]
+
+
+def _starts(values: ArrayLike, n_pairs: int) -> Array:
+    starts = np.asarray(values, dtype=np.float64)
+    if starts.size not in (1, n_pairs):
+        raise SamplingError(f"starts has {starts.size} values; give one, or {n_pairs}, of each pair")
+    if not np.isfinite(starts).all():
+        raise SceneError("starts have values that are not finite")
+    return np.ascontiguousarray(np.broadcast_to(starts.ravel(), n_pairs))
 
 
 def _rows(
