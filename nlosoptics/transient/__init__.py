@@ -15,7 +15,7 @@ from .detectors import Detector
 from .phasor_cameras import phasor_image
 from .phasor_images import PhasorImage
 from .rendering import render
-
+from .scene_captures import render_scene
 from .volumes import Volume, VolumeImage
 
 __all__ = [
@@ -26,5 +26,6 @@ __all__ = [
     "VolumeImage",
     "phasor_image",
     "render",
+    "render_scene",
     "wall_grid",
 ]

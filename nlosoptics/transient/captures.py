@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
@@ -139,13 +139,17 @@ class TransientCapture:
             np.allclose(self.laser_points, self.sensor_points, rtol=0.0, atol=1e-9)
         )
 
+    def with_details(self, **more: Any) -> TransientCapture:
+        """Return the same capture with more ``details``."""
+        return replace(self, details={**self.details, **more})
+
     def save(self, path: str | Path, *, compression: int = 0) -> None:
         """Write y-tal's HDF5 layout, whole or not at all; `load` and y-tal read it.
 
         Space is [x, y] in the file. y-tal has grids and lists of points: other shapes are written
-        as lists. What its layout lacks it does not see: ``by_bounce`` and ``standard_error`` are
-        attributes of ``H``, the rest is in ``scene_info``. ``details`` that JSON has no form for
-        come back as lists or text.
+        as lists. What its layout lacks it does not see: ``by_bounce``, ``standard_error`` and
+        arrays among the ``details`` are attributes of ``H``, the rest is in ``scene_info``, where
+        ``details`` that JSON has no form for become lists or text.
 
         Parameters
         ----------

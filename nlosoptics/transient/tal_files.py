@@ -2,7 +2,7 @@
 
 y-tal refuses names that it does not know, and looks at no attributes. What a capture holds beyond
 its layout is therefore in ``scene_info`` (numbers and words, as JSON, which is YAML) and in
-attributes of ``H`` (parts by bounce, standard error).
+attributes of ``H`` (parts by bounce, standard error, arrays among the details).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ GRID_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_3": 2}
 VOLUME_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
 OURS = "nlosoptics"
 #: Attributes of ``H``.
-PART, ERROR = "by_bounce_", "standard_error"
+PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
 
 
 def save(capture: TransientCapture, path: str | Path, *, compression: int = 0) -> None:
@@ -73,6 +73,9 @@ def _write(file: Any, capture: TransientCapture, level: int) -> None:
         H.attrs[f"{PART}{bounce}"] = stored(part)
     if capture.standard_error is not None:
         H.attrs[ERROR] = stored(capture.standard_error)
+    for key, value in capture.details.items():
+        if _is_array(value):
+            H.attrs[f"{DETAIL}{key}"] = value
     _write_enum(file, "H_format", form, H_FORMATS)
     for name, shape in (("laser", laser), ("sensor", sensor)):
         points = getattr(capture, f"{name}_points")
@@ -139,9 +142,14 @@ def _scene_info(capture: TransientCapture) -> dict[str, Any]:
             "quantity": capture.quantity,
             "laser_shape": list(capture.laser_shape),
             "sensor_shape": list(capture.sensor_shape),
-            "details": dict(capture.details),
+            "details": {k: v for k, v in capture.details.items() if not _is_array(v)},
         },
     }
+
+
+def _is_array(value: Any) -> bool:
+    """Whether HDF5 holds a value as it is."""
+    return isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 0
 
 
 def _plain(value: Any) -> Any:
@@ -180,6 +188,11 @@ def read(variables: Mapping[str, Any]) -> Found:
             if key.startswith(f"H{AT}{PART}")
         },
         standard_error=variables.get(f"H{AT}{ERROR}"),
+        details={
+            key.removeprefix(f"H{AT}{DETAIL}"): np.asarray(value)
+            for key, value in variables.items()
+            if key.startswith(f"H{AT}{DETAIL}")
+        },
     )
     return _foreign(found, info, lasers) if ours is None else _own(found, ours)
 
@@ -287,7 +300,7 @@ def _own(found: Found, ours: Mapping[str, Any]) -> Found:
     try:
         laser, sensor = (tuple(map(int, ours[f"{name}_shape"])) for name in ("laser", "sensor"))
         found.pairing, found.quantity = str(ours["pairing"]), str(ours["quantity"])
-        found.details = dict(ours["details"])
+        found.details |= ours["details"]
         points = {"laser": laser, "sensor": sensor}
         axes = sensor if found.pairing == "confocal" else laser + sensor
 
