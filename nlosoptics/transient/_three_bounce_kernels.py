@@ -99,6 +99,22 @@ def _bin(t, start, delta, last):
     return 1 + int(where)
 
 
+@njit(cache=True)
+def _may_hide(light, tilt, turn, sharp, limit):
+    """Whether a part may hold more than ``limit`` where a narrow lobe peaks.
+
+    ``tilt`` is the half vector's in the middle, where there is ``light``, ``turn`` the most that it
+    changes by. Lobes fall no faster than ``exp(-tan^2/sharp^2)``.
+    """
+    least = max(tilt - turn, 0.0)
+    if limit == math.inf:
+        return least < 5.0 * sharp
+    if light == 0.0:
+        return least < 26.0 * sharp  # beyond, exp(-26^2) is below double precision
+    here, there = math.tan(min(tilt, 1.5)) / sharp, math.tan(min(least, 1.5)) / sharp
+    return light * math.exp(min((here - there) * (here + there), 700.0)) > limit
+
+
 @njit(cache=True, inline="always")
 def _square(s, i, j):
     x, y, z = s[i] - s[j], s[i + 1] - s[j + 1], s[i + 2] - s[j + 2]
@@ -111,7 +127,7 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
 
     A part errs by what its middle says that its corners do not: of F, and of the path where that
     can move light into another bin. Both then go into the part, so that it errs by the next order.
-    ``sharp`` is the narrowest lobe's slope. Without a limit (infinity) parts are only made small
+    ``sharp`` is the narrowest lobe's alpha. Without a limit (infinity) parts are only made small
     against their distance, and against that lobe.
     """
     last = bins.size - 1
@@ -145,7 +161,8 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
             elif sharp < 1.0:
                 turn = away * (1.0 / r1 + 1.0 / r2)
                 tilt = math.acos(min(1.0, half))
-                split = turn > sharp and tilt - turn < 5.0 * sharp
+                if 2.0 * turn > sharp:
+                    split = _may_hide(f * area, tilt, turn, sharp, limit)
             if not split and limit < math.inf:
                 wrong = area * abs(lift)
                 low = min(s[TAU], s[TAU + 1], s[TAU + 2]) + min(shift, 0.0)
@@ -281,6 +298,7 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
             return
         within = total - bins[0] - bins[bins.size - 1]
         before[:] = bins
+        fewer = leaves
         # what falls outside the window need not be known better than what falls within
         scale = within if within > 1e-6 * total else total
         leaves = _pass(
@@ -307,7 +325,8 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
             change += abs(bins[k] - before[k])
         report[TOTAL], report[ERROR] = bins.sum(), change
         report[LEAVES], report[PASSES] = leaves, number + 1
-        if change <= tol * scale:
+        # passes that are nearly the same agree without a reason
+        if change <= tol * scale and leaves >= 1.5 * fewer:
             return
         strict /= STEP
 

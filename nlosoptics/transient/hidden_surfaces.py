@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -31,14 +32,14 @@ class HiddenSurfaces:
         (k, 4), the lobes of all materials.
     spans : ndarray of int64
         (n, 2), the rows of ``lobes`` of each triangle, from the first to before the last.
-    slopes : ndarray
-        (n,), slope rms of the narrowest lobe of each triangle, rad; 1 of wide ones.
+    alphas : ndarray
+        (n,), of the narrowest lobe of each triangle, rad; 1 of wide ones.
     """
 
     mesh: trimesh.Trimesh
     lobes: Array
     spans: NDArray[np.int64]
-    slopes: Array
+    alphas: Array
 
     @property
     def corners(self) -> Array:
@@ -63,7 +64,7 @@ def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> Hid
     import trimesh
 
     pairs = _pairs(surfaces)
-    vertices, faces, lobes, spans, slopes = [], [], [], [], []
+    vertices, faces, lobes, spans, alphas = [], [], [], [], []
     n_vertices = n_lobes = 0
     for number, (mesh, material) in enumerate(pairs):
         points = _checked(number, mesh)
@@ -73,12 +74,12 @@ def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> Hid
         faces.append(triangles + n_vertices)
         lobes.append(rows)
         spans.append(np.tile([n_lobes, n_lobes + len(rows)], (len(triangles), 1)))
-        slopes.append(np.full(len(triangles), _narrowest(rows)))
+        alphas.append(np.full(len(triangles), _narrowest(rows)))
         n_vertices += len(points)
         n_lobes += len(rows)
     joined = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
     return HiddenSurfaces(
-        joined, np.concatenate(lobes), np.concatenate(spans), np.concatenate(slopes)
+        joined, np.concatenate(lobes), np.concatenate(spans), np.concatenate(alphas)
     )
 
 
@@ -149,8 +150,9 @@ def _lobes(number: int, material: Any) -> Array:
 
 
 def _narrowest(rows: Array) -> float:
-    """Slope rms of the narrowest lobe that reflects, at most 1, which is wide."""
-    slopes = [
-        float(row[2]) for row in rows if row[0] > OREN_NAYAR_FULL and row[1] > 0.0 and row[2] > 0.0
-    ]
-    return min([1.0, *slopes])
+    """Least alpha of a lobe that reflects, at most 1, which is wide."""
+    alphas = [1.0]
+    for kind, strength, slope, _ in rows:
+        if kind > OREN_NAYAR_FULL and strength > 0.0 and slope > 0.0:
+            alphas.append(float(slope) * (math.sqrt(2.0) if kind in (BECKMANN, GGX) else 1.0))
+    return min(alphas)

@@ -114,7 +114,7 @@ def three_bounces(
     if len(facets.rows) <= ASKED:
         clear = _shadow_kernels.clear_sides(facets.rows, reach)
     names = facets.names.astype(np.int64)
-    world = (surfaces.lobes, surfaces.spans[names], surfaces.slopes[names])
+    world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
     out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
     cores = max(1, os.cpu_count() or 1)
     step = max(1, min(count, max(16 * cores, count // 64)))
