@@ -93,12 +93,14 @@ def fill_kernels(across, up, away, ways, falls, first, step, kernels):
 
 
 @njit(cache=True, parallel=True)
-def multiply_folded(spectrum, kernels, fold_y, fold_x, products):
-    """products[z] = spectrum * kernels[z], the kernels' mirrored halves left out."""
-    for flat in prange(kernels.shape[0] * spectrum.shape[0]):
-        z, y = flat // spectrum.shape[0], flat % spectrum.shape[0]
-        for x in range(spectrum.shape[1]):
-            products[z, y, x] = spectrum[y, x] * kernels[z, fold_y[y], fold_x[x]]
+def multiply_folded(spectra, kernels, fold_y, fold_x, products):
+    """products[k, z] = spectra[k] * kernels[k, z], the kernels' mirrored halves left out."""
+    waves, planes, rows = products.shape[:3]
+    for flat in prange(waves * planes * rows):
+        k, z, y = flat // rows // planes, flat // rows % planes, flat % rows
+        row = fold_y[y]
+        for x in range(products.shape[3]):
+            products[k, z, y, x] = spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
 
 
 @njit(cache=True, parallel=True)
@@ -107,29 +109,34 @@ def add_folded(spectra, kernels, fold_y, fold_x, products):
     for flat in prange(kernels.shape[1] * spectra.shape[1]):
         z, y = flat // spectra.shape[1], flat % spectra.shape[1]
         products[z, y] = 0.0
+        row = fold_y[y]
         for k in range(spectra.shape[0]):
             for x in range(spectra.shape[2]):
-                products[z, y, x] += spectra[k, y, x] * kernels[k, z, fold_y[y], fold_x[x]]
+                products[z, y, x] += spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
 
 
 @njit(cache=True, parallel=True)
-def start_legs(xs, ys, zs, point, falls, first, step, values, turns):
-    """Start ``values`` exp(i first r) and ``turns`` exp(i step r), r from a point to (z, y, x)."""
+def add_waves(fields, xs, ys, zs, far, falls, first, step, turns, total):
+    """Add over k fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x), k = first + j step.
+
+    r is a voxel's distance from ``far`` (m, 3), over which it divides where it falls; without a
+    point there, r = 0.
+    """
+    legs = far.shape[0] > 0
     for flat in prange(len(zs) * len(ys)):
         z, y = flat // len(ys), flat % len(ys)
-        square = (ys[y] - point[1]) ** 2 + (zs[z] - point[2]) ** 2
-        for x in range(len(xs)):
-            leg = math.sqrt((xs[x] - point[0]) ** 2 + square)
-            amplitude = 1.0 / leg if falls else 1.0
-            values[z, y, x] = amplitude * complex(math.cos(first * leg), math.sin(first * leg))
-            turns[z, y, x] = complex(math.cos(step * leg), math.sin(step * leg))
-
-
-@njit(cache=True, parallel=True)
-def add_legs(fields, values, turns, total):
-    """Add fields * values to ``total`` and bring ``values`` to the next wavenumber."""
-    for flat in prange(total.shape[0] * total.shape[1]):
-        z, y = flat // total.shape[1], flat % total.shape[1]
-        for x in range(total.shape[2]):
-            total[z, y, x] += fields[z, y, x] * values[z, y, x]
-            values[z, y, x] *= turns[z, y, x]
+        values = np.ones(len(xs), np.complex128)
+        steps = np.ones(len(xs), np.complex128)
+        if legs:
+            square = (ys[y] - far[0, 1]) ** 2 + (zs[z] - far[0, 2]) ** 2
+            for x in range(len(xs)):
+                leg = math.sqrt((xs[x] - far[0, 0]) ** 2 + square)
+                amplitude = 1.0 / leg if falls else 1.0
+                values[x] = amplitude * complex(math.cos(first * leg), math.sin(first * leg))
+                steps[x] = complex(math.cos(step * leg), math.sin(step * leg))
+        for k in range(fields.shape[0]):
+            for t in range(total.shape[0]):
+                for x in range(len(xs)):
+                    total[t, z, y, x] += fields[k, z, y, x] * values[x] * turns[t, k]
+            for x in range(len(xs)):
+                values[x] *= steps[x]

@@ -27,8 +27,8 @@ from .volumes import Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Bytes of kernels that are held at once; a few caches' worth.
-KERNELS = 2**25
+#: Bytes of transformed planes that are held at once.
+PLANES = 2**25
 #: Pairs of paths and waves in one step of the direct sum.
 STEP = 2e8
 #: Share of a wavelength by which points may lie off an even grid.
@@ -190,8 +190,8 @@ def plane_by_plane(
     fields = np.zeros((len(times), *volume.shape), dtype=kind)
     walls = spectra.reshape(*spectra.shape[:2], *grid.shape)
     walls = np.flip(walls, tuple(axis + 2 for axis in grid.flips))
-    size = len(band.numbers) * len(room.up) * len(room.across) * kind.itemsize
-    for part in blocks(len(volume.z), max(1, int(KERNELS // size))):
+    size = len(band.numbers) * room.shape[0] * room.shape[1] * kind.itemsize
+    for part in blocks(len(volume.z), max(1, int(PLANES // size))):
         away = volume.z[part] - grid.origin[2]
         response = room.kernels(away, band, kind)
         for j in range(walls.shape[1]):
@@ -200,7 +200,7 @@ def plane_by_plane(
                 turns = np.exp(1j * band.wavenumbers * times[0]).astype(kind)
                 fields[0, part] = room.added(wall * turns[:, None, None], response)
             else:
-                far = legs.far[j] if len(legs.far) and not legs.paired else None
+                far = np.empty((0, 3)) if legs.paired else legs.far[j : j + 1]
                 room.add(wall, response, band, far, part, times, fields)
             advance(
                 (part.start + (part.stop - part.start) * (j + 1) / walls.shape[1]) / len(volume.z)
@@ -286,13 +286,14 @@ class Room:
         return np.asarray(ducc0.fft.c2c(padded, axes=(1, 2), nthreads=THREADS))
 
     def planes(self, products: ComplexArray) -> ComplexArray:
-        """(nz, ny, nx) of the transforms' inverse."""
+        """(..., ny, nx) of the transforms' inverse."""
         import ducc0
 
-        ducc0.fft.c2c(products, axes=(1,), forward=False, inorm=2, out=products, nthreads=THREADS)
-        kept = products[:, : len(self.volume.y)]
-        kept = ducc0.fft.c2c(kept, axes=(2,), forward=False, inorm=2, nthreads=THREADS)
-        return np.asarray(kept[:, :, : len(self.volume.x)])
+        up, across = products.ndim - 2, products.ndim - 1
+        options = {"forward": False, "inorm": 2, "nthreads": THREADS}
+        ducc0.fft.c2c(products, axes=(up,), out=products, **options)
+        kept = products[..., : len(self.volume.y), :]
+        return np.asarray(ducc0.fft.c2c(kept, axes=(across,), **options))[..., : len(self.volume.x)]
 
     def added(self, wall: ComplexArray, response: ComplexArray) -> ComplexArray:
         """(nz, ny, nx): all waves together, by one inverse transform a plane."""
@@ -307,7 +308,7 @@ class Room:
         wall: ComplexArray,
         response: ComplexArray,
         band: Band,
-        far: Array | None,
+        far: Array,
         part: slice,
         times: Array,
         fields: ComplexArray,
@@ -316,32 +317,20 @@ class Room:
         from . import _phasor_kernels as kernels
 
         volume, waves = self.volume, band.wavenumbers
-        products = np.empty((response.shape[1], *self.shape), dtype=response.dtype)
-        values = np.ones((response.shape[1], *volume.shape[1:]), dtype=response.dtype)
-        turns = np.ones_like(values)
-        if far is not None:
-            kernels.start_legs(
-                volume.x,
-                volume.y,
-                volume.z[part],
-                far,
-                self.legs.falls,
-                waves[0],
-                band.step,
-                values,
-                turns,
-            )
-        still = len(times) == 1 and times[0] == 0.0
-        for k, wave in enumerate(waves):
-            kernels.multiply_folded(wall[k], response[k], *self.folds, products)
-            planes = self.planes(products)
-            if still:
-                kernels.add_legs(planes, values, turns, fields[0, part])
-                continue
-            planes *= values
-            values *= turns
-            for t, time in enumerate(times):
-                fields[t, part] += planes * response.dtype.type(np.exp(1j * wave * time))
+        products = np.empty((*response.shape[:2], *self.shape), dtype=response.dtype)
+        kernels.multiply_folded(wall, response, *self.folds, products)
+        kernels.add_waves(
+            self.planes(products),
+            volume.x,
+            volume.y,
+            volume.z[part],
+            far,
+            self.legs.falls,
+            waves[0],
+            band.step,
+            np.exp(1j * np.outer(times, waves)),
+            fields[:, part],
+        )
 
 
 @dataclass(frozen=True)

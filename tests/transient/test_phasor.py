@@ -1,4 +1,4 @@
-"""Virtual cameras: sums against brute force, resolution against closed forms, and their warnings."""
+"""Virtual cameras: sums against brute force, widths against closed forms, and warnings."""
 
 from __future__ import annotations
 
