@@ -289,7 +289,7 @@ def array(variables: Mapping[str, Any], key: str, *ndims: int) -> Array:
         raise SceneError(f"{key} holds {values.dtype} values, must be real numbers")
     if values.ndim not in ndims:
         wanted = " or ".join(map(str, ndims))
-        raise SceneError(f"{key} has shape {values.shape}, must have {wanted} dimensions")
+        raise SamplingError(f"{key} has shape {values.shape}, must have {wanted} dimensions")
     return values
 
 

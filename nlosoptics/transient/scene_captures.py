@@ -160,7 +160,7 @@ def cut_out(picture: PlanarObject) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.array(corners), faces, process=False)
 
 
-def _rectangles(white: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
+def _rectangles(white: Any) -> list[tuple[int, int, int, int]]:
     """Few rectangles that cover the white cells once: (top, below, left, beyond)."""
     left_over = white.copy()
     boxes = []
@@ -168,9 +168,9 @@ def _rectangles(white: NDArray[np.bool_]) -> list[tuple[int, int, int, int]]:
         if not left_over[i, j]:
             continue
         row = left_over[i, j:]
-        width = len(row) if row.all() else int(row.argmin())
+        width = row.size if row.all() else int(row.argmin())
         below = left_over[i:, j : j + width].all(axis=1)
-        height = len(below) if below.all() else int(below.argmin())
+        height = below.size if below.all() else int(below.argmin())
         left_over[i : i + height, j : j + width] = False
         boxes.append((int(i), int(i) + height, int(j), int(j) + width))
     return boxes

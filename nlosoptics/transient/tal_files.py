@@ -33,6 +33,7 @@ VOLUME_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
 OURS = "nlosoptics"
 #: Attributes of ``H``.
 PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
+SAME = "H"
 
 
 def save(capture: TransientCapture, path: str | Path, *, compression: int = 0) -> None:
@@ -70,9 +71,9 @@ def _write(file: Any, capture: TransientCapture, level: int) -> None:
     packed = {"compression": "gzip", "compression_opts": level} if level else {}
     H = file.create_dataset("H", data=stored(capture.H), **packed)
     for bounce, part in capture.by_bounce.items():
-        H.attrs[f"{PART}{bounce}"] = stored(part)
+        H.attrs[f"{PART}{bounce}"] = _brief(stored(part), H)
     if capture.standard_error is not None:
-        H.attrs[ERROR] = stored(capture.standard_error)
+        H.attrs[ERROR] = _brief(stored(capture.standard_error), H)
     for key, value in capture.details.items():
         if _is_array(value):
             H.attrs[f"{DETAIL}{key}"] = value
@@ -110,6 +111,21 @@ def _axes(capture: TransientCapture) -> tuple[tuple[int, ...], tuple[int, ...], 
         return laser, sensor or (1, 1), "T_Lx_Ly_Sx_Sy"
     sensors = (int(np.prod(sensor)),)
     return ((1,), sensors, "T_Si") if laser == () else ((int(np.prod(laser)),), sensors, "T_Li_Si")
+
+
+def _brief(values: Array, H: Any) -> Any:
+    """Bins beside ``H``: a word where they are the same, one number where they are even."""
+    if values.dtype == H.dtype and np.array_equal(values, H[...]):
+        return SAME
+    return values.flat[0] if (values == values.flat[0]).all() else values
+
+
+def _at_length(value: Any, H: Array) -> Array:
+    """What `_brief` stored, as bins."""
+    if isinstance(value, str):
+        return H
+    bins = np.asarray(value)
+    return np.full(H.shape, bins) if bins.ndim == 0 else bins
 
 
 def _turned(values: Array, lasers: int, sensors: int) -> Array:
@@ -183,11 +199,13 @@ def read(variables: Mapping[str, Any]) -> Found:
         pairing=paired,
         outer_legs=None if accounts is None else bool(np.asarray(accounts).reshape(-1)[0]),
         by_bounce={
-            int(key.removeprefix(f"H{AT}{PART}")): np.asarray(value)
+            int(key.removeprefix(f"H{AT}{PART}")): _at_length(value, H)
             for key, value in variables.items()
             if key.startswith(f"H{AT}{PART}")
         },
-        standard_error=variables.get(f"H{AT}{ERROR}"),
+        standard_error=_at_length(variables[f"H{AT}{ERROR}"], H)
+        if f"H{AT}{ERROR}" in variables
+        else None,
         details={
             key.removeprefix(f"H{AT}{DETAIL}"): np.asarray(value)
             for key, value in variables.items()
@@ -313,7 +331,7 @@ def _own(found: Found, ours: Mapping[str, Any]) -> Found:
         found.H = restored(found.H)
         found.by_bounce = {n: restored(part) for n, part in found.by_bounce.items()}
         if found.standard_error is not None:
-            found.standard_error = restored(np.asarray(found.standard_error))
+            found.standard_error = restored(found.standard_error)
         for name, shape in points.items():
             for key in (f"{name}_points", f"{name}_normals"):
                 values = getattr(found, key)

@@ -16,7 +16,11 @@ if TYPE_CHECKING:
     from ..transient import VolumeImage
 
 #: Across and up of each view, with the side that it is seen from.
-VIEWS = {"z": ("x", "y", "from the wall"), "y": ("x", "z", "from above"), "x": ("z", "y", "side")}
+VIEWS = {
+    "z": ("x", "y", "from the wall"),
+    "y": ("x", "z", "from above"),
+    "x": ("z", "y", "from the side"),
+}
 
 
 def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> Axes:
@@ -38,8 +42,11 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
         letters read; colours are relative to the brightest voxel.
     """
     one_of("axis", axis, VIEWS)
-    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.8, height=4.6)
     across, up, title = VIEWS[axis]
+    ends = [_ends(getattr(image.volume, name)) for name in (across, up)]
+    if axes is None:
+        shape = (ends[0][1] - ends[0][0]) / (ends[1][1] - ends[1][0])
+        (axes,) = new_axes(1, width=min(2.0 + 3.8 * max(shape, 0.25), 8.0), height=4.6)
     seen = image.projection(axis)
     if axis == "x":
         seen = seen.T  # (nz, ny) with z across
@@ -50,13 +57,13 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
         vmin=0.0,
         vmax=1.0,
         origin="lower",
-        extent=(*_ends(getattr(image.volume, across)), *_ends(getattr(image.volume, up))),
+        extent=(*ends[0], *ends[1]),
         interpolation="nearest",
     )
     if across == "x":
         axes.invert_xaxis()
     colour_bar(axes, drawn, "relative brightness")
-    axes.set(xlabel=f"{across} (m)", ylabel=f"{up} (m)", title=f"{title}, {image.method}")
+    axes.set(xlabel=f"{across} (m)", ylabel=f"{up} (m)", title=title)
     return axes
 
 

@@ -94,10 +94,22 @@ def test_single_precision_is_kept_and_compression_packs(tmp_path):
     assert sizes[0] < sizes[1] - 6000  # 12000 bytes of zeros, less what a chunk's index takes
 
 
+def test_equal_and_even_bins_take_no_room(tmp_path):
+    """As of three bounces alone: one part that is all, without a standard error."""
+    H = np.random.default_rng(1).random((500, 2, 3))
+    made(H=H).save(tmp_path / "alone.hdf5")
+    made(H=H, by_bounce={3: H}, standard_error=0 * H).save(tmp_path / "parts.hdf5")
+    sizes = [(tmp_path / f"{name}.hdf5").stat().st_size for name in ("alone", "parts")]
+    assert sizes[1] < sizes[0] + H.nbytes / 2
+    after = TransientCapture.load(tmp_path / "parts.hdf5")
+    assert np.array_equal(after.by_bounce[3], H)
+    assert np.array_equal(after.standard_error, 0 * H)
+
+
 def test_parts_beyond_the_limit_of_an_old_attribute(tmp_path):
     """HDF5's first format ends attributes at 64 KiB."""
     H = np.random.default_rng(1).random((5000, 2, 3))
-    made(H=H, by_bounce={3: H}).save(tmp_path / "x.hdf5")
+    made(H=2 * H, by_bounce={3: H}).save(tmp_path / "x.hdf5")
     assert np.array_equal(TransientCapture.load(tmp_path / "x.hdf5").by_bounce[3], H)
 
 
