@@ -23,14 +23,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 
 from nlosoptics import transient
 
 HERE = Path(__file__).parent
-LIGHT = 299_792_458.0  # m/s
+BIN = 4e-12 * 299_792_458.0  # m of path
 CHARTS = {"dot_chart_40cm": 0.40, "resolution_chart_65cm": 0.65}  # m
-BINS = 4  # of 4 ps that become one
+BINS = 4  # that become one
 CUT = 600  # bins of direct light
 PULSE = 9e-3  # m of path, 30 ps: standard deviation, as a detector's 70 ps half width has
 WINDOW = 0.15  # m about the nominal depth
@@ -46,23 +45,12 @@ METHODS = {
 
 
 def capture(path):
-    """The file's histograms on the wall's grid, [y, x] with y up as seen from the room.
+    """The file's histograms, [y, x]; the direct light is left in.
 
-    The scan's first index runs along x, the second one down. Bin 0 is the one in which the direct
-    light peaks, so that its middle is time 0.
+    Bin 0 is the one in which the direct light peaks, so that its middle is time 0.
     """
-    found = loadmat(path)
-    counts = np.ascontiguousarray(found["rect_data"].transpose(2, 1, 0)[:, ::-1], dtype=np.float32)
-    points = transient.wall_grid(2.0 * float(found["width"].item()), counts.shape[1])
-    bin_length = LIGHT * 4e-12
-    return transient.TransientCapture(
-        H=counts,
-        laser_points=points,
-        sensor_points=points,
-        delta_t=bin_length,
-        t_start=-0.5 * bin_length,
-        pairing="confocal",
-        quantity="counts",
+    return transient.TransientCapture.load(
+        path, format="lct", bin_width=BIN, t_start=-0.5 * BIN, gate_start=-0.5 * BIN
     )
 
 
