@@ -1,0 +1,142 @@
+"""Loops of the Rayleigh-Sommerfeld sums; their callers check and allocate."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+ALONE, ALL, PAIRED = 0, 1, 2
+
+
+@njit(cache=True, inline="always")
+def distance(a, b):
+    return math.sqrt((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2 + (a[2] - b[2]) ** 2)
+
+
+@njit(cache=True)
+def add_path(path, amplitude, first, step, spectrum, field):
+    """Add spectrum * amplitude exp(i k path) at every k = first + j step to ``field``.
+
+    Four wavenumbers advance side by side, so that no product waits for the one before it.
+    """
+    turn = complex(math.cos(step * path), math.sin(step * path))
+    one = amplitude * complex(math.cos(first * path), math.sin(first * path))
+    two = one * turn
+    turn *= turn
+    three, four = one * turn, two * turn
+    turn *= turn
+    count = len(spectrum)
+    for j in range(0, count - 3, 4):
+        field[j] += spectrum[j] * one
+        field[j + 1] += spectrum[j + 1] * two
+        field[j + 2] += spectrum[j + 2] * three
+        field[j + 3] += spectrum[j + 3] * four
+        one *= turn
+        two *= turn
+        three *= turn
+        four *= turn
+    rest = count - count % 4
+    if rest < count:
+        field[rest] += spectrum[rest] * one
+    if rest + 1 < count:
+        field[rest + 1] += spectrum[rest + 1] * two
+    if rest + 2 < count:
+        field[rest + 2] += spectrum[rest + 2] * three
+
+
+@njit(cache=True, parallel=True)
+def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fields):
+    """Sum over points of spectrum[j, i, k] exp(i k path), then over k, at each time.
+
+    ``legs`` says what a path is: ALONE: |x - near_i|; ALL: |x - far_j| + |x - near_i|; PAIRED:
+    |x - far_i| + |x - near_i|. ``falls``: each leg also divides by its length. ``turns`` (times, k)
+    is exp(i k t); ``fields`` (times, voxels).
+    """
+    n_far = far.shape[0] if legs == ALL else 1
+    for v in prange(voxels.shape[0]):
+        field = np.zeros(spectrum.shape[2], np.complex128)
+        for j in range(n_far):
+            lead = distance(voxels[v], far[j]) if legs == ALL else 0.0
+            for i in range(near.shape[0]):
+                leg = distance(voxels[v], near[i])
+                if legs == PAIRED:
+                    lead = distance(voxels[v], far[i])
+                amplitude = 1.0
+                if falls:
+                    amplitude = 1.0 / leg if legs == ALONE else 1.0 / (leg * lead)
+                add_path(leg + lead, amplitude, first, step, spectrum[j, i], field)
+        for t in range(turns.shape[0]):
+            total = 0j
+            for k in range(len(field)):
+                total += turns[t, k] * field[k]
+            fields[t, v] = total
+
+
+@njit(cache=True, parallel=True)
+def fill_kernels(across, up, away, ways, falls, first, step, kernels):
+    """exp(i ways k r) (over r^ways where it falls) at r = (across, up, away), every k.
+
+    ``kernels`` (k, z, y, x). Wavenumbers follow one another by a factor.
+    """
+    for flat in prange(len(away) * len(up)):
+        z, y = flat // len(up), flat % len(up)
+        for x in range(len(across)):
+            path = ways * math.sqrt(across[x] ** 2 + up[y] ** 2 + away[z] ** 2)
+            amplitude = (ways / path) ** ways if falls else 1.0
+            value = amplitude * complex(math.cos(first * path), math.sin(first * path))
+            turn = complex(math.cos(step * path), math.sin(step * path))
+            for k in range(kernels.shape[0]):
+                kernels[k, z, y, x] = value
+                value *= turn
+
+
+@njit(cache=True, parallel=True)
+def multiply_folded(spectra, kernels, fold_y, fold_x, products):
+    """products[k, z] = spectra[k] * kernels[k, z], the kernels' mirrored halves left out."""
+    waves, planes, rows = products.shape[:3]
+    for flat in prange(waves * planes * rows):
+        k, z, y = flat // rows // planes, flat // rows % planes, flat % rows
+        row = fold_y[y]
+        for x in range(products.shape[3]):
+            products[k, z, y, x] = spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
+
+
+@njit(cache=True, parallel=True)
+def add_folded(spectra, kernels, fold_y, fold_x, products):
+    """products[z] = sum over k of spectra[k] * kernels[k, z]."""
+    for flat in prange(kernels.shape[1] * spectra.shape[1]):
+        z, y = flat // spectra.shape[1], flat % spectra.shape[1]
+        products[z, y] = 0.0
+        row = fold_y[y]
+        for k in range(spectra.shape[0]):
+            for x in range(spectra.shape[2]):
+                products[z, y, x] += spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
+
+
+@njit(cache=True, parallel=True)
+def add_waves(fields, xs, ys, zs, far, falls, first, step, turns, total):
+    """Add over k fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x), k = first + j step.
+
+    r is a voxel's distance from ``far`` (m, 3), over which it divides where it falls; without a
+    point there, r = 0.
+    """
+    legs = far.shape[0] > 0
+    for flat in prange(len(zs) * len(ys)):
+        z, y = flat // len(ys), flat % len(ys)
+        values = np.ones(len(xs), np.complex128)
+        steps = np.ones(len(xs), np.complex128)
+        if legs:
+            square = (ys[y] - far[0, 1]) ** 2 + (zs[z] - far[0, 2]) ** 2
+            for x in range(len(xs)):
+                leg = math.sqrt((xs[x] - far[0, 0]) ** 2 + square)
+                amplitude = 1.0 / leg if falls else 1.0
+                values[x] = amplitude * complex(math.cos(first * leg), math.sin(first * leg))
+                steps[x] = complex(math.cos(step * leg), math.sin(step * leg))
+        for k in range(fields.shape[0]):
+            for t in range(total.shape[0]):
+                for x in range(len(xs)):
+                    total[t, z, y, x] += fields[k, z, y, x] * values[x] * turns[t, k]
+            for x in range(len(xs)):
+                values[x] *= steps[x]
