@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..errors import MissingExtraError, SceneError
 from .phasor_fields import Band, blocks
-from .rayleigh_sommerfeld import Advance, Lattice, Legs, Room
+from .plane_convolutions import Lattice
+from .rayleigh_sommerfeld import Advance, Legs
 from .volumes import Volume
 
 Array = NDArray[np.floating]
@@ -111,17 +112,19 @@ def _planes(
     advance: Advance,
 ) -> Any:
     """Convolutions of wall and planes, all kernels whole."""
-    room = Room.of(volume, grid, legs, mirrored=False)
-    walls = spectra.reshape(*spectra.shape[:2], *grid.shape)
-    walls = np.flip(walls, tuple(axis + 2 for axis in grid.flips))
-    light = torch.fft.fft2(torch.as_tensor(walls.copy(), device=place), s=room.shape)
-    up, across = (torch.as_tensor(a, device=place) for a in (room.up, room.across))
+    y, x = grid.axes
+    shape = (y.size(False), x.size(False))
+    walls = grid.walls(spectra)
+    padded = np.zeros((*walls.shape[:2], *shape), dtype=walls.dtype)
+    padded[..., y.places(False)[:, None], x.places(False)] = walls
+    light = torch.fft.fft2(torch.as_tensor(padded, device=place))
+    up, across = (torch.as_tensor(axis.steps(False), device=place) for axis in grid.axes)
     points = torch.as_tensor(volume.points, device=place)
     far = torch.as_tensor(np.ascontiguousarray(legs.far), device=place)
     fields = torch.zeros((len(times), *volume.shape), dtype=light.dtype, device=place)
     n_far = walls.shape[1]
-    for part in blocks(len(volume.z), max(1, STEP // (n_far * room.shape[0] * room.shape[1]))):
-        away = torch.as_tensor(volume.z[part] - grid.origin[2], device=place)
+    for part in blocks(len(volume.z), max(1, STEP // (n_far * shape[0] * shape[1]))):
+        away = torch.as_tensor(volume.z[part] - grid.depth, device=place)
         ways = 2 if legs.twice else 1
         path = ways * torch.sqrt(away[:, None, None] ** 2 + up[:, None] ** 2 + across**2)
         fall = (ways / path) ** ways if legs.falls else 1.0
@@ -131,7 +134,7 @@ def _planes(
         for k, wave in enumerate(band.wavenumbers):
             response = torch.fft.fft2((torch.exp(1j * wave * path) * fall).to(light.dtype))
             planes = torch.fft.ifft2(light[k] * response[:, None])
-            planes = planes[..., : len(volume.y), : len(volume.x)]
+            planes = planes[..., y.kept, x.kept]
             if lead is not None:
                 there = torch.exp(1j * wave * lead) * (1.0 / lead if legs.falls else 1.0)
                 planes = planes * there.to(light.dtype)

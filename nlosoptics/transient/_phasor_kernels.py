@@ -1,4 +1,7 @@
-"""Loops of the Rayleigh-Sommerfeld sums; their callers check and allocate."""
+"""Loops of the Rayleigh-Sommerfeld sums; their callers check and allocate.
+
+Loops over planes run on one thread each: their callers spread planes over threads.
+"""
 
 from __future__ import annotations
 
@@ -74,13 +77,13 @@ def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fie
             fields[t, v] = total
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def fill_kernels(across, up, away, ways, falls, first, step, kernels):
     """exp(i ways k r) (over r^ways where it falls) at r = (across, up, away), every k.
 
     ``kernels`` (k, z, y, x). Wavenumbers follow one another by a factor.
     """
-    for flat in prange(len(away) * len(up)):
+    for flat in range(len(away) * len(up)):
         z, y = flat // len(up), flat % len(up)
         for x in range(len(across)):
             path = ways * math.sqrt(across[x] ** 2 + up[y] ** 2 + away[z] ** 2)
@@ -92,21 +95,21 @@ def fill_kernels(across, up, away, ways, falls, first, step, kernels):
                 value *= turn
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def multiply_folded(spectra, kernels, fold_y, fold_x, products):
     """products[k, z] = spectra[k] * kernels[k, z], the kernels' mirrored halves left out."""
     waves, planes, rows = products.shape[:3]
-    for flat in prange(waves * planes * rows):
+    for flat in range(waves * planes * rows):
         k, z, y = flat // rows // planes, flat // rows % planes, flat % rows
         row = fold_y[y]
         for x in range(products.shape[3]):
             products[k, z, y, x] = spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def add_folded(spectra, kernels, fold_y, fold_x, products):
     """products[z] = sum over k of spectra[k] * kernels[k, z]."""
-    for flat in prange(kernels.shape[1] * spectra.shape[1]):
+    for flat in range(kernels.shape[1] * spectra.shape[1]):
         z, y = flat // spectra.shape[1], flat % spectra.shape[1]
         products[z, y] = 0.0
         row = fold_y[y]
@@ -115,7 +118,7 @@ def add_folded(spectra, kernels, fold_y, fold_x, products):
                 products[z, y, x] += spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True)
 def add_waves(fields, xs, ys, zs, far, falls, first, step, turns, total):
     """Add over k fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x), k = first + j step.
 
@@ -123,7 +126,7 @@ def add_waves(fields, xs, ys, zs, far, falls, first, step, turns, total):
     point there, r = 0.
     """
     legs = far.shape[0] > 0
-    for flat in prange(len(zs) * len(ys)):
+    for flat in range(len(zs) * len(ys)):
         z, y = flat // len(ys), flat % len(ys)
         values = np.ones(len(xs), np.complex128)
         steps = np.ones(len(xs), np.complex128)

@@ -161,7 +161,7 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
             elif sharp < 1.0:
                 turn = away * (1.0 / r1 + 1.0 / r2)
                 tilt = math.acos(min(1.0, half))
-                if 2.0 * turn > sharp:
+                if 4.0 * turn > sharp:
                     split = _may_hide(f * area, tilt, turn, sharp, limit)
             if not split and limit < math.inf:
                 wrong = area * abs(lift)

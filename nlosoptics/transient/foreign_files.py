@@ -226,7 +226,10 @@ def _index_point(variables: Mapping[str, Any], points: Array) -> Array | None:
 
 
 def read_lct(variables: Mapping[str, Any]) -> Found:
-    """LCT [1]_: rectified confocal counts (x, y from the top, t); ``width`` is half the side.
+    """LCT [1]_: rectified confocal counts (x, y, t); ``width`` is half the side.
+
+    There x grows to the right and y downward as the wall looks into the room. With y up and z into
+    the room, x grows to the left: both indices are turned about, lest the scene be mirrored.
 
     References
     ----------
@@ -238,7 +241,7 @@ def read_lct(variables: Mapping[str, Any]) -> Found:
     nx, ny, _ = data.shape
     if width is None or nx != ny:
         raise SceneError(f"width = {width} and rect_data of {nx} x {ny} points are no square wall")
-    H = np.moveaxis(data, 2, 0)[:, :, ::-1].swapaxes(1, 2)
+    H = np.moveaxis(data, 2, 0)[:, ::-1, ::-1].swapaxes(1, 2)
     return Found(
         layout="lct",
         H=bins(H),

@@ -33,7 +33,7 @@ class MultipleBounces(NamedTuple):
     ----------
     by_bounce, standard_error : dict of int to ndarray
         From the number of reflections to (n_bins, *laser_shape, *sensor_shape), confocal
-        (n_bins, *shape): irradiance per watt on the laser's spot, 1/m^2, over each bin.
+        (n_bins, *shape): irradiance per watt that leaves the laser's spot, 1/m^2, over each bin.
     details : dict
         ``"paths"`` drawn, ``"batches"``, ``"reached"``: by number of reflections the largest
         relative L1 error expected of a sensor, and ``"stopped"``: "tol" or "paths".
@@ -72,7 +72,8 @@ def multiple_bounces(
     pairing : {"all", "confocal"}
         Each laser point at each sensor point, or each at its own.
     wall_albedo : float
-        Of the Lambertian wall, 0 to 1.
+        Of the Lambertian wall, 0 to 1, where light meets it on the way: that at the laser's spot
+        is left out, as in `three_bounces`.
     wall_size : float or (float, float), optional
         Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
         object, wall, object, wall. None: the wall reflects at laser points alone.
@@ -111,7 +112,7 @@ def multiple_bounces(
 
     Notes
     -----
-    The wall's spot has the radiance wall_albedo/pi per watt and area. Vertices are drawn where the
+    The wall's spot has the radiance 1/pi per watt and area. Vertices are drawn where the
     sensors see the scene, as rays of all of them; the density of each vertex is that of all sensors
     together, and every vertex is joined to every sensor (balance heuristic, Veach 1997, ch. 9).
     From each several paths go on along the lobes, and their vertices are joined to every laser
@@ -161,7 +162,8 @@ def multiple_bounces(
     )
     job = dataclasses.replace(job, aimed=_aimed(job))
     total, squares, batches, reached = _run(job, tol, budget, progress)
-    factor = albedo / math.pi
+    # of the wall's spot, the albedo left out
+    factor = 1.0 / math.pi
     by_bounce, errors = {}, {}
     for k, number in enumerate(chosen):
         mean = total[k] / batches

@@ -17,7 +17,8 @@ from . import phasor_validity as validity
 from .captures import TransientCapture
 from .phasor_fields import Band, blocks, pulse_band, responses
 from .phasor_images import Camera, PhasorImage
-from .rayleigh_sommerfeld import Lattice, Legs, direct_sum, lattice, plane_by_plane
+from .plane_convolutions import Lattice, lattice, plane_by_plane
+from .rayleigh_sommerfeld import Legs, direct_sum
 from .volumes import Volume
 
 Array = NDArray[np.floating]
@@ -27,6 +28,9 @@ Progress = Callable[[float, str], None]
 CAMERAS = ("confocal_time_gated", "transient", "direct_light", "projector_camera")
 #: Bytes of spectra that are held at once; more waves are done one slice after another.
 SPECTRA = 2**29
+
+#: Paths of a direct sum that cost as much as one number of a plane's transforms.
+PATHS = 8
 
 
 def phasor_image(
@@ -89,8 +93,8 @@ def phasor_image(
     tol : float
         Of K's peak: error of K as a sum of waves. Costs as the square root of its logarithm, twice.
     method : {"auto", "fft", "direct"}
-        "fft" wants planes with the pitch of the grid of sensors (or of lasers before one sensor);
-        "auto" takes it where it can.
+        "fft" wants planes with the pitch of the grid of sensors (or of lasers before one sensor),
+        or one a whole multiple of the other; "auto" takes it where it can and where it is faster.
     dtype : {"float64", "float32"}
         Of the transforms; "direct" sums in float64 always.
     device : str, optional
@@ -128,7 +132,7 @@ def phasor_image(
     one_of("weight", weight, ("unit", "inverse"))
     wl_mean = positive("wl_mean", wl_mean, unit="m")
     wl_sigma = wl_mean / np.sqrt(2.0) if wl_sigma is None else positive("wl_sigma", wl_sigma)
-    tol = in_range("tol", tol, 1e-12, 0.1)
+    tol = in_range("tol", tol, 1e-14, 0.1)
     if volume.z[0] <= 0.0:
         raise SceneError(f"volume.z begins at {volume.z[0]:g} m, must be above 0, before the wall")
     moments = _times(camera, times)
@@ -234,9 +238,8 @@ class _Setup:
 
     def _sample(self, volume: Volume, moments: Array) -> Array:
         """Path lengths, as the capture counts them, of a few hundred voxels and wall points."""
-        voxels = volume.points[
-            tuple(slice(n // 16, None, max(1, n // 8)) for n in volume.shape)
-        ].reshape(-1, 3)
+        axes = (a[len(a) // 16 :: max(1, len(a) // 8)] for a in (volume.x, volume.y, volume.z))
+        voxels = Volume(*axes).points.reshape(-1, 3)
         some = np.flatnonzero(self.used)
         some = some[:: max(1, len(some) // 64)]
         paths = np.linalg.norm(voxels[:, None] - self.legs.near[some], axis=-1)
@@ -447,7 +450,11 @@ def _grid(setup: _Setup, volume: Volume, wl_mean: float, method: str) -> tuple[L
                 "pairs of different laser and sensor points are no convolution; take "
                 "method='direct'"
             )
-        return lattice(setup.grid, volume, wl_mean), "planes and wall share a grid"
+        grid = lattice(setup.grid, volume, wl_mean)
+        paths = volume.shape[1] * volume.shape[2] * len(setup.legs.near)
+        if method == "auto" and paths < PATHS * grid.size:
+            return None, "few voxels"
+        return grid, "planes and wall share a grid"
     except SamplingError as error:
         if method == "fft":
             raise

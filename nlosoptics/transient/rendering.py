@@ -16,6 +16,7 @@ from ..errors import SamplingError, SceneError
 from ..scene import Material
 from .captures import Pairing, TransientCapture
 from .hidden_surfaces import hidden_surfaces
+from .multiple_bounces import MOST_ORDER, MultipleBounces, multiple_bounces
 from .three_bounces import ThreeBounces, three_bounces
 
 if TYPE_CHECKING:
@@ -53,6 +54,10 @@ class _Setting:
         """(pairs,) of G as (*shape) of what is measured."""
         return np.asarray(values * self.factors).reshape(self.shape)
 
+    def scaled(self, values: Array) -> Array:
+        """(n_bins, *shape) of G as what is measured."""
+        return values * self.factors.reshape(self.shape)
+
 
 def render(
     surfaces: Iterable[tuple[trimesh.Trimesh, Material]],
@@ -71,6 +76,9 @@ def render(
     laser_origin: Vector | None = None,
     sensor_origin: Vector | None = None,
     tol: float = 1e-3,
+    tol_multiple: float = 1e-2,
+    n_rays: int | None = None,
+    wall_size: float | tuple[float, float] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TransientCapture:
@@ -91,7 +99,7 @@ def render(
         Where the first bin begins and how wide a bin is, m of optical path.
     n_bins : int
     max_bounces : int
-        Most reflections of a path, the wall's two included; 3.
+        Most reflections of a path, the wall's two included, 3 to 32.
     quantity : {"irradiance", "radiance", "radiosity"}
         At the sensor points: irradiance, W/m^2; radiance, W/(m^2 sr), which is the wall's albedo
         over pi times that; radiosity, the albedo times that. Of a pulse that brings 1 J (or 1 W)
@@ -104,10 +112,17 @@ def render(
         ``sensor_origin``.
     laser_origin, sensor_origin : (float, float, float), optional
         m; needed by the two options before.
-    tol : float
-        Relative error, L1 over the bins of each pair of points.
+    tol, tol_multiple : float
+        Relative error, L1 over the bins of each pair of points: of three bounces, and of each
+        number of bounces beyond, where it is the expected one.
+    n_rays : int, optional
+        Most paths of more than three bounces to draw, 2^25 by default.
+    wall_size : float or (float, float), optional
+        Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
+        object, wall, object, wall. None: the wall reflects at laser and sensor points alone.
     seed : int
-        Of what is drawn at random: nothing, for three bounces.
+        Of what is drawn at random: nothing, for three bounces. The same seed gives the same bits on
+        any number of threads.
     progress : callable, optional
         Called with the share done and a text.
 
@@ -117,7 +132,9 @@ def render(
         With ``by_bounce`` and ``standard_error``, which is 0 for three bounces. ``details`` has of
         three bounces, in arrays of the pairs' shape, ``"error_estimate"`` (summed over the bins,
         what the last two passes differ by), ``"before"`` and ``"after"`` (light outside the bins)
-        and ``"parts"`` (of the surface), and ``"shadows"``, whether they were needed.
+        and ``"parts"`` (of the surface), and ``"shadows"``, whether they were needed. Of more
+        bounces, ``"multiple_bounces"`` has the number of paths, the errors reached, and what ended
+        them: "tol", or "paths" where those ran out before.
 
     Raises
     ------
@@ -130,8 +147,9 @@ def render(
 
     Notes
     -----
-    The wall takes part at the laser and at the sensor point alone: it stands in nobody's way, and
-    three bounces are wall, hidden surface, wall.
+    The wall takes part at the laser and at the sensor point, and between where ``wall_size`` says
+    so: it stands in nobody's way, and three bounces are wall, hidden surface, wall. Those are found
+    by quadrature, more by Monte Carlo (`multiple_bounces`).
     """
     start = time.perf_counter()
     bin_0 = real("t_start", t_start)
@@ -139,8 +157,7 @@ def render(
     count = whole("n_bins", n_bins)
     wanted = in_range("tol", tol, 1e-9, 0.5)
     whole("seed", seed, low=0)
-    if whole("max_bounces", max_bounces, low=3) > 3:
-        raise SceneError(f"max_bounces = {max_bounces} is out of range, must be 3")
+    most = whole("max_bounces", max_bounces, 3, MOST_ORDER)
     one_of("quantity", quantity, ("irradiance", "radiance", "radiosity"))
     hidden = hidden_surfaces(surfaces)
     rho = in_range("wall_albedo", wall_albedo, 0.0, 1.0, open_low=True)
@@ -162,14 +179,37 @@ def render(
         tol=wanted,
         progress=progress,
     )
-    _check_light(found, setting, bin_0, bin_0 + count * width)
-    H = setting.bins(found.G)
+    more = MultipleBounces({}, {}, {})
+    if most > 3:
+        more = multiple_bounces(
+            hidden,
+            setting.laser_points,
+            setting.sensor_points,
+            pairing=setting.pairing,
+            wall_albedo=rho,
+            wall_size=wall_size,
+            starts=bin_0 - setting.legs,
+            delta_t=width,
+            n_bins=count,
+            orders=range(4, most + 1),
+            tol=tol_multiple,
+            n_rays=n_rays,
+            seed=seed,
+            progress=progress,
+        )
+    if not any(light.any() for light in more.by_bounce.values()):
+        _check_light(found, setting, bin_0, bin_0 + count * width)
+    by_bounce = {3: setting.bins(found.G)}
+    by_bounce |= {n: setting.scaled(light) for n, light in more.by_bounce.items()}
+    errors = [setting.scaled(error) for error in more.standard_error.values()]
+    H = np.sum(list(by_bounce.values()), axis=0)
     details = {
         "error_estimate": setting.each(found.error),
         "before": setting.each(found.before),
         "after": setting.each(found.after),
         "parts": found.parts.reshape(setting.shape),
         "shadows": found.shadows,
+        "multiple_bounces": more.details,
         "wall_albedo": rho,
         "keep_laser_cosine": bool(keep_laser_cosine),
         "seconds": time.perf_counter() - start,
@@ -185,8 +225,8 @@ def render(
         outer_legs=bool(outer_legs),
         laser_origin=origins[0],
         sensor_origin=origins[1],
-        by_bounce={3: H},
-        standard_error=np.zeros_like(H),
+        by_bounce=by_bounce,
+        standard_error=np.sqrt(sum((error**2 for error in errors), np.zeros_like(H))),
         details=details,
     )
 

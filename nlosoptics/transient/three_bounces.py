@@ -99,7 +99,8 @@ def three_bounces(
     form. The limit falls until two passes agree. Nothing is drawn at random.
     """
     from ..raytrace.triangles import Facets
-    from . import _shadow_kernels, _three_bounce_kernels as kernels
+    from . import _shadow_kernels
+    from . import _three_bounce_kernels as kernels
 
     count = len(lasers)
     fits_memory(

@@ -278,8 +278,10 @@ def test_lct_asks_for_all_that_it_does_not_say(tmp_path):
     assert after.is_confocal
     assert after.quantity == "counts"
     assert not after.H[:2].any()
-    # columns are the first index; rows the second, from the top
-    assert after.H[2:, 0, 1].tolist() == counts[1, 3, 2:].tolist()
+    # columns are the first index, rows the second, both from the other end: the lower left as the
+    # wall sees it, (x > 0, y < 0), is first in x and last in y there
+    assert after.H[2:, 0, 3].tolist() == counts[0, 3, 2:].tolist()
+    assert after.H[2:, 1, 0].tolist() == counts[3, 2, 2:].tolist()
     assert after.sensor_points[0, 0] == pytest.approx([-0.15, -0.15, 0.0])  # cells of a 0.4 m side
     other = TransientCapture.load(
         path, pairing="confocal", side=0.2, bin_width=0.0012, gate_start=0.0
