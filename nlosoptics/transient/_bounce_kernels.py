@@ -360,9 +360,7 @@ def gather(surfaces, seen, first, factor, sensor, away, value, length, start, ra
 
 
 @njit(cache=True, nogil=True)
-def gather_pairs(
-    surfaces, seen, first, rows, starts, rate, table, sensors, found, total, squares
-):
+def gather_pairs(surfaces, seen, first, rows, starts, rate, table, sensors, found, total, squares):
     """Add one batch's bins, and their squares, of each pair of laser and sensor.
 
     ``rows`` (pairs, 2) are (laser, sensor) of those in ``total`` (orders, pairs, n_bins), and

@@ -69,9 +69,7 @@ def add_batch(job: Job, number: int, total: Array, squares: Array) -> None:
     for start in range(0, len(job.lasers), step):
         lasers = job.lasers[start : start + step]
         found = _joined(job, ends, lasers)
-        chosen = np.flatnonzero(
-            (job.rows[:, 0] >= start) & (job.rows[:, 0] < start + len(lasers))
-        )
+        chosen = np.flatnonzero((job.rows[:, 0] >= start) & (job.rows[:, 0] < start + len(lasers)))
         if not len(chosen):
             continue
         span = slice(int(chosen[0]), int(chosen[-1]) + 1)
@@ -100,9 +98,7 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     points = np.ascontiguousarray(seen[:, kernels.P])
 
     def work(part: slice) -> None:
-        kernels.seen_from(
-            job.around.kernel, job.sensors[part], seen, factor[part], distance[part]
-        )
+        kernels.seen_from(job.around.kernel, job.sensors[part], seen, factor[part], distance[part])
 
     on_threads(work, len(job.sensors), len(seen))
     if not job.around.kernel.asked:
@@ -114,7 +110,9 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     unseen = ~(factor > 0.0).any(axis=0)
     seen[unseen, kernels.TRIANGLE] = -1.0
     n_paths = job.n_seen * job.n_each
-    seen[:, kernels.WEIGHT] = np.where(unseen, 0.0, 1.0 / (n_paths * np.where(unseen, 1.0, density)))
+    seen[:, kernels.WEIGHT] = np.where(
+        unseen, 0.0, 1.0 / (n_paths * np.where(unseen, 1.0, density))
+    )
     return seen, (factor, distance)
 
 

@@ -268,7 +268,9 @@ def _wall_points(name: str, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
 def _starts(values: ArrayLike, n_pairs: int) -> Array:
     starts = np.asarray(values, dtype=np.float64)
     if starts.size not in (1, n_pairs):
-        raise SamplingError(f"starts has {starts.size} values; give one, or {n_pairs}, of each pair")
+        raise SamplingError(
+            f"starts has {starts.size} values; give one, or {n_pairs}, of each pair"
+        )
     if not np.isfinite(starts).all():
         raise SceneError("starts have values that are not finite")
     return np.ascontiguousarray(np.broadcast_to(starts.ravel(), n_pairs))
