@@ -98,7 +98,7 @@ def test_four_bounces_between_plates_are_the_double_integral(materials):
     total = light.sum()
     # bins' errors are about independent; the plates' narrow lobes are the noisiest
     noise = np.sqrt((error**2).sum())
-    assert noise < 0.01 * total
+    assert noise < 0.02 * total
     assert total == pytest.approx(wanted.sum(), abs=4.0 * noise + 1e-3 * total)
     # quadrature nodes at the bins' edges are worth up to 2 % of the whole
     assert np.abs(light - wanted).sum() < 0.04 * total
@@ -129,7 +129,7 @@ def test_every_bounce_in_a_sphere_is_worth_its_albedo(subdivisions, facets):
         n_bins=200,
         orders=(4, 5, 6),
         tol=None,
-        n_rays=1 << 16,
+        n_rays=1 << 15,
     )
     # cos cos/(pi r^2) is 1/4 pi between any two points of the sphere, and light leaves by the hole
     share = area / (4.0 * np.pi)
@@ -137,7 +137,7 @@ def test_every_bounce_in_a_sphere_is_worth_its_albedo(subdivisions, facets):
     for order in (4, 5, 6):
         light = found.by_bounce[order]
         wanted = (albedo * share) ** (order - 2) / (4.0 * np.pi)
-        # and noise of 0.2 %
+        # and noise of 0.3 %
         assert light.sum() == pytest.approx(wanted, rel=facets * (order - 1) + 0.006)
         # independent points on the sphere: chords of 4/3 m on average; the hole takes short ones
         mean = (light * times).sum() / light.sum()
@@ -207,7 +207,7 @@ def test_connections_are_unbiased_against_an_analog_walk():
     sensors = POINTS.reshape(-1, 3)
     laser = np.array([0.05, -0.1, 0.0])
     edges = 0.5 * np.arange(17)
-    walked = analog(laser, sensors, 200_000, edges, 3)
+    walked = analog(laser, sensors, 100_000, edges, 3)
     found = multiple_bounces(
         hidden_surfaces(CORRIDOR),
         laser,
@@ -228,13 +228,13 @@ def test_connections_are_unbiased_against_an_analog_walk():
         away = (light - mean)[lit] / noise[lit]
         # Student's t of 15 and of 7 degrees: variance 1.2; its mean over 30 to 64 bins
         assert (away**2).mean() < 2.0
-        # totals, whose errors are below 1.5 %
-        assert light.sum() == pytest.approx(mean.sum(), rel=0.03)
+        # totals, whose errors are about 1 %
+        assert light.sum() == pytest.approx(mean.sum(), rel=0.04)
 
 
 def test_light_goes_either_way():
     hidden = hidden_surfaces(CORRIDOR)
-    options = {"delta_t": 0.5, "n_bins": 16, "tol": None, "n_rays": 1 << 17, "wall_size": 1.0}
+    options = {"delta_t": 0.5, "n_bins": 16, "tol": None, "n_rays": 1 << 15, "wall_size": 1.0}
     one, many = np.array([0.05, -0.1, 0.0]), POINTS
     there = multiple_bounces(hidden, one, many, seed=1, **options)
     # followed from the side with more points in both cases
@@ -398,7 +398,7 @@ def test_a_corridor_is_the_peers(data):
                 delta_t=0.01,
                 n_bins=800,
                 tol=None,
-                n_rays=1 << 17,
+                n_rays=1 << 16,
             ).by_bounce
         )
     for order in (4, 5):
