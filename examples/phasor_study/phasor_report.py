@@ -1,0 +1,1 @@
+def write(lines, folder, setting): pass
