@@ -112,7 +112,7 @@ def solved(key: Key, folder: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 def _line(key: Key, capture: transient.TransientCapture) -> tuple[dict[str, Any], dict[str, Array]]:
     meshes = scenes.objects(key["scene"], cell=key["cell"])
-    figures: list[dict[str, float]] = []
+    figures: list[dict[str, Any]] = []
     pictures: dict[str, Array] = {}
     seconds = []
     notes: tuple[str, ...] = ()
@@ -142,7 +142,7 @@ def _line(key: Key, capture: transient.TransientCapture) -> tuple[dict[str, Any]
 
 def measured(
     image: transient.PhasorImage, meshes: list[Any]
-) -> tuple[dict[str, float], dict[str, Array]]:
+) -> tuple[dict[str, Any], dict[str, Array]]:
     """How far a picture's depths are from the surfaces', by three measures, and the maps.
 
     - ``mae``: peaks found between voxels, against rays to the surfaces;
@@ -175,6 +175,7 @@ def measured(
         "overlap": overlap(peaks.confidence, outline),
         "facing": _mean(peaks.confidence[straight]),
         "aslant": _mean(peaks.confidence[aslant]),
+        "brightest": float(image.intensity.max()),
     }
     shown = {"light": peaks.confidence, "truth": truth, "wrong": wrong}
     return figures, shown

@@ -3,8 +3,8 @@
 python examples/phasor_study/study.py --setting small --out phasor_study [--report]
 
 One line of JSON for each finished case in OUT/SETTING.jsonl; started again, it goes on where it was
-cut off. Then RESULTS.md and pictures. "small" takes some minutes on two cores; "full" has the
-paper's laser points and five bounces, and takes hours.
+cut off. Then RESULTS.md and pictures. "small" takes some minutes on two cores; "middle" has more
+laser points and one seed; "full" has the paper's points and five bounces, and takes hours.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from nlosoptics.errors import ValidityWarning
 
 Key = dict[str, Any]
 
-SETTINGS = ("smallest", "small", "full")
+SETTINGS = ("smallest", "small", "middle", "full")
 
 
 def keys(setting: str) -> list[Key]:
@@ -41,7 +41,7 @@ def keys(setting: str) -> list[Key]:
                 seeds=1,
                 materials=("lambert", "ward-0.2"),
                 apertures=(0.9, 1.792),
-                finer=(1,),
+                finer=(4,),
                 offsets=1,
                 max_bounces=4,
                 tol=0.05,
@@ -55,7 +55,14 @@ def keys(setting: str) -> list[Key]:
             for name in scenes.DEPTHS
             for key in _cases(name, 32, both, max_bounces=4, tol=1e-2, n_rays=1 << 15)
         ]
-    fine = {"max_bounces": 5, "tol": 3e-3, "n_rays": 1 << 21, "seeds": 5}
+    if setting == "middle":
+        both = (0.056, 0.112)
+        return [
+            key
+            for name in scenes.DEPTHS
+            for key in _cases(name, 64, both, max_bounces=4, tol=2e-2, n_rays=1 << 13, seeds=1)
+        ]
+    fine = {"max_bounces": 5, "tol": 3e-3, "n_rays": 1 << 18}
     letters = _cases("letters", 64, (0.056, 0.112), **fine)
     dragon = _cases("dragon", 128, (0.028, 0.056), cell=0.012, **fine)
     return [*letters, *dragon]
