@@ -53,14 +53,16 @@ def keys(setting: str) -> list[Key]:
         return [
             key
             for name in scenes.DEPTHS
-            for key in _cases(name, 32, both, max_bounces=4, tol=1e-2, n_rays=1 << 15)
+            for key in _cases(name, 32, both, max_bounces=4, tol=1e-2, n_rays=1 << 14, cell=0.05)
         ]
     if setting == "middle":
         both = (0.056, 0.112)
         return [
             key
             for name in scenes.DEPTHS
-            for key in _cases(name, 64, both, max_bounces=4, tol=2e-2, n_rays=1 << 13, seeds=1)
+            for key in _cases(
+                name, 64, both, max_bounces=4, tol=1e-2, n_rays=1 << 13, seeds=1, cell=0.05
+            )
         ]
     fine = {"max_bounces": 5, "tol": 3e-3, "n_rays": 1 << 18}
     letters = _cases("letters", 64, (0.056, 0.112), **fine)
