@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .._random_kernels import draw
 from ..scene._kernels import material, material_pdf, sample_material
+from ..scene._material import LAMBERT
 
 VERTEX = 12
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
@@ -32,9 +33,9 @@ NEAR = 1e-9  # of a connection's length: what its ends lie on is not in between
 class Surfaces(NamedTuple):
     """What kernels know of the hidden triangles and, after them, of those of the relay wall.
 
-    ``lobes`` are the materials' rows and ``spans`` (n, 2) those of each triangle; ``triangles`` hold
-    a corner and two sides; ``normals`` are units, ``sides`` the side that all wall points are on, or
-    0; ``shares`` are the summed shares of the hidden area before each triangle. ``rows`` and
+    ``lobes`` are the materials' rows and ``spans`` (n, 2) those of each triangle; ``triangles``
+    hold a corner and two sides; ``normals`` are units, ``sides`` the side that all sensors are on,
+    or 0; ``shares`` are the summed shares of the hidden area before each triangle. ``rows`` and
     ``boxes`` are the hidden triangles and the tree over them for shadows; with ``asked`` false
     shadows are left to the caller.
     """
@@ -152,7 +153,7 @@ def _blocked(surfaces, p, d, stack):
     """Whether a hidden triangle stands between p and p + d, which may lie on some."""
     rows, boxes = surfaces.rows, surfaces.boxes
     if rows.shape[0] <= FEW:
-        for m in range(rows.shape[0]):
+        for m in range(rows.shape[0]):  # noqa: SIM110  (numba has no any of a generator)
             if _crossed(rows[m], p, d):
                 return True
         return False
@@ -327,19 +328,20 @@ def connect(surfaces, laser, vertices, value, length):
 
 
 @njit(cache=True, nogil=True)
-def gather(surfaces, seen, first, factor, sensor, away, value, length, start, rate, bins):
+def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, start, rate, bins):
     """Add the paths by way of vertices that a sensor sees to its bins.
 
-    ``first`` (m, k, 3) are the directions in which k paths leave each of the vertices ``seen``,
-    ``value`` and ``length`` (m, k) what they bring; ``factor`` and ``away`` (m,) are of `seen_from`
-    for this ``sensor``; ``start`` is that of the first bin and ``rate`` the bins per m.
+    Paths ``spread[j]`` to before ``spread[j + 1]`` leave the vertex ``seen[j]``, in the directions
+    ``first`` (paths, 3), and bring ``value`` by ``length`` (paths,); ``factor`` and ``away``
+    (vertices,) are of `seen_from` for this ``sensor``; ``start`` is that of the first bin and
+    ``rate`` the bins per m.
     """
     n_bins = bins.size
-    for j in range(value.shape[0]):
+    for j in range(seen.shape[0]):
         if factor[j] <= 0.0:
             continue
         lobes = _lobes(surfaces, int(seen[j, TRIANGLE]))
-        plain = lobes.shape[0] == 1 and lobes[0, 0] == 0.0
+        plain = lobes.shape[0] == 1 and lobes[0, 0] == LAMBERT
         scale = factor[j] * material(lobes, 1.0, 1.0, 1.0) if plain else factor[j]
         n, p = _three(seen[j], 3), _three(seen[j], 0)
         to = (
@@ -348,28 +350,27 @@ def gather(surfaces, seen, first, factor, sensor, away, value, length, start, ra
             (sensor[2] - p[2]) / away[j],
         )
         mu, shift = _dot(to, n), away[j] - start
-        for k in range(value.shape[1]):
-            v = value[j, k]
-            t = (length[j, k] + shift) * rate
+        for k in range(spread[j], spread[j + 1]):
+            v = value[k]
+            t = (length[k] + shift) * rate
             if v <= 0.0 or t < 0.0 or t >= n_bins:
                 continue
             if not plain:
-                d = _three(first[j, k], 0)
+                d = _three(first[k], 0)
                 v *= material(lobes, mu, _dot(d, n), _dot(d, to))
             bins[int(t)] += v * scale
 
 
 @njit(cache=True, nogil=True)
-def gather_pairs(
-    surfaces, seen, first, rows, starts, rate, table, sensors, found, total, squares
-):
+def gather_pairs(surfaces, paths, rows, starts, rate, table, sensors, found, total, squares):
     """Add one batch's bins, and their squares, of each pair of laser and sensor.
 
-    ``rows`` (pairs, 2) are (laser, sensor) of those in ``total`` (orders, pairs, n_bins), and
-    ``starts`` (pairs,) their first bins'.
+    ``paths`` are (seen, spread, first) of `gather`; ``rows`` (pairs, 2) are (laser, sensor) of
+    those in ``total`` (orders, pairs, n_bins), and ``starts`` (pairs,) their first bins'.
     """
     factor, away = table
     value, length = found
+    seen, spread, first = paths
     bins = np.empty(total.shape[2])
     for a in range(rows.shape[0]):
         at, c = rows[a]
@@ -378,6 +379,7 @@ def gather_pairs(
             gather(
                 surfaces,
                 seen,
+                spread,
                 first,
                 factor[c],
                 sensors[c],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -58,30 +59,54 @@ class Job:
     aimed: tuple[float, float]
 
 
-def add_batch(job: Job, number: int, total: Array, squares: Array) -> None:
-    """Add a batch's bins, and their squares, to arrays (orders, pairs, n_bins)."""
-    columns, shifts = scrambled_sobol(job.seed, STREAM + number, 1)
-    sampler = (np.uint64(job.seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts))
-    seen, table = _seen(job, sampler)
-    ends, first = _walked(job, sampler, seen)
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Paths:
+    """A batch's paths up to where they are joined to lasers.
+
+    Parameters
+    ----------
+    seen : ndarray
+        (vertices, VERTEX), what sensors see.
+    spread : ndarray of int64
+        (vertices + 1,); paths ``spread[j]`` to before ``spread[j + 1]`` leave vertex j.
+    first : ndarray
+        (paths, 3), the directions in which they do.
+    table : (ndarray, ndarray)
+        (sensors, vertices), factors, 1/m^2, and distances, m.
+    ends : list of ndarray
+        (paths, VERTEX), last vertices, by order.
+    """
+
+    seen: Array
+    spread: NDArray[np.int64]
+    first: Array
+    table: tuple[Array, Array]
+    ends: list[Array]
+
+
+def add_batch(job: Job, number: int, total: Array, squares: Array) -> int:
+    """Add a batch's bins, and their squares, to arrays (orders, pairs, n_bins); count its paths."""
+    sampler = _sampler(job, number)
+    paths = _walked(job, sampler, *_seen(job, sampler))
     # lasers by as many as keep the found paths within memory
-    step = max(1, 4 * ROWS // (len(first) * len(job.orders)))
+    step = max(1, 4 * ROWS // (len(paths.first) * len(job.orders)))
     for start in range(0, len(job.lasers), step):
-        lasers = job.lasers[start : start + step]
-        found = _joined(job, ends, lasers)
-        chosen = np.flatnonzero(
-            (job.rows[:, 0] >= start) & (job.rows[:, 0] < start + len(lasers))
-        )
-        if not len(chosen):
-            continue
-        span = slice(int(chosen[0]), int(chosen[-1]) + 1)
-        _gather(job, seen, first, table, found, start, span, total, squares)
+        found = _joined(job, paths.ends, job.lasers[start : start + step])
+        first, last = np.searchsorted(job.rows[:, 0], [start, start + step])
+        if last > first:
+            _gather(job, paths, found, start, slice(int(first), int(last)), total, squares)
+    return len(paths.first)
+
+
+def _sampler(job: Job, number: int) -> tuple[Any, ...]:
+    """Numbers of a batch, scrambled on its own."""
+    columns, shifts = scrambled_sobol(job.seed, STREAM + number, 1)
+    return np.uint64(job.seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)
 
 
 def openness(job: Job) -> tuple[float, float]:
     """Shares of rays from sensors, and of those from what they meet, that meet nothing further."""
-    columns, shifts = scrambled_sobol(job.seed, STREAM - 1, 1)
-    sampler = (np.uint64(job.seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts))
+    sampler = _sampler(job, -1)
     seen = _points(job, sampler)
     hit = seen[:, kernels.TRIANGLE] >= 0.0
     leaving = np.empty((len(seen), kernels.LEAVE))
@@ -100,9 +125,7 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     points = np.ascontiguousarray(seen[:, kernels.P])
 
     def work(part: slice) -> None:
-        kernels.seen_from(
-            job.around.kernel, job.sensors[part], seen, factor[part], distance[part]
-        )
+        kernels.seen_from(job.around.kernel, job.sensors[part], seen, factor[part], distance[part])
 
     on_threads(work, len(job.sensors), len(seen))
     if not job.around.kernel.asked:
@@ -113,9 +136,24 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     density += job.aimed[0] / job.around.kernel.area * np.where(both, 0.5, 1.0)
     unseen = ~(factor > 0.0).any(axis=0)
     seen[unseen, kernels.TRIANGLE] = -1.0
-    n_paths = job.n_seen * job.n_each
-    seen[:, kernels.WEIGHT] = np.where(unseen, 0.0, 1.0 / (n_paths * np.where(unseen, 1.0, density)))
+    density[unseen] = np.inf
+    seen[:, kernels.WEIGHT] = 1.0 / (len(seen) * density)
     return seen, (factor, distance)
+
+
+def _spread(job: Job, seen: Array, factor: Array) -> NDArray[np.int64]:
+    """Where each vertex's paths begin, and their number.
+
+    Few vertices are near a sensor, and bring it much: as many paths leave each as the root of its
+    mean square weight at all sensors asks for.
+    """
+    weight = seen[:, kernels.WEIGHT] * np.sqrt(np.einsum("cj,cj->j", factor, factor))
+    if not weight.any():
+        return np.zeros(len(seen) + 1, dtype=np.int64)
+    # one each, and the rest by weight
+    rest = len(seen) * (job.n_each - 1) * (weight / weight.sum())
+    counts = np.where(weight > 0.0, 1 + rest.astype(np.int64), 0)
+    return np.append(0, np.cumsum(counts))
 
 
 def _shade(job: Job, points: Array, factor: Array) -> None:
@@ -151,19 +189,22 @@ def _points(job: Job, sampler: Any) -> Array:
     return seen
 
 
-def _walked(job: Job, sampler: Any, seen: Array) -> tuple[list[Array], Array]:
-    """Last vertices of paths by order, and the directions (seen, each, 3) in which they begin."""
-    vertices = np.repeat(seen, job.n_each, axis=0)
+def _walked(job: Job, sampler: Any, seen: Array, table: tuple[Array, Array]) -> Paths:
+    """Follow paths on from the vertices that sensors see."""
+    spread = _spread(job, seen, table[0])
+    counts = np.diff(spread)
+    vertices = np.repeat(seen, counts, axis=0)
+    vertices[:, kernels.WEIGHT] /= np.repeat(counts, counts)
     leaving = np.empty((len(vertices), kernels.LEAVE))
-    ends, first = [], np.empty(0)
+    ends, first = [], np.empty((0, 3))
     for order in range(4, job.orders[-1] + 1):
         number = kernels.DRAWS_SEEN + kernels.DRAWS_A_LEG * (order - 4)
         vertices, directions = _leg(job, sampler, number, order == 4, vertices, leaving)
         if order == 4:
-            first = directions.reshape(len(seen), job.n_each, 3)
+            first = directions
         if order in job.orders:
             ends.append(vertices)
-    return ends, first
+    return Paths(seen=seen, spread=spread, first=first, table=table, ends=ends)
 
 
 def _leg(
@@ -212,7 +253,7 @@ def _leg(
 
 
 def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
-    """Weights and lengths (lasers, orders, seen, each) of paths that end at lasers' spots."""
+    """Weights and lengths (lasers, orders, paths) of paths that end at lasers' spots."""
     n = len(ends[0])
     value, length = np.empty((2, len(lasers), len(ends), n))
     for order, vertices in enumerate(ends):
@@ -231,49 +272,45 @@ def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
             if not job.around.kernel.asked:
                 points = vertices[:, kernels.P]
                 job.around.clear(value[at, order], points, np.broadcast_to(laser, points.shape))
-    shape = (len(lasers), len(ends), job.n_seen, job.n_each)
-    return value.reshape(shape), length.reshape(shape)
+    return value, length
 
 
 def _gather(
     job: Job,
-    seen: Array,
-    first: Array,
-    table: tuple[Array, Array],
+    paths: Paths,
     found: tuple[Array, Array],
     start: int,
     span: slice,
     total: Array,
     squares: Array,
 ) -> None:
-    """Bin the paths of the pairs ``span`` whose lasers begin with the one at ``start``."""
-    rows = job.rows[span] - np.array([start, 0])
-    starts = job.starts[span]
+    """Bin the paths of the pairs ``span``, whose lasers begin with the one at ``start``."""
+    rows, starts = job.rows[span] - np.array([start, 0]), job.starts[span]
     into, again = total[:, span], squares[:, span]
+    walked = (paths.seen, paths.spread, paths.first)
 
     def work(part: slice) -> None:
         kernels.gather_pairs(
             job.around.kernel,
-            seen,
-            first,
+            walked,
             rows[part],
             starts[part],
             job.rate,
-            table,
+            paths.table,
             job.sensors,
             found,
             into[:, part],
             again[:, part],
         )
 
-    on_threads(work, len(rows), found[0][0].size)
+    on_threads(work, len(rows), len(paths.first))
 
 
 def on_threads(work: Callable[[slice], None], count: int, weight: int) -> None:
     """Call ``work`` for slices of ``count`` rows, on all cores where they have much to do."""
-    pieces = min(count, max(1, count * weight // SLICE), 16)
+    pieces = max(1, min(count, count * weight // SLICE, 16))
     ends = [count * k // pieces for k in range(pieces + 1)]
-    parts = [slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     if len(parts) == 1:
         work(parts[0])
         return

@@ -161,7 +161,7 @@ def multiple_bounces(
         aimed=(0.0, 0.0),
     )
     job = dataclasses.replace(job, aimed=_aimed(job))
-    total, squares, batches, reached = _run(job, tol, budget, progress)
+    total, squares, batches, paths, reached = _run(job, tol, budget, progress)
     # of the wall's spot, the albedo left out
     factor = 1.0 / math.pi
     by_bounce, errors = {}, {}
@@ -171,7 +171,7 @@ def multiple_bounces(
         by_bounce[number] = factor * mean[back].T.reshape(shape)
         errors[number] = factor * error[back].T.reshape(shape)
     details = {
-        "paths": batches * n_seen * n_each,
+        "paths": paths,
         "batches": batches,
         "reached": dict(zip(chosen, reached, strict=True)),
         "stopped": "tol" if tol is not None and max(reached) <= tol else "paths",
@@ -181,25 +181,25 @@ def multiple_bounces(
 
 def _run(
     job: Job, tol: float | None, budget: int, progress: Callable[[float, str], None] | None
-) -> tuple[Array, Array, int, list[float]]:
-    """Sums of bins and of their squares, the number of batches, and the errors reached."""
+) -> tuple[Array, Array, int, int, list[float]]:
+    """Sums of bins and of their squares, the numbers of batches and paths, the errors reached."""
     from .bounce_batches import add_batch
 
     total = np.zeros((len(job.orders), len(job.rows), job.n_bins))
     squares = np.zeros_like(total)
     each = job.n_seen * job.n_each
     most = max(LEAST, budget // each)
-    done, goal = 0, LEAST if tol is not None else most
+    paths, done, goal = 0, 0, LEAST if tol is not None else most
     while True:
         for number in range(done, goal):
-            add_batch(job, number, total, squares)
+            paths += add_batch(job, number, total, squares)
             if progress is not None:
                 progress((number + 1) / max(goal, number + 1), "paths of several bounces")
         done = goal
         reached = [_l1(total[k], squares[k], done) for k in range(len(job.orders))]
         worst = max(reached)
         if done >= most or (tol is not None and worst <= tol):
-            return total, squares, done, reached
+            return total, squares, done, paths, reached
         # what the square root law asks for, a little more, at most four times what is done
         wanted = math.ceil(1.05 * done * min(4.0, (worst / tol) ** 2)) if tol is not None else most
         goal = min(most, max(done + 1, wanted))
@@ -268,7 +268,9 @@ def _wall_points(name: str, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
 def _starts(values: ArrayLike, n_pairs: int) -> Array:
     starts = np.asarray(values, dtype=np.float64)
     if starts.size not in (1, n_pairs):
-        raise SamplingError(f"starts has {starts.size} values; give one, or {n_pairs}, of each pair")
+        raise SamplingError(
+            f"starts has {starts.size} values; give one, or {n_pairs}, one of each pair"
+        )
     if not np.isfinite(starts).all():
         raise SceneError("starts have values that are not finite")
     return np.ascontiguousarray(np.broadcast_to(starts.ravel(), n_pairs))

@@ -305,7 +305,7 @@ def test_pairs():
     own = light(surfaces, laser_points=grid, sensor_points=grid, pairing="confocal")
     assert own.H.shape == (250, 2, 2)
     assert np.array_equal(own.H[:, 1, 0], every.H[:, 1, 0, 1, 0])
-    assert every.by_bounce[3] is every.H
+    assert np.array_equal(every.by_bounce[3], every.H)
     assert not every.standard_error.any()
 
 
