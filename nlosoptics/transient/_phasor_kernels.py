@@ -83,16 +83,19 @@ def fill_kernels(across, up, away, ways, falls, first, step, kernels):
 
     ``kernels`` (k, z, y, x). Wavenumbers follow one another by a factor.
     """
+    values = np.empty(len(across), np.complex128)
+    turns = np.empty(len(across), np.complex128)
     for flat in range(len(away) * len(up)):
         z, y = flat // len(up), flat % len(up)
         for x in range(len(across)):
             path = ways * math.sqrt(across[x] ** 2 + up[y] ** 2 + away[z] ** 2)
             amplitude = (ways / path) ** ways if falls else 1.0
-            value = amplitude * complex(math.cos(first * path), math.sin(first * path))
-            turn = complex(math.cos(step * path), math.sin(step * path))
-            for k in range(kernels.shape[0]):
-                kernels[k, z, y, x] = value
-                value *= turn
+            values[x] = amplitude * complex(math.cos(first * path), math.sin(first * path))
+            turns[x] = complex(math.cos(step * path), math.sin(step * path))
+        for k in range(kernels.shape[0]):
+            for x in range(len(across)):
+                kernels[k, z, y, x] = values[x]
+                values[x] *= turns[x]
 
 
 @njit(cache=True, nogil=True)
