@@ -28,7 +28,7 @@ TAU, F, AREA, DEPTH = 9, 12, 15, 16
 COLUMNS = 17
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _node(x, y, z, pair, lobes, begin, end):
     """Path r1 + r2 and integrand, 1/m^4, at a point; with r1, r2 and the half vector's cosine.
 
@@ -51,22 +51,7 @@ def _node(x, y, z, pair, lobes, begin, end):
     return r1 + r2, z * z * (h1 * h2) * f / (both * both) / math.pi, r1, r2, half
 
 
-@njit(cache=True, inline="always")
-def _up_to(t, t0, t1, t2, f0, f1, f2, area):
-    """Light of a triangle with path below t; corners in the order of their paths."""
-    if t <= t0:
-        return 0.0
-    if t >= t2:
-        return area * (f0 + f1 + f2) / 3.0
-    if t < t1:
-        a, b = (t - t0) / (t1 - t0), (t - t0) / (t2 - t0)
-        return area * a * b * (f0 + (a * (f1 - f0) + b * (f2 - f0)) / 3.0)
-    a, b = (t2 - t) / (t2 - t1), (t2 - t) / (t2 - t0)
-    rest = area * a * b * (f2 + (a * (f1 - f2) + b * (f0 - f2)) / 3.0)
-    return area * (f0 + f1 + f2) / 3.0 - rest
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
     """Add a triangle's light to bins 1 to n - 2; the first and last hold what is outside."""
     if t1 < t0:
@@ -77,18 +62,31 @@ def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
         t0, t1, f0, f1 = t1, t0, f1, f0
     last = bins.size - 1
     i, j = _bin(t0, start, delta, last), _bin(t2, start, delta, last)
+    whole = area * (f0 + f1 + f2) / 3.0
     if i == j:
-        bins[i] += area * (f0 + f1 + f2) / 3.0
+        bins[i] += whole
         return
+    # shares of the sides per path, from the first corner on and from the last one back
+    per = 1.0 / (t2 - t0)
+    low, high = 1.0 / (t1 - t0), 1.0 / (t2 - t1)
+    rise = (low * (f1 - f0) + per * (f2 - f0)) / 3.0
+    fall = (high * (f1 - f2) + per * (f0 - f2)) / 3.0
+    low, high = area * low * per, area * high * per
     before = 0.0
     for k in range(i, j):
-        now = _up_to(start + k * delta, t0, t1, t2, f0, f1, f2, area)
+        t = start + k * delta
+        if t < t1:
+            t -= t0
+            now = low * t * t * (f0 + t * rise)
+        else:
+            t = t2 - t
+            now = whole - high * t * t * (f2 + t * fall)
         bins[k] += now - before
         before = now
-    bins[j] += area * (f0 + f1 + f2) / 3.0 - before
+    bins[j] += whole - before
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _bin(t, start, delta, last):
     """Which of the bins, of which the first and last are open, a path falls in."""
     where = (t - start) / delta
@@ -99,7 +97,7 @@ def _bin(t, start, delta, last):
     return 1 + int(where)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _may_hide(light, tilt, turn, sharp, limit):
     """Whether a part may hold more than ``limit`` where a narrow lobe peaks.
 
@@ -115,13 +113,13 @@ def _may_hide(light, tilt, turn, sharp, limit):
     return light * math.exp(min((here - there) * (here + there), 700.0)) > limit
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _square(s, i, j):
     x, y, z = s[i] - s[j], s[i + 1] - s[j + 1], s[i + 2] - s[j + 2]
     return x * x + y * y + z * z
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, stack):
     """Add the light of one triangle, halved until no part errs by ``limit``; return the parts.
 
@@ -161,7 +159,7 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
             elif sharp < 1.0:
                 turn = away * (1.0 / r1 + 1.0 / r2)
                 tilt = math.acos(min(1.0, half))
-                if 2.0 * turn > sharp:
+                if 4.0 * turn > sharp:
                     split = _may_hide(f * area, tilt, turn, sharp, limit)
             if not split and limit < math.inf:
                 wrong = area * abs(lift)
@@ -205,7 +203,7 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
     return leaves
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _seen(rows, boxes, clear, spans, reach, p, q, room, pieces):
     """Triangles, as parts that both points see from one side; return parts and their number.
 
@@ -255,7 +253,7 @@ def _seen(rows, boxes, clear, spans, reach, p, q, room, pieces):
     return pieces, count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pass(pieces, count, p, q, lobes, spans, sharp, limit, most, start, delta, bins, stack):
     """Fill the bins; return the number of parts, beyond ``most`` where it was given up."""
     bins[:] = 0.0
@@ -282,7 +280,7 @@ def _pass(pieces, count, p, q, lobes, spans, sharp, limit, most, start, delta, b
     return leaves
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, stack, report):
     """One laser point and one sensor point, by ever stricter passes until two agree to ``tol``."""
     lobes, spans, sharp = world
@@ -331,7 +329,7 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
         strict /= STEP
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, parallel=True, error_model="numpy")
 def three_bounces(
     rows, boxes, clear, reach, world, lasers, sensors, starts, delta, tol, most, blocks, out, report
 ):

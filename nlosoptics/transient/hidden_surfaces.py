@@ -44,7 +44,7 @@ class HiddenSurfaces:
     @property
     def corners(self) -> Array:
         """(n, 3, 3), m."""
-        return np.asarray(self.mesh.vertices, dtype=np.float64)[np.asarray(self.mesh.faces)]
+        return np.array(self.mesh.vertices[self.mesh.faces], dtype=np.float64)
 
 
 def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> HiddenSurfaces:

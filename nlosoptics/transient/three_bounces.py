@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,6 +19,8 @@ Progress = Callable[[float, str], None]
 ASKED = 8000
 #: Parts of the surface at which one pair of points is given up.
 MOST_PARTS = 20_000_000
+#: Blocks of pairs that threads share, and most pairs at a time.
+BLOCKS, MOST_PAIRS = 64, 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +100,8 @@ def three_bounces(
     form. The limit falls until two passes agree. Nothing is drawn at random.
     """
     from ..raytrace.triangles import Facets
-    from . import _shadow_kernels, _three_bounce_kernels as kernels
+    from . import _shadow_kernels
+    from . import _three_bounce_kernels as kernels
 
     count = len(lasers)
     fits_memory(
@@ -116,12 +118,11 @@ def three_bounces(
     names = facets.names.astype(np.int64)
     world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
     out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
-    cores = max(1, os.cpu_count() or 1)
-    step = max(1, min(count, max(16 * cores, count // 64)))
-    for first in range(0, count, step):
+    # few at first, so that what is out of reach is told soon
+    first, step = 0, 64
+    while first < count:
         part = slice(first, min(first + step, count))
-        n = part.stop - first
-        blocks = np.unique(np.linspace(0, n, 8 * cores + 1).astype(np.int64))
+        blocks = np.unique(np.linspace(0, part.stop - first, BLOCKS + 1).astype(np.int64))
         kernels.three_bounces(
             facets.rows,
             facets.boxes,
@@ -141,6 +142,7 @@ def three_bounces(
         _check_done(report[part], lasers[part], sensors[part], tol)
         if progress is not None:
             progress(part.stop / count, f"three bounces: {part.stop} of {count} pairs of points")
+        first, step = part.stop, min(4 * step, MOST_PAIRS if progress is None else count // 50 + 64)
     return ThreeBounces(
         out[:, 1:-1],
         out[:, 0],
