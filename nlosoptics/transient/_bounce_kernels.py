@@ -24,6 +24,8 @@ LEAVE = 4
 DENSITY, SENT, REACH, COSINE = range(4)
 # numbers of a path's draws: those of the vertex that the sensors see, then four a leg
 DRAWS_SEEN, DRAWS_A_LEG = 4, 4
+DRAW_VIEW = 1000  # beyond all legs
+VIEWS = 8  # sensors whose lobes guide the first leg from a vertex
 FEW = 24  # triangles that are asked one after another
 DEPTH = 128  # of the stack through a tree of boxes
 EDGE = 1e-12  # of a triangle's sides, so that neighbours leave no gap
@@ -222,13 +224,71 @@ def seen_from(surfaces, sensors, vertices, factor, distance):
 
 
 @njit(cache=True, nogil=True)
-def leave(surfaces, sampler, first, number, aimed, seen, vertices, leaving, origins, directions):
+def view(sampler, sensors, factor, vertices, views):
+    """Unit vectors (vertices, VIEWS, 3) to sensors that stand for all that see each vertex.
+
+    They are at even steps of the summed factors (sensors, vertices), from a random one on.
+    """
+    for j in range(vertices.shape[0]):
+        total = 0.0
+        for c in range(sensors.shape[0]):
+            total += factor[c, j]
+        if total <= 0.0:
+            continue
+        shift = draw(sampler, 0, j, j, DRAW_VIEW)
+        k, below = 0, 0.0
+        for c in range(sensors.shape[0]):
+            below += factor[c, j]
+            last = c == sensors.shape[0] - 1
+            while k < VIEWS and ((k + shift) * total < below * VIEWS or last):
+                d = (
+                    sensors[c, 0] - vertices[j, 0],
+                    sensors[c, 1] - vertices[j, 1],
+                    sensors[c, 2] - vertices[j, 2],
+                )
+                r = math.sqrt(_dot(d, d))
+                for m in range(3):
+                    views[j, k, m] = d[m] / r
+                k += 1
+
+
+@njit(cache=True)
+def _lobe_direction(lobes, incident, n, u, v, w):
+    """Direction drawn from the lobes."""
+    a, b = _tangents(n)
+    x, y, z, _ = sample_material(
+        lobes, _dot(incident, a), _dot(incident, b), _dot(incident, n), u, v, w
+    )
+    return _about(n, x, y, z)
+
+
+@njit(cache=True)
+def _viewed_density(lobes, views, n, d, cosine):
+    """Density of `leave` from a vertex that sensors see, per solid angle."""
+    density = 0.0
+    for k in range(VIEWS):
+        w = _three(views[k], 0)
+        density += material_pdf(lobes, _dot(w, n), cosine, _dot(w, d))
+    return 0.5 * cosine / math.pi + 0.5 * density / VIEWS
+
+
+@njit(cache=True, inline="always")
+def _plain(lobes):
+    """Whether a material is Lambert's."""
+    return lobes.shape[0] == 1 and lobes[0, 0] == LAMBERT
+
+
+@njit(cache=True, nogil=True)
+def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, origins, directions):
     """Draw where paths go on from vertices: along a lobe, or to a point of the hidden area.
 
-    With ``seen``, vertices are those that sensors see, whose lobes wait for the sensor: directions
-    have the density of the cosine. ``leaving`` gets the density per solid angle, lobes times cosine
-    (with ``seen`` the cosine alone), the distance of the point aimed at or -1, and the cosine.
+    ``views`` (vertices, VIEWS, 3) are given for vertices that sensors see, else empty. Their lobes
+    wait for the sensor: half of the directions have the density of the cosine, half that of the
+    lobes for the views; all that of the cosine where the surface is Lambert's. ``leaving`` gets the
+    density per solid angle, lobes times cosine (with ``views`` the cosine alone), the distance of
+    the point aimed at or -1, and the cosine.
     """
+    seen = views.shape[0] > 0
     for i in range(vertices.shape[0]):
         vertex, out = vertices[i], leaving[i]
         out[DENSITY], out[SENT], out[REACH], out[COSINE] = 0.0, 0.0, -1.0, 0.0
@@ -246,26 +306,24 @@ def leave(surfaces, sampler, first, number, aimed, seen, vertices, leaving, orig
                 continue
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
             out[REACH] = reach
-        elif seen:
-            d = _cosine_weighted(n, u, v)
         else:
-            a, b = _tangents(n)
-            x, y, z, _ = sample_material(
-                lobes,
-                _dot(incident, a),
-                _dot(incident, b),
-                _dot(incident, n),
-                u,
-                v,
-                draw(sampler, 0, ray, ray, number + 3),
-            )
-            d = _about(n, x, y, z)
+            choice = draw(sampler, 0, ray, ray, number + 3)
+            if not seen:
+                d = _lobe_direction(lobes, incident, n, u, v, choice)
+            elif choice < 0.5 or _plain(lobes):
+                d = _cosine_weighted(n, u, v)
+            else:
+                choice = (2.0 * choice - 1.0) * VIEWS
+                k = min(int(choice), VIEWS - 1)
+                d = _lobe_direction(lobes, _three(views[i, k], 0), n, u, v, choice - k)
         cosine = _dot(d, n)
         if cosine <= 0.0:
             continue
         out[COSINE] = cosine
         if seen:
             out[DENSITY], out[SENT] = cosine / math.pi, cosine
+            if not _plain(lobes):
+                out[DENSITY] = _viewed_density(lobes, views[i], n, d, cosine)
         else:
             mu, between = _dot(incident, n), _dot(incident, d)
             out[DENSITY] = material_pdf(lobes, mu, cosine, between)
@@ -341,7 +399,7 @@ def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, s
         if factor[j] <= 0.0:
             continue
         lobes = _lobes(surfaces, int(seen[j, TRIANGLE]))
-        plain = lobes.shape[0] == 1 and lobes[0, 0] == LAMBERT
+        plain = _plain(lobes)
         scale = factor[j] * material(lobes, 1.0, 1.0, 1.0) if plain else factor[j]
         n, p = _three(seen[j], 3), _three(seen[j], 0)
         to = (

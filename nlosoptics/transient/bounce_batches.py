@@ -110,7 +110,9 @@ def openness(job: Job) -> tuple[float, float]:
     seen = _points(job, sampler)
     hit = seen[:, kernels.TRIANGLE] >= 0.0
     leaving = np.empty((len(seen), kernels.LEAVE))
-    new = _leg(job, sampler, 4, True, seen, leaving)[0]
+    views = np.zeros((len(seen), kernels.VIEWS, 3))
+    views[..., :] = seen[:, None, kernels.N]
+    new = _leg(job, sampler, kernels.DRAWS_SEEN, views, seen, leaving)[0]
     again = new[:, kernels.TRIANGLE] >= 0.0
     n_hit = int(hit.sum())
     between = 1.0 - float(again.sum()) / n_hit if n_hit else 1.0
@@ -196,10 +198,14 @@ def _walked(job: Job, sampler: Any, seen: Array, table: tuple[Array, Array]) -> 
     vertices = np.repeat(seen, counts, axis=0)
     vertices[:, kernels.WEIGHT] /= np.repeat(counts, counts)
     leaving = np.empty((len(vertices), kernels.LEAVE))
+    views = np.zeros((len(seen), kernels.VIEWS, 3))
+    kernels.view(sampler, job.sensors, table[0], seen, views)
+    views = np.repeat(views, counts, axis=0)
     ends, first = [], np.empty((0, 3))
     for order in range(4, job.orders[-1] + 1):
         number = kernels.DRAWS_SEEN + kernels.DRAWS_A_LEG * (order - 4)
-        vertices, directions = _leg(job, sampler, number, order == 4, vertices, leaving)
+        vertices, directions = _leg(job, sampler, number, views, vertices, leaving)
+        views = views[:0]
         if order == 4:
             first = directions
         if order in job.orders:
@@ -208,7 +214,7 @@ def _walked(job: Job, sampler: Any, seen: Array, table: tuple[Array, Array]) -> 
 
 
 def _leg(
-    job: Job, sampler: Any, number: int, seen: bool, vertices: Array, leaving: Array
+    job: Job, sampler: Any, number: int, views: Array, vertices: Array, leaving: Array
 ) -> tuple[Array, Array]:
     """Vertices to which paths go on, and the directions."""
     kernel, aimed = job.around.kernel, job.aimed[1]
@@ -221,7 +227,7 @@ def _leg(
             part.start,
             number,
             aimed,
-            seen,
+            views[part],
             vertices[part],
             leaving[part],
             origins[part],
