@@ -37,7 +37,10 @@ PICOSECOND = 299792458e-12  # m of optical path
 def transient_command(
     scene_file: SceneFile,
     out: Annotated[Path | None, typer.Option(help="HDF5 file; ./<scene's name>.hdf5.")] = None,
-    tol: Annotated[float, typer.Option(help="Relative error of each histogram, L1.")] = 1e-3,
+    tol: Annotated[
+        float, typer.Option(help="Relative error of three reflections, L1 of each histogram.")
+    ] = 1e-3,
+    tol_multiple: Annotated[float, typer.Option(help="The same of more reflections.")] = 1e-2,
     seed: Seed = 0,
     quantity: Annotated[
         str, typer.Option(help="irradiance, radiance or radiosity at the wall.")
@@ -70,7 +73,12 @@ def transient_command(
             )
         with progress_bar(width=32) as progress:
             capture = transient.render_scene(
-                scene, tol=tol, seed=seed, quantity=quantity, progress=_turned(progress)
+                scene,
+                tol=tol,
+                tol_multiple=tol_multiple,
+                seed=seed,
+                quantity=quantity,
+                progress=_turned(progress),
             )
             if detector is not None:
                 progress("counting photons", 1.0)
@@ -80,6 +88,7 @@ def transient_command(
                 run={
                     "seed": seed,
                     "tol": tol,
+                    "tol_multiple": tol_multiple,
                     "scene_sha256": scene_hash(scene),
                     "seconds": time.perf_counter() - start,
                     "versions": versions(),

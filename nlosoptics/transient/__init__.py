@@ -6,7 +6,8 @@
 - `detectors`: `Detector`, which counts a capture's photons.
 - `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, carried by
   `rayleigh_sommerfeld`; `phasor_images`: `PhasorImage`; `phasor_validity`: what limits it.
-- `rendering`: `render`, captures of hidden meshes; three bounces by quadrature.
+- `rendering`: `render`, captures of hidden meshes; three bounces by quadrature, more by Monte
+  Carlo (`multiple_bounces`).
 - `scene_captures`: `render_scene`, the same of a scene file.
 - `volumes`: `Volume`, where a hidden scene is looked for, and `VolumeImage`, what was seen there.
 - `backprojections`, `migration`, `light_cones`: such pictures without a chosen wavelength, the

@@ -83,39 +83,73 @@ def fill_kernels(across, up, away, ways, falls, first, step, kernels):
 
     ``kernels`` (k, z, y, x). Wavenumbers follow one another by a factor.
     """
+    values = np.empty(len(across), np.complex128)
+    turns = np.empty(len(across), np.complex128)
     for flat in range(len(away) * len(up)):
         z, y = flat // len(up), flat % len(up)
         for x in range(len(across)):
             path = ways * math.sqrt(across[x] ** 2 + up[y] ** 2 + away[z] ** 2)
             amplitude = (ways / path) ** ways if falls else 1.0
-            value = amplitude * complex(math.cos(first * path), math.sin(first * path))
-            turn = complex(math.cos(step * path), math.sin(step * path))
-            for k in range(kernels.shape[0]):
-                kernels[k, z, y, x] = value
-                value *= turn
+            values[x] = amplitude * complex(math.cos(first * path), math.sin(first * path))
+            turns[x] = complex(math.cos(step * path), math.sin(step * path))
+        for k in range(kernels.shape[0]):
+            for x in range(len(across)):
+                kernels[k, z, y, x] = values[x]
+                values[x] *= turns[x]
 
 
 @njit(cache=True, nogil=True)
-def multiply_folded(spectra, kernels, fold_y, fold_x, products):
-    """products[k, z] = spectra[k] * kernels[k, z], the kernels' mirrored halves left out."""
-    waves, planes, rows = products.shape[:3]
-    for flat in range(waves * planes * rows):
-        k, z, y = flat // rows // planes, flat // rows % planes, flat % rows
-        row = fold_y[y]
-        for x in range(products.shape[3]):
-            products[k, z, y, x] = spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
+def multiply_row(spectrum, kernel, row):
+    """Spectrum times kernel, of which a half may be given, the other being its mirror image."""
+    count = len(row)
+    half = min(count, len(kernel))
+    for x in range(half):
+        row[x] = spectrum[x] * kernel[x]
+    for x in range(half, count):
+        row[x] = spectrum[x] * kernel[count - x]
 
 
 @njit(cache=True, nogil=True)
-def add_folded(spectra, kernels, fold_y, fold_x, products):
-    """products[z] = sum over k of spectra[k] * kernels[k, z]."""
-    for flat in range(kernels.shape[1] * spectra.shape[1]):
-        z, y = flat // spectra.shape[1], flat % spectra.shape[1]
-        products[z, y] = 0.0
-        row = fold_y[y]
-        for k in range(spectra.shape[0]):
-            for x in range(spectra.shape[2]):
-                products[z, y, x] += spectra[k, y, x] * kernels[k, z, row, fold_x[x]]
+def add_product(spectrum, kernel, row, product):
+    """Add spectrum * kernel, all periods of ``product`` on one.
+
+    A transform whose b periods are added up is b times that of every b-th number.
+    """
+    rows, columns = product.shape
+    height, width = spectrum.shape
+    for y in range(height):
+        multiply_row(spectrum[y], kernel[y if y < len(kernel) else height - y], row)
+        line = product[y % rows]
+        for start in range(0, width, columns):
+            for x in range(columns):
+                line[x] += row[start + x]
+
+
+@njit(cache=True, nogil=True)
+def multiply_waves(spectra, kernels, products):
+    """products[k, z] = spectra[k] * kernels[k, z], as `add_product`."""
+    height, width = spectra.shape[1:]
+    row = np.empty(width, products.dtype)
+    for k in range(products.shape[0]):
+        for z in range(products.shape[1]):
+            product, kernel = products[k, z], kernels[k, z]
+            if product.shape == (height, width):
+                for y in range(height):
+                    other = kernel[y if y < len(kernel) else height - y]
+                    multiply_row(spectra[k, y], other, product[y])
+            else:
+                product[:] = 0.0
+                add_product(spectra[k], kernel, row, product)
+
+
+@njit(cache=True, nogil=True)
+def sum_waves(spectra, kernels, products):
+    """products[z] = sum over k of spectra[k] * kernels[k, z], as `add_product`."""
+    row = np.empty(spectra.shape[2], products.dtype)
+    products[:] = 0.0
+    for k in range(kernels.shape[0]):
+        for z in range(kernels.shape[1]):
+            add_product(spectra[k], kernels[k, z], row, products[z])
 
 
 @njit(cache=True, nogil=True)

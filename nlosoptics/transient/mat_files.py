@@ -49,13 +49,15 @@ def _hdf5(path: Path, *, matlab: bool) -> dict[str, Any]:
             for name, item in file.items():
                 if name.startswith("#"):  # MATLAB's own
                     continue
+                if item is None:
+                    raise SceneError(f"is a broken HDF5 file ({name} leads nowhere); copy it again")
                 found[name] = _hdf5_item(name, item, file, matlab)
                 for key, value in item.attrs.items():
                     if not key.startswith(("MATLAB_", "H5PATH")):
                         found[f"{name}{AT}{key}"] = value
             return found
     # h5py raises whatever the library's error maps to
-    except (OSError, RuntimeError, KeyError, ValueError) as error:
+    except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
         raise SceneError(
@@ -68,6 +70,8 @@ def _hdf5_item(name: str, item: Any, file: Any, matlab: bool) -> Any:
 
     if isinstance(item, h5py.Group):
         return {key: _hdf5_item(f"{name}.{key}", v, file, matlab) for key, v in item.items()}
+    if not isinstance(item, h5py.Dataset):
+        raise SceneError(f"has {name}, which is no array; give a capture's file")
     if item.shape is None or item.attrs.get("MATLAB_empty", 0):
         return None
     fits_memory(name, float(item.nbytes), "free memory, or load a smaller capture")

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 LEAST: Final = 8  # batches, whose spread is the standard error
-BUDGET: Final = 1 << 25  # paths, unless told otherwise
+WORK: Final = 6e11  # units of a nanosecond or so, ten minutes of a core, unless told otherwise
+MOST: Final = 1 << 27
 PILOT: Final = 1 << 12  # paths that tell how open a scene is
 MOST_ORDER: Final = 32
 
@@ -89,7 +90,8 @@ def multiple_bounces(
     tol : float, optional
         Wanted relative L1 error of every pair of points in every order, 1e-5 to 1.
     n_rays : int, optional
-        Paths to draw, at most; with ``tol=None`` as many. Default 2^25.
+        Paths to draw, at most; with ``tol=None`` as many. By default what takes some ten minutes of
+        a core, by the numbers of points and orders.
     seed : int
         0 to 2^64 - 1. The same seed gives the same bits on any number of threads.
     progress : callable(float, str), optional
@@ -120,56 +122,39 @@ def multiple_bounces(
     Batches have Sobol points scrambled on their own; their spread gives the standard error. What is
     more often lit than seen trades places, as light can be followed either way.
     """
-    from . import bounce_batches
-
-    pairing = one_of("pairing", pairing, ("all", "confocal"))
     chosen = _orders(orders)
     if tol is not None:
         tol = in_range("tol", tol, 1e-5, 1.0)
-    budget = whole("n_rays", n_rays, LEAST) if n_rays is not None else BUDGET
-    albedo = in_range("wall_albedo", wall_albedo, 0.0, 1.0)
     lasers, laser_shape = _wall_points("laser_points", laser_points)
     sensors, sensor_shape = _wall_points("sensor_points", sensor_points)
     rows = _rows(pairing, laser_shape, sensor_shape)
-    shape = (whole("n_bins", n_bins), *(laser_shape if pairing == "all" else ()), *sensor_shape)
-    turned = pairing == "all" and len(lasers) > len(sensors)
-    if turned:
-        lasers, sensors, rows = sensors, lasers, rows[:, ::-1]
-    begins = _starts(starts, len(rows))
-    size = None if wall_size is None else pair("wall_size", wall_size)
-    # the kernels go through lasers in their order; `back` undoes it
-    order = np.argsort(rows[:, 0], kind="stable")
-    back = np.argsort(order)
+    count = whole("n_bins", n_bins)
     fits_memory(
-        f"{len(chosen)} orders of {len(rows)} pairs of points in {n_bins} bins",
-        32.0 * len(chosen) * len(rows) * shape[0],
+        f"{len(chosen)} orders of {len(rows)} pairs of points in {count} bins",
+        32.0 * len(chosen) * len(rows) * count,
         "take fewer points, bins or orders",
     )
-    n_seen, n_each = _sizes(len(sensors), budget)
-    job = bounce_batches.Job(
-        around=bounce_surfaces(surfaces, sensors, albedo, size),
-        lasers=lasers,
-        sensors=sensors,
-        rows=np.ascontiguousarray(rows[order]),
+    budget = _affordable(len(chosen), min(len(lasers), len(sensors)), len(rows))
+    if n_rays is not None:
+        budget = whole("n_rays", n_rays, LEAST, 1 << 40)
+    job, back = _job(
+        surfaces,
+        (lasers, sensors, rows, _starts(starts, len(rows))),
+        turned=pairing == "all" and len(lasers) > len(sensors),
+        wall=(in_range("wall_albedo", wall_albedo, 0.0, 1.0), wall_size),
+        bins=(positive("delta_t", delta_t, unit="m"), count),
         orders=chosen,
-        starts=begins[order],
-        rate=1.0 / positive("delta_t", delta_t, unit="m"),
-        n_bins=shape[0],
+        budget=budget,
         seed=checked_seed(seed),
-        n_seen=n_seen,
-        n_each=n_each,
-        aimed=(0.0, 0.0),
     )
-    job = dataclasses.replace(job, aimed=_aimed(job))
     total, squares, batches, paths, reached = _run(job, tol, budget, progress)
-    # of the wall's spot, the albedo left out
-    factor = 1.0 / math.pi
+    shape = (count, *(laser_shape if pairing == "all" else ()), *sensor_shape)
     by_bounce, errors = {}, {}
     for k, number in enumerate(chosen):
-        mean = total[k] / batches
+        # the radiance of the wall's spot is 1/pi
         error = np.sqrt(_variance(total[k], squares[k], batches))
-        by_bounce[number] = factor * mean[back].T.reshape(shape)
-        errors[number] = factor * error[back].T.reshape(shape)
+        by_bounce[number] = (total[k] / (math.pi * batches))[back].T.reshape(shape)
+        errors[number] = (error / math.pi)[back].T.reshape(shape)
     details = {
         "paths": paths,
         "batches": batches,
@@ -177,6 +162,46 @@ def multiple_bounces(
         "stopped": "tol" if tol is not None and max(reached) <= tol else "paths",
     }
     return MultipleBounces(by_bounce, errors, details)
+
+
+def _job(
+    surfaces: HiddenSurfaces,
+    points: tuple[Array, Array, NDArray[np.int64], Array],
+    *,
+    turned: bool,
+    wall: tuple[float, Any],
+    bins: tuple[float, int],
+    orders: tuple[int, ...],
+    budget: int,
+    seed: int,
+) -> tuple[Job, NDArray[np.int64]]:
+    """What batches need, and the order that brings its pairs back to the caller's.
+
+    ``turned`` follows light from the lasers to the sensors.
+    """
+    from .bounce_batches import Job
+
+    lasers, sensors, rows, starts = points
+    if turned:
+        lasers, sensors, rows = sensors, lasers, rows[:, ::-1]
+    size = None if wall[1] is None else pair("wall_size", wall[1])
+    order = np.argsort(rows[:, 0], kind="stable")
+    n_seen, n_each = _sizes(len(sensors), budget)
+    job = Job(
+        around=bounce_surfaces(surfaces, sensors, wall[0], size),
+        lasers=lasers,
+        sensors=sensors,
+        rows=np.ascontiguousarray(rows[order]),
+        orders=orders,
+        starts=starts[order],
+        rate=1.0 / bins[0],
+        n_bins=bins[1],
+        seed=seed,
+        n_seen=n_seen,
+        n_each=n_each,
+        aimed=(0.0, 0.0),
+    )
+    return dataclasses.replace(job, aimed=_aimed(job)), np.argsort(order)
 
 
 def _run(
@@ -225,6 +250,12 @@ def _l1(total: Array, squares: Array, n: int) -> float:
     return math.sqrt(2.0 / math.pi) * float((errors[lit] / light[lit]).max())
 
 
+def _affordable(n_orders: int, n_lasers: int, n_pairs: int) -> int:
+    """Paths that are worth `WORK`, by what legs, connections and bins were measured to take."""
+    each = 1000.0 + 150.0 * n_lasers + 2.0 * n_pairs
+    return int(min(max(WORK / (n_orders * each), 1 << 16), MOST))
+
+
 def _sizes(n_sensors: int, budget: int) -> tuple[int, int]:
     """Vertices that sensors see in a batch, and paths from each.
 
@@ -241,8 +272,12 @@ def _aimed(job: Job) -> tuple[float, float]:
     """Shares drawn over the surfaces' area: as many as rays would miss, three quarters at most."""
     from .bounce_batches import openness
 
-    shares = openness(dataclasses.replace(job, n_seen=PILOT, n_each=1))
-    return tuple(min(0.75, share) if share > 0.02 else 0.0 for share in shares)  # type: ignore
+    seen, between = openness(dataclasses.replace(job, n_seen=PILOT, n_each=1))
+    return _share(seen), _share(between)
+
+
+def _share(missed: float) -> float:
+    return min(0.75, missed) if missed > 0.02 else 0.0
 
 
 def _orders(orders: Iterable[int]) -> tuple[int, ...]:
@@ -280,6 +315,7 @@ def _rows(
     pairing: str, laser_shape: tuple[int, ...], sensor_shape: tuple[int, ...]
 ) -> NDArray[np.int64]:
     """Pairs (n, 2) of laser and sensor in the order of the result."""
+    one_of("pairing", pairing, ("all", "confocal"))
     n, m = math.prod(laser_shape), math.prod(sensor_shape)
     if pairing == "all":
         laser, sensor = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")

@@ -23,8 +23,8 @@ from .volumes import Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Bytes of transformed planes that one thread holds at once.
-PLANES = 2**24
+#: Bytes of transformed planes that one thread holds at once, about a core's cache.
+PLANES = 2**21
 #: Numbers to transform below which threads cost more than they bring.
 FEW = 2**18
 #: Share of a wavelength by which points may lie off an even grid.
@@ -91,15 +91,15 @@ class Axis:
         return self.size(True) <= 1.25 * self.size(False) + 2
 
     def size(self, mirrored: bool) -> int:
-        """A fast length in which nothing wraps around."""
+        """A fast length in which nothing wraps around, a multiple of the voxels' steps."""
         import ducc0
 
-        wall, voxels = self.spans
+        (wall, voxels), unit = self.spans, self.voxel_step
         if not mirrored:
-            return int(ducc0.fft.good_size(wall + voxels - 1))
+            return unit * int(ducc0.fft.good_size(-(-(wall + voxels - 1) // unit)))
         shift = round(self.shift)
         reach = max(abs(shift - wall + 1), abs(shift + voxels - 1), (max(wall, voxels) + 1) // 2)
-        return 2 * int(ducc0.fft.good_size(reach))
+        return 2 * unit * int(ducc0.fft.good_size(-(-reach // unit)))
 
     def places(self, mirrored: bool) -> NDArray[np.int64]:
         """(n,): where the wall's points go."""
@@ -114,14 +114,9 @@ class Axis:
         index = np.arange(size)
         return self.pitch * (np.where(index < self.spans[1], index, index - size) + self.shift)
 
-    def fold(self, mirrored: bool) -> NDArray[np.int64]:
-        """Which of the kernel's numbers stands at each place of the transform."""
-        index = np.arange(self.size(mirrored))
-        return np.minimum(index, len(index) - index) if mirrored else index
-
     @property
     def kept(self) -> slice:
-        """The voxels' places after a transform back."""
+        """The voxels' places after a whole transform back."""
         return slice(0, self.spans[1], self.voxel_step)
 
 
@@ -261,15 +256,17 @@ class Room:
         return y.size(self.mirrored), x.size(self.mirrored)
 
     @property
-    def size(self) -> int:
-        """Numbers in one plane's transform."""
-        return self.shape[0] * self.shape[1]
+    def coarse(self) -> tuple[int, int]:
+        """Lengths of the transforms back, which give every voxel and nothing between."""
+        y, x = self.grid.axes
+        return self.shape[0] // y.voxel_step, self.shape[1] // x.voxel_step
 
     @property
-    def folds(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Of the kernels, (y, x)."""
+    def size(self) -> int:
+        """Numbers in one plane's kernel, or in its transform back where that is larger."""
         y, x = self.grid.axes
-        return y.fold(self.mirrored), x.fold(self.mirrored)
+        kernel = len(y.steps(self.mirrored)) * len(x.steps(self.mirrored))
+        return max(kernel, self.coarse[0] * self.coarse[1])
 
     def kernels(self, away: Array, kind: np.dtype) -> ComplexArray:
         """(n, nz, y, x): transforms of exp(i k r), for planes at ``away``."""
@@ -292,30 +289,34 @@ class Room:
         return values
 
     def wall(self, spectra: ComplexArray) -> ComplexArray:
-        """(n, Y, X): transforms of the wall's spectra (n, y, x), padded."""
+        """(n, Y, X): transforms of the wall's spectra (n, y, x), padded.
+
+        Over the steps between voxels: transforms back are shorter by them, see `coarse`.
+        """
         import ducc0
 
         padded = np.zeros((len(spectra), *self.shape), dtype=spectra.dtype)
         rows, columns = (axis.places(self.mirrored) for axis in self.grid.axes)
-        padded[:, rows[:, None], columns] = spectra
+        steps = self.shape[0] * self.shape[1] // (self.coarse[0] * self.coarse[1])
+        padded[:, rows[:, None], columns] = spectra / spectra.dtype.type(steps)
         return np.asarray(ducc0.fft.c2c(padded, axes=(1, 2), out=padded))
 
     def planes(self, products: ComplexArray) -> ComplexArray:
-        """(..., ny, nx) of the transforms' inverse, rows without voxels left out on the way."""
+        """(..., ny, nx) of the transforms' inverse, rows beyond the volume left out on the way."""
         import ducc0
 
         up, across = products.ndim - 2, products.ndim - 1
-        rows, columns = (axis.kept for axis in self.grid.axes)
+        rows, columns = self.grid.axes[0].m, self.grid.axes[1].m
         ducc0.fft.c2c(products, axes=(up,), forward=False, inorm=2, out=products)
-        kept = ducc0.fft.c2c(products[..., rows, :], axes=(across,), forward=False, inorm=2)
-        return np.asarray(kept[..., columns])
+        kept = ducc0.fft.c2c(products[..., :rows, :], axes=(across,), forward=False, inorm=2)
+        return np.asarray(kept[..., :columns])
 
     def together(self, wall: ComplexArray, response: ComplexArray) -> ComplexArray:
         """(nz, ny, nx): all waves summed before one inverse transform a plane."""
         from . import _phasor_kernels
 
-        products = np.empty((response.shape[1], *self.shape), dtype=response.dtype)
-        _phasor_kernels.add_folded(wall, response, *self.folds, products)
+        products = np.empty((response.shape[1], *self.coarse), dtype=response.dtype)
+        _phasor_kernels.sum_waves(wall, response, products)
         return self.planes(products)
 
     def add(
@@ -331,8 +332,8 @@ class Room:
         from . import _phasor_kernels
 
         volume, waves = self.volume, self.band.wavenumbers
-        products = np.empty((*response.shape[:2], *self.shape), dtype=response.dtype)
-        _phasor_kernels.multiply_folded(wall, response, *self.folds, products)
+        products = np.empty((*response.shape[:2], *self.coarse), dtype=response.dtype)
+        _phasor_kernels.multiply_waves(wall, response, products)
         _phasor_kernels.add_waves(
             self.planes(products),
             volume.x,

@@ -116,7 +116,8 @@ def render(
         Relative error, L1 over the bins of each pair of points: of three bounces, and of each
         number of bounces beyond, where it is the expected one.
     n_rays : int, optional
-        Most paths of more than three bounces to draw, 2^25 by default.
+        Most paths of more than three bounces to draw; by default what takes some ten minutes of
+        a core.
     wall_size : float or (float, float), optional
         Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
         object, wall, object, wall. None: the wall reflects at laser and sensor points alone.

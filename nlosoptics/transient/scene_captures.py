@@ -35,20 +35,22 @@ def render_scene(
     """Time-resolved light that a scene sends back to its relay wall, by `render`.
 
     The laser spot is a point, of 1 W (or 1 J of a pulse) on the wall; laser and camera give the
-    ends of the outer legs. A picture becomes what of it is white, cut out of its plane over at most
-    64 cells across, and faces both ways. Occluders are black surfaces.
+    ends of the outer legs. From five reflections on, all of the wall takes part in between. A
+    picture becomes what of it is white, cut out of its plane over at most 64 cells across, and
+    faces both ways. Occluders are black surfaces.
 
     Parameters
     ----------
     scene : Scene
         With ``transient``, a flat Lambertian wall and a mesh or a black-and-white picture.
     tol : float
-        Relative error, L1 over the bins of each pair of points.
+        Relative error of three bounces, L1 over the bins of each pair of points.
     seed : int
     progress : callable, optional
         Takes (share done, text).
     **options
-        Of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``.
+        Of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``, ``tol_multiple``,
+        ``n_rays``.
 
     Returns
     -------
@@ -81,6 +83,7 @@ def render_scene(
         delta_t=scan.delta_t,
         n_bins=scan.n_bins,
         max_bounces=scan.max_bounces,
+        wall_size=_wall_between(scene, scan),
         laser_origin=scene.laser.position,
         sensor_origin=scene.camera.position,
         tol=tol,
@@ -116,6 +119,18 @@ def _wall_albedo(scene: Scene, scan: TransientScan) -> float:
             'walls; give lobe = "lambert" and its albedo'
         )
     return float(material.rho)
+
+
+def _wall_between(scene: Scene, scan: TransientScan) -> tuple[float, float] | None:
+    """Sides of the wall where light may meet it between its first and its last reflection, m."""
+    if scan.max_bounces < 5:
+        return None
+    if scene.wall.size is None:
+        raise SceneError(
+            f"wall.size is missing, with transient.max_bounces = {scan.max_bounces} all of the "
+            "wall takes part; give its size"
+        )
+    return scene.wall.size
 
 
 def _hidden_mesh(hidden: MeshObject | PlanarObject) -> trimesh.Trimesh:

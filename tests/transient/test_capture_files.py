@@ -279,6 +279,16 @@ def test_files_that_are_no_captures(tmp_path):
         TransientCapture.load(tmp_path / "x.hdf5", format="exr")
 
 
+def test_names_that_lead_nowhere_or_to_no_array(tmp_path):
+    for name, item, words in (
+        ("broken", h5py.SoftLink("/none"), "broken HDF5 file .sensor_xyz leads nowhere"),
+        ("typed", np.dtype("f8"), "has sensor_xyz, which is no array"),
+    ):
+        made().save(tmp_path / name)
+        with pytest.raises(SceneError, match=words):
+            TransientCapture.load(changed(tmp_path / name, sensor_xyz=item))
+
+
 def test_a_changed_file_of_ours_is_seen(tmp_path):
     made().save(tmp_path / "x.hdf5")
     with h5py.File(tmp_path / "x.hdf5", "a") as file:

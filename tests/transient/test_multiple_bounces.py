@@ -407,3 +407,11 @@ def test_a_corridor_is_the_peers(data):
         dark, middle, bright = (143.108 * run[order].sum(axis=(1, 2)) for run in runs)
         twice = 3.0 * dark - 8.0 * middle + 6.0 * bright
         assert twice.sum() == pytest.approx(peer.sum(), rel=0.03)
+        # the peer's first path of each order, at 1.64 and 2.00 m, comes when next to nothing has
+        first = int(np.flatnonzero(peer.sum(axis=(1, 2)))[0])
+        assert 0.0 < twice[:first].sum() < 0.02 * twice.sum()
+        begins = int(np.flatnonzero(bright)[0])
+        # by way of two walls, as by a pair of mirrors, to the cell in the corner; with the wall on
+        # the way by one of them, where paths come as close as one likes and bring nothing
+        shortest = {4: np.hypot(1.0625, 1.0625), 5: np.hypot(1.0625, 0.0625)}[order]
+        assert int(shortest / 0.01) <= begins <= int(shortest / 0.01) + (1 if order == 4 else 10)

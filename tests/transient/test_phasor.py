@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
-from nlosoptics.errors import SamplingError, SceneError, ValidityWarning
+from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError, ValidityWarning
 from nlosoptics.transient import TransientCapture, Volume, phasor_image, wall_grid
 
 CENTRE = (0.0, 0.0, 0.0)
@@ -416,3 +416,32 @@ def test_auto_takes_the_cheaper_sum():
     wide = noise_capture(sensor_points=wall_grid(1.0, 32), H=np.ones((220, 32, 32)))
     volume = Volume.before(1.0, 32, [0.5])
     assert quiet(wide, volume, wl_mean=0.3).details["sum"] == "fft"
+
+
+@pytest.mark.parametrize("count", [16, 32])
+def test_rendered_letter_is_upright_and_unmirrored(data, count):
+    """A Z at 1 m before a wall of 2 m, rendered elsewhere."""
+    light = np.load(data / "peer_transient" / f"Z_single{count}_3b.npz")["H"]
+    capture = noise_capture(
+        CENTRE, wall_grid(2.0, count), H=np.moveaxis(light, -1, 0), delta_t=0.01, t_start=1.8
+    )
+    volume = Volume.before(2.0, count, np.linspace(0.8, 1.2, 9))
+    picture = quiet(capture, volume, wl_mean=0.25).projection()
+    x, y = wall_grid(2.0, count)[..., 0], wall_grid(2.0, count)[..., 1]
+    slope = 0.254 / 0.24  # of the stroke's edges, along x
+    stroke = np.abs(x - y * slope) <= 0.096 + 1e-9
+    letter = (np.abs(x) <= 0.35) & (np.abs(y) <= 0.4) & ((np.abs(y) >= 0.24) | stroke)
+
+    def overlap(seen):
+        levels = np.unique(seen)
+        return max(np.sum(letter & (seen >= t)) / np.sum(letter | (seen >= t)) for t in levels)
+
+    # the letter's corners are darker than its middle and cells are 6 to 12 cm
+    assert overlap(picture) > 0.6
+    assert overlap(picture[:, ::-1]) < overlap(picture) - 0.1
+
+
+def test_what_does_not_fit_is_refused_before_it_is_made():
+    axis = 0.1 + 1e-4 * np.arange(20000)
+    with pytest.raises(MemoryLimitError, match="ask for fewer voxels or times"):
+        quiet(SINGLE, Volume(axis, axis, axis), wl_mean=0.3)

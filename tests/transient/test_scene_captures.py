@@ -101,6 +101,21 @@ def test_a_scene_is_rendered_as_its_parts_are():
     assert all_of_them.H == pytest.approx(np.moveaxis(all_of_them.H, (3, 4), (1, 2)), rel=1e-9)
 
 
+def test_the_wall_takes_part_from_five_bounces_on():
+    """Light that goes back to the wall on its way adds to the letter's own four and five."""
+    many = replace(SCAN, count=2, n_bins=300, max_bounces=5)
+    light = render_scene(scene(transient=many), tol_multiple=0.1)
+    parts = {n: part.sum() for n, part in light.by_bounce.items()}
+    assert sorted(parts) == [3, 4, 5]
+    assert parts[4] == 0.0  # a plane sees no light of its own
+    # twice as many reflections, each of a part of the light
+    assert 0.0 < parts[5] < 0.1 * parts[3]
+    first = 1.5 + 0.02 * np.flatnonzero(light.by_bounce[5].sum(axis=(1, 2)))[0]
+    assert first > 3.9  # four times the distance of nearly 1 m
+    with pytest.raises(SceneError, match="wall.size is missing, with transient.max_bounces = 5"):
+        render_scene(scene(transient=many, wall=FlatWall()))
+
+
 def test_occluders_take_light_and_give_none():
     plate = trimesh.creation.box(extents=(0.5, 3.0, 0.01))
     plate.apply_translation((-0.35, 0.0, 0.5))
