@@ -37,6 +37,9 @@ LEAST = 0.1  # share of the columns that a threshold must leave
 
 METHODS = {
     "fk_migration": lambda c, v: transient.fk_migration(c, v, target="retroreflective"),
+    "fk_migration, light": lambda c, v: transient.fk_migration(
+        c, v, target="retroreflective", amplitude="light"
+    ),
     "lct": lambda c, v: transient.lct(c, v, target="retroreflective", snr=0.1),
     "backprojection": lambda c, v: transient.backprojection(
         c, v, filter="laplacian", width=6e-3, falloff="retroreflective"
