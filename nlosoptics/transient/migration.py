@@ -21,6 +21,7 @@ Waves = NDArray[np.complexfloating]
 Progress = Callable[[float, str], None]
 Target = Literal["diffuse", "retroreflective"]
 Precision = Literal["single", "double"]
+Amplitude = Literal["root", "light"]
 
 PRECISIONS: Final = ("single", "double")
 
@@ -39,6 +40,7 @@ def fk_migration(
     volume: Volume | None = None,
     *,
     target: Target = "diffuse",
+    amplitude: Amplitude = "root",
     precision: Precision = "single",
     progress: Progress | None = None,
 ) -> VolumeImage:
@@ -51,8 +53,11 @@ def fk_migration(
     volume : Volume, optional
         Any even axes within the window of time; None: the grid's points at the bins' depths.
     target : {"diffuse", "retroreflective"}
-        Whose light falls with the fourth power of the distance or with its square; the root of the
-        light times that power is the wave's amplitude.
+        Whose light falls with the fourth power of the distance or with its square.
+    amplitude : {"root", "light"}
+        What the wave is: the root of the light times that power [1]_, so that the picture is linear
+        in the capture, or this itself, so that the waves of several objects add up and dim ones
+        are darker in the picture.
     precision : {"single", "double"}
         Of the waves; single ones err by about 1e-6 of the brightest voxel.
     progress : callable(float, str), optional
@@ -61,7 +66,7 @@ def fk_migration(
     Returns
     -------
     VolumeImage
-        The squared modulus of the wave, linear in the capture's scale.
+        The squared modulus of the wave.
 
     Raises
     ------
@@ -88,6 +93,7 @@ def fk_migration(
     """
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
+    one_of("amplitude", amplitude, ("root", "light"))
     kind = np.complex64 if one_of("precision", precision, PRECISIONS) == "single" else np.complex128
     grid = confocal_grid(capture, "fk_migration")
     volume = reached_volume(grid, volume, "fk_migration")
@@ -100,10 +106,11 @@ def fk_migration(
         float(room) * np.dtype(kind).itemsize,
         "give a volume of fewer or wider voxels, or a coarser capture",
     )
-    amplitude = np.sqrt(capture.H * grid.depths[:, None, None] ** FALLOFF[target])
-    field = _migrated(amplitude, grid, volume, kind, progress)
+    light = capture.H * grid.depths[:, None, None] ** FALLOFF[target]
+    wave = np.sqrt(light) if amplitude == "root" else light
+    field = _migrated(wave, grid, volume, kind, progress)
     intensity = field.real**2 + field.imag**2
-    details = {"target": target, "precision": precision, "pitch": grid.pitch}
+    details = {"target": target, "amplitude": amplitude, "precision": precision}
     return VolumeImage(
         intensity=np.ascontiguousarray(intensity),
         volume=volume,
@@ -114,14 +121,14 @@ def fk_migration(
 
 
 def _migrated(
-    amplitude: Array, grid: ConfocalGrid, volume: Volume, kind: type, progress: Progress | None
+    wave: Array, grid: ConfocalGrid, volume: Volume, kind: type, progress: Progress | None
 ) -> Waves:
-    """The wave (nz, ny, nx) at w = 0 of an amplitude (n_bins, ny, nx) on the wall."""
+    """The wave (nz, ny, nx) at w = 0 of one (n_bins, ny, nx) on the wall."""
     import scipy.fft
 
     from . import _migration_kernels as kernels
 
-    spectrum, size, centre = _gridded(amplitude, grid, kind)
+    spectrum, size, centre = _gridded(wave, grid, kind)
     kx, to_kx, from_kx = waves_along(grid.x, volume.x, next_size(2 * len(grid.x)), kind)
     ky, to_ky, from_ky = waves_along(grid.y, volume.y, next_size(2 * len(grid.y)), kind)
     pitch, n = _depth_axis(grid, volume)
@@ -164,7 +171,7 @@ def _depth_axis(grid: ConfocalGrid, volume: Volume) -> tuple[float, int]:
     return pitch, next_size(MARGIN * grid.stop / pitch)
 
 
-def _gridded(amplitude: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, float]:
+def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, float]:
     """Spectrum over w (ny, nx, n_f) for the kernel, its grid's size, and the depth it counts from.
 
     Index m + TAPS is frequency m of the grid; those below 0 and above the Nyquist frequency are
@@ -175,7 +182,7 @@ def _gridded(amplitude: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, i
     n_bins = grid.n_bins
     size = next_size(2 * max(n_bins, TAPS))
     middle = n_bins // 2
-    series = amplitude.astype(np.float32 if kind is np.complex64 else np.float64)
+    series = wave.astype(np.float32 if kind is np.complex64 else np.float64)
     series = series * _kernel_transform((np.arange(n_bins) - middle) / size)[:, None, None].astype(
         series.dtype
     )
