@@ -78,6 +78,7 @@ PITCH = 1.0 / 6
 #: of several pitches and several to a pitch
 VOLUMES = {
     "before": Volume.before(1.0, 6, [0.5, 0.6, 0.7]),
+    "shifted": Volume(PITCH * (np.arange(6) - 1.5), PITCH * (np.arange(6) - 3.5), [0.5, 0.6]),
     "aside": Volume(PITCH * (np.arange(4) + 1.5), PITCH * (np.arange(3) - 6.5), [0.8]),
     "between": Volume(PITCH * np.arange(5) - 0.31, PITCH * np.arange(9) + 0.123, [0.55, 0.65]),
     "coarse": Volume(3 * PITCH * np.arange(3) - 0.4, 2 * PITCH * (np.arange(4) - 1.25), [0.7]),
