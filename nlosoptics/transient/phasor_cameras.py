@@ -142,7 +142,7 @@ def phasor_image(
     notes = _notes(capture, volume, setup, wl_mean, sample)
     grid, reason = _grid(setup, volume, wl_mean, method)
     band = pulse_band(capture, wl_mean, float(wl_sigma), (first, last), tol)
-    _check_memory(setup, volume, band, moments, dtype)
+    _check_memory(setup, volume, grid, band, moments, dtype)
     field = _carry(capture, volume, setup, grid, band, moments, dtype, device, progress)
     light = (field.real**2 + field.imag**2).max(axis=0)
     return PhasorImage(
@@ -461,19 +461,28 @@ def _grid(setup: _Setup, volume: Volume, wl_mean: float, method: str) -> tuple[L
         return None, str(error)
 
 
-def _check_memory(setup: _Setup, volume: Volume, band: Band, moments: Array, dtype: str) -> None:
+def _slice(setup: _Setup, grid: Lattice | None, n_waves: int, dtype: str) -> tuple[int, float]:
+    """Waves that are carried at once, and the bytes that each of them needs."""
+    size = 8 if dtype == "float32" else 16
+    # two threads hold kernels and products of a plane each, beside the wall's transform
+    numbers = max(setup.columns.size, 0 if grid is None else 8 * grid.size)
+    return min(n_waves, max(1, int(SPECTRA // (size * numbers)))), float(size * numbers)
+
+
+def _check_memory(
+    setup: _Setup, volume: Volume, grid: Lattice | None, band: Band, moments: Array, dtype: str
+) -> None:
     size = 8 if dtype == "float32" else 16
     voxels = float(np.prod(volume.shape))
-    pairs = setup.columns.size * (2.0 if setup.merged else 1.0)
     fits_memory(
         f"a field at {len(moments)} times on {voxels:.3g} voxels",
         2.5 * size * len(moments) * voxels,
         "ask for fewer voxels or times",
     )
-    slices = max(1, int(SPECTRA // (size * pairs)))
+    n_waves, each = _slice(setup, grid, len(band.numbers), dtype)
     fits_memory(
         f"spectra of {setup.columns.size} pairs",
-        3.0 * size * pairs * min(slices, len(band.numbers)),
+        3.0 * each * n_waves,
         "use a smaller aperture, or dtype='float32'",
     )
 
@@ -490,10 +499,9 @@ def _carry(
     progress: Progress | None,
 ) -> ComplexArray:
     """(t, nz, ny, nx): the field, some waves after others."""
-    size = 8 if dtype == "float32" else 16
     n_waves = len(band.numbers)
     total: ComplexArray | None = None
-    for kept in blocks(n_waves, max(1, int(SPECTRA // (size * setup.columns.size)))):
+    for kept in blocks(n_waves, _slice(setup, grid, n_waves, dtype)[0]):
         part = band.part(kept)
         spectra = _spectra(capture, setup, part, dtype)
 
