@@ -120,7 +120,8 @@ def multiple_bounces(
     From each several paths go on along the lobes, and their vertices are joined to every laser
     point. Where rays leave the scene, a share of both is drawn over the surfaces' area instead.
     Batches have Sobol points scrambled on their own; their spread gives the standard error. What is
-    more often lit than seen trades places, as light can be followed either way.
+    more often lit than seen trades places, as light can be followed either way. Where both are many
+    or are pairs, lasers close to a surface are the noisier ones: their spots are not aimed at.
     """
     chosen = _orders(orders)
     if tol is not None:
