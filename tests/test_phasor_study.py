@@ -158,3 +158,15 @@ def test_overlap_is_that_of_the_best_level(study: ModuleType) -> None:
     bright = np.array([1.0, 0.8, 0.6, 0.2, 0.2, 0.0])
     # above 0.2: three of four; from 0.2 on: four of five
     assert study.cases.overlap(bright, outline) == approx(0.8)
+
+
+def test_mirror_points_are_half_way(study: ModuleType) -> None:
+    """Cells within a quarter of the aperture, and the share of the light that they have."""
+    x, y = np.array([-0.6, -0.2, 0.2, 0.6]), np.array([0.0, 0.5])
+    light = np.array([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]])
+    grid = transient.Volume(x, y, np.array([1.0]))
+    outline = np.array([[True, True, True, False], [True, False, False, False]])
+    # of the four cells, two are within 0.45 m along both axes
+    cells, bright = study.cases.mirrored(grid, light, outline, 1.8)
+    assert cells == approx(2.0 / 4.0)
+    assert bright == approx(5.0 / 11.0)

@@ -181,6 +181,15 @@ def measured(
     return figures, shown
 
 
+def kept_pictures(line: dict[str, Any], folder: Path) -> dict[str, Array] | None:
+    """Pictures of a finished case, where they were kept."""
+    path = folder / "pictures" / f"{name_of(line)}.npz"
+    if not path.exists():
+        return None
+    with np.load(path) as kept:
+        return {name: kept[name] for name in kept.files}
+
+
 def first_voxels(meshes: list[Any], grid: transient.Volume) -> Array:
     """(ny, nx): depth of the first voxel that holds a surface, m; NaN where none does."""
     full = transient.voxelised(meshes, grid)
@@ -194,6 +203,22 @@ def overlap(bright: Array, outline: NDArray[np.bool_]) -> float:
         seen = bright >= level
         shares.append(float((seen & outline).sum() / (seen | outline).sum()))
     return max(shares)
+
+
+def mirrored(
+    grid: transient.Volume, light: Array, outline: NDArray[np.bool_], aperture: float
+) -> tuple[float, float]:
+    """Shares of outline and of its brightness where a mirror parallel to the wall would show.
+
+    That is half way between the sensor in the middle and any laser: within a quarter of the
+    aperture from the middle.
+    """
+    near = [np.abs(axis) < 0.25 * aperture for axis in (grid.y, grid.x)]
+    within = near[0][:, None] & near[1] & outline
+    return (
+        float(within.sum() / outline.sum()),
+        float(light[within].sum() / light[outline].sum()),
+    )
 
 
 def _mean(values: Array) -> float | None:

@@ -69,18 +69,10 @@ def draw(lines: list[Line], folder: Path, labels: dict[str, str]) -> list[tuple[
     return made
 
 
-def _pictures(line: Line, folder: Path) -> dict[str, Any] | None:
-    path = folder / "pictures" / f"{cases.name_of(line)}.npz"
-    if not path.exists():
-        return None
-    with np.load(path) as kept:
-        return {name: kept[name] for name in kept.files}
-
-
 def _irradiance(lines: list[Line], folder: Path, name: str, labels: dict[str, str]) -> bool:
     materials = [m for m in labels if any(x["material"] == m for x in lines)]
     apertures = sorted({x["aperture"] for x in lines})
-    found = {(x["material"], x["aperture"]): _pictures(x, folder) for x in lines}
+    found = {(x["material"], x["aperture"]): cases.kept_pictures(x, folder) for x in lines}
     if not any(found.values()):
         return False
     columns = len(apertures) + 1
@@ -129,7 +121,7 @@ def _errors(lines: list[Line], folder: Path, name: str, labels: dict[str, str]) 
     for material, aperture in SHOWN:
         for line in lines:
             if line["material"] == material and line["aperture"] == aperture:
-                kept = _pictures(line, folder)
+                kept = cases.kept_pictures(line, folder)
                 if kept is not None:
                     found.append((line, kept))
     if not found:

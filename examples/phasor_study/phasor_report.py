@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import phasor_cases as cases
 import phasor_claims as claims
 import phasor_figures as figures
+import phasor_scenes as scenes
 
 Line = dict[str, Any]
 
@@ -31,7 +33,8 @@ def write(lines: list[Line], folder: Path, setting: str) -> None:
     parts = [
         _head(done, setting, len(lines) - len(done)),
         claims.table(done),
-        *(f"![{text}](results/{name})\n\n{text}" for name, text in drawn),
+        *(f"![{text.split(' (as')[0]}](results/{name})\n\n{text}" for name, text in drawn),
+        _why(done, folder),
         _depths(done),
         _spreads(done),
         _bounces(done),
@@ -57,6 +60,42 @@ Made by `study.py --setting {setting}`; {len(lines)} cases, {refused} refused. {
 {len(_all(lines, "seed"))} seeds, up to {some["max_bounces"]} bounces, bins of
 {1e2 * some["bin"]:.2g} cm; a shared machine ({platform.machine()}). A depth's error is the mean of
 its absolute value over the cells that the best threshold leaves, at least half of the true ones."""
+
+
+def _why(lines: list[Line], folder: Path) -> str:
+    """What the aperture does, with the figures that show it."""
+    told = []
+    for line in lines:
+        kept = cases.kept_pictures(line, folder)
+        first = line["seed"] == 0 and line["bounces"] == line["max_bounces"]
+        if kept is None or not first or line["material"] != "lambert":
+            continue
+        grid = scenes.volume(line["scene"], line["voxel"])
+        outline = np.isfinite(kept["truth"])
+        shares = cases.mirrored(grid, kept["light"], outline, line["aperture"])
+        told.append(
+            f"| {line['scene']} | {1e2 * line['wavelength']:.3g} | {1e2 * line['voxel']:.3g} | "
+            f"{line['aperture']:g} | {shares[0]:.2f} | {shares[1]:.2f} |"
+        )
+    head = """## Why
+
+A depth is told by the length of the path: the pulse is as long at any aperture. The aperture acts
+on depth through what it shows at all, and sideways:
+
+- To waves of centimetres a flat face is a mirror, whatever light does on it: the phase decides.
+  Before one sensor in the middle, a face parallel to the wall shows half way to each laser, within
+  a quarter of the aperture from the middle; beyond, its edges alone send waves back. Below is how
+  much of the outline lies there, and how much of its brightness does (Lambert).
+- Columns without waves of their own take the depth of what is bright beside them, which through a
+  narrow aperture reaches farther: the letters are 0.45 m apart, so that a few such columns decide
+  the mean. The threshold can leave them out only down to half of the true cells.
+- So the material hardly matters where faces are smooth on the scale of the wavelength: it scales
+  what a mirror point sends back, and one scale for all is no change at all.
+
+| scene | wavelength, cm | voxel, cm | aperture, m | of the outline | of the brightness |
+|---|---|---|---|---|---|
+"""
+    return head + "\n".join(told)
 
 
 def _depths(lines: list[Line]) -> str:
