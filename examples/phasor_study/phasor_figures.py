@@ -103,7 +103,7 @@ def _irradiance(lines: list[Line], folder: Path, name: str, labels: dict[str, st
     _frame(axes)
     bar = figure.colorbar(drawn, ax=list(axes.ravel()), shrink=0.6)
     bar.set_label("relative irradiance, square root scale", fontsize=8)
-    figure.savefig(folder / "results" / name, dpi=90)
+    figure.savefig(folder / "results" / name, dpi=90, bbox_inches="tight", pad_inches=0.05)
     return True
 
 
@@ -151,7 +151,7 @@ def _errors(lines: list[Line], folder: Path, name: str, labels: dict[str, str]) 
     _frame(axes)
     bar = figure.colorbar(drawn, ax=list(axes[0, 1:]), shrink=0.8, extend="both")
     bar.set_label("error (mm); grey: below threshold", fontsize=8)
-    figure.savefig(folder / "results" / name, dpi=90)
+    figure.savefig(folder / "results" / name, dpi=90, bbox_inches="tight", pad_inches=0.05)
     return True
 
 
@@ -183,7 +183,7 @@ def _curves(lines: list[Line], path: Path, labels: dict[str, str]) -> bool:
         row[0].set_ylabel("mean absolute error (mm)", fontsize=8)
     handles, told = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, told, loc="outside lower center", ncols=len(told), fontsize=8)
-    figure.savefig(path, dpi=90)
+    figure.savefig(path, dpi=90, bbox_inches="tight", pad_inches=0.05)
     return True
 
 

@@ -89,8 +89,8 @@ on depth through what it shows at all, and sideways:
 - Columns without waves of their own take the depth of what is bright beside them, which through a
   narrow aperture reaches farther: the letters are 0.45 m apart, so that a few such columns decide
   the mean. The threshold can leave them out only down to half of the true cells.
-- So the material hardly matters where faces are smooth on the scale of the wavelength: it scales
-  what a mirror point sends back, and one scale for all is no change at all.
+- A wide lobe scales all of that by one number, and one scale for all changes no depth. A narrow one
+  takes light from edges and from what is aslant, which alone tell of columns without mirror points.
 
 | scene | wavelength, cm | voxel, cm | aperture, m | of the outline | of the brightness |
 |---|---|---|---|---|---|
