@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import textwrap
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -54,12 +55,12 @@ def _head(lines: list[Line], setting: str, refused: int) -> str:
             f"{name}: {chosen[0]['points']} x {chosen[0]['points']} laser points {pitch:.3g} cm "
             f"apart, wavelengths {waves} cm"
         )
-    return f"""# Reflectance and phasor fields: what came out
-
-Made by `study.py --setting {setting}`; {len(lines)} cases, {refused} refused. {"; ".join(scenes)}.
-{len(_all(lines, "seed"))} seeds, up to {some["max_bounces"]} bounces, bins of
-{1e2 * some["bin"]:.2g} cm; a shared machine ({platform.machine()}). A depth's error is the mean of
-its absolute value over the cells that the best threshold leaves, at least half of the true ones."""
+    text = f"""Made by `study.py --setting {setting}`: {len(lines)} cases, {refused} refused.
+{"; ".join(scenes)}. Up to {len(_all(lines, "seed"))} seeds and {some["max_bounces"]} bounces, bins
+of {1e2 * some["bin"]:.2g} cm; seconds are of a shared machine ({platform.machine()}). The error of
+depths is the mean of its absolute value over the cells that the best threshold leaves, which must
+be half of the true ones at least."""
+    return "# Reflectance and phasor fields: what came out\n\n" + textwrap.fill(text, 100)
 
 
 def _why(lines: list[Line], folder: Path) -> str:
@@ -117,7 +118,8 @@ def _depths(lines: list[Line]) -> str:
     rows.append("|---" * (7 + len(apertures)) + "|")
     deepest = [x for x in lines if x["bounces"] == x["max_bounces"]]
     for place in claims.places(deepest):
-        for material in _all(deepest, "material"):
+        here = claims.chosen(deepest, place)
+        for material in _all(here, "material"):
             cells = []
             for aperture in apertures:
                 found = claims.chosen(deepest, place, material=material, aperture=aperture)
@@ -129,7 +131,8 @@ def _depths(lines: list[Line]) -> str:
                 )
             last = claims.chosen(deepest, place, material=material, aperture=apertures[-1])
             cells.append(f"{1e3 * claims.all_of(last, 'mae_all').mean():.1f}" if last else "")
-            cells += [f"{claims.all_of(last, name).mean():.2f}" for name in ("coverage", "overlap")]
+            for name in ("coverage", "overlap"):
+                cells.append(f"{claims.all_of(last, name).mean():.2f}" if last else "")
             where = [place["scene"], f"{1e2 * place['wavelength']:.3g}"]
             where += [f"{1e2 * place['voxel']:.3g}", LABELS[material]]
             rows.append("| " + " | ".join([*where, *cells]) + " |")
@@ -202,8 +205,8 @@ def _seconds(lines: list[Line]) -> str:
     rows = [
         "## Run times",
         "",
-        "Wall seconds: of a render (median over seeds, all bounces; three bounces are rendered once"
-        " for all seeds), and of one picture (median, and the least).",
+        "Wall seconds: of a render (median over seeds, all bounces), and of one picture (median, and"
+        " the least).",
         "",
         "| scene | material | render | picture | least |",
         "|---|---|---|---|---|",
