@@ -214,8 +214,8 @@ def _voxels(lines: list[Line]) -> tuple[str, str, str] | None:
         )
     text = (
         "error in mm at the widest aperture by peaks between voxels, by the brightest voxels, and "
-        "by the brightest voxels against voxelised surfaces, and a quarter of a voxel, which the second "
-        "is for surfaces anywhere in voxels that are all told rightly: " + "; ".join(told)
+        "by the brightest voxels against voxelised surfaces, and a quarter of a voxel, which the "
+        "second is for surfaces anywhere in voxels that are all told rightly: " + "; ".join(told)
     )
     return "depths are those of the brightest voxels, of a wavelength's side", text, "no claim"
 

@@ -205,8 +205,8 @@ def _seconds(lines: list[Line]) -> str:
     rows = [
         "## Run times",
         "",
-        "Wall seconds: of a render (median over seeds, all bounces), and of one picture (median, and"
-        " the least).",
+        "Wall seconds: of a render (median over seeds, all bounces), and of one picture (median,"
+        " and the least).",
         "",
         "| scene | material | render | picture | least |",
         "|---|---|---|---|---|",
