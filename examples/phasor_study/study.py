@@ -122,6 +122,15 @@ def work(key: Key, folder: Path) -> dict[str, Any]:
     return line
 
 
+def rounded(value: Any) -> Any:
+    """Numbers to six digits, which is more than they mean, so that lines are short."""
+    if isinstance(value, dict):
+        return {name: rounded(item) for name, item in value.items()}
+    if isinstance(value, list):
+        return [rounded(item) for item in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
 def finished(path: Path) -> list[dict[str, Any]]:
     """Lines of a file; one that was cut off does not count."""
     lines = []
@@ -149,7 +158,7 @@ def main(arguments: list[str] | None = None) -> None:
             path.write_text("".join(json.dumps(line) + "\n" for line in lines))
         with path.open("a") as file:
             for key in todo:
-                line = work(key, options.out)
+                line = rounded(work(key, options.out))
                 lines.append(line)
                 file.write(json.dumps(line) + "\n")
                 file.flush()
