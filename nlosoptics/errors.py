@@ -9,6 +9,8 @@ also derives from the builtin that fits, so that either can be caught:
 - `NotWaveGradeError`: a surface is known too roughly for interference.
 - `MemoryLimitError`: an array would not fit; raised before it is allocated.
 - `MissingExtraError`: an optional dependency is not installed.
+
+`ValidityWarning` is no error: a result is made from samples that are too coarse or too few for it.
 """
 
 from __future__ import annotations
@@ -40,3 +42,7 @@ class MemoryLimitError(NlosError, MemoryError):
 
 class MissingExtraError(NlosError, ImportError):
     """An optional dependency is not installed."""
+
+
+class ValidityWarning(UserWarning):
+    """A result is limited by the samples that it is made from."""

@@ -186,7 +186,17 @@ def test_version(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["plan"], ["feasibility"], ["run"], ["reconstruct"], ["schema"]]
+    "command",
+    [
+        [],
+        ["plan"],
+        ["feasibility"],
+        ["run"],
+        ["reconstruct"],
+        ["schema"],
+        ["transient"],
+        ["phasor"],
+    ],
 )
 def test_help(command: list[str], run: Run) -> None:
     """Each command explains itself."""
@@ -198,7 +208,14 @@ def test_help(command: list[str], run: Run) -> None:
 def test_schema_is_json(run: Run) -> None:
     """A JSON schema that knows the four tables."""
     schema = json.loads(run("schema").out)
-    assert set(schema["properties"]) == {"laser", "wall", "hidden", "camera", "occluder"}
+    assert set(schema["properties"]) == {
+        "laser",
+        "wall",
+        "hidden",
+        "camera",
+        "occluder",
+        "transient",
+    }
 
 
 def test_plan_prints_what_the_library_plans(scene_file: Path, run: Run) -> None:

@@ -66,6 +66,7 @@ def test_import_is_light() -> None:
         ("imaging", {"numpy", "scipy", "ducc0"}),
         ("views", {"numpy"}),
         ("limits", {"numpy", "scipy", "ducc0"}),
+        ("transient", {"numpy"}),
         ("planning", {"numpy", "scipy", "ducc0"}),
     ],
 )

@@ -16,6 +16,7 @@ from .materials import (
 from .mesh import MeshWall
 from .occluders import Occluder
 from .scene import Scene
+from .transient_scan import TransientScan
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "SpecularMicrofacet",
     "SumMaterial",
     "SumWall",
+    "TransientScan",
     "Wall",
     "Ward",
     "WavyWall",

@@ -13,6 +13,7 @@ from .laser import Laser
 from .materials import Lambert, OrenNayar, SpecularMicrofacet, Ward
 from .mesh import MeshWall
 from .occluders import Occluder
+from .transient_scan import TransientScan
 from .walls import ConcaveWall, FlatWall, SumWall, WavyWall
 
 
@@ -33,6 +34,7 @@ def scene_schema() -> dict[str, Any]:
         "MeshObjectTable": MeshObject,
         "OccluderTable": Occluder,
         "CameraTable": Camera,
+        "TransientTable": TransientScan,
         "LambertTable": Lambert,
         "OrenNayarTable": OrenNayar,
         "SpecularTable": SpecularMicrofacet,

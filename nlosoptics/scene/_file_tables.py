@@ -84,6 +84,17 @@ EXAMPLES: dict[str, Any] = {
     "focus_distance": "2 m",
     "glare_fraction": 0.0,
     "field_stop": "40 deg",
+    "side": "2 m",
+    "count": 32,
+    "scan": "single",
+    "delta_t": "1 cm",
+    "n_bins": 200,
+    "t_start": "1.8 m",
+    "max_bounces": 3,
+    "wl_mean": "25 cm",
+    "near": "0.8 m",
+    "far": "1.2 m",
+    "step": "2 cm",
 }
 
 
@@ -418,6 +429,22 @@ class CameraFile(Table):
     camera: CameraTable
 
 
+class TransientTable(Table):
+    """How light is taken over time; times are lengths of optical path."""
+
+    side: LengthText
+    count: int
+    delta_t: LengthText
+    n_bins: int
+    scan: Literal["single", "confocal", "exhaustive"] | None = None
+    t_start: LengthText | None = None
+    max_bounces: int | None = None
+    wl_mean: LengthText | None = None
+    near: LengthText | None = None
+    far: LengthText | None = None
+    step: LengthText | None = None
+
+
 class SceneFile(Table):
     """A scene file."""
 
@@ -426,6 +453,7 @@ class SceneFile(Table):
     hidden: HiddenTable
     camera: CameraTable
     occluder: list[OccluderTable] | None = None
+    transient: TransientTable | None = None
 
 
 SumTable.model_rebuild()
@@ -435,6 +463,7 @@ OWNERS: dict[str, type[Table]] = {
     "laser": LaserTable,
     "camera": CameraTable,
     "occluder": OccluderTable,
+    "transient": TransientTable,
     "lobe:lambert": LambertTable,
     "lobe:oren_nayar": OrenNayarTable,
     "lobe:specular": SpecularTable,
@@ -451,4 +480,4 @@ OWNERS: dict[str, type[Table]] = {
     "hidden:mesh": MeshObjectTable,
 }
 #: Elements of a pydantic location that stand for no key.
-TAGS = {*OWNERS, "material:one", "material:sum"} - {"laser", "camera", "occluder"}
+TAGS = {*OWNERS, "material:one", "material:sum"} - {"laser", "camera", "occluder", "transient"}

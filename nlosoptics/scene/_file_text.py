@@ -42,6 +42,9 @@ def format_scene(scene: Scene, folder: str | Path) -> str:
             for index, occluder in enumerate(scene.occluders)
         ]
         or None,
+        transient=None
+        if scene.transient is None
+        else _file_tables.TransientTable.model_construct(**vars(scene.transient)),
     )
     return _toml(tables.model_dump(exclude_none=True))
 

@@ -1,9 +1,9 @@
 """Scene files: TOML whose lengths, times, powers and angles carry their unit.
 
 A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``, and any number of
-``[[occluder]]``; ``[wall.material]`` and ``[hidden.material]`` are one lobe, or with double
-brackets a sum of lobes. ``[camera]`` may name a ``file`` with a camera table, whose keys it may
-override. Paths are relative to the file that they stand in.
+``[[occluder]]``, and may have ``[transient]``; ``[wall.material]`` and ``[hidden.material]`` are
+one lobe, or with double brackets a sum of lobes. ``[camera]`` may name a ``file`` with a camera
+table, whose keys it may override. Paths are relative to the file that they stand in.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMate
 from .mesh import MeshWall
 from .occluders import Occluder
 from .scene import Scene
+from .transient_scan import TransientScan
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
 __all__ = ["format_scene", "load_scene", "save_scene", "scene_schema"]
@@ -67,6 +68,8 @@ def load_scene(path: str | Path) -> Scene:
         optional: dict[str, Any] = {}
         if tables.wall.material is not None:
             optional["wall_material"] = _material("wall.material", tables.wall.material)
+        if tables.transient is not None:
+            optional["transient"] = TransientScan(**_given(tables.transient))
         scene = Scene(
             _laser(tables.laser),
             _wall(tables.wall, folder),

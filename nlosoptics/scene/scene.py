@@ -17,6 +17,7 @@ from .laser import Laser
 from .materials import Lambert, Material, SpecularMicrofacet, SumMaterial
 from .mesh import MeshWall
 from .occluders import Occluder, checked_occluders, joined
+from .transient_scan import TransientScan
 from .walls import Array, ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ class Scene:
         Black bodies that block light: meshes in the world frame, m, or files with a place.
     wall_material : Material
         What the relay wall is made of; the default is matt paint with a 5 % mirror-like lobe.
+    transient : TransientScan, optional
+        How its light is taken over time.
     """
 
     laser: Laser
@@ -54,6 +57,7 @@ class Scene:
     camera: Camera
     occluders: tuple[Occluder | trimesh.Trimesh, ...] = ()
     wall_material: Material = PAINT
+    transient: TransientScan | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -66,6 +70,10 @@ class Scene:
             value = getattr(self, name)
             if not isinstance(value, kind):
                 raise SceneError(f"scene.{name} is a {type(value).__name__}, which it cannot be")
+        if not isinstance(self.transient, TransientScan | None):
+            raise SceneError(
+                f"scene.transient is a {type(self.transient).__name__}, which it cannot be"
+            )
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         if self.laser.aim[2] != 0.0:
             raise SceneError(

@@ -1,10 +1,32 @@
 """Time-resolved light: captures off a relay wall, rendered or measured, and their pictures.
 
-- `captures`: `TransientCapture`, light at wall points over optical path.
+- `captures`: `TransientCapture`, light at wall points over optical path; files of it are read and
+  written by `capture_files`, `tal_files`, `foreign_files` and `mat_files`.
+- `detectors`: `Detector`, which counts a capture's photons.
+- `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, carried by
+  `rayleigh_sommerfeld`; `phasor_images`: `PhasorImage`; `phasor_validity`: what limits it.
+- `rendering`: `render`, captures of hidden meshes; three bounces by quadrature, more by Monte
+  Carlo (`multiple_bounces`).
+- `scene_captures`: `render_scene`, the same of a scene file.
 - `volumes`: `Volume`, where a hidden scene is looked for, and `VolumeImage`, what was seen there.
 """
 
 from .captures import TransientCapture, wall_grid
+from .detectors import Detector
+from .phasor_cameras import phasor_image
+from .phasor_images import PhasorImage
+from .rendering import render
+from .scene_captures import render_scene
 from .volumes import Volume, VolumeImage
 
-__all__ = ["TransientCapture", "Volume", "VolumeImage", "wall_grid"]
+__all__ = [
+    "Detector",
+    "PhasorImage",
+    "TransientCapture",
+    "Volume",
+    "VolumeImage",
+    "phasor_image",
+    "render",
+    "render_scene",
+    "wall_grid",
+]

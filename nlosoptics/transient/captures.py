@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -136,6 +137,106 @@ class TransientCapture:
         """Whether each laser point is seen at that very point."""
         return self.pairing == "confocal" and bool(
             np.allclose(self.laser_points, self.sensor_points, rtol=0.0, atol=1e-9)
+        )
+
+    def with_details(self, **more: Any) -> TransientCapture:
+        """Return the same capture with more ``details``."""
+        return replace(self, details={**self.details, **more})
+
+    def save(self, path: str | Path, *, compression: int = 0) -> None:
+        """Write y-tal's HDF5 layout, whole or not at all; `load` and y-tal read it.
+
+        Space is [x, y] in the file. y-tal has grids and lists of points: other shapes are written
+        as lists. What its layout lacks it does not see: ``by_bounce``, ``standard_error`` and
+        arrays among the ``details`` are attributes of ``H``, the rest is in ``scene_info``, where
+        ``details`` that JSON has no form for become lists or text.
+
+        Parameters
+        ----------
+        path : str or Path
+            An existing file is replaced.
+        compression : int
+            Of ``H`` by gzip, 0 (none) to 9. Attributes are never compressed.
+
+        Raises
+        ------
+        SceneError
+            If the file cannot be written.
+        """
+        from .tal_files import save
+
+        save(self, path, compression=compression)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        format: str | None = None,
+        bin_width: float | None = None,
+        t_start: float | None = None,
+        side: float | None = None,
+        pairing: Pairing | None = None,
+        laser_point: ArrayLike | None = None,
+        outer_legs: bool | None = None,
+        quantity: Quantity | None = None,
+        gate_start: float | None = None,
+    ) -> TransientCapture:
+        """Read a capture of this or another program; the layout is told by what the file holds.
+
+        What a layout leaves open is an error that names the argument which decides. Arguments go
+        before what the file says.
+
+        Parameters
+        ----------
+        path : str or Path
+            HDF5 of y-tal, Z-NLOS or NLOS-DIRAC; ``.mat`` (v5 or v7.3) of the phasor field (2019,
+            2020) or the LCT (2018).
+        format : {"tal", "znlos", "dirac", "phasor_field_2019", "phasor_field_2020", "lct"}
+            Confirms a layout whose conventions its variables alone do not prove: of the LCT,
+            confocal pairs and a ``width`` of half the side; of the phasor field (2020), a
+            ``SPAD_index`` that counts from 0.
+        bin_width : float
+            m of optical path; a bin of 4 ps is 1.2e-3.
+        t_start : float
+            Where bin 0 begins, m of optical path.
+        side : float
+            Of the square wall whose cells' middles were scanned, m, whole.
+        pairing : {"all", "confocal"}
+        laser_point : array_like of 3 floats
+            The one laser point, m.
+        outer_legs : bool
+            Whether the times hold the legs from the laser to the wall and on to the sensor.
+        quantity : str
+            Of the bins; "unknown" where nothing says it.
+        gate_start : float
+            m of optical path; bins that begin before it, direct light, become 0.
+
+        Returns
+        -------
+        TransientCapture
+            Grids [y, x], row 0 at the lowest y. Scans of the phasor field, which move the laser,
+            have laser and sensor swapped, which light does not tell.
+
+        Raises
+        ------
+        SceneError, SamplingError
+            If the file is missing, foreign or cut short, a value is missing, not finite or in
+            another unit, or arrays do not fit one another.
+        """
+        from .capture_files import load_capture
+
+        return load_capture(
+            path,
+            format=format,
+            bin_width=bin_width,
+            t_start=t_start,
+            side=side,
+            pairing=pairing,
+            laser_point=laser_point,
+            outer_legs=outer_legs,
+            quantity=quantity,
+            gate_start=gate_start,
         )
 
     def _bins(self, name: str, values: Any) -> Array:

@@ -77,6 +77,46 @@ class Volume:
         middles = (np.arange(whole("count", count)) + 0.5) / count - 0.5
         return cls(middles * width, middles * height, np.asarray(depths, dtype=np.float64))
 
+    @classmethod
+    def facing(cls, points: ArrayLike, planes: tuple[float, float, float]) -> Volume:
+        """Planes in front of a grid of wall points, a voxel before each.
+
+        Parameters
+        ----------
+        points : array_like
+            (ny, nx, 3), m, even and along x and y.
+        planes : (float, float, float)
+            First and last distance from the wall and the step, m; the last plane is the last step
+            that does not pass it.
+
+        Raises
+        ------
+        SamplingError
+            If the points are no such grid.
+        """
+        grid = np.array(points, dtype=np.float64)
+        if grid.ndim != 3 or grid.shape[-1] != 3:
+            raise SamplingError(
+                f"wall points of shape {grid.shape} are no grid (ny, nx, 3); give a Volume by its "
+                "axes"
+            )
+        x, y = grid[0, :, 0], grid[:, 0, 1]
+        off = np.abs(grid[..., :2] - np.stack(np.meshgrid(x, y), axis=-1)).max()
+        if off > 1e-6:
+            raise SamplingError(
+                f"wall points are up to {off:g} m off a grid along x and y; give a Volume by its "
+                "axes"
+            )
+        near, far = (
+            positive(name, value, unit="m")
+            for name, value in zip(("near", "far"), planes[:2], strict=True)
+        )
+        step = positive("step", planes[2], unit="m")
+        if far < near:
+            raise SceneError(f"far = {far:g} m is before near = {near:g} m; change them about")
+        count = int((far - near) / step * (1 + 1e-12) + 1e-9) + 1
+        return cls(x, y, near + step * np.arange(count))
+
     @property
     def shape(self) -> tuple[int, int, int]:
         """(nz, ny, nx)."""

@@ -9,6 +9,7 @@ from .light import irradiance, ray_paths
 from .limits import feasibility
 from .maps import hybrid_parts, image, point_spread, reconstruction, wavefront
 from .sketch import scene_sketch
+from .volumes import volume
 
 __all__ = [
     "feasibility",
@@ -20,5 +21,6 @@ __all__ = [
     "reconstruction",
     "save",
     "scene_sketch",
+    "volume",
     "wavefront",
 ]

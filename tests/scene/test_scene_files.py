@@ -9,6 +9,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ from nlosoptics.scene import (
     SpecularMicrofacet,
     SumMaterial,
     SumWall,
+    TransientScan,
     WavyWall,
 )
 from nlosoptics.scene.file import format_scene, scene_schema
@@ -38,6 +40,8 @@ from nlosoptics.scene.file import format_scene, scene_schema
 FOLDER = Path(__file__).parents[2] / "examples" / "scenes"
 SCENES = sorted(path for path in FOLDER.glob("*.toml") if not path.name.startswith("camera"))
 NAMES = [path.stem for path in SCENES]
+#: Of images; light over time has other distances.
+WU = [path for path in SCENES if not path.name.startswith("transient")]
 
 
 @pytest.fixture
@@ -328,7 +332,7 @@ def test_defaults_are_those_of_the_dataclasses(tmp_path: Path) -> None:
     assert scene.hidden.material == Lambert(0.8)
 
 
-@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
 def test_examples_have_wu_2024s_geometry(path: Path) -> None:
     """Section 3: 632.8 nm, 3 mm, 1.2 m at 15 deg; 1 m to wall and camera; 36.9 mm, 40 deg."""
     scene = Scene.load(path)
@@ -350,7 +354,7 @@ def test_examples_have_wu_2024s_geometry(path: Path) -> None:
         assert camera.pixels[0] * camera.pixel_pitch == approx(36.864e-3, rel=1e-15)
 
 
-@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
 def test_examples_keep_the_spot_out_of_the_field(path: Path) -> None:
     """Outside the round stop, and outside the square sensor."""
     scene = Scene.load(path)
@@ -361,7 +365,7 @@ def test_examples_keep_the_spot_out_of_the_field(path: Path) -> None:
     assert max(abs(math.atan(right / ahead)), abs(math.atan(up / ahead))) > half
 
 
-@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
 def test_examples_show_the_whole_object(path: Path) -> None:
     """Every bright part's mirror image lies within the flat wall's field."""
     scene = Scene.load(path)
@@ -413,6 +417,54 @@ def test_mesh_example_is_what_its_readme_says(tmp_path: Path, monkeypatch) -> No
     assert abs(vertices[0] - vertices[1]).max() <= 1e-12
     assert [f for f in ours if f[0] == "f"] == [f for f in shipped if f[0] == "f"]
     assert (walls / "concave_5m.obj").stat().st_size < 300e3
+
+
+SCAN = {"side": 2.0, "count": 8, "delta_t": 0.01, "n_bins": 20}
+
+
+def test_transient_table_round_trips(flat: Scene, tmp_path: Path) -> None:
+    """Every key, and the same scene without the table."""
+    assert flat.transient is None
+    picture = {"wl_mean": 0.2, "near": 0.5, "far": 1.5, "step": 0.1}
+    scan = TransientScan(**SCAN, scan="confocal", t_start=0.3, max_bounces=5, **picture)
+    scene = replace(flat, transient=scan)
+    assert saved(scene, tmp_path).transient == scan
+    least = TransientScan(**SCAN)
+    assert saved(replace(flat, transient=least), tmp_path).transient == least
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"side": -1.0}, "transient.side = -1 m is out of range"),
+        ({"count": 0}, "transient.count = 0"),
+        ({"n_bins": 1.5}, "transient.n_bins = 1.5 is not a whole number"),
+        ({"scan": "raster"}, "must be one of single, confocal, exhaustive"),
+        ({"max_bounces": 2}, "transient.max_bounces = 2"),
+        ({"near": 1.0}, "transient.far is missing beside transient.near"),
+        ({"near": 1.0, "far": 0.5, "step": 0.1}, "transient.far = 0.5 m is out of range"),
+    ],
+)
+def test_bad_transient_scans(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        TransientScan(**{**SCAN, **changes})
+
+
+def test_transient_keys_carry_units(examples: Path, tmp_path: Path) -> None:
+    text = (examples / "scenes" / "transient_letter.toml").read_text()
+    text = text.replace('"../objects', f'"{examples}/objects').replace(
+        '"camera_wu2024.toml"', f'"{examples}/scenes/camera_wu2024.toml"'
+    )
+    for right, wrong, words in (
+        ('delta_t = "1 cm"', 'delta_t = "33 ps"', "transient.delta_t = .*33 ps"),
+        ("count = 32", 'count = "32"', "transient.count"),
+        ("n_bins = 370", "n_bin = 370", "did you mean n_bins"),
+    ):
+        assert right in text
+        path = tmp_path / "wrong.toml"
+        path.write_text(text.replace(right, wrong))
+        with pytest.raises(SceneError, match=words):
+            Scene.load(path)
 
 
 def test_schema_is_current() -> None:

@@ -1,0 +1,170 @@
+"""Phasor fields of a flat letter: overlap with the letter against seconds, beside y-tal.
+
+python benchmarks/transient/phasor.py [--peer-python PATH] [--json FILE] [--plot FILE.png]
+
+The captures are `Z_single16_3b` and `Z_single32_3b` in the folder `peer_transient` of
+NLOSOPTICS_DATA: a Z at 1 m before a wall of 2 m, one laser point, rendered by mitransient. All
+methods see the same bins and voxels: planes on the sensors' grid at --planes depths from 0.6 to
+1.4 m. The score is the intersection over union of the letter's outline at the voxels' middles and
+of the brightest voxel along z where it is above a threshold, the best one. Seconds are those of a
+call with all its set-up, the least of --repeats after one run to warm up. y-tal runs in its own
+environment in each way that it offers (ytal_phasor.py), and its fastest is compared.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from nlosoptics import transient
+from nlosoptics.errors import ValidityWarning
+
+HERE = Path(__file__).parent
+SIDE, START, WIDTH = 2.0, 1.8, 0.01  # m: wall, first bin, bins
+#: Corners of the letter's outline, m.
+LETTER = np.array(
+    [
+        (-0.35, 0.24), (-0.35, 0.40), (0.35, 0.40), (0.35, 0.24), (-0.158, -0.24),
+        (0.35, -0.24), (0.35, -0.40), (-0.35, -0.40), (-0.35, -0.24), (0.158, 0.24),
+    ]
+)  # fmt: skip
+
+
+def main():
+    """Compare, print, and write what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--peer-python", metavar="PATH", help="interpreter that has y-tal")
+    parser.add_argument("--wl-mean", type=float, default=0.25, help="m")
+    parser.add_argument("--planes", type=int, default=33)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png")
+    options = parser.parse_args()
+    folder = os.environ.get("NLOSOPTICS_DATA")
+    if not folder:
+        parser.error("NLOSOPTICS_DATA names no data folder")
+    rows, pictures = [], []
+    for count in (16, 32):
+        path = Path(folder) / "peer_transient" / f"Z_single{count}_3b.npz"
+        light = np.moveaxis(np.load(path)["H"], -1, 0)
+        found = ours(light, options) + peers(light, options)
+        for row, picture in found:
+            rows.append({"wall": count, **row, "iou": overlap(picture)})
+            pictures.append((f"{row['method']}, {count} x {count}", picture))
+            print("{wall:3d}  {method:44s} {seconds:8.4f} s  IoU {iou:.3f}".format(**rows[-1]))
+        theirs = [r["seconds"] for r in rows if r["wall"] == count and "y-tal" in r["method"]]
+        if theirs:
+            for row in rows:
+                if row["wall"] == count and "y-tal" not in row["method"]:
+                    row["times_faster"] = min(theirs) / row["seconds"]
+                    print(
+                        f"     {row['method']}: {row['times_faster']:.1f} times faster than y-tal"
+                    )
+    if options.json:
+        options.json.write_text(json.dumps(rows, indent=1) + "\n")
+    if options.plot:
+        plot(pictures, options.plot)
+
+
+def depths(options):
+    """(nz,), m."""
+    return np.linspace(0.6, 1.4, options.planes)
+
+
+def ours(light, options):
+    """Rows and maximum projections of every way here."""
+    capture = transient.TransientCapture(
+        H=light,
+        laser_points=(0.0, 0.0, 0.0),
+        sensor_points=transient.wall_grid(SIDE, light.shape[1]),
+        delta_t=WIDTH,
+        t_start=START,
+    )
+    volume = transient.Volume.before(SIDE, light.shape[1], depths(options))
+    found = []
+    for method, dtype in (("fft", "float64"), ("fft", "float32"), ("direct", "float64")):
+        spent = []
+        for _ in range(options.repeats + 1):
+            start = time.perf_counter()
+            with warnings.catch_warnings():
+                # the bins end before the volume's corners
+                warnings.simplefilter("ignore", ValidityWarning)
+                image = transient.phasor_image(
+                    capture, volume, wl_mean=options.wl_mean, method=method, dtype=dtype
+                )
+            spent.append(time.perf_counter() - start)
+        row = {"method": f"nlosoptics {method} {dtype}", "seconds": min(spent[1:])}
+        found.append(({**row, "n_waves": image.details["n_waves"]}, image.projection()))
+    return found
+
+
+def peers(light, options):
+    """The same of y-tal."""
+    if not options.peer_python:
+        return []
+    with tempfile.TemporaryDirectory() as folder:
+        given, out = Path(folder) / "in.npz", Path(folder) / "out.npz"
+        np.savez(
+            given,
+            H=light,
+            t_start=START,
+            delta_t=WIDTH,
+            side=SIDE,
+            depths=depths(options),
+            wl_mean=options.wl_mean,
+            wl_sigma=options.wl_mean / np.sqrt(2.0),
+            repeats=options.repeats,
+        )
+        script = HERE / "ytal_phasor.py"
+        subprocess.run([options.peer_python, script, given, out], check=True)
+        answer = dict(np.load(out))
+    picture = (np.abs(answer["field"]) ** 2).max(axis=0)
+    return [
+        ({"method": f"y-tal {answer['version']} pf_dev, {name}", "seconds": float(spent)}, picture)
+        for name, spent in zip(answer["names"], answer["seconds"], strict=True)
+    ]
+
+
+def overlap(picture):
+    """Best intersection over union of a thresholded picture and the letter."""
+    middles = (np.arange(len(picture)) + 0.5) * SIDE / len(picture) - 0.5 * SIDE
+    truth = inside(LETTER, *np.meshgrid(middles, middles))
+    scores = [
+        np.sum(truth & (picture >= level)) / np.sum(truth | (picture >= level))
+        for level in np.unique(picture)
+    ]
+    return float(max(scores))
+
+
+def inside(outline, x, y):
+    """Points within a polygon, by the crossings of a line to the right."""
+    crossings = np.zeros(x.shape, dtype=int)
+    for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
+        if y0 != y1:
+            crossings += ((y0 > y) != (y1 > y)) & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return crossings % 2 == 1
+
+
+def plot(pictures, path):
+    """Maximum projections as seen from the wall's side of the room, y up."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(3 * len(pictures) / 2, 6.4), layout="constrained")
+    axes = figure.subplots(2, len(pictures) // 2).ravel()
+    for axis, (name, picture) in zip(axes, pictures, strict=True):
+        axis.imshow(picture, origin="lower", extent=(-1, 1, -1, 1), cmap="magma")
+        axis.plot(*np.vstack([LETTER, LETTER[:1]]).T, color="w", linewidth=0.6)
+        axis.set_title(name, fontsize=7)
+    figure.savefig(path, dpi=90)
+
+
+if __name__ == "__main__":
+    main()

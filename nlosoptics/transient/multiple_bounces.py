@@ -1,0 +1,328 @@
+"""Light that meets hidden surfaces twice or more before it comes back to the wall: Monte Carlo."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import fits_memory, in_range, one_of, pair, positive, whole
+from .._random import checked_seed
+from ..errors import SamplingError, SceneError
+from .bounce_surfaces import bounce_surfaces
+from .hidden_surfaces import HiddenSurfaces
+
+if TYPE_CHECKING:
+    from .bounce_batches import Job
+
+Array = NDArray[np.float64]
+LEAST: Final = 8  # batches, whose spread is the standard error
+WORK: Final = 6e11  # units of a nanosecond or so, ten minutes of a core, unless told otherwise
+MOST: Final = 1 << 27
+PILOT: Final = 1 << 12  # paths that tell how open a scene is
+MOST_ORDER: Final = 32
+
+
+class MultipleBounces(NamedTuple):
+    """What `multiple_bounces` found.
+
+    Parameters
+    ----------
+    by_bounce, standard_error : dict of int to ndarray
+        From the number of reflections to (n_bins, *laser_shape, *sensor_shape), confocal
+        (n_bins, *shape): irradiance per watt that leaves the laser's spot, 1/m^2, over each bin.
+    details : dict
+        ``"paths"`` drawn, ``"batches"``, ``"reached"``: by number of reflections the largest
+        relative L1 error expected of a sensor, and ``"stopped"``: "tol" or "paths".
+    """
+
+    by_bounce: dict[int, Array]
+    standard_error: dict[int, Array]
+    details: dict[str, Any]
+
+
+def multiple_bounces(
+    surfaces: HiddenSurfaces,
+    laser_points: ArrayLike,
+    sensor_points: ArrayLike,
+    *,
+    pairing: str = "all",
+    wall_albedo: float = 1.0,
+    wall_size: float | tuple[float, float] | None = None,
+    starts: ArrayLike = 0.0,
+    delta_t: float,
+    n_bins: int,
+    orders: Iterable[int] = (4, 5),
+    tol: float | None = 1e-2,
+    n_rays: int | None = None,
+    seed: int = 0,
+    progress: Callable[[float, str], None] | None = None,
+) -> MultipleBounces:
+    """Light that comes back to the wall after several reflections, by Monte Carlo.
+
+    Parameters
+    ----------
+    surfaces : HiddenSurfaces
+        In front of the wall z = 0, world, m.
+    laser_points, sensor_points : array_like, (..., 3)
+        On the wall, m.
+    pairing : {"all", "confocal"}
+        Each laser point at each sensor point, or each at its own.
+    wall_albedo : float
+        Of the Lambertian wall, 0 to 1, where light meets it on the way: that at the laser's spot
+        is left out, as in `three_bounces`.
+    wall_size : float or (float, float), optional
+        Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
+        object, wall, object, wall. None: the wall reflects at laser points alone.
+    starts : float or array_like
+        Where the first bin begins, m of optical path between the wall's points; one for all, or
+        one for each pair.
+    delta_t : float
+        Width of a bin, m.
+    n_bins : int
+    orders : iterable of int
+        Numbers of reflections, 4 to 32, those on the wall at the laser's spot and at the sensor's
+        point included.
+    tol : float, optional
+        Wanted relative L1 error of every pair of points in every order, 1e-5 to 1.
+    n_rays : int, optional
+        Paths to draw, at most; with ``tol=None`` as many. By default what takes some ten minutes of
+        a core, by the numbers of points and orders.
+    seed : int
+        0 to 2^64 - 1. The same seed gives the same bits on any number of threads.
+    progress : callable(float, str), optional
+        Told the fraction done and what is done.
+
+    Returns
+    -------
+    MultipleBounces
+        Its ``details`` tell whether ``tol`` was reached or the paths ran out.
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range, a surface is behind the wall or a smooth mirror, or points
+        are off the wall.
+    SamplingError
+        If shapes do not fit.
+    MemoryLimitError
+        If the bins would not fit in memory.
+
+    Notes
+    -----
+    The wall's spot has the radiance 1/pi per watt and area. Vertices are drawn where the
+    sensors see the scene, as rays of all of them; the density of each vertex is that of all sensors
+    together, and every vertex is joined to every sensor (balance heuristic, Veach 1997, ch. 9).
+    From each several paths go on along the lobes, and their vertices are joined to every laser
+    point. Where rays leave the scene, a share of both is drawn over the surfaces' area instead.
+    Batches have Sobol points scrambled on their own; their spread gives the standard error. What is
+    more often lit than seen trades places, as light can be followed either way.
+    """
+    chosen = _orders(orders)
+    if tol is not None:
+        tol = in_range("tol", tol, 1e-5, 1.0)
+    lasers, laser_shape = _wall_points("laser_points", laser_points)
+    sensors, sensor_shape = _wall_points("sensor_points", sensor_points)
+    rows = _rows(pairing, laser_shape, sensor_shape)
+    count = whole("n_bins", n_bins)
+    fits_memory(
+        f"{len(chosen)} orders of {len(rows)} pairs of points in {count} bins",
+        32.0 * len(chosen) * len(rows) * count,
+        "take fewer points, bins or orders",
+    )
+    budget = _affordable(len(chosen), min(len(lasers), len(sensors)), len(rows))
+    if n_rays is not None:
+        budget = whole("n_rays", n_rays, LEAST, 1 << 40)
+    job, back = _job(
+        surfaces,
+        (lasers, sensors, rows, _starts(starts, len(rows))),
+        turned=pairing == "all" and len(lasers) > len(sensors),
+        wall=(in_range("wall_albedo", wall_albedo, 0.0, 1.0), wall_size),
+        bins=(positive("delta_t", delta_t, unit="m"), count),
+        orders=chosen,
+        budget=budget,
+        seed=checked_seed(seed),
+    )
+    total, squares, batches, paths, reached = _run(job, tol, budget, progress)
+    shape = (count, *(laser_shape if pairing == "all" else ()), *sensor_shape)
+    by_bounce, errors = {}, {}
+    for k, number in enumerate(chosen):
+        # the radiance of the wall's spot is 1/pi
+        error = np.sqrt(_variance(total[k], squares[k], batches))
+        by_bounce[number] = (total[k] / (math.pi * batches))[back].T.reshape(shape)
+        errors[number] = (error / math.pi)[back].T.reshape(shape)
+    details = {
+        "paths": paths,
+        "batches": batches,
+        "reached": dict(zip(chosen, reached, strict=True)),
+        "stopped": "tol" if tol is not None and max(reached) <= tol else "paths",
+    }
+    return MultipleBounces(by_bounce, errors, details)
+
+
+def _job(
+    surfaces: HiddenSurfaces,
+    points: tuple[Array, Array, NDArray[np.int64], Array],
+    *,
+    turned: bool,
+    wall: tuple[float, Any],
+    bins: tuple[float, int],
+    orders: tuple[int, ...],
+    budget: int,
+    seed: int,
+) -> tuple[Job, NDArray[np.int64]]:
+    """What batches need, and the order that brings its pairs back to the caller's.
+
+    ``turned`` follows light from the lasers to the sensors.
+    """
+    from .bounce_batches import Job
+
+    lasers, sensors, rows, starts = points
+    if turned:
+        lasers, sensors, rows = sensors, lasers, rows[:, ::-1]
+    size = None if wall[1] is None else pair("wall_size", wall[1])
+    order = np.argsort(rows[:, 0], kind="stable")
+    n_seen, n_each = _sizes(len(sensors), budget)
+    job = Job(
+        around=bounce_surfaces(surfaces, sensors, wall[0], size),
+        lasers=lasers,
+        sensors=sensors,
+        rows=np.ascontiguousarray(rows[order]),
+        orders=orders,
+        starts=starts[order],
+        rate=1.0 / bins[0],
+        n_bins=bins[1],
+        seed=seed,
+        n_seen=n_seen,
+        n_each=n_each,
+        aimed=(0.0, 0.0),
+    )
+    return dataclasses.replace(job, aimed=_aimed(job)), np.argsort(order)
+
+
+def _run(
+    job: Job, tol: float | None, budget: int, progress: Callable[[float, str], None] | None
+) -> tuple[Array, Array, int, int, list[float]]:
+    """Sums of bins and of their squares, the numbers of batches and paths, the errors reached."""
+    from .bounce_batches import add_batch
+
+    total = np.zeros((len(job.orders), len(job.rows), job.n_bins))
+    squares = np.zeros_like(total)
+    each = job.n_seen * job.n_each
+    most = max(LEAST, budget // each)
+    paths, done, goal = 0, 0, LEAST if tol is not None else most
+    while True:
+        for number in range(done, goal):
+            paths += add_batch(job, number, total, squares)
+            if progress is not None:
+                progress((number + 1) / max(goal, number + 1), "paths of several bounces")
+        done = goal
+        reached = [_l1(total[k], squares[k], done) for k in range(len(job.orders))]
+        worst = max(reached)
+        if done >= most or (tol is not None and worst <= tol):
+            return total, squares, done, paths, reached
+        # what the square root law asks for, a little more, at most four times what is done
+        wanted = math.ceil(1.05 * done * min(4.0, (worst / tol) ** 2)) if tol is not None else most
+        goal = min(most, max(done + 1, wanted))
+
+
+def _variance(total: Array, squares: Array, n: int) -> Array:
+    """Square of the standard error of means of ``n`` batches, with Student's factor.
+
+    As of `raytrace.trace`: deviations measured in it have unit variance.
+    """
+    # rounding can take the difference below 0 where all batches are alike
+    spread = np.maximum(squares - total * total / n, 0.0)
+    return np.asarray(spread / (n * (n - 3.0)))
+
+
+def _l1(total: Array, squares: Array, n: int) -> float:
+    """Largest relative L1 error expected of a pair: a Gaussian's mean size is sqrt(2/pi) sigma."""
+    light = total.sum(axis=1) / n
+    errors = np.sqrt(_variance(total, squares, n)).sum(axis=1)
+    lit = light > 0.0
+    if not lit.any():
+        return 0.0
+    return math.sqrt(2.0 / math.pi) * float((errors[lit] / light[lit]).max())
+
+
+def _affordable(n_orders: int, n_lasers: int, n_pairs: int) -> int:
+    """Paths that are worth `WORK`, by what legs, connections and bins were measured to take."""
+    each = 1000.0 + 150.0 * n_lasers + 2.0 * n_pairs
+    return int(min(max(WORK / (n_orders * each), 1 << 16), MOST))
+
+
+def _sizes(n_sensors: int, budget: int) -> tuple[int, int]:
+    """Vertices that sensors see in a batch, and paths from each.
+
+    A vertex costs a ray for each sensor; as many paths as cost about that go on from it.
+    """
+    n_each = min(max(1, n_sensors // 16), 64)
+    n_seen = min(max(64, (1 << 20) // n_sensors), 1 << 14)
+    each = max(1, budget // LEAST)
+    n_each = min(n_each, max(1, each // 16))
+    return max(1, min(n_seen, each // n_each)), n_each
+
+
+def _aimed(job: Job) -> tuple[float, float]:
+    """Shares drawn over the surfaces' area: as many as rays would miss, three quarters at most."""
+    from .bounce_batches import openness
+
+    seen, between = openness(dataclasses.replace(job, n_seen=PILOT, n_each=1))
+    return _share(seen), _share(between)
+
+
+def _share(missed: float) -> float:
+    return min(0.75, missed) if missed > 0.02 else 0.0
+
+
+def _orders(orders: Iterable[int]) -> tuple[int, ...]:
+    chosen = sorted({whole("orders", number, 4, MOST_ORDER) for number in orders})
+    if not chosen:
+        raise SceneError("orders are empty; give such as (4, 5)")
+    return tuple(chosen)
+
+
+def _wall_points(name: str, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+    """Points (n, 3) and the shape that they had."""
+    points = np.array(values, dtype=np.float64)
+    if points.ndim == 0 or points.shape[-1] != 3 or points.size == 0:
+        raise SamplingError(f"{name} have shape {points.shape}, must be (..., 3), m")
+    if not np.isfinite(points).all():
+        raise SceneError(f"{name} have values that are not finite")
+    off = float(np.abs(points[..., 2]).max())
+    if off > 1e-9:
+        raise SceneError(f"{name} are up to {off:g} m off the wall z = 0; put them on it")
+    return np.ascontiguousarray(points.reshape(-1, 3)), points.shape[:-1]
+
+
+def _starts(values: ArrayLike, n_pairs: int) -> Array:
+    starts = np.asarray(values, dtype=np.float64)
+    if starts.size not in (1, n_pairs):
+        raise SamplingError(
+            f"starts has {starts.size} values; give one, or {n_pairs}, one of each pair"
+        )
+    if not np.isfinite(starts).all():
+        raise SceneError("starts have values that are not finite")
+    return np.ascontiguousarray(np.broadcast_to(starts.ravel(), n_pairs))
+
+
+def _rows(
+    pairing: str, laser_shape: tuple[int, ...], sensor_shape: tuple[int, ...]
+) -> NDArray[np.int64]:
+    """Pairs (n, 2) of laser and sensor in the order of the result."""
+    one_of("pairing", pairing, ("all", "confocal"))
+    n, m = math.prod(laser_shape), math.prod(sensor_shape)
+    if pairing == "all":
+        laser, sensor = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
+        return np.stack([laser.ravel(), sensor.ravel()], axis=1)
+    if laser_shape != sensor_shape:
+        raise SamplingError(
+            f"laser points {laser_shape} and sensor points {sensor_shape} are not pairs; give as "
+            "many of both, or pairing='all'"
+        )
+    return np.stack([np.arange(n), np.arange(n)], axis=1)

@@ -1,0 +1,307 @@
+"""The front door of rendered captures: `render`."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from .._checks import Vector, in_range, one_of, positive, real, vector, whole
+from ..errors import SamplingError, SceneError
+from ..scene import Material
+from .captures import Pairing, TransientCapture
+from .hidden_surfaces import hidden_surfaces
+from .multiple_bounces import MOST_ORDER, MultipleBounces, multiple_bounces
+from .three_bounces import ThreeBounces, three_bounces
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """Pairs of wall points, as checked, and what a pair's light is multiplied by."""
+
+    laser_points: Array
+    sensor_points: Array
+    pairing: Pairing
+    lasers: Array  # (pairs, 3)
+    sensors: Array
+    legs: Array  # (pairs,), m of path outside the hidden scene that the times hold
+    factors: Array  # (pairs,), what is measured over G without the wall's albedo
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the axes behind the bins."""
+        if self.pairing == "confocal":
+            return self.sensor_points.shape[:-1]
+        return self.laser_points.shape[:-1] + self.sensor_points.shape[:-1]
+
+    def bins(self, values: Array) -> Array:
+        """(pairs, n_bins) of G as (n_bins, *shape) of what is measured."""
+        scaled = np.ascontiguousarray((values * self.factors[:, None]).T)
+        return scaled.reshape(len(scaled), *self.shape)
+
+    def each(self, values: Array) -> Array:
+        """(pairs,) of G as (*shape) of what is measured."""
+        return np.asarray(values * self.factors).reshape(self.shape)
+
+    def scaled(self, values: Array) -> Array:
+        """(n_bins, *shape) of G as what is measured."""
+        return values * self.factors.reshape(self.shape)
+
+
+def render(
+    surfaces: Iterable[tuple[trimesh.Trimesh, Material]],
+    *,
+    laser_points: ArrayLike,
+    sensor_points: ArrayLike,
+    pairing: Pairing = "all",
+    wall_albedo: float = 1.0,
+    t_start: float,
+    delta_t: float,
+    n_bins: int,
+    max_bounces: int = 5,
+    quantity: Literal["irradiance", "radiance", "radiosity"] = "irradiance",
+    keep_laser_cosine: bool = False,
+    outer_legs: bool = False,
+    laser_origin: Vector | None = None,
+    sensor_origin: Vector | None = None,
+    tol: float = 1e-3,
+    tol_multiple: float = 1e-2,
+    n_rays: int | None = None,
+    wall_size: float | tuple[float, float] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> TransientCapture:
+    """Time-resolved light at points of a Lambertian relay wall, by way of hidden meshes.
+
+    Parameters
+    ----------
+    surfaces : iterable of (trimesh.Trimesh, Material)
+        Hidden meshes, world, m, and how they scatter: both sides of every triangle alike. They
+        stand in front of the wall z = 0, which they may touch.
+    laser_points, sensor_points : array_like
+        (*laser_shape, 3) and (*sensor_shape, 3), m, on the wall z = 0. One point may be (3,).
+    pairing : {"all", "confocal"}
+        Each laser point seen at each sensor point, or each at its own.
+    wall_albedo : float
+        Of the relay wall, 0 to 1.
+    t_start, delta_t : float
+        Where the first bin begins and how wide a bin is, m of optical path.
+    n_bins : int
+    max_bounces : int
+        Most reflections of a path, the wall's two included, 3 to 32.
+    quantity : {"irradiance", "radiance", "radiosity"}
+        At the sensor points: irradiance, W/m^2; radiance, W/(m^2 sr), which is the wall's albedo
+        over pi times that; radiosity, the albedo times that. Of a pulse that brings 1 J (or 1 W)
+        to the wall.
+    keep_laser_cosine : bool
+        Whether the laser is a point source of 1 W/sr that lights 1 m^2 of the wall, so that all is
+        multiplied by cos/d^2 of the leg from ``laser_origin`` to the laser point, 1/m^2.
+    outer_legs : bool
+        Whether times hold the legs from ``laser_origin`` to the wall and from the wall to
+        ``sensor_origin``.
+    laser_origin, sensor_origin : (float, float, float), optional
+        m; needed by the two options before.
+    tol, tol_multiple : float
+        Relative error, L1 over the bins of each pair of points: of three bounces, and of each
+        number of bounces beyond, where it is the expected one.
+    n_rays : int, optional
+        Most paths of more than three bounces to draw; by default what takes some ten minutes of
+        a core.
+    wall_size : float or (float, float), optional
+        Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
+        object, wall, object, wall. None: the wall reflects at laser and sensor points alone.
+    seed : int
+        Of what is drawn at random: nothing, for three bounces. The same seed gives the same bits on
+        any number of threads.
+    progress : callable, optional
+        Called with the share done and a text.
+
+    Returns
+    -------
+    TransientCapture
+        With ``by_bounce`` and ``standard_error``, which is 0 for three bounces. ``details`` has of
+        three bounces, in arrays of the pairs' shape, ``"error_estimate"`` (summed over the bins,
+        what the last two passes differ by), ``"before"`` and ``"after"`` (light outside the bins)
+        and ``"parts"`` (of the surface), and ``"shadows"``, whether they were needed. Of more
+        bounces, ``"multiple_bounces"`` has the number of paths, the errors reached, and what ended
+        them: "tol", or "paths" where those ran out before.
+
+    Raises
+    ------
+    SceneError
+        If a surface, a point or an option is wrong, or no light comes back.
+    SamplingError
+        If all light misses the bins, or ``tol`` is out of reach.
+    MemoryLimitError
+        If the bins do not fit.
+
+    Notes
+    -----
+    The wall takes part at the laser and at the sensor point, and between where ``wall_size`` says
+    so: it stands in nobody's way, and three bounces are wall, hidden surface, wall. Those are found
+    by quadrature, more by Monte Carlo (`multiple_bounces`).
+    """
+    start = time.perf_counter()
+    bin_0 = real("t_start", t_start)
+    width = positive("delta_t", delta_t, unit="m")
+    count = whole("n_bins", n_bins)
+    wanted = in_range("tol", tol, 1e-9, 0.5)
+    whole("seed", seed, low=0)
+    most = whole("max_bounces", max_bounces, 3, MOST_ORDER)
+    one_of("quantity", quantity, ("irradiance", "radiance", "radiosity"))
+    hidden = hidden_surfaces(surfaces)
+    rho = in_range("wall_albedo", wall_albedo, 0.0, 1.0, open_low=True)
+    scale = rho * {"irradiance": 1.0, "radiance": rho / math.pi, "radiosity": rho}[quantity]
+    origins = (
+        None if laser_origin is None else vector("laser_origin", laser_origin),
+        None if sensor_origin is None else vector("sensor_origin", sensor_origin),
+    )
+    setting = _setting(
+        laser_points, sensor_points, pairing, origins, scale, bool(keep_laser_cosine), outer_legs
+    )
+    found = three_bounces(
+        hidden,
+        setting.lasers,
+        setting.sensors,
+        starts=bin_0 - setting.legs,
+        delta_t=width,
+        n_bins=count,
+        tol=wanted,
+        progress=progress,
+    )
+    more = MultipleBounces({}, {}, {})
+    if most > 3:
+        more = multiple_bounces(
+            hidden,
+            setting.laser_points,
+            setting.sensor_points,
+            pairing=setting.pairing,
+            wall_albedo=rho,
+            wall_size=wall_size,
+            starts=bin_0 - setting.legs,
+            delta_t=width,
+            n_bins=count,
+            orders=range(4, most + 1),
+            tol=tol_multiple,
+            n_rays=n_rays,
+            seed=seed,
+            progress=progress,
+        )
+    if not any(light.any() for light in more.by_bounce.values()):
+        _check_light(found, setting, bin_0, bin_0 + count * width)
+    by_bounce = {3: setting.bins(found.G)}
+    by_bounce |= {n: setting.scaled(light) for n, light in more.by_bounce.items()}
+    errors = [setting.scaled(error) for error in more.standard_error.values()]
+    H = np.sum(list(by_bounce.values()), axis=0)
+    details = {
+        "error_estimate": setting.each(found.error),
+        "before": setting.each(found.before),
+        "after": setting.each(found.after),
+        "parts": found.parts.reshape(setting.shape),
+        "shadows": found.shadows,
+        "multiple_bounces": more.details,
+        "wall_albedo": rho,
+        "keep_laser_cosine": bool(keep_laser_cosine),
+        "seconds": time.perf_counter() - start,
+    }
+    return TransientCapture(
+        H=H,
+        laser_points=setting.laser_points,
+        sensor_points=setting.sensor_points,
+        delta_t=width,
+        t_start=bin_0,
+        pairing=setting.pairing,
+        quantity=quantity,
+        outer_legs=bool(outer_legs),
+        laser_origin=origins[0],
+        sensor_origin=origins[1],
+        by_bounce=by_bounce,
+        standard_error=np.sqrt(sum((error**2 for error in errors), np.zeros_like(H))),
+        details=details,
+    )
+
+
+def _setting(
+    laser_points: ArrayLike,
+    sensor_points: ArrayLike,
+    pairing: Any,
+    origins: tuple[Vector | None, Vector | None],
+    scale: float,
+    keep_laser_cosine: bool,
+    outer_legs: bool,
+) -> _Setting:
+    """Check the wall points and pair them."""
+    one_of("pairing", pairing, ("all", "confocal"))
+    lights = _on_wall("laser_points", laser_points)
+    seen = _on_wall("sensor_points", sensor_points)
+    first, second = lights.reshape(-1, 3), seen.reshape(-1, 3)
+    if pairing == "confocal":
+        if lights.shape != seen.shape:
+            raise SamplingError(
+                f"laser points {lights.shape[:-1]} and sensor points {seen.shape[:-1]} are not "
+                "pairs; give as many of both, or pairing='all'"
+            )
+        lasers, sensors = first, second
+    else:
+        lasers = np.repeat(first, len(second), axis=0)
+        sensors = np.tile(second, (len(first), 1))
+    legs, factors = np.zeros(len(lasers)), np.full(len(lasers), scale)
+    if outer_legs:
+        legs += _distance("laser_origin", origins[0], lasers, "outer_legs")
+        legs += _distance("sensor_origin", origins[1], sensors, "outer_legs")
+    if keep_laser_cosine:
+        away = _distance("laser_origin", origins[0], lasers, "keep_laser_cosine")
+        factors *= float(np.asarray(origins[0])[2]) / away**3
+    return _Setting(lights, seen, pairing, lasers, sensors, legs, factors)
+
+
+def _distance(name: str, origin: Vector | None, points: Array, option: str) -> Array:
+    """From a device to wall points, m."""
+    if origin is None:
+        raise SceneError(f"{option} needs {name}; give where it stands, (x, y, z) in m")
+    if not origin[2] > 0.0:
+        raise SceneError(f"{name}[z] = {origin[2]:g} m is out of range, must be above 0")
+    lines = points - np.asarray(origin)
+    return np.asarray(np.sqrt((lines * lines).sum(axis=-1)))
+
+
+def _on_wall(name: str, values: ArrayLike) -> Array:
+    points = np.array(values, dtype=np.float64)
+    if points.ndim == 0 or points.shape[-1] != 3 or points.size == 0:
+        raise SamplingError(f"{name} have shape {points.shape}, must be (..., 3), m")
+    if not np.isfinite(points).all():
+        raise SceneError(f"{name} have values that are not finite")
+    off = float(np.abs(points[..., 2]).max())
+    if off > 1e-9:
+        raise SceneError(f"{name} are up to {off:g} m off the wall z = 0; put them on it")
+    points[..., 2] = 0.0
+    return points
+
+
+def _check_light(found: ThreeBounces, setting: _Setting, begin: float, end: float) -> None:
+    """Raise where no light comes back, or none within the bins."""
+    if found.G.any():
+        return
+    early, late = bool(found.before.any()), bool(found.after.any())
+    if not (early or late):
+        raise SceneError(
+            "no light comes back: every triangle is hidden or seen edge-on from the wall points, "
+            "or has a material of albedo 0; turn or move the surfaces"
+        )
+    when = "before and after" if early and late else "before" if early else "after"
+    raise SamplingError(
+        f"all light arrives {when} the bins, which hold paths from {begin:g} to {end:g} m; "
+        "change t_start or n_bins"
+        + ("" if not setting.legs.any() else " (times hold the outer legs)")
+    )

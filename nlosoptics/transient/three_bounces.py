@@ -1,0 +1,197 @@
+"""Light by three reflections, wall, hidden surface, wall, by quadrature that adapts itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import fits_memory
+from ..errors import SamplingError, SceneError
+from .hidden_surfaces import HiddenSurfaces
+
+Array = NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+#: Triangles up to which it is asked beforehand whether any stands before another's plane.
+ASKED = 8000
+#: Parts of the surface at which one pair of points is given up.
+MOST_PARTS = 20_000_000
+#: Blocks of pairs that threads share, and most pairs at a time.
+BLOCKS, MOST_PAIRS = 64, 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class ThreeBounces:
+    """Impulse responses of pairs of wall points, and how they were found.
+
+    Parameters
+    ----------
+    G : ndarray
+        (pairs, n_bins), 1/m^2, without the wall's albedo.
+    before, after : ndarray
+        (pairs,), 1/m^2, of paths shorter and longer than the bins.
+    error : ndarray
+        (pairs,), 1/m^2, summed over bins: by how much the last two passes differ.
+    parts : ndarray of int64
+        (pairs,), parts of the surface in the last pass.
+    shadows : bool
+        Whether any triangle can stand before another.
+    """
+
+    G: Array
+    before: Array
+    after: Array
+    error: Array
+    parts: NDArray[np.int64]
+    shadows: bool
+
+
+def three_bounces(
+    surfaces: HiddenSurfaces,
+    lasers: Array,
+    sensors: Array,
+    *,
+    starts: Array,
+    delta_t: float,
+    n_bins: int,
+    tol: float,
+    progress: Progress | None = None,
+) -> ThreeBounces:
+    """Integrate over the hidden surfaces for pairs of points on the wall z = 0.
+
+    Parameters
+    ----------
+    surfaces : HiddenSurfaces
+    lasers, sensors : ndarray
+        (pairs, 3), m, z = 0.
+    starts : ndarray
+        (pairs,), m of r1 + r2, where bin 0 begins.
+    delta_t : float
+        m.
+    n_bins : int
+    tol : float
+        Relative L1 error over the bins of each pair.
+    progress : callable, optional
+        Called with the share done and a text.
+
+    Returns
+    -------
+    ThreeBounces
+
+    Raises
+    ------
+    SceneError
+        If a wall point lies on a surface.
+    SamplingError
+        If a pair does not reach ``tol``.
+    MemoryLimitError
+        If the bins do not fit.
+
+    Notes
+    -----
+    ``G = (1/pi) Int cos_l cos_h1 f cos_h2 cos_c / (r1^2 r2^2) V dA``, with f the hidden material's
+    bidirectional reflectance; physics as in O'Toole et al., Nature 555, 338 (2018), with all
+    cosines. Shadows are cut out as polygons, so that V leaves no error. What is left is halved
+    until no part errs by a limit, by its middle against its corners; path and integrand are taken
+    as linear over a part, with the means of quadratic ones, and spread over the bins in closed
+    form. The limit falls until two passes agree. Nothing is drawn at random.
+    """
+    from ..raytrace.triangles import Facets
+    from . import _shadow_kernels
+    from . import _three_bounce_kernels as kernels
+
+    count = len(lasers)
+    fits_memory(
+        f"{count} responses of {n_bins} bins",
+        16.0 * count * (n_bins + 2),
+        "take fewer points or bins",
+    )
+    facets = Facets(surfaces.mesh)
+    reach = float(np.abs(surfaces.corners).max())
+    _check_apart(surfaces.corners, np.concatenate([lasers, sensors]), reach)
+    clear = np.zeros((len(facets.rows), 2), dtype=np.bool_)
+    if len(facets.rows) <= ASKED:
+        clear = _shadow_kernels.clear_sides(facets.rows, reach)
+    names = facets.names.astype(np.int64)
+    world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
+    out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
+    # few at first, so that what is out of reach is told soon
+    first, step = 0, 64
+    while first < count:
+        part = slice(first, min(first + step, count))
+        blocks = np.unique(np.linspace(0, part.stop - first, BLOCKS + 1).astype(np.int64))
+        kernels.three_bounces(
+            facets.rows,
+            facets.boxes,
+            clear,
+            reach,
+            world,
+            lasers[part],
+            sensors[part],
+            starts[part],
+            delta_t,
+            tol,
+            MOST_PARTS,
+            blocks,
+            out[part],
+            report[part],
+        )
+        _check_done(report[part], lasers[part], sensors[part], tol)
+        if progress is not None:
+            progress(part.stop / count, f"three bounces: {part.stop} of {count} pairs of points")
+        first, step = part.stop, min(4 * step, MOST_PAIRS if progress is None else count // 50 + 64)
+    return ThreeBounces(
+        out[:, 1:-1],
+        out[:, 0],
+        out[:, -1],
+        report[:, kernels.ERROR],
+        report[:, kernels.LEAVES].astype(np.int64),
+        bool(not clear.all()),
+    )
+
+
+def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> None:
+    from . import _three_bounce_kernels as kernels
+
+    status = report[:, kernels.STATUS]
+    wrong = np.flatnonzero(status != kernels.DONE)
+    if not len(wrong):
+        return
+    i = int(wrong[0])
+    where = (
+        f"laser point ({lasers[i, 0]:g}, {lasers[i, 1]:g}) m and sensor point "
+        f"({sensors[i, 0]:g}, {sensors[i, 1]:g}) m"
+    )
+    if status[i] == kernels.TOO_FINE:
+        raise SamplingError(
+            f"{where}: shadows cut one triangle into more than 2048 parts; split large triangles "
+            "that stand behind many small ones"
+        )
+    raise SamplingError(
+        f"{where}: three bounces need more than {MOST_PARTS} parts of the surface for tol = "
+        f"{tol:g}; ask for a larger tol or wider bins"
+    )
+
+
+def _check_apart(corners: Array, points: Array, reach: float) -> None:
+    """Raise where a wall point lies on a triangle: the light there has no bound."""
+    touching = corners[corners[..., 2].min(axis=1) <= 1e-9 * reach]
+    if not len(touching):
+        return
+    points = np.unique(points[:, :2], axis=0)
+    for triangle in touching:
+        low = np.flatnonzero(triangle[:, 2] <= 1e-9 * reach)
+        a, b = triangle[low[0], :2], triangle[low[-1], :2]
+        side, length = b - a, float((b - a) @ (b - a))
+        share = np.clip((points - a) @ side / length, 0.0, 1.0) if length > 0.0 else 0.0
+        gap = points - a - np.multiply.outer(share, side)
+        distance = np.sqrt((gap * gap).sum(axis=-1))
+        if distance.min() <= 1e-9 * reach:
+            x, y = points[distance.argmin()]
+            raise SceneError(
+                f"the wall point ({x:g}, {y:g}) m lies on a hidden surface, where light has no "
+                "bound; move the point or the surface"
+            )

@@ -1,0 +1,145 @@
+"""The commands transient and phasor: from a scene file to a picture, by files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from nlosoptics import cli
+from nlosoptics.transient import TransientCapture
+
+SCENE = """
+[laser]
+wavelength = "532 nm"
+power = "100 mW"
+beam_diameter = "3 mm"
+position = ["-0.5 m", "0 m", "0.25 m"]
+
+[wall]
+shape = "flat"
+material = { lobe = "lambert", albedo = 0.8 }
+
+[hidden]
+image = "dot.npy"
+size = "0.2 m"
+position = ["0.25 m", "-0.25 m", "0.8 m"]
+
+[camera]
+position = ["-0.5 m", "0 m", "0.25 m"]
+aim = ["0 m", "0 m", "0 m"]
+focal_length = "50 mm"
+stop_diameter = "25 mm"
+
+[transient]
+side = "2 m"
+count = 8
+t_start = "1 m"
+delta_t = "2 cm"
+n_bins = 150
+wl_mean = "0.5 m"
+near = "0.6 m"
+far = "1 m"
+step = "10 cm"
+"""
+
+
+@pytest.fixture
+def run(capsys, tmp_path, monkeypatch):
+    """Call the command line in a folder that has a scene of a small white square."""
+    monkeypatch.chdir(tmp_path)
+    np.save("dot.npy", np.ones((2, 2)))
+    Path("dot.toml").write_text(SCENE)
+
+    def call(*words):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(word) for word in words])
+        told = capsys.readouterr()
+        return int(ended.value.code or 0), told.out, told.err
+
+    return call
+
+
+def test_from_a_scene_to_its_picture(run):
+    code, out, err = run("transient", "dot.toml")
+    assert (code, err) == (0, "")
+    assert "150 of 20 mm" in out
+    capture = TransientCapture.load("dot.hdf5")
+    assert capture.H.shape == (150, 8, 8)
+    assert capture.details["run"]["seed"] == 0
+    assert len(capture.details["run"]["scene_sha256"]) == 64
+
+    code, out, err = run("phasor", "dot.hdf5", "--out", "seen")
+    assert code == 0
+    assert sorted(p.name for p in Path("seen").iterdir()) == [
+        "front.png",
+        "result.json",
+        "side.png",
+        "top.png",
+        "volume.npz",
+    ]
+    report = json.loads(Path("seen/result.json").read_text())
+    # the voxel's half sides off
+    assert report["figures"]["brightest_voxel"] == pytest.approx([0.25, -0.25, 0.8], abs=0.126)
+    assert report["capture_run"] == capture.details["run"]
+    assert report["wl_mean"] == 0.5
+    assert err.count("nlosoptics: ") == len(report["notes"])
+    with np.load("seen/volume.npz") as kept:
+        assert kept["intensity"].shape == (5, 8, 8)
+        assert kept["z"] == pytest.approx([0.6, 0.7, 0.8, 0.9, 1.0])
+        assert np.abs(kept["field"]) ** 2 == pytest.approx(kept["intensity"], rel=1e-9)
+
+
+def test_counts_of_a_detector(run):
+    given = ("--photons", 5000, "--jitter-ps", 50, "--dark-counts", 0.1, "--seed", 7)
+    assert run("transient", "dot.toml", "--out", "a.hdf5", *given)[0] == 0
+    assert run("transient", "dot.toml", "--out", "b.hdf5", *given)[0] == 0
+    first, second = (TransientCapture.load(f"{name}.hdf5") for name in "ab")
+    assert np.array_equal(first.H, second.H)
+    assert first.quantity == "counts"
+    expected = 5000 + 0.1 * first.H.size
+    assert first.H.sum() == pytest.approx(expected, abs=5 * expected**0.5)
+    assert first.details["detector"]["jitter"] == pytest.approx(50e-12 * 299792458)
+
+
+def test_options_stand_for_what_a_capture_lacks(run):
+    run("transient", "dot.toml", "--out", "x.hdf5")
+    with h5py.File("x.hdf5", "a") as file:
+        del file["scene_info"], file["delta_t"]
+        file["delta_t"] = 0.02 / 299792458
+    code, out, err = run("phasor", "x.hdf5")
+    assert (code, out) == (2, "")
+    assert "as seconds it would be bin_width = 0.02" in err
+    code, _, err = run("phasor", "x.hdf5", "--bin-width", 0.02)
+    assert code == 2
+    assert "--wl-mean" in err
+    assert err.count("\n") == 1
+    planes = ("--near", 0.6, "--far", 1.0, "--step", 0.1)
+    code, _, _ = run("phasor", "x.hdf5", "--bin-width", 0.02, "--wl-mean", 0.5, *planes)
+    assert code == 0
+    assert Path("x/front.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (("transient", "none.toml"), "none.toml"),
+        (("transient", "dot.toml", "--out", "no/x.hdf5"), "no folder"),
+        (("transient", "dot.toml", "--jitter-ps", 50), "--photons"),
+        (("transient", "dot.toml", "--quantity", "lumen"), "lumen"),
+        (("phasor", "none.hdf5"), "none.hdf5: the capture file is missing"),
+        (("phasor", "dot.toml"), "neither HDF5 nor a MATLAB file"),
+        (("phasor", "dot.hdf5", "--out", "dot.toml"), "is a file"),
+        (("phasor", "dot.hdf5", "--laser-point", "a, b"), "--laser-point"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(run, words, named):
+    before = sorted(Path().iterdir())
+    code, out, err = run(*words)
+    assert (code, out) == (2, "")
+    assert named in err
+    assert err.count("\n") == 1
+    assert sorted(Path().iterdir()) == before
