@@ -4,6 +4,9 @@
   written by `capture_files`, `tal_files`, `foreign_files` and `mat_files`.
 - `detectors`: `Detector`, which counts a capture's photons.
 - `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, carried by
+- `captures`: `TransientCapture`, light at wall points over optical path.
+- `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, set up by
+  `phasor_setups` and carried by `plane_convolutions` or by
   `rayleigh_sommerfeld`; `phasor_images`: `PhasorImage`; `phasor_validity`: what limits it.
 - `rendering`: `render`, captures of hidden meshes; three bounces by quadrature, more by Monte
   Carlo (`multiple_bounces`).

@@ -5,20 +5,20 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, in_range, is_single, one_of, positive, real, vector, whole
+from .._checks import fits_memory, in_range, one_of, positive, real
 from ..errors import SamplingError, SceneError, ValidityWarning
 from . import phasor_validity as validity
 from .captures import TransientCapture
 from .phasor_fields import Band, blocks, pulse_band, responses
 from .phasor_images import Camera, PhasorImage
+from .phasor_setups import Setup, apertures, camera_setup
 from .plane_convolutions import Lattice, lattice, plane_by_plane
-from .rayleigh_sommerfeld import Legs, direct_sum
+from .rayleigh_sommerfeld import direct_sum
 from .volumes import Volume
 
 Array = NDArray[np.floating]
@@ -136,13 +136,13 @@ def phasor_image(
     if volume.z[0] <= 0.0:
         raise SceneError(f"volume.z begins at {volume.z[0]:g} m, must be above 0, before the wall")
     moments = _times(camera, times)
-    setup = _setup(capture, camera, laser, projector_focus, weight == "inverse")
-    setup = setup.cut(*_apertures(setup, aperture, aperture_of))
+    setup = camera_setup(capture, camera, laser, projector_focus, weight == "inverse")
+    setup = setup.cut(*apertures(setup, aperture, aperture_of))
     first, last, sample = setup.paths(volume, moments)
     notes = _notes(capture, volume, setup, wl_mean, sample)
     grid, reason = _grid(setup, volume, wl_mean, method)
     band = pulse_band(capture, wl_mean, float(wl_sigma), (first, last), tol)
-    _check_memory(setup, volume, band, moments, dtype)
+    _check_memory(setup, volume, grid, band, moments, dtype)
     field = _carry(capture, volume, setup, grid, band, moments, dtype, device, progress)
     light = (field.real**2 + field.imag**2).max(axis=0)
     return PhasorImage(
@@ -170,183 +170,6 @@ def phasor_image(
     )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Setup:
-    """A camera's way through a capture.
-
-    Parameters
-    ----------
-    legs : Legs
-    grid : ndarray
-        ``legs.near`` in the shape of its grid, (..., 3), m.
-    columns : ndarray of int
-        (m, n): which pair of the capture far_j and near_i make.
-    given : ndarray
-        (m, n), m: what the recorded times hold beside the paths to a voxel; a projector's leg,
-        being known, is taken away from it.
-    used : ndarray of bool
-        (n,), near points within the aperture; their spectra are 0 without.
-    sides : tuple of str
-        Whose points near and far are.
-    far_points, far_shape
-        (m, 3), m, and the shape of their grid: lasers that light is focused by, also where their
-        legs are part of ``given``.
-    merged : bool
-        Whether it is, so that their spectra add up.
-    """
-
-    legs: Legs
-    grid: Array
-    columns: NDArray[np.intp]
-    given: Array
-    used: NDArray[np.bool_]
-    sides: tuple[str, str]
-    far_points: Array
-    far_shape: tuple[int, ...] = ()
-    merged: bool = False
-
-    def cut(self, near: NDArray[np.bool_], far: NDArray[np.bool_]) -> _Setup:
-        """Without far points beyond the aperture, and with near ones marked."""
-        keep = np.flatnonzero(far)
-        if len(keep) == len(far):
-            return replace(self, used=near)
-        legs = self.legs if self.merged else replace(self.legs, far=self.legs.far[keep])
-        return replace(
-            self,
-            legs=legs,
-            columns=self.columns[keep],
-            given=self.given[keep],
-            far_points=self.far_points[keep],
-            used=near,
-        )
-
-    def paths(self, volume: Volume, moments: Array) -> tuple[float, float, Array]:
-        """Bounds of the times asked for, without outer legs, and a sample with them."""
-        near = self.legs.near[self.used]
-        low, high = _reach(volume, near)
-        given = self.given[:, self.used]
-        if len(self.legs.far):
-            other = _reach(volume, self.legs.far)
-            if self.legs.paired:
-                other = _reach(volume, self.legs.far[self.used])
-                low, high = low + other[0], high + other[1]
-            else:
-                low, high = low.min() + other[0].min(), high.max() + other[1].max()
-        first = float(np.min(low + given.min(axis=0))) + float(moments.min())
-        last = float(np.max(high + given.max(axis=0))) + float(moments.max())
-        return first, last, self._sample(volume, moments)
-
-    def _sample(self, volume: Volume, moments: Array) -> Array:
-        """Path lengths, as the capture counts them, of a few hundred voxels and wall points."""
-        axes = (a[len(a) // 16 :: max(1, len(a) // 8)] for a in (volume.x, volume.y, volume.z))
-        voxels = Volume(*axes).points.reshape(-1, 3)
-        some = np.flatnonzero(self.used)
-        some = some[:: max(1, len(some) // 64)]
-        paths = np.linalg.norm(voxels[:, None] - self.legs.near[some], axis=-1)
-        if self.legs.paired:
-            paths += np.linalg.norm(voxels[:, None] - self.legs.far[some], axis=-1)
-        elif len(self.legs.far):
-            paths += np.linalg.norm(voxels - self.legs.far[len(self.legs.far) // 2], axis=-1)[
-                :, None
-            ]
-        paths += self.given[len(self.given) // 2, some]
-        return np.asarray(paths[..., None] + moments)
-
-
-def _setup(capture: TransientCapture, camera: str, laser: Any, focus: Any, falls: bool) -> _Setup:
-    """Which points a camera looks through and which it lights from."""
-    lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
-    outer = _outer_legs(capture)
-    if camera != "projector_camera" and focus is not None:
-        raise SceneError(f"projector_focus is for camera = 'projector_camera', not {camera!r}")
-    if camera != "transient" and laser is not None:
-        raise SceneError(f"laser is for camera = 'transient', not {camera!r}")
-    if capture.pairing == "confocal":
-        if camera in ("transient", "projector_camera"):
-            raise SamplingError(
-                f"camera = {camera!r} needs a laser point seen at many sensor points, and this "
-                "capture has pairs; take 'confocal_time_gated'"
-            )
-        legs = Legs(near=sensors, far=lasers, paired=True, falls=falls)
-        return _Setup(
-            legs=legs,
-            grid=capture.sensor_points,
-            columns=np.arange(len(sensors))[None],
-            given=outer.reshape(1, -1),
-            used=np.ones(len(sensors), dtype=bool),
-            sides=("sensor", "laser"),
-            far_points=lasers[:1],
-        )
-    columns = np.arange(len(lasers) * len(sensors)).reshape(len(lasers), len(sensors))
-    grid, sides, far_shape = capture.sensor_points, ("sensor", "laser"), capture.laser_shape
-    # light's way back is its way: one sensor before many lasers is one laser before many sensors
-    if len(sensors) == 1 and len(lasers) > 1 and camera in ("confocal_time_gated", "direct_light"):
-        lasers, sensors, columns, outer = sensors, lasers, columns.T, outer.T
-        grid, sides, far_shape = capture.laser_points, ("laser", "sensor"), ()
-    far: Array = lasers
-    merged = False
-    if camera == "transient":
-        row = _laser_index(capture, laser)
-        lasers, columns, outer = lasers[[row]], columns[[row]], outer[[row]]
-        far, far_shape = np.empty((0, 3)), ()
-    elif camera == "projector_camera":
-        if min(len(lasers), len(sensors)) < 2:
-            raise SamplingError(
-                f"camera = 'projector_camera' needs several laser and several sensor points, and "
-                f"there are {len(lasers)} and {len(sensors)}"
-            )
-        if focus is None:
-            raise SceneError("camera = 'projector_camera' needs projector_focus, (x, y, z) in m")
-        lead = np.linalg.norm(lasers - np.asarray(vector("projector_focus", focus)), axis=-1)
-        outer, far, merged = outer + lead[:, None], np.empty((0, 3)), True
-    return _Setup(
-        legs=Legs(near=sensors, far=far, falls=falls),
-        grid=grid,
-        columns=columns,
-        given=outer,
-        used=np.ones(len(sensors), dtype=bool),
-        sides=sides,
-        far_points=lasers,
-        far_shape=far_shape,
-        merged=merged,
-    )
-
-
-def _outer_legs(capture: TransientCapture) -> Array:
-    """(lasers, sensors), or (pairs,): path from the laser to the wall and on to the sensor, m."""
-    lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
-    to_wall, from_wall = np.zeros(len(lasers)), np.zeros(len(sensors))
-    if capture.outer_legs:
-        missing = [n for n in ("laser_origin", "sensor_origin") if getattr(capture, n) is None]
-        if missing:
-            raise SceneError(
-                f"outer_legs = True and {' and '.join(missing)} not given: the path outside cannot "
-                "be taken away; give both origins, or times without these legs"
-            )
-        to_wall = np.linalg.norm(lasers - np.asarray(capture.laser_origin), axis=-1)
-        from_wall = np.linalg.norm(sensors - np.asarray(capture.sensor_origin), axis=-1)
-    if capture.pairing == "confocal":
-        return np.asarray(to_wall + from_wall)
-    return np.asarray(to_wall[:, None] + from_wall)
-
-
-def _laser_index(capture: TransientCapture, laser: Any) -> int:
-    shape = capture.laser_shape
-    count = int(np.prod(shape, dtype=int))
-    if laser is None:
-        if count == 1:
-            return 0
-        raise SceneError(f"camera = 'transient' needs laser, the index of one of {count} points")
-    if is_single(laser):
-        return whole("laser", laser, 0, count - 1)
-    if len(laser) != len(shape):
-        raise SceneError(f"laser has {len(laser)} indices, must be {len(shape)} like laser points")
-    index = tuple(
-        whole(f"laser[{i}]", v, 0, n - 1) for i, (v, n) in enumerate(zip(laser, shape, strict=True))
-    )
-    return int(np.ravel_multi_index(index, shape)) if index else 0
-
-
 def _times(camera: str, times: Any) -> Array:
     if times is None:
         if camera == "transient":
@@ -364,65 +187,8 @@ def _times(camera: str, times: Any) -> Array:
     return moments
 
 
-def _apertures(
-    setup: _Setup, aperture: Any, aperture_of: str
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which near points and which far points are used."""
-    one_of("aperture_of", aperture_of, ("both", "laser", "sensor"))
-    near_shape, far_shape = setup.grid.shape[:-1], setup.far_shape
-    n_far = len(setup.columns)
-    near, far = np.ones(len(setup.used), dtype=bool), np.ones(n_far, dtype=bool)
-    if aperture is None:
-        return near, far
-    if is_single(aperture):
-        side = positive("aperture", aperture, unit="m")
-        if aperture_of in ("both", setup.sides[0]) or setup.legs.paired:
-            near = _square(setup.legs.near, side)
-        if aperture_of in ("both", setup.sides[1]):
-            far = _square(setup.far_points, side)
-        return near, far
-    mask = np.asarray(aperture)
-    if mask.dtype != bool:
-        raise SceneError(f"aperture of type {mask.dtype} is no mask; give booleans, or a side in m")
-    fits = [mask.shape == shape for shape in (near_shape, far_shape)]
-    if not any(fits):
-        raise SamplingError(
-            f"aperture has shape {mask.shape}, must be {near_shape} like the "
-            f"{setup.sides[0]} points"
-        )
-    if fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired):
-        near = mask.ravel()
-    if fits[1] and aperture_of in ("both", setup.sides[1]):
-        far = mask.ravel() if n_far > 1 else far
-    if not (near.any() and far.any()):
-        raise SamplingError("aperture leaves no wall point; give a larger one")
-    return near, far
-
-
-def _square(points: Array, side: float) -> NDArray[np.bool_]:
-    """Points within a square about their middle."""
-    flat = points[:, :2]
-    if len(flat) == 1:
-        return np.ones(1, dtype=bool)
-    middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
-    inside = np.asarray((np.abs(flat - middle) <= 0.5 * side + 1e-9).all(axis=1))
-    if not inside.any():
-        raise SamplingError(
-            f"aperture = {side:g} m leaves none of {len(flat)} wall points; give a larger one"
-        )
-    return inside
-
-
-def _reach(volume: Volume, points: Array) -> tuple[Array, Array]:
-    """Bounds of the distances from each point to the volume's voxels, m."""
-    ends = np.array([[a[0], a[-1]] for a in (volume.x, volume.y, volume.z)])
-    nearest = np.clip(points, ends[:, 0], ends[:, 1])
-    furthest = np.where(np.abs(points - ends[:, 0]) > np.abs(points - ends[:, 1]), *ends.T)
-    return np.linalg.norm(points - nearest, axis=1), np.linalg.norm(points - furthest, axis=1)
-
-
 def _notes(
-    capture: TransientCapture, volume: Volume, setup: _Setup, wl_mean: float, sample: Array
+    capture: TransientCapture, volume: Volume, setup: Setup, wl_mean: float, sample: Array
 ) -> tuple[str, ...]:
     """Warn of each limit, and return them."""
     ways = 2 if setup.legs.twice else 1
@@ -440,7 +206,7 @@ def _notes(
     return notes
 
 
-def _grid(setup: _Setup, volume: Volume, wl_mean: float, method: str) -> tuple[Lattice | None, str]:
+def _grid(setup: Setup, volume: Volume, wl_mean: float, method: str) -> tuple[Lattice | None, str]:
     """The lattice for transforms, or None for direct sums, and why."""
     if method == "direct":
         return None, "asked for"
@@ -461,19 +227,28 @@ def _grid(setup: _Setup, volume: Volume, wl_mean: float, method: str) -> tuple[L
         return None, str(error)
 
 
-def _check_memory(setup: _Setup, volume: Volume, band: Band, moments: Array, dtype: str) -> None:
+def _slice(setup: Setup, grid: Lattice | None, n_waves: int, dtype: str) -> tuple[int, float]:
+    """Waves that are carried at once, and the bytes that each of them needs."""
+    size = 8 if dtype == "float32" else 16
+    # two threads hold kernels and products of a plane each, beside the wall's transform
+    numbers = max(setup.columns.size, 0 if grid is None else 8 * grid.size)
+    return min(n_waves, max(1, int(SPECTRA // (size * numbers)))), float(size * numbers)
+
+
+def _check_memory(
+    setup: Setup, volume: Volume, grid: Lattice | None, band: Band, moments: Array, dtype: str
+) -> None:
     size = 8 if dtype == "float32" else 16
     voxels = float(np.prod(volume.shape))
-    pairs = setup.columns.size * (2.0 if setup.merged else 1.0)
     fits_memory(
         f"a field at {len(moments)} times on {voxels:.3g} voxels",
         2.5 * size * len(moments) * voxels,
         "ask for fewer voxels or times",
     )
-    slices = max(1, int(SPECTRA // (size * pairs)))
+    n_waves, each = _slice(setup, grid, len(band.numbers), dtype)
     fits_memory(
         f"spectra of {setup.columns.size} pairs",
-        3.0 * size * pairs * min(slices, len(band.numbers)),
+        3.0 * each * n_waves,
         "use a smaller aperture, or dtype='float32'",
     )
 
@@ -481,7 +256,7 @@ def _check_memory(setup: _Setup, volume: Volume, band: Band, moments: Array, dty
 def _carry(
     capture: TransientCapture,
     volume: Volume,
-    setup: _Setup,
+    setup: Setup,
     grid: Lattice | None,
     band: Band,
     moments: Array,
@@ -490,10 +265,9 @@ def _carry(
     progress: Progress | None,
 ) -> ComplexArray:
     """(t, nz, ny, nx): the field, some waves after others."""
-    size = 8 if dtype == "float32" else 16
     n_waves = len(band.numbers)
     total: ComplexArray | None = None
-    for kept in blocks(n_waves, max(1, int(SPECTRA // (size * setup.columns.size)))):
+    for kept in blocks(n_waves, _slice(setup, grid, n_waves, dtype)[0]):
         part = band.part(kept)
         spectra = _spectra(capture, setup, part, dtype)
 
@@ -515,7 +289,7 @@ def _carry(
     return total
 
 
-def _spectra(capture: TransientCapture, setup: _Setup, band: Band, dtype: str) -> ComplexArray:
+def _spectra(capture: TransientCapture, setup: Setup, band: Band, dtype: str) -> ComplexArray:
     """(n, m, points): the camera's spectra, lasers summed where they are focused elsewhere."""
     columns, given = setup.columns, setup.given
     light = responses(capture, band, columns.ravel(), given.ravel(), dtype)
