@@ -305,6 +305,7 @@ def _starts(values: ArrayLike, n_pairs: int) -> Array:
     if starts.size not in (1, n_pairs):
         raise SamplingError(
             f"starts has {starts.size} values; give one, or {n_pairs}, one of each pair"
+            f"starts has {starts.size} values; give one, or {n_pairs}, of each pair"
         )
     if not np.isfinite(starts).all():
         raise SceneError("starts have values that are not finite")

@@ -1,0 +1,195 @@
+"""Even grids of confocal captures, as Fourier methods need them, and what these refuse."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SamplingError, SceneError
+from .captures import TransientCapture
+from .volumes import Volume
+
+Array = NDArray[np.floating]
+
+#: Share of the light at the shortest possible paths from which on it is taken for direct light.
+DIRECT_SHARE = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class ConfocalGrid:
+    """An even grid of wall points in z = 0, each lit and seen itself.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        (nx,) and (ny,), m.
+    start, pitch : float
+        Of the bins, m of half the optical path.
+    n_bins : int
+    """
+
+    x: Array
+    y: Array
+    start: float
+    pitch: float
+    n_bins: int
+
+    @property
+    def depths(self) -> Array:
+        """(n_bins,), middles of the bins, m of half the path."""
+        return self.start + self.pitch * (np.arange(self.n_bins) + 0.5)
+
+    @property
+    def stop(self) -> float:
+        """Where the bins end, m of half the path."""
+        return self.start + self.pitch * self.n_bins
+
+    def volume(self) -> Volume:
+        """Voxels before the grid's points at the bins' depths, those at or behind the wall not."""
+        depths = self.depths
+        return Volume(self.x, self.y, depths[depths > 0.0])
+
+
+def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
+    """The even confocal grid of a capture, or the reason why it has none.
+
+    Raises
+    ------
+    SamplingError
+        If the capture is not confocal, or its points make no even, rising grid [y, x].
+    SceneError
+        If the points are not in z = 0, outer legs are in the times, direct light is, or the
+        capture holds values below 0.
+    """
+    if not capture.is_confocal:
+        raise SamplingError(
+            f"{method} needs a confocal capture, whose laser and sensor points are the same; this "
+            f"one has pairing = {capture.pairing!r}: use backprojection or phasor_image"
+        )
+    if capture.outer_legs:
+        raise SceneError(
+            f"{method} needs times without the outer legs; call transient.without_outer_legs first"
+        )
+    points = capture.sensor_points
+    if points.ndim != 3 or min(points.shape[:2]) < 2:
+        raise SamplingError(
+            f"{method} needs a grid of points (ny, nx), these are {capture.sensor_shape}; use "
+            "backprojection"
+        )
+    x, y = points[0, :, 0], points[:, 0, 1]
+    even = np.zeros_like(points)
+    even[..., 0] = np.linspace(x[0], x[-1], len(x))
+    even[..., 1] = np.linspace(y[0], y[-1], len(y))[:, None]
+    away = float(np.abs(points - even).max())
+    pitch = min(x[1] - x[0], y[1] - y[0])
+    if pitch <= 0.0 or away > 1e-3 * pitch:
+        raise SamplingError(
+            f"{method} needs an even grid [y, x] in z = 0 with x and y rising; these points are up "
+            f"to {away:.3g} m off it: use backprojection"
+        )
+    refuse_direct_light(capture, method)
+    if float(capture.H.min()) < 0.0:
+        raise SceneError(
+            f"{method} needs light of at least 0, the capture goes down to {capture.H.min():g}"
+        )
+    return ConfocalGrid(
+        even[0, :, 0], even[:, 0, 1], 0.5 * capture.t_start, 0.5 * capture.delta_t, capture.n_bins
+    )
+
+
+def refuse_direct_light(capture: TransientCapture, method: str) -> None:
+    """Raise `SceneError` where the laser's spot itself is seen.
+
+    Light that reaches the sensor point off the laser point along the wall, within two bins, comes
+    from no hidden object.
+    """
+    from .gating import outer_legs
+
+    n_paths = max(1, capture.H[0].size)
+    if capture.pairing == "confocal":
+        apart = np.linalg.norm(capture.laser_points - capture.sensor_points, axis=-1)
+    else:
+        lasers = capture.laser_points.reshape(-1, 1, 3)
+        sensors = capture.sensor_points.reshape(1, -1, 3)
+        apart = np.linalg.norm(lasers - sensors, axis=-1)
+    shortest = (apart.ravel() + outer_legs(capture).ravel() - capture.t_start) / capture.delta_t
+    ends = np.clip(np.floor(shortest) + 2, 0, capture.n_bins).astype(np.int64)
+    if not ends.any():
+        return
+    flat = capture.H.reshape(capture.n_bins, n_paths)
+    direct = sum(float(np.abs(flat[:end, j]).sum()) for j, end in enumerate(ends) if end)
+    total = float(np.abs(flat).sum(dtype=np.float64))
+    if direct > DIRECT_SHARE * total:
+        raise SceneError(
+            f"{method}: {100 * direct / total:.2g} % of the light comes from the lit point itself, "
+            f"along the wall, limit {100 * DIRECT_SHARE:g} %; cut it with "
+            "transient.gated(capture, start=...)"
+        )
+
+
+def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Volume:
+    """The volume, or the grid's own, if the time window covers its depths.
+
+    Raises
+    ------
+    SamplingError
+        If it lies beyond the window, or farther to the side than the padded grid is wide.
+    """
+    if volume is None:
+        volume = grid.volume()
+    low, high = float(volume.z[0]), float(volume.z[-1])
+    # a point nearer than the first bin is still seen aslant, from as far as the grid is wide
+    aslant = float(np.ptp(grid.x) ** 2 + np.ptp(grid.y) ** 2)
+    nearest = math.sqrt(max(grid.start**2 - aslant, 0.0)) if grid.start > 0.0 else 0.0
+    slack = 1e-6 * grid.pitch
+    if low <= 0.0 or low < nearest - slack or high > grid.stop + slack:
+        raise SamplingError(
+            f"{method}: the volume's depths {low:g} to {high:g} m are not within the "
+            f"{nearest:g} to {grid.stop:g} m that the time window covers; move it or take more bins"
+        )
+    for name, own, asked in (("x", grid.x, volume.x), ("y", grid.y, volume.y)):
+        width = (own[1] - own[0]) * len(own)
+        middle = 0.5 * (own[0] + own[-1])
+        off = max(abs(asked[0] - middle), abs(asked[-1] - middle))
+        if off > 0.75 * width:
+            raise SamplingError(
+                f"{method}: the volume reaches {off:g} m from the grid's middle along {name}, "
+                f"limit {0.75 * width:g} m; make it smaller or use backprojection"
+            )
+    return volume
+
+
+def next_size(count: float) -> int:
+    """Least even length from ``count`` on that transforms fast."""
+    from scipy.fft import next_fast_len
+
+    return 2 * int(next_fast_len(math.ceil(count / 2)))
+
+
+def waves_along(
+    own: Array, asked: Array, size: int, kind: type
+) -> tuple[Array, NDArray[np.complexfloating], NDArray[np.complexfloating]]:
+    """Lateral frequencies of a padded axis, and the matrices to them and back.
+
+    Parameters
+    ----------
+    own, asked : ndarray
+        (n,) points with samples and (m,) points where the sum of waves is wanted, m.
+    size : int
+        Samples of the padded axis, even. Its Nyquist frequency, which has no sign, is left out.
+    kind : type
+        Of the matrices.
+
+    Returns
+    -------
+    tuple of ndarray
+        Frequencies (size - 1,), 1/m; (size - 1, n) and (m, size - 1), whose product interpolates.
+    """
+    pitch = own[1] - own[0]
+    frequencies = np.arange(-(size // 2) + 1, size // 2) / (size * pitch)
+    there = np.exp(-2j * np.pi * frequencies[:, None] * (own - own[0]))
+    back = np.exp(2j * np.pi * (asked[:, None] - own[0]) * frequencies) / size
+    return frequencies, there.astype(kind), back.astype(kind)

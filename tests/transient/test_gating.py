@@ -1,0 +1,168 @@
+"""Gates, coarser bins, blurs and legs of captures keep the light that they say they keep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.transient import (
+    TransientCapture,
+    distance_weighted,
+    downsampled,
+    gated,
+    smoothed,
+    wall_grid,
+    without_outer_legs,
+)
+
+GRID = wall_grid(2.0, 4)
+RNG = np.random.default_rng(3)
+
+
+def capture(**changes):
+    given = {
+        "H": RNG.uniform(size=(12, 4, 4)),
+        "laser_points": GRID,
+        "sensor_points": GRID,
+        "delta_t": 0.1,
+        "t_start": 1.0,
+        "pairing": "confocal",
+    }
+    return TransientCapture(**{**given, **changes})
+
+
+def test_a_gate_keeps_whole_bins_in_their_place():
+    whole = capture(by_bounce={3: np.ones((12, 4, 4))}, standard_error=np.ones((12, 4, 4)))
+    kept = gated(whole, start=1.25, stop=1.8)
+    assert kept.edges == pytest.approx(whole.edges[3:9])
+    assert np.array_equal(kept.H, whole.H[3:8])
+    assert kept.by_bounce[3].shape == kept.standard_error.shape == (5, 4, 4)
+    assert gated(whole).n_bins == 12
+    assert gated(whole, start=1.0 + 3 * 0.1).n_bins == 9  # an edge but for rounding
+
+
+def test_coarse_bins_keep_the_light_and_its_time():
+    whole = capture(by_bounce={4: np.ones((12, 4, 4))}, standard_error=np.full((12, 4, 4), 2.0))
+    coarse = downsampled(whole, bins=3, grid=2)
+    assert coarse.H.shape == (4, 2, 2)
+    # means over four points of sums over three bins
+    assert coarse.H.sum() == pytest.approx(whole.H.sum() / 4, rel=1e-14)
+    assert coarse.H[1, 0, 1] == pytest.approx(whole.H[3:6, :2, 2:].sum() / 4, rel=1e-14)
+    assert coarse.edges == pytest.approx(whole.edges[::3])
+    assert np.array_equal(coarse.sensor_points, wall_grid(2.0, 2))
+    assert coarse.is_confocal
+    # the root of three squares of four means of independent errors
+    assert coarse.standard_error == pytest.approx(2.0 * np.sqrt(3 / 4))
+    assert coarse.by_bounce[4] == pytest.approx(3.0)
+
+
+def test_one_laser_point_stays_and_grids_of_both_are_coarser():
+    one = capture(laser_points=(0.1, 0.2, 0.0), pairing="all")
+    assert downsampled(one, grid=2).laser_shape == ()
+    assert downsampled(one, grid=2).laser_points == pytest.approx([0.1, 0.2, 0.0])
+    both = capture(
+        H=RNG.uniform(size=(12, 4, 4, 4, 4)), pairing="all", sensor_normals=GRID * 0 + [0, 0, 1.0]
+    )
+    coarse = downsampled(both, grid=4)
+    assert coarse.H.shape == (12, 1, 1, 1, 1)
+    assert coarse.H.mean() == pytest.approx(both.H.mean(), rel=1e-14)
+    assert coarse.sensor_normals == pytest.approx(np.array([[[0, 0, 1.0]]]))
+
+
+def test_a_blur_keeps_the_middle_and_adds_its_variance():
+    H = np.zeros((101, 9, 9), dtype=np.float32)
+    H[50, 4, 4] = 8.0
+    grid = wall_grid(1.0, 9)
+    soft = smoothed(capture(H=H, laser_points=grid, sensor_points=grid), path=0.4, grid=1.0)
+    assert soft.H.dtype == np.float32
+    assert soft.H.sum() == pytest.approx(8.0, rel=1e-5)  # single precision
+    bins = np.arange(101)
+    line = soft.H.sum(axis=(1, 2))
+    assert bins @ line / line.sum() == pytest.approx(50.0, abs=1e-4)
+    # 4 bins; a Gaussian on samples, cut at four of its widths, lacks 1e-3 of its variance
+    assert (bins - 50) ** 2 @ line / line.sum() == pytest.approx(16.0, rel=2e-3)
+    with pytest.raises(SceneError, match="standard errors"):
+        smoothed(capture(standard_error=np.ones((12, 4, 4))), path=0.1)
+    with pytest.raises(SceneError, match="path = -1"):
+        smoothed(capture(), path=-1.0)
+
+
+def test_weights_are_powers_of_half_the_path():
+    whole = capture()
+    heavy = distance_weighted(whole, 4.0)
+    half = 0.5 * (1.0 + 0.1 * (np.arange(12) + 0.5))
+    assert heavy.H == pytest.approx(whole.H * half[:, None, None] ** 4, rel=1e-14)
+
+
+@pytest.mark.parametrize("pairing", ["confocal", "all"])
+def test_outer_legs_are_taken_away_path_by_path(pairing):
+    laser, sensor = np.array([0.3, -0.2, 1.0]), np.array([-0.4, 0.1, 0.7])
+    lasers = GRID if pairing == "confocal" else np.array([[0.2, 0.5, 0.0], [-0.3, 0.1, 0.0]])
+    first = np.linalg.norm(lasers - laser, axis=-1)
+    last = np.linalg.norm(GRID - sensor, axis=-1)
+    legs = first + last if pairing == "confocal" else first[:, None, None] + last
+    delta, inner = 0.01, 1.5
+    # all light in one place of every histogram, at inner + legs: shared by the two next middles
+    H = np.zeros((600, *legs.shape))
+    place = (inner + legs) / delta - 0.5
+    low = np.floor(place).astype(int)
+    for at, where in np.ndenumerate(place):
+        H[(low[at], *at)], H[(low[at] + 1, *at)] = 1 - (where - low[at]), where - low[at]
+    outer = capture(
+        H=H, laser_points=lasers, pairing=pairing, delta_t=delta, t_start=0.0, outer_legs=True,
+        laser_origin=laser, sensor_origin=sensor,
+    )  # fmt: skip
+    plain = without_outer_legs(outer)
+    assert not plain.outer_legs
+    assert plain.H.sum(axis=0) == pytest.approx(1.0, rel=1e-12)
+    # shared linearly twice, which keeps the mean time to rounding
+    mean = np.tensordot(plain.times, plain.H, axes=(0, 0))
+    assert mean == pytest.approx(inner, abs=1e-12)
+    assert without_outer_legs(plain) is plain
+
+
+@pytest.mark.parametrize(
+    ("call", "kind", "words"),
+    [
+        (lambda: gated(capture(), start=2.15), SamplingError, "holds no bin"),
+        (lambda: gated(capture(), start=float("nan")), SceneError, "start"),
+        (lambda: downsampled(capture(), bins=5), SamplingError, "12 bins are no multiple"),
+        (lambda: downsampled(capture(), grid=3), SamplingError, "4 points along an axis"),
+        (lambda: downsampled(capture(), bins=0), SceneError, "bins"),
+        (lambda: distance_weighted(capture(t_start=-0.1), 2), SceneError, "gate the capture"),
+        (
+            lambda: distance_weighted(
+                capture(outer_legs=True, laser_origin=(0, 0, 1), sensor_origin=(0, 0, 1)), 2
+            ),
+            SceneError,
+            "without_outer_legs",
+        ),
+        (
+            lambda: without_outer_legs(capture(outer_legs=True, sensor_origin=(0, 0, 1))),
+            SceneError,
+            "laser_origin",
+        ),
+        (
+            lambda: without_outer_legs(
+                capture(outer_legs=True, laser_origin=(0, 0, 0), sensor_origin=(0, 0, 0))
+            ),
+            SamplingError,
+            "take more bins",
+        ),
+    ],
+)
+def test_bad_input_is_one_clear_line(call, kind, words):
+    with pytest.raises(kind, match=words) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_nothing_is_changed_in_place():
+    whole = capture()
+    before = whole.H.copy()
+    for other in (gated(whole), downsampled(whole), distance_weighted(whole, 2)):
+        assert other is not whole
+    assert np.array_equal(replace(whole).H, before)
