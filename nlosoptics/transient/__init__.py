@@ -2,17 +2,14 @@
 
 - `captures`: `TransientCapture`, light at wall points over optical path; files of it are read and
   written by `capture_files`, `tal_files`, `foreign_files` and `mat_files`.
-- `gating`: what measured captures need before imaging.
+- `rendering`: `render`, captures of hidden meshes; three bounces by quadrature (`three_bounces`),
+  more by Monte Carlo (`multiple_bounces`). `scene_captures`: `render_scene`, of a scene file.
 - `detectors`: `Detector`, which counts a capture's photons.
-- `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, carried by
-- `captures`: `TransientCapture`, light at wall points over optical path.
-- `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, set up by
-  `phasor_setups` and carried by `plane_convolutions` or by
-  `rayleigh_sommerfeld`; `phasor_images`: `PhasorImage`; `phasor_validity`: what limits it.
-- `rendering`: `render`, captures of hidden meshes; three bounces by quadrature, more by Monte
-  Carlo (`multiple_bounces`).
-- `scene_captures`: `render_scene`, the same of a scene file.
+- `gating`: what measured captures need before imaging.
 - `volumes`: `Volume`, where a hidden scene is looked for, and `VolumeImage`, what was seen there.
+- `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, set up by
+  `phasor_setups` and carried by `plane_convolutions` or by `rayleigh_sommerfeld`;
+  `phasor_images`: `PhasorImage`; `phasor_validity`: what limits it.
 - `backprojections`, `migration`, `light_cones`: such pictures without a chosen wavelength, the
   latter two off the even `confocal_grids`.
 - `depths`: depth maps of pictures and of meshes, and their errors.

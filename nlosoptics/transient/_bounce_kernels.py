@@ -421,7 +421,6 @@ def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, s
 
 @njit(cache=True, nogil=True)
 def gather_pairs(surfaces, paths, rows, starts, rate, table, sensors, found, total, squares):
-def gather_pairs(surfaces, seen, first, rows, starts, rate, table, sensors, found, total, squares):
     """Add one batch's bins, and their squares, of each pair of laser and sensor.
 
     ``paths`` are (seen, spread, first) of `gather`; ``rows`` (pairs, 2) are (laser, sensor) of

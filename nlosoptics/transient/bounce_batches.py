@@ -102,13 +102,6 @@ def _sampler(job: Job, number: int) -> tuple[Any, ...]:
     """Numbers of a batch, scrambled on its own."""
     columns, shifts = scrambled_sobol(job.seed, STREAM + number, 1)
     return np.uint64(job.seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)
-        lasers = job.lasers[start : start + step]
-        found = _joined(job, ends, lasers)
-        chosen = np.flatnonzero((job.rows[:, 0] >= start) & (job.rows[:, 0] < start + len(lasers)))
-        if not len(chosen):
-            continue
-        span = slice(int(chosen[0]), int(chosen[-1]) + 1)
-        _gather(job, seen, first, table, found, start, span, total, squares)
 
 
 def openness(job: Job) -> tuple[float, float]:
@@ -147,10 +140,6 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     seen[unseen, kernels.TRIANGLE] = -1.0
     density[unseen] = np.inf
     seen[:, kernels.WEIGHT] = 1.0 / (len(seen) * density)
-    n_paths = job.n_seen * job.n_each
-    seen[:, kernels.WEIGHT] = np.where(
-        unseen, 0.0, 1.0 / (n_paths * np.where(unseen, 1.0, density))
-    )
     return seen, (factor, distance)
 
 

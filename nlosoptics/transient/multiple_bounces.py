@@ -120,7 +120,8 @@ def multiple_bounces(
     From each several paths go on along the lobes, and their vertices are joined to every laser
     point. Where rays leave the scene, a share of both is drawn over the surfaces' area instead.
     Batches have Sobol points scrambled on their own; their spread gives the standard error. What is
-    more often lit than seen trades places, as light can be followed either way.
+    more often lit than seen trades places, as light can be followed either way. Where both are many
+    or are pairs, lasers close to a surface are the noisier ones: their spots are not aimed at.
     """
     chosen = _orders(orders)
     if tol is not None:
@@ -305,7 +306,6 @@ def _starts(values: ArrayLike, n_pairs: int) -> Array:
     if starts.size not in (1, n_pairs):
         raise SamplingError(
             f"starts has {starts.size} values; give one, or {n_pairs}, one of each pair"
-            f"starts has {starts.size} values; give one, or {n_pairs}, of each pair"
         )
     if not np.isfinite(starts).all():
         raise SceneError("starts have values that are not finite")
