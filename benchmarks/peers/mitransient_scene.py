@@ -1,11 +1,12 @@
 """Captures by mitransient 1.3.1: its seconds and light, JSON in, a file of arrays out.
 
-Started by transient/bounces.py in the peers' interpreter. The job on standard input has
+Started by scripts of transient/ in the peers' interpreter. The job on standard input has
 ``triangles`` (name to a list of triangles, m) with ``albedos``, the wall's half side, the laser's
 target, ``size``, ``bins``, ``bin_width``, ``start``, ``bounces`` (of paths, wall included),
 ``samples`` per point, ``seeds``, ``aimed`` and ``out``. ``aimed`` turns on the sampling of hidden
 geometry: paths are then aimed at points of surfaces whether they are visible or not, and what is in
 front of such a point takes the light as its own, so that an object before a back wall counts twice.
+``wall_aimed``, if given, says whether the relay wall is aimed at as well.
 """
 
 from __future__ import annotations
@@ -75,7 +76,9 @@ def scene(job):
         "type": "transient_nlos_path",
         "nlos_laser_sampling": True,
         "nlos_hidden_geometry_sampling": bool(job["aimed"]),
-        "nlos_hidden_geometry_sampling_includes_relay_wall": bool(job["aimed"]),
+        "nlos_hidden_geometry_sampling_includes_relay_wall": bool(
+            job.get("wall_aimed", job["aimed"])
+        ),
         "filter_bounces": job["bounces"] - 1,  # counted without the first
         "max_depth": -1,
         "temporal_filter": "box",

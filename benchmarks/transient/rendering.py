@@ -75,37 +75,40 @@ def errors(found: Any, true: Any) -> dict[str, float]:
     }
 
 
-def peer(python: str, mesh: trimesh.Trimesh, count: int, repeats: int) -> list[tuple[Any, Any]]:
-    """Rows of samples and seconds, and captures, of mitransient."""
+def peer(
+    python: str, mesh: trimesh.Trimesh, count: int, samples: int, repeats: int
+) -> tuple[Any, float]:
+    """A capture by mitransient, as its best for three bounces, and the least seconds it took."""
     with tempfile.TemporaryDirectory() as folder:
-        asked = {
-            "vertices": np.asarray(mesh.vertices).tolist(),
-            "faces": np.asarray(mesh.faces).tolist(),
-            "albedo": 1.0,
-            "count": count,
-            "side": SIDE,
-            "laser_origin": ORIGIN,
-            "laser_point": LASER,
-            "filter_bounces": 2,  # those off the wall at the sensor's point are not counted
-            "samples": SAMPLES,
-            "repeats": repeats,
-            "file": str(Path(folder) / "captures.npz"),
-            **BINS,
+        job = {
+            "triangles": {"letter": np.asarray(mesh.triangles).tolist()},
+            "albedos": {"letter": 1.0},
+            "half_side": SIDE / 2,
+            "laser": ORIGIN,
+            "target": LASER,
+            "size": count,
+            "bins": BINS["n_bins"],
+            "bin_width": BINS["delta_t"],
+            "start": BINS["t_start"],
+            "bounces": 3,
+            "samples": samples,
+            "seeds": repeats,
+            "aimed": True,
+            "wall_aimed": False,
+            "out": str(Path(folder) / "captures.npz"),
         }
         run = subprocess.run(
             [python, str(PEER)],
-            input=json.dumps(asked),
+            input=json.dumps(job),
             capture_output=True,
             text=True,
             check=False,
         )
         if run.returncode:
             raise SystemExit(f"{python} {PEER.name} failed: {run.stderr.strip()[-400:]}")
-        rows = [json.loads(line) for line in run.stdout.splitlines() if line.startswith("{")]
-        with np.load(asked["file"]) as file:
-            return [
-                (row, np.moveaxis(file[f"H_{row['samples']}"].astype(float), 2, 0)) for row in rows
-            ]
+        seconds = json.loads(run.stdout.splitlines()[-1])["seconds"]
+        with np.load(job["out"]) as file:
+            return np.moveaxis(file["light"][0].astype(float), 2, 0), min(seconds)
 
 
 def within(rows: list[dict[str, Any]]) -> float:
@@ -146,11 +149,14 @@ def main() -> None:
     summaries = [summary]
     if options.peer_python:
         last: dict[str, Any] = {}
-        for row, found in peer(options.peer_python, mesh, options.count, options.repeats):
+        for samples in SAMPLES:
+            found, seconds = peer(
+                options.peer_python, mesh, options.count, samples, options.repeats
+            )
             last = {
                 "who": "mitransient",
-                "setting": f"{row['samples']} samples",
-                "seconds": row["seconds"],
+                "setting": f"{samples} samples",
+                "seconds": seconds,
                 **errors(found, true),
             }
             rows.append(last)

@@ -18,7 +18,7 @@ OVERFLOW = -1
 ROUNDING = 1e-12  # in (u, v), and of the scene's extent for heights
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _frame(row):
     """Normal (not a unit), and the vectors that give u and v of a point in the plane."""
     ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
@@ -29,7 +29,7 @@ def _frame(row):
     return n, (u[0] / s, u[1] / s, u[2] / s), (v[0] / s, v[1] / s, v[2] / s)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _beyond(boxes, node, nx, ny, nz, d):
     """Largest n.x - d over a box."""
     x = boxes[node, 3] if nx > 0.0 else boxes[node, 0]
@@ -38,7 +38,7 @@ def _beyond(boxes, node, nx, ny, nz, d):
     return nx * x + ny * y + nz * z - d
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def side_planes(row, n, away, p, planes):
     """Planes (normal, offset) that bound the room between a point and a triangle.
 
@@ -73,7 +73,7 @@ def side_planes(row, n, away, p, planes):
         planes[2 + side, 3] = x * p[0] + y * p[1] + z * p[2]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _corner(row, i):
     if i == 0:
         return row[0], row[1], row[2]
@@ -81,7 +81,31 @@ def _corner(row, i):
     return row[0] + row[k], row[1] + row[k + 1], row[2] + row[k + 2]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _aside(row, planes, slack):
+    """Whether a triangle lies outside one of the planes."""
+    ox, oy, oz, ax, ay, az, bx, by, bz = (
+        row[0],
+        row[1],
+        row[2],
+        row[3],
+        row[4],
+        row[5],
+        row[6],
+        row[7],
+        row[8],
+    )
+    for k in range(5):
+        nx, ny, nz = planes[k, 0], planes[k, 1], planes[k, 2]
+        h = nx * ox + ny * oy + nz * oz - planes[k, 3]
+        if h <= slack:
+            a, b = nx * ax + ny * ay + nz * az, nx * bx + ny * by + nz * bz
+            if h + a <= slack and h + b <= slack:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
 def _shadow(other, row, frame, away, p, reach, shadow, work):
     """Corners, counter-clockwise in (u, v), of a triangle's shadow on another's plane; 0: none."""
     n, to_u, to_v = frame
@@ -111,7 +135,7 @@ def _shadow(other, row, frame, away, p, reach, shadow, work):
     return _turned(shadow, count)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _between(work, count, level, side):
     """Cut a polygon (x, y, z, height) in place to heights above (side 1) or below (-1) a level."""
     new = 8
@@ -133,7 +157,7 @@ def _between(work, count, level, side):
     return kept
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _turned(shadow, count):
     """Drop corners that repeat, and turn a polygon counter-clockwise; 0 if it has no area."""
     kept = 0
@@ -164,14 +188,14 @@ def _turned(shadow, count):
     return kept
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, inline="always", error_model="numpy")
 def _left_of(ax, ay, bx, by, x, y):
     """Distance of (x, y) to the left of the line from a to b."""
     ex, ey = bx - ax, by - ay
     return (ex * (y - ay) - ey * (x - ax)) / math.sqrt(ex * ex + ey * ey)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _apart(polygon, size, shadow, count):
     """Whether a side of either of two convex polygons, counter-clockwise, parts them."""
     for i in range(count):
@@ -207,7 +231,7 @@ def _apart(polygon, size, shadow, count):
     return False
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _store(polygons, sizes, count, corners, size):
     """Append a convex polygon if it has an area; return the new number or OVERFLOW."""
     kept = 0
@@ -250,7 +274,7 @@ def _store(polygons, sizes, count, corners, size):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _without(polygons, sizes, count, shadow, n_shadow, room):
     """Take a convex shadow away from all polygons, in place; return their number or OVERFLOW."""
     more, more_sizes, left, out = room
@@ -281,7 +305,7 @@ def _without(polygons, sizes, count, shadow, n_shadow, room):
     return new
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _cut(left, size, shadow, i, j, out):
     """Part a polygon by a line: what is left of it stays, the rest goes to ``out``."""
     ax, ay, bx, by = shadow[i, 0], shadow[i, 1], shadow[j, 0], shadow[j, 1]
@@ -310,7 +334,7 @@ def _cut(left, size, shadow, i, j, out):
     return inside, outside
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def see(rows, boxes, t, p, reach, polygons, sizes, count, room):
     """Leave of a triangle's polygons what a point sees; return their number or OVERFLOW.
 
@@ -343,7 +367,7 @@ def see(rows, boxes, t, p, reach, polygons, sizes, count, room):
             continue
         start = 4 * (node - first_leaf)
         for m in range(start, min(start + 4, rows.shape[0])):
-            if m == t:
+            if m == t or _aside(rows[m], planes, slack):
                 continue
             corners = _shadow(rows[m], row, frame, away, p, reach, shadow, work)
             if corners:
@@ -353,7 +377,7 @@ def see(rows, boxes, t, p, reach, polygons, sizes, count, room):
     return count
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def shadow_room():
     """Arrays that `see` works in."""
     cuts = (
@@ -371,7 +395,7 @@ def shadow_room():
     )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def clear_sides(rows, reach):
     """Whether nothing stands above (column 0) and below (1) the plane of each triangle."""
     n = rows.shape[0]

@@ -288,7 +288,7 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
     leaves = _pass(
         pieces, count, p, q, lobes, spans, sharp, math.inf, most, start, delta, bins, stack
     )
-    strict = tol
+    strict = 0.5 * tol
     for number in range(1, 40):
         total = bins.sum()
         report[TOTAL], report[LEAVES], report[PASSES] = total, leaves, number

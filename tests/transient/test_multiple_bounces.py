@@ -10,10 +10,14 @@ import pytest
 import trimesh
 
 from nlosoptics import transient
+from nlosoptics._random import scrambled_sobol
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.raytrace import intersect_mesh, meshes, occluded
 from nlosoptics.scene import Lambert, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from nlosoptics.transient import _bounce_kernels as kernels
 from nlosoptics.transient import bounce_batches
+from nlosoptics.transient import multiple_bounces as multiple_module
+from nlosoptics.transient.bounce_surfaces import bounce_surfaces
 from nlosoptics.transient.hidden_surfaces import hidden_surfaces
 from nlosoptics.transient.multiple_bounces import multiple_bounces
 
@@ -267,6 +271,66 @@ def test_standard_errors_are_those_of_other_seeds():
         ratio = values.std(axis=0, ddof=1)[lit] ** 2 / (errors**2).mean(axis=0)[lit]
         # variances of 12 seeds, each known to 40 %, over some 30 bins that share paths
         assert 0.6 < ratio.mean() < 1.5
+
+
+def test_points_drawn_over_the_area_change_the_noise_alone(monkeypatch):
+    # a fin that wall points see from either side, between two plates
+    things = [
+        (quad([0.0, -0.3, 0.3], [0.0, 0.6, 0.0], [0.0, 0.0, 0.5]), Lambert(0.9)),
+        (quad([-0.4, -0.3, 0.3], [0.0, 0.6, 0.0], [0.1, 0.0, 0.5]), Lambert(0.7)),
+        (quad([0.4, -0.3, 0.3], [0.0, 0.6, 0.0], [0.0, 0.0, 0.5]), Lambert(0.8)),
+    ]
+    sensors = np.array([[-0.2, 0.0, 0.0], [0.25, 0.1, 0.0]])
+
+    def run(share):
+        monkeypatch.setattr(multiple_module, "_share", lambda missed: share)
+        return multiple_bounces(
+            hidden_surfaces(things),
+            [0.1, 0.0, 0.0],
+            sensors,
+            delta_t=10.0,
+            n_bins=1,
+            orders=(4,),
+            tol=None,
+            n_rays=1 << 18,
+        )
+
+    rays, mixed = run(0.0), run(0.6)
+    for sensor in range(2):
+        a, b = rays.by_bounce[4][0, sensor], mixed.by_bounce[4][0, sensor]
+        noise = np.hypot(rays.standard_error[4][0, sensor], mixed.standard_error[4][0, sensor])
+        assert noise < 0.02 * a
+        assert abs(a - b) < 4.5 * noise  # Student's t of some 10 degrees
+
+
+@pytest.mark.parametrize("material", [Ward(0.8, 0.3), SumMaterial(Lambert(0.5), Ward(0.4, 0.2))])
+def test_first_legs_have_the_density_that_they_are_weighted_by(material):
+    around = bounce_surfaces(hidden_surfaces([(quad(*FLOOR), material)]), LASER[None], 1.0, None)
+    n = 1 << 14
+    vertices = np.zeros((n, kernels.VERTEX))
+    vertices[:, kernels.N] = [0.0, 1.0, 0.0]
+    vertices[:, kernels.WEIGHT] = 1.0
+    slopes = np.linspace(-0.8, 0.9, kernels.VIEWS)
+    views = np.stack([slopes, np.ones_like(slopes), -0.3 * slopes], axis=1)
+    views /= np.sqrt((views * views).sum(axis=1))[:, None]
+    leaving = np.empty((n, kernels.LEAVE))
+    columns, shifts = scrambled_sobol(3, 7, 1)
+    kernels.leave(
+        around.kernel,
+        (np.uint64(3), columns.copy(), shifts.copy()),
+        0,
+        kernels.DRAWS_SEEN,
+        0.0,
+        np.tile(views, (n, 1, 1)),
+        vertices,
+        leaving,
+        np.empty((n, 3)),
+        np.empty((n, 3)),
+    )
+    sent = leaving[:, kernels.SENT] > 0.0
+    # the cosine's integral over the hemisphere, to a percent with these Sobol points
+    mean = (leaving[sent, kernels.SENT] / leaving[sent, kernels.DENSITY]).sum() / n
+    assert mean == pytest.approx(np.pi, rel=0.01)
 
 
 def test_threads_change_no_bit(monkeypatch):

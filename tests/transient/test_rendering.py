@@ -315,6 +315,12 @@ def test_both_sides_scatter_alike():
     assert light([(one, WHITE)]).H == pytest.approx(light([(other, WHITE)]).H, rel=1e-12)
 
 
+def test_progress_ends_at_one():
+    told = []
+    light([(letter(), WHITE)], progress=lambda share, text: told.append((share, text)))
+    assert told[-1] == (1.0, "three bounces: 2 of 2 pairs of points")
+
+
 def with_nan():
     thing = plate()
     thing.vertices[1, 0] = math.nan
@@ -426,8 +432,8 @@ def test_peer_transient(name):
 def test_peer_corridor():
     """Walls, floor and shadows of the peer's corridor; it counts the letter twice.
 
-    Least squares of its capture in our parts gives 2.007 for the letter and 1.000 for the rest,
-    with the letter alone right in its other files.
+    It aims at points of the walls behind the letter too, and takes the letter's light for theirs.
+    Least squares of its capture in our parts gives 2.007 for the letter and 1.000 for the rest.
     """
     H, meta, path = peer("Zbox_single16_3b")
     z = (trimesh.load(path / "meshes" / meta["hidden"][0], process=False), scene.Lambert(0.8))
