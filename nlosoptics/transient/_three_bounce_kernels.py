@@ -21,6 +21,7 @@ from ._shadow_kernels import CORNERS, OVERFLOW, PIECES, _frame, see, shadow_room
 TOTAL, ERROR, LEAVES, PASSES, STATUS = range(5)
 REPORT = 5
 DONE, TOO_MANY, TOO_FINE = 0, 1, 2
+ALL, PART, NOTHING = range(3)  # of a triangle that a point sees
 DEEPEST = 60  # halvings of a triangle
 STEP = 8.0  # by which a pass is stricter than the one before
 # columns of a triangle of the stack: corners, then
@@ -204,8 +205,10 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
 
 
 @njit(cache=True, error_model="numpy")
-def _seen(rows, boxes, clear, spans, reach, p, q, room, pieces):
+def _seen(rows, boxes, clear, reach, p, q, known, known_is_q, room, pieces):
     """Triangles, as parts that both points see from one side; return parts and their number.
+
+    ``known`` says of each triangle what one of the points, q or p, sees: all, nothing or a part.
 
     Rows of ``pieces`` are three corners, the area, both points' heights and the triangle's number.
     """
@@ -220,13 +223,15 @@ def _seen(rows, boxes, clear, spans, reach, p, q, room, pieces):
         tiny = 1e-12 * reach
         if not (h1 > tiny and h2 > tiny) and not (h1 < -tiny and h2 < -tiny):
             continue
-        polygons[0, 0], polygons[0, 1], polygons[0, 2] = 0.0, 0.0, 1.0
-        polygons[0, 3], polygons[0, 4], polygons[0, 5] = 0.0, 0.0, 1.0
-        sizes[0] = 3
+        _whole(polygons, sizes)
         left = 1
+        if known[t] == NOTHING:
+            continue
         if not clear[t, 0 if h1 > 0.0 else 1]:
-            left = see(rows, boxes, t, p, reach, polygons, sizes, left, shadows)
-            if left > 0 and (p[0] != q[0] or p[1] != q[1]):
+            if known_is_q or known[t] != ALL:
+                left = see(rows, boxes, t, p, reach, polygons, sizes, left, shadows)
+            same = p[0] == q[0] and p[1] == q[1]
+            if left > 0 and not same and not (known_is_q and known[t] == ALL):
                 left = see(rows, boxes, t, q, reach, polygons, sizes, left, shadows)
             if left == OVERFLOW:
                 return pieces, OVERFLOW
@@ -251,6 +256,44 @@ def _seen(rows, boxes, clear, spans, reach, p, q, room, pieces):
                 pieces[count, 12] = t
                 count += 1
     return pieces, count
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def sights(rows, boxes, clear, reach, points, out):
+    """Fill ``out`` (points, triangles) with how much of each triangle a point sees."""
+    for i in prange(points.shape[0]):
+        polygons = np.empty((PIECES, 2 * CORNERS))
+        sizes = np.empty(PIECES, dtype=np.int64)
+        shadows = shadow_room()
+        p = points[i]
+        for t in range(rows.shape[0]):
+            row = rows[t]
+            n = _frame(row)[0]
+            h = n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) - n[2] * row[2]
+            out[i, t] = ALL
+            if clear[t, 0 if h > 0.0 else 1]:
+                continue
+            _whole(polygons, sizes)
+            left = see(rows, boxes, t, p, reach, polygons, sizes, 1, shadows)
+            if left == 0:
+                out[i, t] = NOTHING
+            elif left != 1 or not _is_whole(polygons[0], sizes[0]):
+                out[i, t] = PART
+
+
+@njit(cache=True, error_model="numpy")
+def _whole(polygons, sizes):
+    """Set the first polygon to all of a triangle."""
+    polygons[0, 0], polygons[0, 1], polygons[0, 2] = 0.0, 0.0, 1.0
+    polygons[0, 3], polygons[0, 4], polygons[0, 5] = 0.0, 0.0, 1.0
+    sizes[0] = 3
+
+
+@njit(cache=True, error_model="numpy")
+def _is_whole(polygon, size):
+    """Whether nothing was cut off a triangle."""
+    first = polygon[0] == 0.0 and polygon[1] == 0.0 and polygon[2] == 1.0
+    return size == 3 and first and polygon[3] == 0.0 and polygon[4] == 0.0 and polygon[5] == 1.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -331,12 +374,28 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def three_bounces(
-    rows, boxes, clear, reach, world, lasers, sensors, starts, delta, tol, most, blocks, out, report
+    rows,
+    boxes,
+    clear,
+    reach,
+    world,
+    lasers,
+    sensors,
+    sight,
+    known,
+    starts,
+    delta,
+    tol,
+    most,
+    blocks,
+    out,
+    report,
 ):
     """Fill ``out`` (pairs, bins + 2) with G of each pair and ``report`` (pairs, REPORT).
 
     Block i of the pairs is from ``blocks[i]`` to ``blocks[i + 1]``; the bins before and after the
-    window are first and last. Pairs share nothing, so that threads change no bit.
+    window are first and last. Row ``sight[i]`` of ``known`` is what the laser point sees. Pairs
+    share no sum, so that threads change no bit.
     """
     for block in prange(blocks.size - 1):
         room = (
@@ -350,9 +409,12 @@ def three_bounces(
         for i in range(blocks[block], blocks[block + 1]):
             p, q = lasers[i], sensors[i]
             # the lower point first, so that light there and back goes through the same numbers
-            if q[0] < p[0] or (q[0] == p[0] and q[1] < p[1]):
+            swapped = q[0] < p[0] or (q[0] == p[0] and q[1] < p[1])
+            if swapped:
                 p, q = q, p
-            pieces, count = _seen(rows, boxes, clear, world[1], reach, p, q, room, pieces)
+            pieces, count = _seen(
+                rows, boxes, clear, reach, p, q, known[sight[i]], swapped, room, pieces
+            )
             out[i, :] = 0.0
             report[i, :] = 0.0
             if count == OVERFLOW:

@@ -21,6 +21,8 @@ ASKED = 8000
 MOST_PARTS = 20_000_000
 #: Blocks of pairs that threads share, and most pairs at a time.
 BLOCKS, MOST_PAIRS = 64, 1 << 16
+#: Most triangles times points of which it is kept whether one sees the other, bytes.
+MOST_SIGHTS = 1 << 28
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +120,14 @@ def three_bounces(
     names = facets.names.astype(np.int64)
     world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
     out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
+    lasers, sensors, lights, sight = _shared(lasers, sensors)
+    # what a point sees is kept where others see by it, and need not be asked again
+    shared = 2 * len(lights) <= count and len(lights) * len(facets.rows) <= MOST_SIGHTS
+    if not shared:
+        lights, sight = lights[:1], np.zeros_like(sight)
+    known = np.full((len(lights), len(facets.rows)), kernels.PART, dtype=np.int8)
+    if shared and not clear.all():
+        kernels.sights(facets.rows, facets.boxes, clear, reach, lights, known)
     # few at first, so that what is out of reach is told soon
     first, step = 0, 64
     while first < count:
@@ -131,6 +141,8 @@ def three_bounces(
             world,
             lasers[part],
             sensors[part],
+            sight[part],
+            known,
             starts[part],
             delta_t,
             tol,
@@ -153,6 +165,18 @@ def three_bounces(
     )
 
 
+def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    """Pairs with the fewer different points first, those points, and which of them each pair has.
+
+    G is the same both ways.
+    """
+    lights, sight = np.unique(lasers, axis=0, return_inverse=True)
+    seen, sight_back = np.unique(sensors, axis=0, return_inverse=True)
+    if len(seen) < len(lights):
+        return sensors, lasers, seen, sight_back.reshape(-1)
+    return lasers, sensors, lights, sight.reshape(-1)
+
+
 def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> None:
     from . import _three_bounce_kernels as kernels
 
@@ -162,7 +186,7 @@ def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> Non
         return
     i = int(wrong[0])
     where = (
-        f"laser point ({lasers[i, 0]:g}, {lasers[i, 1]:g}) m and sensor point "
+        f"wall points ({lasers[i, 0]:g}, {lasers[i, 1]:g}) m and "
         f"({sensors[i, 0]:g}, {sensors[i, 1]:g}) m"
     )
     if status[i] == kernels.TOO_FINE:
