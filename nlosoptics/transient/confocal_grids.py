@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import SamplingError, SceneError
 from .captures import TransientCapture
+from .gating import outer_legs
 from .volumes import Volume
 
 Array = NDArray[np.floating]
@@ -106,8 +107,6 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     Light that reaches the sensor point off the laser point along the wall, within two bins, comes
     from no hidden object.
     """
-    from .gating import outer_legs
-
     n_paths = max(1, capture.H[0].size)
     if capture.pairing == "confocal":
         apart = np.linalg.norm(capture.laser_points - capture.sensor_points, axis=-1)

@@ -72,8 +72,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
         raise SamplingError(
             f"{capture.n_bins} bins are no multiple of bins = {bins}; gate the capture first"
         )
-    confocal = capture.pairing == "confocal"
-    shape = capture.sensor_shape if confocal else capture.laser_shape + capture.sensor_shape
+    shape = capture.H.shape[1:]
     odd = [n for n in shape if n % grid]
     if odd:
         raise SamplingError(f"{odd[0]} points along an axis are no multiple of grid = {grid}")
@@ -216,17 +215,25 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
 
 
 def outer_legs(capture: TransientCapture) -> Array:
-    """Length of the outer legs of every path, m, of the shape of ``capture.H[0]``; 0 without."""
+    """Length of the outer legs of every path, m, of the shape of ``capture.H[0]``; 0 without.
+
+    Raises
+    ------
+    SceneError
+        If the times hold them and an origin is not known.
+    """
     shape = capture.H.shape[1:]
     if not capture.outer_legs:
         return np.zeros(shape)
+    missing = [n for n in ("laser_origin", "sensor_origin") if getattr(capture, n) is None]
+    if missing:
+        raise SceneError(
+            f"outer_legs = True and {' and '.join(missing)} not given: the path outside cannot be "
+            "taken away; give both origins, or times without these legs"
+        )
     sides: list[Array] = []
     for name in ("laser", "sensor"):
         origin = getattr(capture, f"{name}_origin")
-        if origin is None:
-            raise SceneError(
-                f"the times hold the outer legs, but {name}_origin is not known; give it"
-            )
         points = getattr(capture, f"{name}_points")
         sides.append(np.linalg.norm(points - np.asarray(origin), axis=-1))
     first, last = sides
