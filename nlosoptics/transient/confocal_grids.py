@@ -12,6 +12,7 @@ from ..errors import SamplingError, SceneError
 from .captures import TransientCapture
 from .gating import outer_legs
 from .volumes import Volume
+from .wall_points import UNEVEN, even_axes
 
 Array = NDArray[np.floating]
 
@@ -80,13 +81,10 @@ def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
             f"{method} needs a grid of points (ny, nx), these are {capture.sensor_shape}; use "
             "backprojection"
         )
-    x, y = points[0, :, 0], points[:, 0, 1]
-    even = np.zeros_like(points)
-    even[..., 0] = np.linspace(x[0], x[-1], len(x))
-    even[..., 1] = np.linspace(y[0], y[-1], len(y))[:, None]
-    away = float(np.abs(points - even).max())
+    x, y, off = even_axes(points)
     pitch = min(x[1] - x[0], y[1] - y[0])
-    if pitch <= 0.0 or away > 1e-3 * pitch:
+    away = max(off * abs(pitch), float(np.abs(points[..., 2]).max()))
+    if pitch <= 0.0 or away > UNEVEN * pitch:
         raise SamplingError(
             f"{method} needs an even grid [y, x] in z = 0 with x and y rising; these points are up "
             f"to {away:.3g} m off it: use backprojection"
@@ -96,9 +94,7 @@ def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
         raise SceneError(
             f"{method} needs light of at least 0, the capture goes down to {capture.H.min():g}"
         )
-    return ConfocalGrid(
-        even[0, :, 0], even[:, 0, 1], 0.5 * capture.t_start, 0.5 * capture.delta_t, capture.n_bins
-    )
+    return ConfocalGrid(x, y, 0.5 * capture.t_start, 0.5 * capture.delta_t, capture.n_bins)
 
 
 def refuse_direct_light(capture: TransientCapture, method: str) -> None:
@@ -136,6 +132,8 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
     ------
     SamplingError
         If it lies beyond the window, or farther to the side than the padded grid is wide.
+    SceneError
+        If it is not before the wall.
     """
     if volume is None:
         volume = grid.volume()
@@ -144,7 +142,8 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
     aslant = float(np.ptp(grid.x) ** 2 + np.ptp(grid.y) ** 2)
     nearest = math.sqrt(max(grid.start**2 - aslant, 0.0)) if grid.start > 0.0 else 0.0
     slack = 1e-6 * grid.pitch
-    if low <= 0.0 or low < nearest - slack or high > grid.stop + slack:
+    volume.check_before_wall()
+    if low < nearest - slack or high > grid.stop + slack:
         raise SamplingError(
             f"{method}: the volume's depths {low:g} to {high:g} m are not within the "
             f"{nearest:g} to {grid.stop:g} m that the time window covers; move it or take more bins"
