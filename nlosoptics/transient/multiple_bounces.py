@@ -26,6 +26,7 @@ WORK: Final = 6e11  # units of a nanosecond or so, ten minutes of a core, unless
 MOST: Final = 1 << 27
 PILOT: Final = 1 << 12  # paths that tell how open a scene is
 MOST_ORDER: Final = 32
+MOST_RAYS: Final = 1 << 40
 
 
 class MultipleBounces(NamedTuple):
@@ -140,7 +141,7 @@ def multiple_bounces(
     )
     budget = _affordable(len(chosen), min(len(lasers), len(sensors)), len(rows))
     if n_rays is not None:
-        budget = whole("n_rays", n_rays, LEAST, 1 << 40)
+        budget = whole("n_rays", n_rays, LEAST, MOST_RAYS)
     job, back = _job(
         surfaces,
         (lasers, sensors, rows, _starts(starts, len(rows))),

@@ -206,10 +206,17 @@ def apertures(
             f"aperture has shape {mask.shape}, must be {near_shape} like the "
             f"{setup.sides[0]} points"
         )
-    if fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired):
+    cuts_near = fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired)
+    cuts_far = fits[1] and n_far > 1 and aperture_of in ("both", setup.sides[1])
+    if not (cuts_near or cuts_far):
+        raise SamplingError(
+            f"aperture of shape {mask.shape} and aperture_of = {aperture_of!r} cut no points; take "
+            f"aperture_of = {setup.sides[0]!r} or 'both'"
+        )
+    if cuts_near:
         near = mask.ravel()
-    if fits[1] and aperture_of in ("both", setup.sides[1]):
-        far = mask.ravel() if n_far > 1 else far
+    if cuts_far:
+        far = mask.ravel()
     if not (near.any() and far.any()):
         raise SamplingError("aperture leaves no wall point; give a larger one")
     return near, far

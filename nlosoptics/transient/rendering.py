@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import Vector, in_range, one_of, positive, real, vector, whole
+from .._checks import Vector, in_range, one_of, pair, positive, real, vector, whole
+from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..scene import Material
 from .captures import Pairing, TransientCapture
 from .hidden_surfaces import hidden_surfaces
-from .multiple_bounces import MOST_ORDER, MultipleBounces, multiple_bounces
+from .multiple_bounces import LEAST, MOST_ORDER, MOST_RAYS, MultipleBounces, multiple_bounces
 from .three_bounces import ThreeBounces, three_bounces
 from .wall_points import pair_shape, points_on_wall
 
@@ -157,7 +158,10 @@ def render(
     width = positive("delta_t", delta_t, unit="m")
     count = whole("n_bins", n_bins)
     wanted = in_range("tol", tol, 1e-9, 0.5)
-    whole("seed", seed, low=0)
+    wanted_multiple = in_range("tol_multiple", tol_multiple, 1e-5, 1.0)
+    key = checked_seed(seed)
+    paths = None if n_rays is None else whole("n_rays", n_rays, LEAST, MOST_RAYS)
+    size = None if wall_size is None else pair("wall_size", wall_size)
     most = whole("max_bounces", max_bounces, 3, MOST_ORDER)
     one_of("quantity", quantity, ("irradiance", "radiance", "radiosity"))
     hidden = hidden_surfaces(surfaces)
@@ -188,14 +192,14 @@ def render(
             setting.sensor_points,
             pairing=setting.pairing,
             wall_albedo=rho,
-            wall_size=wall_size,
+            wall_size=size,
             starts=bin_0 - setting.legs,
             delta_t=width,
             n_bins=count,
             orders=range(4, most + 1),
-            tol=tol_multiple,
-            n_rays=n_rays,
-            seed=seed,
+            tol=wanted_multiple,
+            n_rays=paths,
+            seed=key,
             progress=progress,
         )
     if not any(light.any() for light in more.by_bounce.values()):
@@ -203,7 +207,9 @@ def render(
     by_bounce = {3: setting.bins(found.G)}
     by_bounce |= {n: setting.scaled(light) for n, light in more.by_bounce.items()}
     errors = [setting.scaled(error) for error in more.standard_error.values()]
-    H = np.sum(list(by_bounce.values()), axis=0)
+    H = by_bounce[3].copy()
+    for n in more.by_bounce:
+        H += by_bounce[n]
     details = {
         "error_estimate": setting.each(found.error),
         "before": setting.each(found.before),
