@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import one_of
 from ..errors import SamplingError, SceneError
 from .captures import TransientCapture
 from .gating import outer_legs
@@ -100,7 +101,7 @@ def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
 def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     """Raise `SceneError` where the laser's spot itself is seen.
 
-    Light that reaches the sensor point off the laser point along the wall, within two bins, comes
+    Light that reaches the sensor point no later than two bins after the path along the wall comes
     from no hidden object.
     """
     n_paths = max(1, capture.H[0].size)
@@ -114,9 +115,10 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     ends = np.clip(np.floor(shortest) + 2, 0, capture.n_bins).astype(np.int64)
     if not ends.any():
         return
-    flat = capture.H.reshape(capture.n_bins, n_paths)
-    direct = sum(float(np.abs(flat[:end, j]).sum()) for j, end in enumerate(ends) if end)
-    total = float(np.abs(flat).sum(dtype=np.float64))
+    direct = total = 0.0
+    for k, light in enumerate(np.abs(bins) for bins in capture.H.reshape(capture.n_bins, n_paths)):
+        total += float(light.sum(dtype=np.float64))
+        direct += float(light.sum(where=ends > k, dtype=np.float64))
     if direct > DIRECT_SHARE * total:
         raise SceneError(
             f"{method}: {100 * direct / total:.2g} % of the light comes from the lit point itself, "
@@ -165,6 +167,12 @@ def next_size(count: float) -> int:
     from scipy.fft import next_fast_len
 
     return 2 * int(next_fast_len(math.ceil(count / 2)))
+
+
+def waves_kind(dtype: str) -> type:
+    """Complex numbers whose parts are "float32" or "float64"."""
+    name = one_of("dtype", dtype, ("float32", "float64"))
+    return np.complex64 if name == "float32" else np.complex128
 
 
 def waves_along(

@@ -152,7 +152,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
     Raises
     ------
     SceneError
-        If outer legs are in, or the bins begin before 0 and the power is below 0.
+        If outer legs are in, or the first bin's middle is not above 0.
     """
     power = real("power", power)
     _inner(capture, "distance_weighted")
@@ -176,7 +176,7 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
     Returns
     -------
     TransientCapture
-        ``t_start`` is earlier by the longest legs; each bin's light is shared between the two bins
+        ``t_start`` is earlier by the shortest legs; each bin's light is shared between the two bins
         that it comes to lie on. Light that falls before the last of the paths' first bins or after
         the first of their ends is cut, so that all paths cover the same times.
 
@@ -186,6 +186,10 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
         If the capture does not say where laser and sensor stand.
     SamplingError
         If no bin is left that all paths cover.
+
+    Notes
+    -----
+    Standard errors are shared as the light is: they are upper bounds.
     """
     if not capture.outer_legs:
         return capture

@@ -147,8 +147,8 @@ def test_mirrored_scenes_have_mirrored_pictures(name):
 def test_single_precision_is_enough(name):
     light = capture(point_light(POINT))
     volume = around(POINT, count=11)
-    single = METHODS[name](light, volume, precision="single").intensity
-    double = METHODS[name](light, volume, precision="double").intensity
+    single = METHODS[name](light, volume, dtype="float32").intensity
+    double = METHODS[name](light, volume, dtype="float64").intensity
     # rounding of 2^-24 per sum of some thousand terms
     assert single == pytest.approx(double, abs=1e-5 * double.max())
     assert double.dtype == np.float64
@@ -161,7 +161,7 @@ def test_migration_is_the_sum_over_waves():
     light = np.exp(-0.5 * ((depths[:, None, None] - r) / 0.015) ** 2)
     volume = Volume([0.05, 0.12], [-0.03], [0.28, 0.3, 0.32])
     seen = capture(light, laser_points=grid, sensor_points=grid, delta_t=0.02)
-    found = fk_migration(seen, volume, precision="double").intensity
+    found = fk_migration(seen, volume, dtype="float64").intensity
     amplitude = np.sqrt(light * depths[:, None, None] ** 4)
     k = np.arange(-count + 1, count) / (2 * side)
     to_k = np.exp(-2j * np.pi * k[:, None] * grid[0, :, 0])
@@ -191,7 +191,7 @@ def test_waves_of_light_add_up():
     assert np.abs(both - sum(parts)).max() < 1e-11 * np.abs(both).max()
     weights = grid.depths[:, None, None] ** 4
     light = capture(point_light(*points) / weights)
-    picture = fk_migration(light, volume, amplitude="light", precision="double").intensity
+    picture = fk_migration(light, volume, amplitude="light", dtype="float64").intensity
     assert picture == pytest.approx(np.abs(both) ** 2, rel=1e-9)
 
 
