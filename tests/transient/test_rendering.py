@@ -66,9 +66,9 @@ def relative(found, true):
 @pytest.mark.parametrize(
     ("thing", "n"),
     [
-        (plate(), 1500),
-        (plate(0.3, 0.2, (0.6, -0.3, 0.7), 0.2), 1200),
-        (letter(), 900),
+        (plate(), 800),
+        (plate(0.3, 0.2, (0.6, -0.3, 0.7), 0.2), 700),
+        (letter(), 500),
     ],
     ids=["plate", "off-axis patch", "letter"],
 )
@@ -77,9 +77,9 @@ def test_brute_force(thing, n):
     true = np.stack(
         [brute_force([(thing, WHITE)], LASER, s, found.edges, n) for s in SENSORS], axis=1
     )
-    # tol = 1e-3 and the grid's own noise, some 2e-4
+    # tol = 1e-3 and the grid's own noise, some 3e-4
     assert relative(found.H, true).max() < 1e-3
-    # the grid's error falls as 1/n^2, below 1e-6
+    # the grid's error falls as 1/n^2, below 1e-5
     assert found.H.sum(axis=0) == pytest.approx(true.sum(axis=0), rel=1e-4)
     assert (found.details["error_estimate"] <= 1e-3 * found.H.sum(axis=0)).all()
 
