@@ -56,7 +56,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
         Bins that become one.
     grid : int
         Points along each axis of a grid that become one at their middle, with their mean light and
-        normal. A single laser or sensor point stays.
+        normal. An axis of one point stays.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
             f"{capture.n_bins} bins are no multiple of bins = {bins}; gate the capture first"
         )
     shape = capture.H.shape[1:]
-    odd = [n for n in shape if n % grid]
+    odd = [n for n in shape if n > 1 and n % grid]
     if odd:
         raise SamplingError(f"{odd[0]} points along an axis are no multiple of grid = {grid}")
 
@@ -92,7 +92,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
 
     error = capture.standard_error
     if error is not None:
-        error = np.sqrt(coarse(error**2) / grid ** len(shape))
+        error = np.sqrt(coarse(error**2) / grid ** sum(n > 1 for n in shape))
     return _mapped(
         replace(capture, standard_error=None),
         coarse,
@@ -254,9 +254,11 @@ def _inner(capture: TransientCapture, what: str) -> None:
 
 
 def _means(array: Array, first: int, last: int, count: int) -> Array:
-    """Means over blocks of ``count`` along the axes from ``first`` up to ``last``."""
+    """Means over blocks of ``count`` along the axes from ``first`` up to ``last``, but of one."""
     for axis in range(first, last):
         shape = array.shape
+        if shape[axis] == 1:
+            continue
         array = array.reshape(*shape[:axis], -1, count, *shape[axis + 1 :]).mean(axis=axis + 1)
     return array
 
