@@ -1,7 +1,7 @@
 """Time-resolved light: captures off a relay wall, rendered or measured, and their pictures.
 
-- `captures`: `TransientCapture`, light at wall points over optical path; files of it are read and
-  written by `capture_files`, `tal_files`, `foreign_files` and `mat_files`.
+- `captures`: `TransientCapture`, light at `wall_points` over optical path; files of it are read
+  and written by `capture_files`, `tal_files`, `foreign_files` and `mat_files`.
 - `rendering`: `render`, captures of hidden meshes; three bounces by quadrature (`three_bounces`),
   more by Monte Carlo (`multiple_bounces`). `scene_captures`: `render_scene`, of a scene file.
 - `detectors`: `Detector`, which counts a capture's photons.
@@ -16,7 +16,7 @@
 """
 
 from .backprojections import backprojection
-from .captures import TransientCapture, wall_grid
+from .captures import TransientCapture
 from .depths import DepthError, DepthMap, depth_error, depth_map, true_depths, voxelised
 from .detectors import Detector
 from .gating import distance_weighted, downsampled, gated, smoothed, without_outer_legs
@@ -27,6 +27,7 @@ from .phasor_images import PhasorImage
 from .rendering import render
 from .scene_captures import render_scene
 from .volumes import Volume, VolumeImage
+from .wall_points import wall_grid
 
 __all__ = [
     "DepthError",
