@@ -145,10 +145,7 @@ def _roughness(lines: list[Line]) -> tuple[str, str, str] | None:
             f"{name}: from Ward 1.0 to 0.2 the error rises in {more} of {len(pairs)} groups and "
             f"falls in {less}, median change {np.median(steps):+.1f} mm"
         )
-    holds = _holds(*np.sum(list(counts.values()), axis=0).tolist())
-    simple = counts.get("letters", (0, 0, 0))
-    if simple[0] > simple[1]:
-        holds += "; the simple scene is no exception here"
+    holds = ", ".join(f"{name}: {_holds(*count)}" for name, count in counts.items())
     text = "; ".join(told)
     return "diffuse surfaces are found slightly better, simple scenes excepted", text, holds
 

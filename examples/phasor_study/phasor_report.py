@@ -91,7 +91,11 @@ on depth through what it shows at all, and sideways:
   narrow aperture reaches farther: the letters are 0.45 m apart, so that a few such columns decide
   the mean. The threshold can leave them out only down to half of the true cells.
 - A wide lobe scales all of that by one number, and one scale for all changes no depth. A narrow one
-  takes light from edges and from what is aslant, which alone tell of columns without mirror points.
+  takes light from edges, which alone tell of the letters' columns without mirror points.
+- A rounded form has mirror points at any aperture, on either side of the middle, and no second
+  surface 0.45 m behind the first. So the dragon's error falls less with the aperture, and hardly
+  depends on the lobe; where it does not fall, the threshold leaves the narrow aperture its few
+  bright columns, as many as it must.
 
 | scene | wavelength, cm | voxel, cm | aperture, m | of the outline | of the brightness |
 |---|---|---|---|---|---|
