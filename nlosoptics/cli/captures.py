@@ -215,6 +215,8 @@ def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[s
     z, y, x = np.unravel_index(int(image.intensity.argmax()), image.intensity.shape)
     volume = image.volume
     ran = capture.details.get("run")
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {
         "program": "nlosoptics",
         "status": "done",
@@ -231,7 +233,7 @@ def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[s
         "notes": list(image.notes),
         "details": {k: v for k, v in image.details.items() if isinstance(v, str | int | float)},
         "capture_file": path.name,
-        "capture_sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "capture_sha256": digest,
         "capture_run": dict(ran) if isinstance(ran, dict) else None,
         "seconds": {"reconstruction": image.seconds},
         "versions": versions(),

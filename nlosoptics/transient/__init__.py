@@ -1,23 +1,22 @@
 """Time-resolved light: captures off a relay wall, rendered or measured, and their pictures.
 
-- `captures`: `TransientCapture`, light at wall points over optical path; files of it are read and
-  written by `capture_files`, `tal_files`, `foreign_files` and `mat_files`.
-- `gating`: what measured captures need before imaging.
+- `captures`: `TransientCapture`, light at `wall_points` over optical path; files of it are read
+  and written by `capture_files`, `tal_files`, `foreign_files` and `mat_files`.
+- `rendering`: `render`, captures of hidden meshes; three bounces by quadrature (`three_bounces`),
+  more by Monte Carlo (`multiple_bounces`). `scene_captures`: `render_scene`, of a scene file.
 - `detectors`: `Detector`, which counts a capture's photons.
-- `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, set up by
-  `phasor_setups` and carried by `plane_convolutions` or by
-  `rayleigh_sommerfeld`; `phasor_images`: `PhasorImage`; `phasor_validity`: what limits it.
-- `rendering`: `render`, captures of hidden meshes; three bounces by quadrature, more by Monte
-  Carlo (`multiple_bounces`).
-- `scene_captures`: `render_scene`, the same of a scene file.
+- `gating`: what measured captures need before imaging.
 - `volumes`: `Volume`, where a hidden scene is looked for, and `VolumeImage`, what was seen there.
+- `phasor_cameras`: `phasor_image`, virtual cameras by the waves of `phasor_fields`, set up by
+  `phasor_setups` and carried by `plane_convolutions` or by `rayleigh_sommerfeld`;
+  `phasor_images`: `PhasorImage`; `phasor_validity`: what limits it.
 - `backprojections`, `migration`, `light_cones`: such pictures without a chosen wavelength, the
   latter two off the even `confocal_grids`.
 - `depths`: depth maps of pictures and of meshes, and their errors.
 """
 
 from .backprojections import backprojection
-from .captures import TransientCapture, wall_grid
+from .captures import TransientCapture
 from .depths import DepthError, DepthMap, depth_error, depth_map, true_depths, voxelised
 from .detectors import Detector
 from .gating import distance_weighted, downsampled, gated, smoothed, without_outer_legs
@@ -28,6 +27,7 @@ from .phasor_images import PhasorImage
 from .rendering import render
 from .scene_captures import render_scene
 from .volumes import Volume, VolumeImage
+from .wall_points import wall_grid
 
 __all__ = [
     "DepthError",

@@ -76,7 +76,12 @@ def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
     before = 0.0
     for k in range(i, j):
         t = start + k * delta
-        if t < t1:
+        # an edge may be a corner's path, up to rounding, of a side that has no span of its own
+        if t <= t0:
+            now = 0.0
+        elif t >= t2:
+            now = whole
+        elif t < t1:
             t -= t0
             now = low * t * t * (f0 + t * rise)
         else:

@@ -14,7 +14,7 @@ from ..errors import SamplingError
 from .captures import TransientCapture
 from .confocal_grids import refuse_direct_light
 from .gating import outer_legs
-from .volumes import Volume, VolumeImage
+from .volumes import Volume, VolumeImage, axes_before
 
 Array = NDArray[np.floating]
 Progress = Callable[[float, str], None]
@@ -42,8 +42,9 @@ def backprojection(
     capture : TransientCapture
         Any pairing and grids, with or without outer legs, without direct light.
     volume : Volume, optional
-        Any; None, for one grid of sensor points [y, x] with the same z: those points, at depths of
-        half the path of the bins.
+        Any before the wall; None, for an even grid of sensor points [y, x] without outer legs: a
+        voxel before each, at half the paths of the bins, as far as light comes back in time from
+        all of a plane.
     filter : {"none", "second_derivative", "laplacian"}
         Of the sums: ``-d^2/dz^2``, or minus the Laplacian of a Gaussian along all axes that have
         voxels.
@@ -66,7 +67,7 @@ def backprojection(
     SamplingError
         If voxels are outside of what the window of time covers, or a filter has no three voxels.
     SceneError
-        If direct light is in.
+        If direct light is in, or the volume is not before the wall.
     MemoryLimitError
         If light and picture would not fit.
 
@@ -87,6 +88,7 @@ def backprojection(
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
     one_of("falloff", falloff, POWERS)
     volume = _own_volume(capture) if volume is None else volume
+    volume.check_before_wall()
     if filter != "none":
         pitch = volume.z[1] - volume.z[0] if len(volume.z) > 2 else 0.0
         if not pitch:
@@ -121,7 +123,24 @@ def _own_volume(capture: TransientCapture) -> Volume:
             f"sensor points {capture.sensor_shape} or outer legs tell no volume; give one"
         )
     depths = 0.5 * capture.times
-    return Volume(points[0, :, 0], points[:, 0, 1], depths[depths > 0.0])
+    # over the sensor point that is farthest from all lasers, light goes z + sqrt(z^2 + farthest^2)
+    end, farthest = float(capture.edges[-1]), 0.0
+    if capture.pairing == "confocal":
+        apart = np.linalg.norm(capture.laser_points - points, axis=-1)
+        farthest = float(apart.max())
+    else:
+        from scipy.spatial import cKDTree
+
+        nearest = cKDTree(capture.laser_points.reshape(-1, 3)).query(points.reshape(-1, 3))[0]
+        farthest = float(np.max(nearest))
+    last = 0.5 * (end - farthest**2 / end) if end > 0.0 else 0.0
+    depths = depths[(depths > 0.0) & (depths <= last)]
+    if not len(depths):
+        raise SamplingError(
+            f"bins up to {end:g} m hold no path to a plane before all of the wall points; give a "
+            "volume, or take more bins"
+        )
+    return Volume(*axes_before(points), depths)
 
 
 def _sums(

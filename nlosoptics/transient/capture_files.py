@@ -180,7 +180,7 @@ def _fill(found: Found, pairing: str | None, laser_point: Any, side: float | Non
 
 def _lay_grid(found: Found, side: float) -> None:
     """Lay the sensor points on the cells of a square wall, [y, x]."""
-    from .captures import wall_grid
+    from .wall_points import wall_grid
 
     shape = found.H.shape[-2:]
     if found.H.ndim < 3 or shape[0] != shape[1]:

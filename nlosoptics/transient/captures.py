@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import Vector, one_of, positive, real, vector
 from ..errors import SamplingError, SceneError
+from .wall_points import checked_points, pair_shape
 
 Array = NDArray[np.floating]
 Pairing = Literal["all", "confocal"]
@@ -86,11 +87,11 @@ class TransientCapture:
         put(self, "delta_t", positive("delta_t", self.delta_t, unit="m"))
         put(self, "t_start", real("t_start", self.t_start))
         for name in ("laser", "sensor"):
-            points = _points(f"{name}_points", getattr(self, f"{name}_points"))
+            points = checked_points(f"{name}_points", getattr(self, f"{name}_points"))
             put(self, f"{name}_points", points)
             normals = getattr(self, f"{name}_normals")
             if normals is not None:
-                normals = _points(f"{name}_normals", normals)
+                normals = checked_points(f"{name}_normals", normals)
                 if normals.shape != points.shape:
                     raise SamplingError(
                         f"{name}_normals have shape {normals.shape}, must be {points.shape} like "
@@ -245,15 +246,7 @@ class TransientCapture:
             if array.dtype.kind not in "iuf":
                 raise SceneError(f"{name} of type {array.dtype} is not an array of real numbers")
             array = array.astype(np.float64)
-        if self.pairing == "confocal":
-            if self.laser_shape != self.sensor_shape:
-                raise SamplingError(
-                    f"laser points {self.laser_shape} and sensor points {self.sensor_shape} are "
-                    "not pairs; give as many of both, or pairing='all'"
-                )
-            shape = self.sensor_shape
-        else:
-            shape = self.laser_shape + self.sensor_shape
+        shape = pair_shape(self.pairing, self.laser_shape, self.sensor_shape)
         if array.ndim == 0 or array.shape[0] == 0 or array.shape[1:] != shape:
             raise SamplingError(
                 f"{name} has shape {array.shape}, must be (n_bins, {str(shape).strip('(),')}) for "
@@ -265,37 +258,3 @@ class TransientCapture:
                 f"{name} has {n_bad} of {array.size} values that are not finite; replace them"
             )
         return array
-
-
-def _points(name: str, values: ArrayLike) -> Array:
-    array = np.array(values, dtype=np.float64)
-    if array.ndim == 0 or array.shape[-1] != 3 or array.size == 0:
-        raise SamplingError(f"{name} have shape {array.shape}, must be (..., 3), m")
-    if not np.isfinite(array).all():
-        raise SceneError(f"{name} have values that are not finite")
-    return array
-
-
-def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Middles of the cells of a square grid on the wall z = 0.
-
-    Parameters
-    ----------
-    side : float
-        Of the square, m.
-    count : int
-        Cells along each side.
-    centre : (float, float)
-        m.
-
-    Returns
-    -------
-    ndarray
-        (count, count, 3), [y, x], m.
-    """
-    side = positive("side", side, unit="m")
-    along = (np.arange(count) + 0.5) * (side / count) - 0.5 * side
-    points = np.zeros((count, count, 3))
-    points[..., 0] = along + centre[0]
-    points[..., 1] = along[:, None] + centre[1]
-    return points

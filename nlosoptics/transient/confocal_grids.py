@@ -8,9 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import one_of
 from ..errors import SamplingError, SceneError
 from .captures import TransientCapture
+from .gating import outer_legs
 from .volumes import Volume
+from .wall_points import UNEVEN, even_axes
 
 Array = NDArray[np.floating]
 
@@ -79,13 +82,10 @@ def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
             f"{method} needs a grid of points (ny, nx), these are {capture.sensor_shape}; use "
             "backprojection"
         )
-    x, y = points[0, :, 0], points[:, 0, 1]
-    even = np.zeros_like(points)
-    even[..., 0] = np.linspace(x[0], x[-1], len(x))
-    even[..., 1] = np.linspace(y[0], y[-1], len(y))[:, None]
-    away = float(np.abs(points - even).max())
+    x, y, off = even_axes(points)
     pitch = min(x[1] - x[0], y[1] - y[0])
-    if pitch <= 0.0 or away > 1e-3 * pitch:
+    away = max(off * abs(pitch), float(np.abs(points[..., 2]).max()))
+    if pitch <= 0.0 or away > UNEVEN * pitch:
         raise SamplingError(
             f"{method} needs an even grid [y, x] in z = 0 with x and y rising; these points are up "
             f"to {away:.3g} m off it: use backprojection"
@@ -95,19 +95,15 @@ def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
         raise SceneError(
             f"{method} needs light of at least 0, the capture goes down to {capture.H.min():g}"
         )
-    return ConfocalGrid(
-        even[0, :, 0], even[:, 0, 1], 0.5 * capture.t_start, 0.5 * capture.delta_t, capture.n_bins
-    )
+    return ConfocalGrid(x, y, 0.5 * capture.t_start, 0.5 * capture.delta_t, capture.n_bins)
 
 
 def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     """Raise `SceneError` where the laser's spot itself is seen.
 
-    Light that reaches the sensor point off the laser point along the wall, within two bins, comes
+    Light that reaches the sensor point no later than two bins after the path along the wall comes
     from no hidden object.
     """
-    from .gating import outer_legs
-
     n_paths = max(1, capture.H[0].size)
     if capture.pairing == "confocal":
         apart = np.linalg.norm(capture.laser_points - capture.sensor_points, axis=-1)
@@ -119,9 +115,10 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     ends = np.clip(np.floor(shortest) + 2, 0, capture.n_bins).astype(np.int64)
     if not ends.any():
         return
-    flat = capture.H.reshape(capture.n_bins, n_paths)
-    direct = sum(float(np.abs(flat[:end, j]).sum()) for j, end in enumerate(ends) if end)
-    total = float(np.abs(flat).sum(dtype=np.float64))
+    direct = total = 0.0
+    for k, light in enumerate(np.abs(bins) for bins in capture.H.reshape(capture.n_bins, n_paths)):
+        total += float(light.sum(dtype=np.float64))
+        direct += float(light.sum(where=ends > k, dtype=np.float64))
     if direct > DIRECT_SHARE * total:
         raise SceneError(
             f"{method}: {100 * direct / total:.2g} % of the light comes from the lit point itself, "
@@ -137,6 +134,8 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
     ------
     SamplingError
         If it lies beyond the window, or farther to the side than the padded grid is wide.
+    SceneError
+        If it is not before the wall.
     """
     if volume is None:
         volume = grid.volume()
@@ -145,7 +144,8 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
     aslant = float(np.ptp(grid.x) ** 2 + np.ptp(grid.y) ** 2)
     nearest = math.sqrt(max(grid.start**2 - aslant, 0.0)) if grid.start > 0.0 else 0.0
     slack = 1e-6 * grid.pitch
-    if low <= 0.0 or low < nearest - slack or high > grid.stop + slack:
+    volume.check_before_wall()
+    if low < nearest - slack or high > grid.stop + slack:
         raise SamplingError(
             f"{method}: the volume's depths {low:g} to {high:g} m are not within the "
             f"{nearest:g} to {grid.stop:g} m that the time window covers; move it or take more bins"
@@ -167,6 +167,12 @@ def next_size(count: float) -> int:
     from scipy.fft import next_fast_len
 
     return 2 * int(next_fast_len(math.ceil(count / 2)))
+
+
+def waves_kind(dtype: str) -> type:
+    """Complex numbers whose parts are "float32" or "float64"."""
+    name = one_of("dtype", dtype, ("float32", "float64"))
+    return np.complex64 if name == "float32" else np.complex128
 
 
 def waves_along(

@@ -153,7 +153,7 @@ def depth_error(
     Raises
     ------
     SamplingError
-        If the maps differ in shape, or no threshold leaves enough cells.
+        If the maps differ in shape or cells, or no threshold leaves enough cells.
     SceneError
         If the true map is empty.
 
@@ -169,6 +169,13 @@ def depth_error(
         raise SamplingError(
             f"true depths have shape {true.shape}, must be {found.depth.shape} like those found"
         )
+    if isinstance(truth, DepthMap):
+        off = max(float(np.abs(truth.x - found.x).max()), float(np.abs(truth.y - found.y).max()))
+        if off > 1e-6:
+            raise SamplingError(
+                f"true depths are of cells up to {off:g} m beside those found; take one grid for "
+                "both"
+            )
     there = np.isfinite(true)
     if not there.any():
         raise SceneError("the true depths are all NaN; there is nothing to be found")

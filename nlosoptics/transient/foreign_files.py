@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from .._checks import positive
 from ..errors import SamplingError, SceneError
 from .capture_files import LIGHT, Found, array, bins, number, triple, upright
-from .captures import wall_grid
+from .wall_points import wall_grid
 
 Array = NDArray[Any]
 

@@ -56,7 +56,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
         Bins that become one.
     grid : int
         Points along each axis of a grid that become one at their middle, with their mean light and
-        normal. A single laser or sensor point stays.
+        normal. An axis of one point stays.
 
     Raises
     ------
@@ -72,9 +72,8 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
         raise SamplingError(
             f"{capture.n_bins} bins are no multiple of bins = {bins}; gate the capture first"
         )
-    confocal = capture.pairing == "confocal"
-    shape = capture.sensor_shape if confocal else capture.laser_shape + capture.sensor_shape
-    odd = [n for n in shape if n % grid]
+    shape = capture.H.shape[1:]
+    odd = [n for n in shape if n > 1 and n % grid]
     if odd:
         raise SamplingError(f"{odd[0]} points along an axis are no multiple of grid = {grid}")
 
@@ -93,7 +92,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
 
     error = capture.standard_error
     if error is not None:
-        error = np.sqrt(coarse(error**2) / grid ** len(shape))
+        error = np.sqrt(coarse(error**2) / grid ** sum(n > 1 for n in shape))
     return _mapped(
         replace(capture, standard_error=None),
         coarse,
@@ -153,7 +152,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
     Raises
     ------
     SceneError
-        If outer legs are in, or the bins begin before 0 and the power is below 0.
+        If outer legs are in, or the first bin's middle is not above 0.
     """
     power = real("power", power)
     _inner(capture, "distance_weighted")
@@ -177,7 +176,7 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
     Returns
     -------
     TransientCapture
-        ``t_start`` is earlier by the longest legs; each bin's light is shared between the two bins
+        ``t_start`` is earlier by the shortest legs; each bin's light is shared between the two bins
         that it comes to lie on. Light that falls before the last of the paths' first bins or after
         the first of their ends is cut, so that all paths cover the same times.
 
@@ -187,6 +186,10 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
         If the capture does not say where laser and sensor stand.
     SamplingError
         If no bin is left that all paths cover.
+
+    Notes
+    -----
+    Standard errors are shared as the light is: they are upper bounds.
     """
     if not capture.outer_legs:
         return capture
@@ -216,17 +219,25 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
 
 
 def outer_legs(capture: TransientCapture) -> Array:
-    """Length of the outer legs of every path, m, of the shape of ``capture.H[0]``; 0 without."""
+    """Length of the outer legs of every path, m, of the shape of ``capture.H[0]``; 0 without.
+
+    Raises
+    ------
+    SceneError
+        If the times hold them and an origin is not known.
+    """
     shape = capture.H.shape[1:]
     if not capture.outer_legs:
         return np.zeros(shape)
+    missing = [n for n in ("laser_origin", "sensor_origin") if getattr(capture, n) is None]
+    if missing:
+        raise SceneError(
+            f"outer_legs = True and {' and '.join(missing)} not given: the path outside cannot be "
+            "taken away; give both origins, or times without these legs"
+        )
     sides: list[Array] = []
     for name in ("laser", "sensor"):
         origin = getattr(capture, f"{name}_origin")
-        if origin is None:
-            raise SceneError(
-                f"the times hold the outer legs, but {name}_origin is not known; give it"
-            )
         points = getattr(capture, f"{name}_points")
         sides.append(np.linalg.norm(points - np.asarray(origin), axis=-1))
     first, last = sides
@@ -243,9 +254,11 @@ def _inner(capture: TransientCapture, what: str) -> None:
 
 
 def _means(array: Array, first: int, last: int, count: int) -> Array:
-    """Means over blocks of ``count`` along the axes from ``first`` up to ``last``."""
+    """Means over blocks of ``count`` along the axes from ``first`` up to ``last``, but of one."""
     for axis in range(first, last):
         shape = array.shape
+        if shape[axis] == 1:
+            continue
         array = array.reshape(*shape[:axis], -1, count, *shape[axis + 1 :]).mean(axis=axis + 1)
     return array
 

@@ -11,8 +11,15 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of, positive
 from .captures import TransientCapture
-from .confocal_grids import ConfocalGrid, confocal_grid, next_size, reached_volume, waves_along
-from .migration import FALLOFF, PRECISIONS, Precision, Progress, Target
+from .confocal_grids import (
+    ConfocalGrid,
+    confocal_grid,
+    next_size,
+    reached_volume,
+    waves_along,
+    waves_kind,
+)
+from .migration import FALLOFF, Precision, Progress, Target
 from .volumes import Volume, VolumeImage
 
 Array = NDArray[np.floating]
@@ -29,7 +36,7 @@ def lct(
     target: Target = "diffuse",
     snr: float = 1.0,
     penalty: Penalty = "size",
-    precision: Precision = "single",
+    dtype: Precision = "float32",
     progress: Progress | None = None,
 ) -> VolumeImage:
     """Picture of a hidden scene by the light-cone transform of a confocal capture.
@@ -47,8 +54,8 @@ def lct(
     penalty : {"size", "curvature"}
         What Wiener's filter holds down: the albedo itself, ``1/snr`` at all frequencies, or its
         second derivatives, ``q^4/snr`` with q^2 the squared frequency over its mean.
-    precision : {"single", "double"}
-        Of the waves; single ones err by about 1e-6 of the brightest voxel.
+    dtype : {"float32", "float64"}
+        Of the waves; of float32 they err by about 1e-6 of the brightest voxel.
     progress : callable(float, str), optional
         Share done and what is being done.
 
@@ -82,7 +89,7 @@ def lct(
     one_of("target", target, FALLOFF)
     one_of("penalty", penalty, ("size", "curvature"))
     snr = positive("snr", snr)
-    kind = np.complex64 if one_of("precision", precision, PRECISIONS) == "single" else np.complex128
+    kind = waves_kind(dtype)
     grid = confocal_grid(capture, "lct")
     volume = reached_volume(grid, volume, "lct")
     squares = _squares(grid, volume)
@@ -103,7 +110,7 @@ def lct(
     image = np.maximum(image, 0.0)
     above = float(image.sum(dtype=np.float64))
     details: dict[str, Any] = {"target": target, "snr": snr, "penalty": penalty}
-    details |= {"precision": precision, "below_zero": below / above if above else 0.0}
+    details |= {"dtype": dtype, "below_zero": below / above if above else 0.0}
     return VolumeImage(
         intensity=image,
         volume=volume,

@@ -13,17 +13,22 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of
 from .captures import TransientCapture
-from .confocal_grids import ConfocalGrid, confocal_grid, next_size, reached_volume, waves_along
+from .confocal_grids import (
+    ConfocalGrid,
+    confocal_grid,
+    next_size,
+    reached_volume,
+    waves_along,
+    waves_kind,
+)
 from .volumes import Volume, VolumeImage
 
 Array = NDArray[np.floating]
 Waves = NDArray[np.complexfloating]
 Progress = Callable[[float, str], None]
 Target = Literal["diffuse", "retroreflective"]
-Precision = Literal["single", "double"]
+Precision = Literal["float32", "float64"]
 Amplitude = Literal["root", "light"]
-
-PRECISIONS: Final = ("single", "double")
 
 #: Powers of the distance with which the light of a target falls off, confocal.
 FALLOFF: Final = {"diffuse": 4, "retroreflective": 2}
@@ -41,7 +46,7 @@ def fk_migration(
     *,
     target: Target = "diffuse",
     amplitude: Amplitude = "root",
-    precision: Precision = "single",
+    dtype: Precision = "float32",
     progress: Progress | None = None,
 ) -> VolumeImage:
     """Picture of a hidden scene by f-k migration of a confocal capture.
@@ -58,8 +63,8 @@ def fk_migration(
         What the wave is: the root of the light times that power [1]_, so that the picture is linear
         in the capture, or this itself, so that the waves of several objects add up and dim ones
         are darker in the picture.
-    precision : {"single", "double"}
-        Of the waves; single ones err by about 1e-6 of the brightest voxel.
+    dtype : {"float32", "float64"}
+        Of the waves; of float32 they err by about 1e-6 of the brightest voxel.
     progress : callable(float, str), optional
         Share done and what is being done.
 
@@ -94,7 +99,7 @@ def fk_migration(
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
     one_of("amplitude", amplitude, ("root", "light"))
-    kind = np.complex64 if one_of("precision", precision, PRECISIONS) == "single" else np.complex128
+    kind = waves_kind(dtype)
     grid = confocal_grid(capture, "fk_migration")
     volume = reached_volume(grid, volume, "fk_migration")
     n = _depth_axis(grid, volume)[1]
@@ -110,7 +115,7 @@ def fk_migration(
     wave = np.sqrt(light) if amplitude == "root" else light
     field = _migrated(wave, grid, volume, kind, progress)
     intensity = field.real**2 + field.imag**2
-    details = {"target": target, "amplitude": amplitude, "precision": precision}
+    details = {"target": target, "amplitude": amplitude, "dtype": dtype}
     return VolumeImage(
         intensity=np.ascontiguousarray(intensity),
         volume=volume,

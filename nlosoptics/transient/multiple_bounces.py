@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, in_range, one_of, pair, positive, whole
+from .._checks import fits_memory, in_range, pair, positive, whole
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from .bounce_surfaces import bounce_surfaces
 from .hidden_surfaces import HiddenSurfaces
+from .wall_points import pair_shape, points_on_wall
 
 if TYPE_CHECKING:
     from .bounce_batches import Job
@@ -25,6 +26,7 @@ WORK: Final = 6e11  # units of a nanosecond or so, ten minutes of a core, unless
 MOST: Final = 1 << 27
 PILOT: Final = 1 << 12  # paths that tell how open a scene is
 MOST_ORDER: Final = 32
+MOST_RAYS: Final = 1 << 40
 
 
 class MultipleBounces(NamedTuple):
@@ -126,9 +128,11 @@ def multiple_bounces(
     chosen = _orders(orders)
     if tol is not None:
         tol = in_range("tol", tol, 1e-5, 1.0)
-    lasers, laser_shape = _wall_points("laser_points", laser_points)
-    sensors, sensor_shape = _wall_points("sensor_points", sensor_points)
-    rows = _rows(pairing, laser_shape, sensor_shape)
+    lit = points_on_wall("laser_points", laser_points)
+    seen = points_on_wall("sensor_points", sensor_points)
+    shape = pair_shape(pairing, lit.shape[:-1], seen.shape[:-1])
+    lasers, sensors = lit.reshape(-1, 3), seen.reshape(-1, 3)
+    rows = _rows(pairing, len(lasers), len(sensors))
     count = whole("n_bins", n_bins)
     fits_memory(
         f"{len(chosen)} orders of {len(rows)} pairs of points in {count} bins",
@@ -137,7 +141,7 @@ def multiple_bounces(
     )
     budget = _affordable(len(chosen), min(len(lasers), len(sensors)), len(rows))
     if n_rays is not None:
-        budget = whole("n_rays", n_rays, LEAST, 1 << 40)
+        budget = whole("n_rays", n_rays, LEAST, MOST_RAYS)
     job, back = _job(
         surfaces,
         (lasers, sensors, rows, _starts(starts, len(rows))),
@@ -149,13 +153,12 @@ def multiple_bounces(
         seed=checked_seed(seed),
     )
     total, squares, batches, paths, reached = _run(job, tol, budget, progress)
-    shape = (count, *(laser_shape if pairing == "all" else ()), *sensor_shape)
     by_bounce, errors = {}, {}
     for k, number in enumerate(chosen):
         # the radiance of the wall's spot is 1/pi
         error = np.sqrt(_variance(total[k], squares[k], batches))
-        by_bounce[number] = (total[k] / (math.pi * batches))[back].T.reshape(shape)
-        errors[number] = (error / math.pi)[back].T.reshape(shape)
+        by_bounce[number] = (total[k] / (math.pi * batches))[back].T.reshape(count, *shape)
+        errors[number] = (error / math.pi)[back].T.reshape(count, *shape)
     details = {
         "paths": paths,
         "batches": batches,
@@ -288,19 +291,6 @@ def _orders(orders: Iterable[int]) -> tuple[int, ...]:
     return tuple(chosen)
 
 
-def _wall_points(name: str, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
-    """Points (n, 3) and the shape that they had."""
-    points = np.array(values, dtype=np.float64)
-    if points.ndim == 0 or points.shape[-1] != 3 or points.size == 0:
-        raise SamplingError(f"{name} have shape {points.shape}, must be (..., 3), m")
-    if not np.isfinite(points).all():
-        raise SceneError(f"{name} have values that are not finite")
-    off = float(np.abs(points[..., 2]).max())
-    if off > 1e-9:
-        raise SceneError(f"{name} are up to {off:g} m off the wall z = 0; put them on it")
-    return np.ascontiguousarray(points.reshape(-1, 3)), points.shape[:-1]
-
-
 def _starts(values: ArrayLike, n_pairs: int) -> Array:
     starts = np.asarray(values, dtype=np.float64)
     if starts.size not in (1, n_pairs):
@@ -312,18 +302,8 @@ def _starts(values: ArrayLike, n_pairs: int) -> Array:
     return np.ascontiguousarray(np.broadcast_to(starts.ravel(), n_pairs))
 
 
-def _rows(
-    pairing: str, laser_shape: tuple[int, ...], sensor_shape: tuple[int, ...]
-) -> NDArray[np.int64]:
+def _rows(pairing: str, n_lasers: int, n_sensors: int) -> NDArray[np.int64]:
     """Pairs (n, 2) of laser and sensor in the order of the result."""
-    one_of("pairing", pairing, ("all", "confocal"))
-    n, m = math.prod(laser_shape), math.prod(sensor_shape)
-    if pairing == "all":
-        laser, sensor = np.meshgrid(np.arange(n), np.arange(m), indexing="ij")
-        return np.stack([laser.ravel(), sensor.ravel()], axis=1)
-    if laser_shape != sensor_shape:
-        raise SamplingError(
-            f"laser points {laser_shape} and sensor points {sensor_shape} are not pairs; give as "
-            "many of both, or pairing='all'"
-        )
-    return np.stack([np.arange(n), np.arange(n)], axis=1)
+    if pairing == "confocal":
+        return np.stack([np.arange(n_lasers), np.arange(n_lasers)], axis=1)
+    return np.stack(np.divmod(np.arange(n_lasers * n_sensors), n_sensors), axis=1)

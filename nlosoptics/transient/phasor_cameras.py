@@ -133,8 +133,7 @@ def phasor_image(
     wl_mean = positive("wl_mean", wl_mean, unit="m")
     wl_sigma = wl_mean / np.sqrt(2.0) if wl_sigma is None else positive("wl_sigma", wl_sigma)
     tol = in_range("tol", tol, 1e-14, 0.1)
-    if volume.z[0] <= 0.0:
-        raise SceneError(f"volume.z begins at {volume.z[0]:g} m, must be above 0, before the wall")
+    volume.check_before_wall()
     moments = _times(camera, times)
     setup = camera_setup(capture, camera, laser, projector_focus, weight == "inverse")
     setup = setup.cut(*apertures(setup, aperture, aperture_of))

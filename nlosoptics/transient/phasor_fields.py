@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import fits_memory
 from ..errors import SamplingError
 from .captures import TransientCapture
 
@@ -28,6 +29,8 @@ ComplexArray = NDArray[np.complexfloating]
 
 #: Bytes of transformed time that are held at once.
 BLOCK = 2**25
+#: Bins that a pulse's standard deviation has at least.
+SHORTEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,11 +94,18 @@ def pulse_band(
     Raises
     ------
     SamplingError
-        If no bin's light reaches these times.
+        If no bin's light reaches these times, or the pulse is shorter than a quarter of a bin.
+    MemoryLimitError
+        If the pulse is so long that one response does not fit.
     """
     import ducc0
     from scipy.special import erfcinv
 
+    if wl_sigma < SHORTEST * capture.delta_t:
+        raise SamplingError(
+            f"wl_sigma = {wl_sigma:.4g} m, limit {SHORTEST * capture.delta_t:.4g} m, "
+            f"{SHORTEST:g} bins, in which it would be lost; take a longer pulse, or finer bins"
+        )
     # half of tol for what the band leaves out, a quarter each for late and for repeated light
     half_band = math.sqrt(2.0) * float(erfcinv(0.5 * tol)) / wl_sigma
     reach = wl_sigma * math.sqrt(2.0 * math.log(4.0 / tol))
@@ -108,6 +118,11 @@ def pulse_band(
             f"holds {edges[0]:.4g} to {edges[-1]:.4g} m; give another volume, or check t_start"
         )
     period = max(times[1] - edges[first], edges[last] - times[0]) + reach
+    fits_memory(
+        f"a pulse of wl_sigma = {wl_sigma:.4g} m",
+        32.0 * period / width,
+        "take a shorter one",
+    )
     n_times = int(ducc0.fft.good_size(math.ceil(period / width), True))
     step = 2.0 * math.pi / (n_times * width)
     centre = 2.0 * math.pi / wl_mean

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .._checks import is_single, one_of, positive, vector, whole
 from ..errors import SamplingError, SceneError
 from .captures import TransientCapture
+from .gating import outer_legs
 from .rayleigh_sommerfeld import Legs
 from .volumes import Volume
 
@@ -105,7 +106,7 @@ def camera_setup(
 ) -> Setup:
     """Which points a camera looks through and which it lights from."""
     lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
-    outer = _outer_legs(capture)
+    outer = outer_legs(capture)
     if camera != "projector_camera" and focus is not None:
         raise SceneError(f"projector_focus is for camera = 'projector_camera', not {camera!r}")
     if camera != "transient" and laser is not None:
@@ -127,6 +128,7 @@ def camera_setup(
             far_points=lasers[:1],
         )
     columns = np.arange(len(lasers) * len(sensors)).reshape(len(lasers), len(sensors))
+    outer = outer.reshape(columns.shape)
     grid, sides, far_shape = capture.sensor_points, ("sensor", "laser"), capture.laser_shape
     # light's way back is its way: one sensor before many lasers is one laser before many sensors
     if len(sensors) == 1 and len(lasers) > 1 and camera in ("confocal_time_gated", "direct_light"):
@@ -159,24 +161,6 @@ def camera_setup(
         far_shape=far_shape,
         merged=merged,
     )
-
-
-def _outer_legs(capture: TransientCapture) -> Array:
-    """(lasers, sensors), or (pairs,): path from the laser to the wall and on to the sensor, m."""
-    lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
-    to_wall, from_wall = np.zeros(len(lasers)), np.zeros(len(sensors))
-    if capture.outer_legs:
-        missing = [n for n in ("laser_origin", "sensor_origin") if getattr(capture, n) is None]
-        if missing:
-            raise SceneError(
-                f"outer_legs = True and {' and '.join(missing)} not given: the path outside cannot "
-                "be taken away; give both origins, or times without these legs"
-            )
-        to_wall = np.linalg.norm(lasers - np.asarray(capture.laser_origin), axis=-1)
-        from_wall = np.linalg.norm(sensors - np.asarray(capture.sensor_origin), axis=-1)
-    if capture.pairing == "confocal":
-        return np.asarray(to_wall + from_wall)
-    return np.asarray(to_wall[:, None] + from_wall)
 
 
 def _laser_index(capture: TransientCapture, laser: Any) -> int:
@@ -222,10 +206,17 @@ def apertures(
             f"aperture has shape {mask.shape}, must be {near_shape} like the "
             f"{setup.sides[0]} points"
         )
-    if fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired):
+    cuts_near = fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired)
+    cuts_far = fits[1] and n_far > 1 and aperture_of in ("both", setup.sides[1])
+    if not (cuts_near or cuts_far):
+        raise SamplingError(
+            f"aperture of shape {mask.shape} and aperture_of = {aperture_of!r} cut no points; take "
+            f"aperture_of = {setup.sides[0]!r} or 'both'"
+        )
+    if cuts_near:
         near = mask.ravel()
-    if fits[1] and aperture_of in ("both", setup.sides[1]):
-        far = mask.ravel() if n_far > 1 else far
+    if cuts_far:
+        far = mask.ravel()
     if not (near.any() and far.any()):
         raise SamplingError("aperture leaves no wall point; give a larger one")
     return near, far

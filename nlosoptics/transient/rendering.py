@@ -11,13 +11,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import Vector, in_range, one_of, positive, real, vector, whole
+from .._checks import Vector, in_range, one_of, pair, positive, real, vector, whole
+from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..scene import Material
 from .captures import Pairing, TransientCapture
 from .hidden_surfaces import hidden_surfaces
-from .multiple_bounces import MOST_ORDER, MultipleBounces, multiple_bounces
+from .multiple_bounces import LEAST, MOST_ORDER, MOST_RAYS, MultipleBounces, multiple_bounces
 from .three_bounces import ThreeBounces, three_bounces
+from .wall_points import pair_shape, points_on_wall
 
 if TYPE_CHECKING:
     import trimesh
@@ -41,9 +43,8 @@ class _Setting:
     @property
     def shape(self) -> tuple[int, ...]:
         """Of the axes behind the bins."""
-        if self.pairing == "confocal":
-            return self.sensor_points.shape[:-1]
-        return self.laser_points.shape[:-1] + self.sensor_points.shape[:-1]
+        lasers, sensors = self.laser_points.shape[:-1], self.sensor_points.shape[:-1]
+        return pair_shape(self.pairing, lasers, sensors)
 
     def bins(self, values: Array) -> Array:
         """(pairs, n_bins) of G as (n_bins, *shape) of what is measured."""
@@ -157,7 +158,10 @@ def render(
     width = positive("delta_t", delta_t, unit="m")
     count = whole("n_bins", n_bins)
     wanted = in_range("tol", tol, 1e-9, 0.5)
-    whole("seed", seed, low=0)
+    wanted_multiple = in_range("tol_multiple", tol_multiple, 1e-5, 1.0)
+    key = checked_seed(seed)
+    paths = None if n_rays is None else whole("n_rays", n_rays, LEAST, MOST_RAYS)
+    size = None if wall_size is None else pair("wall_size", wall_size)
     most = whole("max_bounces", max_bounces, 3, MOST_ORDER)
     one_of("quantity", quantity, ("irradiance", "radiance", "radiosity"))
     hidden = hidden_surfaces(surfaces)
@@ -188,14 +192,14 @@ def render(
             setting.sensor_points,
             pairing=setting.pairing,
             wall_albedo=rho,
-            wall_size=wall_size,
+            wall_size=size,
             starts=bin_0 - setting.legs,
             delta_t=width,
             n_bins=count,
             orders=range(4, most + 1),
-            tol=tol_multiple,
-            n_rays=n_rays,
-            seed=seed,
+            tol=wanted_multiple,
+            n_rays=paths,
+            seed=key,
             progress=progress,
         )
     if not any(light.any() for light in more.by_bounce.values()):
@@ -203,7 +207,9 @@ def render(
     by_bounce = {3: setting.bins(found.G)}
     by_bounce |= {n: setting.scaled(light) for n, light in more.by_bounce.items()}
     errors = [setting.scaled(error) for error in more.standard_error.values()]
-    H = np.sum(list(by_bounce.values()), axis=0)
+    H = by_bounce[3].copy()
+    for n in more.by_bounce:
+        H += by_bounce[n]
     details = {
         "error_estimate": setting.each(found.error),
         "before": setting.each(found.before),
@@ -242,16 +248,11 @@ def _setting(
     outer_legs: bool,
 ) -> _Setting:
     """Check the wall points and pair them."""
-    one_of("pairing", pairing, ("all", "confocal"))
-    lights = _on_wall("laser_points", laser_points)
-    seen = _on_wall("sensor_points", sensor_points)
+    lights = points_on_wall("laser_points", laser_points)
+    seen = points_on_wall("sensor_points", sensor_points)
+    pair_shape(pairing, lights.shape[:-1], seen.shape[:-1])
     first, second = lights.reshape(-1, 3), seen.reshape(-1, 3)
     if pairing == "confocal":
-        if lights.shape != seen.shape:
-            raise SamplingError(
-                f"laser points {lights.shape[:-1]} and sensor points {seen.shape[:-1]} are not "
-                "pairs; give as many of both, or pairing='all'"
-            )
         lasers, sensors = first, second
     else:
         lasers = np.repeat(first, len(second), axis=0)
@@ -274,19 +275,6 @@ def _distance(name: str, origin: Vector | None, points: Array, option: str) -> A
         raise SceneError(f"{name}[z] = {origin[2]:g} m is out of range, must be above 0")
     lines = points - np.asarray(origin)
     return np.asarray(np.sqrt((lines * lines).sum(axis=-1)))
-
-
-def _on_wall(name: str, values: ArrayLike) -> Array:
-    points = np.array(values, dtype=np.float64)
-    if points.ndim == 0 or points.shape[-1] != 3 or points.size == 0:
-        raise SamplingError(f"{name} have shape {points.shape}, must be (..., 3), m")
-    if not np.isfinite(points).all():
-        raise SceneError(f"{name} have values that are not finite")
-    off = float(np.abs(points[..., 2]).max())
-    if off > 1e-9:
-        raise SceneError(f"{name} are up to {off:g} m off the wall z = 0; put them on it")
-    points[..., 2] = 0.0
-    return points
 
 
 def _check_light(found: ThreeBounces, setting: _Setting, begin: float, end: float) -> None:

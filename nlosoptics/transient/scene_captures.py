@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ..errors import SceneError
 from ..scene import Lambert, MeshObject, PlanarObject, Scene, SumMaterial, TransientScan
-from .captures import TransientCapture, wall_grid
+from .captures import TransientCapture
 from .rendering import render
+from .wall_points import wall_grid
 
 if TYPE_CHECKING:
     import trimesh

@@ -108,7 +108,7 @@ def three_bounces(
     count = len(lasers)
     fits_memory(
         f"{count} responses of {n_bins} bins",
-        16.0 * count * (n_bins + 2),
+        40.0 * count * (n_bins + 2),  # with the copies that become a capture
         "take fewer points or bins",
     )
     facets = Facets(surfaces.mesh)

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import pair, positive, vector, whole
+from .._checks import one_of, pair, positive, vector, whole
 from ..errors import SamplingError, SceneError
+from .wall_points import UNEVEN, even_axes
 
 Array = NDArray[np.floating]
 
@@ -84,7 +85,7 @@ class Volume:
         Parameters
         ----------
         points : array_like
-            (ny, nx, 3), m, even and along x and y.
+            (ny, nx, 3), m, even to a thousandth of their pitch and rising along x and y.
         planes : (float, float, float)
             First and last distance from the wall and the step, m; the last plane is the last step
             that does not pass it.
@@ -94,19 +95,7 @@ class Volume:
         SamplingError
             If the points are no such grid.
         """
-        grid = np.array(points, dtype=np.float64)
-        if grid.ndim != 3 or grid.shape[-1] != 3:
-            raise SamplingError(
-                f"wall points of shape {grid.shape} are no grid (ny, nx, 3); give a Volume by its "
-                "axes"
-            )
-        x, y = grid[0, :, 0], grid[:, 0, 1]
-        off = np.abs(grid[..., :2] - np.stack(np.meshgrid(x, y), axis=-1)).max()
-        if off > 1e-6:
-            raise SamplingError(
-                f"wall points are up to {off:g} m off a grid along x and y; give a Volume by its "
-                "axes"
-            )
+        x, y = axes_before(points)
         near, far = (
             positive(name, value, unit="m")
             for name, value in zip(("near", "far"), planes[:2], strict=True)
@@ -116,6 +105,14 @@ class Volume:
             raise SceneError(f"far = {far:g} m is before near = {near:g} m; change them about")
         count = int((far - near) / step * (1 + 1e-12) + 1e-9) + 1
         return cls(x, y, near + step * np.arange(count))
+
+    def check_before_wall(self) -> None:
+        """Raise `SceneError` if a plane is in the wall z = 0 or behind it."""
+        if self.z[0] <= 0.0:
+            raise SceneError(
+                f"volume.z begins at {self.z[0]:g} m, must be above 0, before the wall; give "
+                "planes in the room"
+            )
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -162,7 +159,23 @@ class VolumeImage:
 
     def projection(self, axis: str = "z") -> Array:
         """Brightest voxel along an axis: (ny, nx) along z, (nz, nx) along y, (nz, ny) along x."""
-        return np.asarray(self.intensity.max(axis="zyx".index(axis)))
+        return np.asarray(self.intensity.max(axis="zyx".index(one_of("axis", axis, "zyx"))))
+
+
+def axes_before(points: ArrayLike) -> tuple[Array, Array]:
+    """Axes x and y of the voxels before an even grid of wall points (ny, nx, 3), rising."""
+    grid = np.array(points, dtype=np.float64)
+    if grid.ndim != 3 or grid.shape[-1] != 3:
+        raise SamplingError(
+            f"wall points of shape {grid.shape} are no grid (ny, nx, 3); give a Volume by its axes"
+        )
+    x, y, off = even_axes(grid)
+    if off > UNEVEN:
+        raise SamplingError(
+            f"wall points are up to {off:.2g} of their pitch off an even grid along x and y, limit "
+            f"{UNEVEN:g}; give a Volume by its axes"
+        )
+    return x, y
 
 
 def _axis(name: str, values: ArrayLike) -> Array:
@@ -172,9 +185,11 @@ def _axis(name: str, values: ArrayLike) -> Array:
     if not np.isfinite(axis).all():
         raise SceneError(f"volume.{name} has values that are not finite")
     steps = np.diff(axis)
-    if len(steps) and (steps.min() <= 0.0 or np.ptp(steps) > 1e-6 * steps.mean()):
+    # four roundings of single precision, in which files and arrays of others come
+    rounding = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(axis).max())
+    if len(steps) and (steps.min() <= 0.0 or np.ptp(steps) > 1e-6 * steps.mean() + rounding):
         raise SamplingError(
-            f"volume.{name} steps by {steps.min():g} to {steps.max():g} m; give values that rise "
-            "evenly"
+            f"volume.{name} steps by {steps.min():.9g} to {steps.max():.9g} m; give values that "
+            "rise evenly"
         )
     return axis

@@ -147,8 +147,8 @@ def test_mirrored_scenes_have_mirrored_pictures(name):
 def test_single_precision_is_enough(name):
     light = capture(point_light(POINT))
     volume = around(POINT, count=11)
-    single = METHODS[name](light, volume, precision="single").intensity
-    double = METHODS[name](light, volume, precision="double").intensity
+    single = METHODS[name](light, volume, dtype="float32").intensity
+    double = METHODS[name](light, volume, dtype="float64").intensity
     # rounding of 2^-24 per sum of some thousand terms
     assert single == pytest.approx(double, abs=1e-5 * double.max())
     assert double.dtype == np.float64
@@ -161,7 +161,7 @@ def test_migration_is_the_sum_over_waves():
     light = np.exp(-0.5 * ((depths[:, None, None] - r) / 0.015) ** 2)
     volume = Volume([0.05, 0.12], [-0.03], [0.28, 0.3, 0.32])
     seen = capture(light, laser_points=grid, sensor_points=grid, delta_t=0.02)
-    found = fk_migration(seen, volume, precision="double").intensity
+    found = fk_migration(seen, volume, dtype="float64").intensity
     amplitude = np.sqrt(light * depths[:, None, None] ** 4)
     k = np.arange(-count + 1, count) / (2 * side)
     to_k = np.exp(-2j * np.pi * k[:, None] * grid[0, :, 0])
@@ -191,7 +191,7 @@ def test_waves_of_light_add_up():
     assert np.abs(both - sum(parts)).max() < 1e-11 * np.abs(both).max()
     weights = grid.depths[:, None, None] ** 4
     light = capture(point_light(*points) / weights)
-    picture = fk_migration(light, volume, amplitude="light", precision="double").intensity
+    picture = fk_migration(light, volume, amplitude="light", dtype="float64").intensity
     assert picture == pytest.approx(np.abs(both) ** 2, rel=1e-9)
 
 
@@ -392,6 +392,23 @@ def test_what_transforms_refuse(method, given, volume, kind, words):
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("lasers", ["one", "grid"])
+def test_backprojection_has_a_volume_of_its_own(lasers):
+    """A voxel before each sensor point, as deep as the last bin reaches from all of a plane."""
+    laser = (0.4, 0.3, 0.0)
+    H, options = np.zeros((80, COUNT, COUNT)), {"delta_t": 0.025}
+    H[60:] = 1.0  # after the direct light
+    if lasers == "grid":
+        own = backprojection(capture(H, **options)).volume
+        assert own.z[-1] == pytest.approx(0.5 * (2.0 - 0.0125))  # the last bin's middle
+        return
+    own = backprojection(capture(H, laser_points=laser, pairing="all", **options)).volume
+    far = math.hypot(0.5 - 0.5 * PITCH + 0.4, 0.5 - 0.5 * PITCH + 0.3)
+    path = own.z[-1] + math.hypot(own.z[-1], far)
+    assert path <= 2.0 < path + 0.025 * 2
+    assert own.x == pytest.approx(GRID[0, :, 0])
+
+
 def test_what_backprojection_refuses():
     light = capture(point_light(POINT))
     with pytest.raises(SamplingError, match=r"depths 1\.6 to 2 m have no path"):
@@ -402,6 +419,8 @@ def test_what_backprojection_refuses():
         backprojection(light, Volume([0.0], [0.0], [1.0]), filter="laplacian")
     with pytest.raises(SceneError, match="sharpen"):
         backprojection(light, filter="sharpen")
+    with pytest.raises(SceneError, match=r"volume\.z begins at 0 m, must be above 0"):
+        backprojection(light, Volume([0.0], [0.0], [0.0, 1.0]), falloff="matched")
     with pytest.raises(SamplingError, match="tell no volume"):
         backprojection(replace(light, sensor_origin=(0, 0, 1), laser_origin=(0, 0, 1),
                                outer_legs=True))  # fmt: skip

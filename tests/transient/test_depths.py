@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -141,6 +143,13 @@ def test_walls_along_the_view_are_voxels_too():
         (lambda: depth_map(picture(SLOPE * np.nan)), SceneError, "finite"),
         (lambda: depth_error(picture(SLOPE), SLOPE.T), SamplingError, r"\(6, 5\)"),
         (lambda: depth_error(picture(SLOPE), SLOPE * np.nan), SceneError, "all NaN"),
+        (
+            lambda: depth_error(
+                picture(SLOPE), replace(depth_map(picture(SLOPE)), x=VOLUME.x + 0.1)
+            ),
+            SamplingError,
+            "0.1 m beside",
+        ),
         (
             lambda: depth_error(
                 depth_map(picture(SLOPE, np.eye(5, 6)), threshold=0.5), SLOPE, min_coverage=0.9

@@ -63,6 +63,14 @@ def test_one_laser_point_stays_and_grids_of_both_are_coarser():
     one = capture(laser_points=(0.1, 0.2, 0.0), pairing="all")
     assert downsampled(one, grid=2).laser_shape == ()
     assert downsampled(one, grid=2).laser_points == pytest.approx([0.1, 0.2, 0.0])
+    H = one.H.reshape(len(one.H), 1, 1, *one.sensor_shape)
+    grid = replace(one, H=H, laser_points=one.laser_points.reshape(1, 1, 3), standard_error=H + 1.0)
+    coarse = downsampled(grid, grid=2)
+    assert coarse.laser_shape == (1, 1)
+    assert coarse.H[:, 0, 0] == pytest.approx(downsampled(one, grid=2).H)
+    # of four independent values
+    expected = np.sqrt((grid.standard_error[:, 0, 0, :2, :2] ** 2).sum(axis=(1, 2))) / 4
+    assert coarse.standard_error[:, 0, 0, 0, 0] == pytest.approx(expected)
     both = capture(
         H=RNG.uniform(size=(12, 4, 4, 4, 4)), pairing="all", sensor_normals=GRID * 0 + [0, 0, 1.0]
     )

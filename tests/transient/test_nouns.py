@@ -92,3 +92,25 @@ def test_projection_takes_the_brightest():
     )
     assert image.projection()[2, 3] == 5.0
     assert image.projection("x").shape == (2, 3)
+    with pytest.raises(SceneError, match="axis = 'zy' is unknown"):
+        image.projection("zy")
+
+
+@pytest.mark.parametrize(
+    ("side", "count", "centre"), [(1.0, 2.5, (0, 0)), (1.0, 0, (0, 0)), (1.0, 2, (np.nan, 0))]
+)
+def test_wall_grids_have_cells_and_places(side, count, centre):
+    with pytest.raises(SceneError):
+        wall_grid(side, count, centre=centre)
+
+
+def test_points_of_single_precision_have_even_volumes():
+    """Rounding moves points of 2 m by 1e-7 m, 1e-5 of the pitch."""
+    points = wall_grid(1.9, 97, centre=(0.7, -0.3)).astype(np.float32)
+    facing = Volume.facing(points, (0.5, 0.8, 0.1))
+    assert np.ptp(np.diff(facing.x)) < 1e-12
+    assert facing.x == pytest.approx(points[0, :, 0], abs=2e-7)
+    line = points[0, :, 0]
+    assert Volume(line, [0.0], [1.0]).shape == (1, 1, 97)
+    with pytest.raises(SamplingError, match="of their pitch off"):
+        Volume.facing(points + 0.01 * points[..., [1, 0, 2]], (0.5, 0.8, 0.1))

@@ -288,7 +288,7 @@ def test_points_are_as_wide_as_diffraction_says(side, depth, one_way, confocal, 
 
 @pytest.mark.parametrize("pairing", ["all", "confocal"])
 def test_point_is_found_where_it_is_between_planes(pairing):
-    """Depth to a hundredth of the wavelength from planes half a wavelength apart."""
+    """Depth to a twentieth of the wavelength from planes half a wavelength apart."""
     wl_mean, place = 0.2, np.array([-0.13, 0.21, 0.97])
     capture = point_capture(32, 1.6, place, wl_mean, pairing)
     volume = Volume.before(1.6, 32, 0.6 + 0.5 * wl_mean * np.arange(8))
@@ -360,6 +360,14 @@ def test_coarse_sampling_is_warned_of():
         (SINGLE, {"times": [math.nan]}, SceneError, "not finite"),
         (SINGLE, {"wl_mean": -1.0}, SceneError, "wl_mean = -1 m"),
         (SINGLE, {"aperture": np.ones((6, 6))}, SceneError, "is no mask"),
+        (
+            SINGLE,
+            {"aperture": np.eye(6, dtype=bool), "aperture_of": "laser"},
+            SamplingError,
+            "cut no points",
+        ),
+        (SINGLE, {"wl_sigma": 1e-9}, SamplingError, "wl_sigma = 1e-09 m, limit 0.005 m"),
+        (SINGLE, {"wl_sigma": 1e12}, MemoryLimitError, "a pulse of wl_sigma"),
         (SINGLE, {"device": "no such"}, SceneError, "device = 'no such' is not there"),
     ],
 )

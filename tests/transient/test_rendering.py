@@ -66,9 +66,9 @@ def relative(found, true):
 @pytest.mark.parametrize(
     ("thing", "n"),
     [
-        (plate(), 1500),
-        (plate(0.3, 0.2, (0.6, -0.3, 0.7), 0.2), 1200),
-        (letter(), 900),
+        (plate(), 800),
+        (plate(0.3, 0.2, (0.6, -0.3, 0.7), 0.2), 700),
+        (letter(), 500),
     ],
     ids=["plate", "off-axis patch", "letter"],
 )
@@ -77,9 +77,9 @@ def test_brute_force(thing, n):
     true = np.stack(
         [brute_force([(thing, WHITE)], LASER, s, found.edges, n) for s in SENSORS], axis=1
     )
-    # tol = 1e-3 and the grid's own noise, some 2e-4
+    # tol = 1e-3 and the grid's own noise, some 3e-4
     assert relative(found.H, true).max() < 1e-3
-    # the grid's error falls as 1/n^2, below 1e-6
+    # the grid's error falls as 1/n^2, below 1e-5
     assert found.H.sum(axis=0) == pytest.approx(true.sum(axis=0), rel=1e-4)
     assert (found.details["error_estimate"] <= 1e-3 * found.H.sum(axis=0)).all()
 
@@ -360,6 +360,10 @@ def with_nan():
         ([(plate(), WHITE)], {"n_bins": 0}, SceneError, "n_bins"),
         ([(plate(), WHITE)], {"tol": 0.0}, SceneError, "tol"),
         ([(plate(), WHITE)], {"max_bounces": 2}, SceneError, "max_bounces"),
+        ([(plate(), WHITE)], {"tol_multiple": -5.0}, SceneError, "tol_multiple"),
+        ([(plate(), WHITE)], {"n_rays": 0}, SceneError, "n_rays"),
+        ([(plate(), WHITE)], {"wall_size": -1.0}, SceneError, "wall_size"),
+        ([(plate(), WHITE)], {"seed": 2**64}, SceneError, "seed"),
         ([(plate(), WHITE)], {"quantity": "counts"}, SceneError, "counts"),
         ([(plate(), WHITE)], {"wall_albedo": 1.5}, SceneError, "wall_albedo"),
         ([(plate(), WHITE)], {"keep_laser_cosine": True}, SceneError, "laser_origin"),

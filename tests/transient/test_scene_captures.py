@@ -167,7 +167,7 @@ def test_volume_faces_a_grid():
     assert np.array_equal(volume.points[0, ..., :2], wall_grid(2.0, 4)[..., :2])
     with pytest.raises(SamplingError, match="no grid"):
         Volume.facing(np.zeros((4, 3)), (0.5, 1.0, 0.1))
-    with pytest.raises(SamplingError, match="off a grid"):
+    with pytest.raises(SamplingError, match="off an even grid"):
         Volume.facing(wall_grid(2.0, 4).swapaxes(0, 1), (0.5, 1.0, 0.1))
     with pytest.raises(SceneError, match="far = 0.2 m is before near"):
         Volume.facing(wall_grid(2.0, 4), (0.5, 0.2, 0.1))
