@@ -14,6 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from .._random_kernels import draw
+from ..raytrace._light_kernels import tangents
+from ..raytrace._surround_kernels import dot, three
 from ..scene._kernels import material, material_pdf, sample_material
 from ..scene._material import LAMBERT
 
@@ -55,37 +57,14 @@ class Surfaces(NamedTuple):
 
 
 @njit(cache=True, inline="always")
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(cache=True, inline="always")
-def _three(row, start):
-    return row[start], row[start + 1], row[start + 2]
-
-
-@njit(cache=True, inline="always")
 def _lobes(surfaces, triangle):
     return surfaces.lobes[surfaces.spans[triangle, 0] : surfaces.spans[triangle, 1]]
 
 
 @njit(cache=True)
-def _tangents(n):
-    """Two unit vectors across n: Duff et al., J. Comput. Graph. Tech. 6(1), 2017."""
-    sign = math.copysign(1.0, n[2])
-    p = -1.0 / (sign + n[2])
-    q = n[0] * n[1] * p
-    return (1.0 + sign * n[0] * n[0] * p, sign * q, -sign * n[0]), (
-        q,
-        sign + n[1] * n[1] * p,
-        -n[1],
-    )
-
-
-@njit(cache=True)
 def _about(n, x, y, z):
     """Vector (x, y, z) of the frame with n as its third axis."""
-    a, b = _tangents(n)
+    a, b = tangents(n)
     return (
         x * a[0] + y * b[0] + z * n[0],
         x * a[1] + y * b[1] + z * n[1],
@@ -192,12 +171,12 @@ def look(surfaces, sampler, aimed, sensors, first, origins, directions, triangle
             triangles[i], side = t, surfaces.sides[t]
             if side == 0:
                 side = 1 if draw(sampler, 0, ray, ray, 3) < 0.5 else -1
-            n = _three(surfaces.normals[t], 0)
+            n = three(surfaces.normals[t], 0)
             d = (side * n[0], side * n[1], side * n[2])
         else:
             triangles[i] = -1
             c = int(draw(sampler, 0, ray, ray, 3) * sensors.shape[0])
-            p = _three(sensors[min(c, sensors.shape[0] - 1)], 0)
+            p = three(sensors[min(c, sensors.shape[0] - 1)], 0)
             d = _cosine_weighted((0.0, 0.0, 1.0), u, v)
         for k in range(3):
             origins[i, k], directions[i, k] = p[k], d[k]
@@ -208,12 +187,12 @@ def seen_from(surfaces, sensors, vertices, factor, distance):
     """Fill ``factor`` and ``distance`` (sensors, vertices): cos cos/r^2, 1/m^2, and r, m."""
     stack = np.empty(DEPTH, dtype=np.int64)
     for c in range(sensors.shape[0]):
-        s = _three(sensors[c], 0)
+        s = three(sensors[c], 0)
         for j in range(vertices.shape[0]):
-            p, n = _three(vertices[j], 0), _three(vertices[j], 3)
+            p, n = three(vertices[j], 0), three(vertices[j], 3)
             d = (p[0] - s[0], p[1] - s[1], p[2] - s[2])
-            square = _dot(d, d)
-            product = -d[2] * _dot(d, n)
+            square = dot(d, d)
+            product = -d[2] * dot(d, n)
             factor[c, j] = 0.0
             distance[c, j] = math.sqrt(square)
             if vertices[j, TRIANGLE] < 0.0 or d[2] <= 0.0 or product <= 0.0:
@@ -246,7 +225,7 @@ def view(sampler, sensors, factor, vertices, views):
                     sensors[c, 1] - vertices[j, 1],
                     sensors[c, 2] - vertices[j, 2],
                 )
-                r = math.sqrt(_dot(d, d))
+                r = math.sqrt(dot(d, d))
                 for m in range(3):
                     views[j, k, m] = d[m] / r
                 k += 1
@@ -255,9 +234,9 @@ def view(sampler, sensors, factor, vertices, views):
 @njit(cache=True)
 def _lobe_direction(lobes, incident, n, u, v, w):
     """Direction drawn from the lobes."""
-    a, b = _tangents(n)
+    a, b = tangents(n)
     x, y, z, _ = sample_material(
-        lobes, _dot(incident, a), _dot(incident, b), _dot(incident, n), u, v, w
+        lobes, dot(incident, a), dot(incident, b), dot(incident, n), u, v, w
     )
     return _about(n, x, y, z)
 
@@ -267,8 +246,8 @@ def _viewed_density(lobes, views, n, d, cosine):
     """Density of `leave` from a vertex that sensors see, per solid angle."""
     density = 0.0
     for k in range(VIEWS):
-        w = _three(views[k], 0)
-        density += material_pdf(lobes, _dot(w, n), cosine, _dot(w, d))
+        w = three(views[k], 0)
+        density += material_pdf(lobes, dot(w, n), cosine, dot(w, d))
     return 0.5 * cosine / math.pi + 0.5 * density / VIEWS
 
 
@@ -296,12 +275,12 @@ def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, ori
             continue
         ray = first + i
         u, v = draw(sampler, 0, ray, ray, number), draw(sampler, 0, ray, ray, number + 1)
-        p, n, incident = _three(vertex, 0), _three(vertex, 3), _three(vertex, 6)
+        p, n, incident = three(vertex, 0), three(vertex, 3), three(vertex, 6)
         lobes = _lobes(surfaces, int(vertex[TRIANGLE]))
         if aimed > 0.0 and draw(sampler, 0, ray, ray, number + 2) < aimed:
             to, _ = _hidden_point(surfaces, u, v)
             d = (to[0] - p[0], to[1] - p[1], to[2] - p[2])
-            reach = math.sqrt(_dot(d, d))
+            reach = math.sqrt(dot(d, d))
             if reach == 0.0:
                 continue
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
@@ -315,8 +294,8 @@ def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, ori
             else:
                 choice = (2.0 * choice - 1.0) * VIEWS
                 k = min(int(choice), VIEWS - 1)
-                d = _lobe_direction(lobes, _three(views[i, k], 0), n, u, v, choice - k)
-        cosine = _dot(d, n)
+                d = _lobe_direction(lobes, three(views[i, k], 0), n, u, v, choice - k)
+        cosine = dot(d, n)
         if cosine <= 0.0:
             continue
         out[COSINE] = cosine
@@ -325,7 +304,7 @@ def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, ori
             if not _plain(lobes):
                 out[DENSITY] = _viewed_density(lobes, views[i], n, d, cosine)
         else:
-            mu, between = _dot(incident, n), _dot(incident, d)
+            mu, between = dot(incident, n), dot(incident, d)
             out[DENSITY] = material_pdf(lobes, mu, cosine, between)
             out[SENT] = material(lobes, mu, cosine, between) * cosine
         for k in range(3):
@@ -341,8 +320,8 @@ def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
         k, out, r = triangle[i], leaving[i], distance[i]
         if k < 0 or out[SENT] <= 0.0:
             continue
-        d, n = _three(directions[i], 0), _three(surfaces.normals[k], 0)
-        cosine = -_dot(d, n)
+        d, n = three(directions[i], 0), three(surfaces.normals[k], 0)
+        cosine = -dot(d, n)
         if cosine == 0.0 or r <= 0.0:
             continue
         side = 1.0 if cosine > 0.0 else -1.0
@@ -371,15 +350,15 @@ def connect(surfaces, laser, vertices, value, length):
         if vertex[TRIANGLE] < 0.0 or vertex[WEIGHT] <= 0.0:
             continue
         d = (laser[0] - vertex[0], laser[1] - vertex[1], laser[2] - vertex[2])
-        square = _dot(d, d)
+        square = dot(d, d)
         r = math.sqrt(square)
-        cosine = _dot(d, _three(vertex, 3)) / r
+        cosine = dot(d, three(vertex, 3)) / r
         if cosine <= 0.0 or d[2] >= 0.0:
             continue
-        if surfaces.asked and _blocked(surfaces, _three(vertex, 0), d, stack):
+        if surfaces.asked and _blocked(surfaces, three(vertex, 0), d, stack):
             continue
-        incident = _three(vertex, 6)
-        mu, between = _dot(incident, _three(vertex, 3)), _dot(incident, d) / r
+        incident = three(vertex, 6)
+        mu, between = dot(incident, three(vertex, 3)), dot(incident, d) / r
         f = material(_lobes(surfaces, int(vertex[TRIANGLE])), mu, cosine, between)
         value[i] = vertex[WEIGHT] * f * cosine * -d[2] / (r * square)
         length[i] = vertex[LENGTH] + r
@@ -401,21 +380,21 @@ def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, s
         lobes = _lobes(surfaces, int(seen[j, TRIANGLE]))
         plain = _plain(lobes)
         scale = factor[j] * material(lobes, 1.0, 1.0, 1.0) if plain else factor[j]
-        n, p = _three(seen[j], 3), _three(seen[j], 0)
+        n, p = three(seen[j], 3), three(seen[j], 0)
         to = (
             (sensor[0] - p[0]) / away[j],
             (sensor[1] - p[1]) / away[j],
             (sensor[2] - p[2]) / away[j],
         )
-        mu, shift = _dot(to, n), away[j] - start
+        mu, shift = dot(to, n), away[j] - start
         for k in range(spread[j], spread[j + 1]):
             v = value[k]
             t = (length[k] + shift) * rate
             if v <= 0.0 or t < 0.0 or t >= n_bins:
                 continue
             if not plain:
-                d = _three(first[k], 0)
-                v *= material(lobes, mu, _dot(d, n), _dot(d, to))
+                d = three(first[k], 0)
+                v *= material(lobes, mu, dot(d, n), dot(d, to))
             bins[int(t)] += v * scale
 
 
