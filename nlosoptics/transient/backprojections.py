@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -11,13 +10,12 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of, positive
 from ..errors import SamplingError
-from .captures import TransientCapture
+from .captures import Progress, TransientCapture
 from .confocal_grids import refuse_direct_light
 from .gating import outer_legs
 from .volumes import Volume, VolumeImage, axes_before
 
 Array = NDArray[np.floating]
-Progress = Callable[[float, str], None]
 Filter = Literal["none", "second_derivative", "laplacian"]
 Falloff = Literal["none", "matched", "diffuse", "retroreflective"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of, positive
-from .captures import TransientCapture
+from .captures import Progress, TransientCapture
 from .confocal_grids import (
     ConfocalGrid,
     confocal_grid,
@@ -19,7 +19,7 @@ from .confocal_grids import (
     waves_along,
     waves_kind,
 )
-from .migration import FALLOFF, Precision, Progress, Target
+from .migration import FALLOFF, Precision, Target
 from .volumes import Volume, VolumeImage
 
 Array = NDArray[np.floating]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Final, Literal
 
@@ -12,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of
-from .captures import TransientCapture
+from .captures import Progress, TransientCapture
 from .confocal_grids import (
     ConfocalGrid,
     confocal_grid,
@@ -25,7 +24,6 @@ from .volumes import Volume, VolumeImage
 
 Array = NDArray[np.floating]
 Waves = NDArray[np.complexfloating]
-Progress = Callable[[float, str], None]
 Target = Literal["diffuse", "retroreflective"]
 Precision = Literal["float32", "float64"]
 Amplitude = Literal["root", "light"]

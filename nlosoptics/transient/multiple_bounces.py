@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from .._checks import fits_memory, in_range, pair, positive, whole
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from .bounce_surfaces import bounce_surfaces
+from .captures import Progress
 from .hidden_surfaces import HiddenSurfaces
 from .wall_points import pair_shape, points_on_wall
 
@@ -62,7 +63,7 @@ def multiple_bounces(
     tol: float | None = 1e-2,
     n_rays: int | None = None,
     seed: int = 0,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> MultipleBounces:
     """Light that comes back to the wall after several reflections, by Monte Carlo.
 
@@ -209,7 +210,7 @@ def _job(
 
 
 def _run(
-    job: Job, tol: float | None, budget: int, progress: Callable[[float, str], None] | None
+    job: Job, tol: float | None, budget: int, progress: Progress | None
 ) -> tuple[Array, Array, int, int, list[float]]:
     """Sums of bins and of their squares, the numbers of batches and paths, the errors reached."""
     from .bounce_batches import add_batch

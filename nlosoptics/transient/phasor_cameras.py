@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import fits_memory, in_range, one_of, positive, real
 from ..errors import SamplingError, SceneError, ValidityWarning
 from . import phasor_validity as validity
-from .captures import TransientCapture
+from .captures import Progress, TransientCapture
 from .phasor_fields import Band, blocks, pulse_band, responses
 from .phasor_images import Camera, PhasorImage
 from .phasor_setups import Setup, apertures, camera_setup
@@ -23,7 +22,6 @@ from .volumes import Volume
 
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
-Progress = Callable[[float, str], None]
 
 CAMERAS = ("confocal_time_gated", "transient", "direct_light", "projector_camera")
 #: Bytes of spectra that are held at once; more waves are done one slice after another.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,7 +15,7 @@ from .._checks import Vector, in_range, one_of, pair, positive, real, vector, wh
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..scene import Material
-from .captures import Pairing, TransientCapture
+from .captures import Pairing, Progress, TransientCapture
 from .hidden_surfaces import hidden_surfaces
 from .multiple_bounces import LEAST, MOST_ORDER, MOST_RAYS, MultipleBounces, multiple_bounces
 from .three_bounces import ThreeBounces, three_bounces
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True, eq=False)

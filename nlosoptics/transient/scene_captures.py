@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..errors import SceneError
 from ..scene import Lambert, MeshObject, PlanarObject, Scene, SumMaterial, TransientScan
-from .captures import TransientCapture
+from .captures import Progress, TransientCapture
 from .rendering import render
 from .wall_points import wall_grid
 
@@ -30,7 +29,7 @@ def render_scene(
     *,
     tol: float = 1e-3,
     seed: int = 0,
-    progress: Callable[[float, str], None] | None = None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> TransientCapture:
     """Time-resolved light that a scene sends back to its relay wall, by `render`.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +9,10 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory
 from ..errors import SamplingError, SceneError
+from .captures import Progress
 from .hidden_surfaces import HiddenSurfaces
 
 Array = NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 #: Triangles up to which it is asked beforehand whether any stands before another's plane.
 ASKED = 8000
