@@ -158,19 +158,27 @@ def _between(work, count, level, side):
 
 
 @njit(cache=True, error_model="numpy")
-def _turned(shadow, count):
-    """Drop corners that repeat, and turn a polygon counter-clockwise; 0 if it has no area."""
+def _distinct(corners, count):
+    """Drop corners that repeat the one before, around the polygon; return how many are left."""
     kept = 0
     for i in range(count):
-        x, y = shadow[i, 0], shadow[i, 1]
-        if kept and abs(x - shadow[kept - 1, 0]) + abs(y - shadow[kept - 1, 1]) < ROUNDING:
+        x, y = corners[i, 0], corners[i, 1]
+        if kept and abs(x - corners[kept - 1, 0]) + abs(y - corners[kept - 1, 1]) < ROUNDING:
             continue
-        shadow[kept, 0], shadow[kept, 1] = x, y
+        corners[kept, 0], corners[kept, 1] = x, y
         kept += 1
     while kept > 1 and (
-        abs(shadow[0, 0] - shadow[kept - 1, 0]) + abs(shadow[0, 1] - shadow[kept - 1, 1]) < ROUNDING
+        abs(corners[0, 0] - corners[kept - 1, 0]) + abs(corners[0, 1] - corners[kept - 1, 1])
+        < ROUNDING
     ):
         kept -= 1
+    return kept
+
+
+@njit(cache=True, error_model="numpy")
+def _turned(shadow, count):
+    """Drop corners that repeat, and turn a polygon counter-clockwise; 0 if it has no area."""
+    kept = _distinct(shadow, count)
     if kept < 3:
         return 0
     twice = 0.0
@@ -234,18 +242,7 @@ def _apart(polygon, size, shadow, count):
 @njit(cache=True, error_model="numpy")
 def _store(polygons, sizes, count, corners, size):
     """Append a convex polygon if it has an area; return the new number or OVERFLOW."""
-    kept = 0
-    for i in range(size):
-        x, y = corners[i, 0], corners[i, 1]
-        if kept and abs(x - corners[kept - 1, 0]) + abs(y - corners[kept - 1, 1]) < ROUNDING:
-            continue
-        corners[kept, 0], corners[kept, 1] = x, y
-        kept += 1
-    while kept > 1 and (
-        abs(corners[0, 0] - corners[kept - 1, 0]) + abs(corners[0, 1] - corners[kept - 1, 1])
-        < ROUNDING
-    ):
-        kept -= 1
+    kept = _distinct(corners, size)
     if kept < 3:
         return count
     # in two halves while there is no room for another corner
