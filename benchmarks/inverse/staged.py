@@ -7,7 +7,8 @@ One line of JSON for each finished case; started again, it goes on where it was 
 near10, near14, near30: the start is 0.10, 0.14, 0.30 wave rms off, one image; diversity3: nothing
 is known, three images at defoci 0 and +-0.5 wave; walls4: nothing is known, four walls; calibrate:
 the wall from one image of a known R, then another object; noise5: as near10 at 5 % noise, beside
-Wiener and Richardson-Lucy with the same start; warm: iterations to the quality of a cold fit, for a
+Wiener and Richardson-Lucy with the same start, noise5unet: the same with an untrained network's
+object; warm: iterations to the quality of a cold fit, for a
 wall known from another object; far: one image, nothing known, for the verdict's sake.
 """
 
@@ -35,10 +36,12 @@ GROUPS = (
     "walls4",
     "calibrate",
     "noise5",
+    "noise5unet",
     "warm",
     "near30",
     "far",
 )
+RIVALS = ("wiener", "richardson_lucy", "tv_deconvolve", "deep_image_prior")
 DIVERSITY = (0.0, 0.5 * WAVELENGTH, -0.5 * WAVELENGTH)
 
 
@@ -66,7 +69,7 @@ def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
     """Figures of one case."""
     from nlosoptics.inverse import registered_correlation
 
-    common = {"rms_waves": RMS, "size": size, "noise": 0.05 if group == "noise5" else 0.01}
+    common = {"rms_waves": RMS, "size": size, "noise": 0.05 if "noise5" in group else 0.01}
     data = case(name, wall, **common, **_frames(group))
     known = group not in ("diversity3", "walls4", "far", "calibrate", "warm")
     options: dict[str, Any] = {}
@@ -76,6 +79,8 @@ def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
         error = int(group[4:]) / 100 if group.startswith("near") else 0.10
         first = start(data.coefficients, error, wall)[0]
         options["start_error"] = error
+        if group == "noise5unet":
+            options["object_model"] = "unet"
     elif group == "calibrate":
         first, extra = _calibrated(wall, size)
         options["start_error"] = 0.1
@@ -86,7 +91,9 @@ def solved(group: str, name: str, wall: int, size: int) -> dict[str, Any]:
     found = _fit(data, first, **options)
     correlation = registered_correlation(found, data.truth)
     if group == "noise5":
-        extra = _rivals(data, first)
+        extra = _rivals(data, {"": first, "known_": data.coefficients[0]}, RIVALS)
+    elif group == "noise5unet":
+        extra = _rivals(data, {"": first}, RIVALS[:2])
     return {
         "correlation": correlation,
         "decibels": decibels(correlation, data.truth),
@@ -124,20 +131,20 @@ def _calibrated(wall: int, size: int) -> tuple[np.ndarray, dict[str, Any]]:
     }
 
 
-def _rivals(data: Case, first: np.ndarray) -> dict[str, Any]:
-    """Solvers that hold the start's point spread for the true one, and what they do with the true.
+def _rivals(data: Case, walls: dict[str, np.ndarray], solvers: tuple[str, ...]) -> dict[str, Any]:
+    """Solvers that hold the start's point spread for the true one, or are told the true.
 
     The best of the latter is about what a fit of the wall can reach at all.
     """
     from nlosoptics import imaging, inverse
 
     figures = {}
-    for prefix, coefficients in (("", first), ("known_", data.coefficients[0])):
+    for prefix, coefficients in walls.items():
         spread = pupil(data, coefficients)
         model = imaging.ForwardModel(
             spread().detach().double().numpy(), shape=data.truth.shape, boundary="padded"
         )
-        for name in ("wiener", "richardson_lucy", "tv_deconvolve", "deep_image_prior"):
+        for name in solvers:
             found = getattr(inverse, name)(data.images[0], model)
             correlation = inverse.registered_correlation(found, data.truth)
             figures[f"{prefix}{name}_decibels"] = decibels(correlation, data.truth)
