@@ -1,6 +1,7 @@
 """PCIN as published, from random angles and one image: correlation, status, seconds.
 
-python benchmarks/inverse/wu2024.py [--walls 6] [--rms 0.25 0.5 1] [--json FILE] [--jobs 2]
+python benchmarks/inverse/wu2024.py [--walls 6] [--rms 0.25 0.5 1] [--objects F arrow ...]
+    [--size 64] [--json FILE] [--jobs 2]
 python benchmarks/inverse/wu2024.py --memory
 
 Data by the simulator (cases.py). Each object is seen by each wall; "warm" starts the second and
@@ -18,8 +19,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-
-OBJECTS = ("F", "arrow", "hanzi_zhong")
 
 
 def pupil(data, size):
@@ -60,9 +59,9 @@ def one_wall(job):
     from nlosoptics.inverse.wu2024_fit import wu2024_fit
 
     rows, first = [], None
-    for name in OBJECTS:
+    for name in options.objects:
         wanted = [kind for kind in ("cold", "warm") if (name, wall, rms, kind) not in done]
-        if name == OBJECTS[0]:
+        if name == options.objects[0]:
             wanted = ["cold"]
         data = case(name, wall, rms_waves=rms, size=options.size, noise=options.noise)
         shared = {"noise_sigma": float(data.noise_sigma[0]), "seed": wall, "base": options.base}
@@ -106,6 +105,7 @@ def main():
     parser.add_argument("--walls", type=int, default=6)
     parser.add_argument("--first-wall", type=int, default=100)
     parser.add_argument("--rms", type=float, nargs="+", default=[0.25, 0.5, 1.0])
+    parser.add_argument("--objects", nargs="+", default=["F", "arrow", "hanzi_zhong"])
     parser.add_argument("--size", type=int, default=64)
     parser.add_argument("--noise", type=float, default=0.01)
     parser.add_argument("--base", type=int, default=8)
@@ -126,8 +126,8 @@ def main():
     if options.json and options.json.exists():
         lines = map(json.loads, options.json.read_text().splitlines())
         done = {(line["object"], line["wall"], line["rms"], line["start"]) for line in lines}
-    all_of_wall = {(name, kind) for name in OBJECTS for kind in ("cold", "warm")}
-    all_of_wall.discard((OBJECTS[0], "warm"))
+    all_of_wall = {(name, kind) for name in options.objects for kind in ("cold", "warm")}
+    all_of_wall.discard((options.objects[0], "warm"))
     jobs = [
         (wall, rms, options, done)
         for rms in options.rms
