@@ -3,6 +3,9 @@
 import sys
 from pathlib import Path
 
+import pyvista
+from pyvista.plotting.utilities.sphinx_gallery import Scraper
+
 import nlosoptics
 
 HERE = Path(__file__).parent
@@ -18,13 +21,14 @@ extensions = [
     "sphinx.ext.autosummary",
     "numpydoc",
     "myst_parser",
+    "sphinx_gallery.gen_gallery",
     "mathml",
     "references",
+    "generated",
 ]
 exclude_patterns = ["_generated", "_templates", "figures"]
 templates_path = ["_templates"]
 nitpicky = True
-suppress_warnings = ["config.cache"]  # the gallery's scraper is a function, which has no pickle
 
 # Prose is Markdown; docstrings are numpydoc.
 myst_enable_extensions = ["dollarmath", "deflist"]
@@ -37,6 +41,20 @@ autodoc_typehints = "none"
 autodoc_member_order = "groupwise"
 numpydoc_show_class_members = False
 numpydoc_xref_param_type = True
+
+# The gallery is every examples/plot_*.py; three-dimensional pictures are drawn off-screen.
+pyvista.BUILDING_GALLERY = True
+pyvista.OFF_SCREEN = True
+sphinx_gallery_conf = {
+    "examples_dirs": "_generated/scripts",
+    "gallery_dirs": "gallery",
+    "reset_modules": ("matplotlib", "generated.name_script"),
+    "image_scrapers": ("matplotlib", Scraper()),
+    "download_all_examples": False,
+    "write_computation_times": False,
+    "show_signature": False,
+    "remove_config_comments": True,
+}
 
 html_theme = "pydata_sphinx_theme"
 html_title = "nlosoptics"
@@ -55,4 +73,6 @@ html_theme_options = {
     "pygments_light_style": "a11y-high-contrast-light",
     "pygments_dark_style": "a11y-high-contrast-dark",
 }
-html_sidebars = {"index": []}
+# pages without pages below them
+alone = ("index", "tutorial", "validation", "performance", "limits", "changelog")
+html_sidebars: dict[str, list[str]] = {page: [] for page in alone}
