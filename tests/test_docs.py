@@ -132,7 +132,7 @@ def test_figures_of_the_tables_are_those_of_the_files(
     ]
     assert [tables.number(value) for value in (0.12345, 1e-7, 0, None)] == [
         "0.123",
-        "1.0e-07",
+        "1.0e\N{MINUS SIGN}07",
         "0",
         "",
     ]

@@ -164,7 +164,7 @@ def psf_study(found: Row) -> str:
         ["predicted within a factor of three", f"{found['seconds_within_three']:.1%}"],
         ["longest", f"{found['longest_seconds']:g} s"],
     ]
-    return table(["", "found"], body)
+    return table(["figure", "found"], body)
 
 
 def draw_psf_study(found: Row) -> Any:

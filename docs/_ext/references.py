@@ -15,14 +15,14 @@ MARKS = re.compile(r"(``.*?``)|\||\*(?=[A-Za-z])")
 
 def resolve(
     app: Sphinx, environment: BuildEnvironment, node: pending_xref, text: nodes.TextElement
-) -> nodes.reference | nodes.TextElement | None:
+) -> nodes.Element | None:
     """Look up what stands in single backticks by its last parts, which are unique in this package.
 
     What is not found may be an argument, a file or a private module and stays code, as do the names
     of other packages, whose pages are not fetched. Other roles have to resolve, or Sphinx warns.
     """
     if node["reftarget"].startswith(("python:", "numpy:")):
-        return text
+        return nodes.inline("", text.astext().partition(":")[2] or text.astext())
     if (node.get("refdomain"), node.get("reftype")) != ("py", "obj"):
         return None
     objects = environment.domains.python_domain.objects

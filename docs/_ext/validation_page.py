@@ -75,7 +75,7 @@ def references(path: Path) -> dict[str, list[Row]]:
             {
                 "name": case["name"],
                 "formula": "|O-H| + |H-p| - |O'-p|, less that at p = 0; H by Fermat",
-                "source": "50 digits, by mpmath",
+                "source": "mpmath, 50 digits",
                 "tolerance": "see the test",
                 "values": len(case["rows"]),
             }
