@@ -9,6 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from .chromium import page
+
+__all__ = ["page"]
+
 ROOT = Path(__file__).parents[1]
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
