@@ -14,7 +14,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 #: Okabe and Ito's colours, distinct to every kind of colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 #: How cells begin in a column of numbers.
-NUMERIC = re.compile(r"[-+−\d]|not reached|n\^|$")
+NUMERIC = re.compile(r"[-+\u2212\d]|not reached|n\^|$")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 
@@ -28,7 +28,7 @@ def rows(name: str) -> Any:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A figure as it is read: ``1.3e−05`` where it is small or large, else ``0.0234``."""
+    """A figure as it is read: ``1.3e-05`` where it is small or large, else ``0.0234``."""
     if value is None:
         return ""
     if value == 0:
