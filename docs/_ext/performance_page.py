@@ -551,8 +551,8 @@ SECTIONS = (
         "bounces.jsonl",
         "Four and five bounces beside mitransient",
         "A letter in a corridor, 32 x 32 sensors, bins of 1 cm; error is the relative L1 "
-        "difference of independent seeds over the root of 2. The last column follows from seconds and error, "
-        "which falls as the root of the samples.",
+        "difference of independent seeds over the root of 2. The last column follows from seconds "
+        "and error, which falls as the root of the samples.",
         f"{RUN}/transient/bounces.py --peer-python PEER/bin/python "
         "--json benchmarks/results/bounces.jsonl",
         bounces,

@@ -49,10 +49,11 @@ def seconds(value: float | None) -> str:
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:
-    """A Markdown table, columns of numbers on the right."""
+    """A Markdown table, columns of numbers after the first on the right."""
     cells = [[str(cell) for cell in line] for line in body]
     numeric = [all(NUMERIC.match(cell) for cell in column) for column in zip(*cells, strict=True)]
-    lines = [head, ["--:" if right else "---" for right in numeric], *cells]
+    marks = ["---", *("--:" if right else "---" for right in numeric[1:])]
+    lines = [head, marks, *cells]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
