@@ -78,7 +78,7 @@ for axis, (title, values) in zip(axes, panels.items(), strict=False):
 axes[0].set_ylabel("row (pixels)")
 axes[4].bar(np.array(modes) - 0.2, wall, 0.4, label="true wall")
 axes[4].bar(np.array(modes) + 0.2, fitted, 0.4, label="found")
-axes[4].set(xlabel="Zernike mode (Noll)", ylabel="coefficient (waves rms)", xticks=modes)
+axes[4].set(xlabel="Zernike mode (Noll)", ylabel="coefficient (waves rms)", xticks=modes[::2])
 axes[4].legend(fontsize=8)
 plt.show()
 

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import trimesh
 
-from nlosoptics import scene, transient
+from nlosoptics import scene, transient, views
 
 plt.style.use("tableau-colorblind10")
 
@@ -50,43 +50,27 @@ bins, rows, columns = capture.H.shape
 print(f"{rows} x {columns} points on the wall, {bins} bins of {1e2 * capture.delta_t:.1f} cm")
 
 # %%
-# A streak and four moments
-# -------------------------
-# The streak is the light along one line of the wall over time. Below, the wall at four moments, as
-# seen from the room, so that x grows to the left. Each moment has its own largest value.
+# A streak and three moments
+# --------------------------
+# The streak is the light along one line of the wall over time; beside it the wall at three moments,
+# as seen from the room. The bars of the letter send ellipses of their own, which cross.
 
-x = capture.sensor_points[0, :, 0]
-y = capture.sensor_points[:, 0, 1]
-light = capture.H / capture.delta_t
-figure = plt.figure(figsize=(13.5, 8.4), layout="constrained")
-top, low = figure.subfigures(2, 1, height_ratios=(1.1, 1))
-axis = top.subplots()
-row = rows // 2
-shown = axis.pcolormesh(capture.times, x, light[:, row].T, cmap="inferno", shading="nearest")
-top.colorbar(shown, ax=axis, label="irradiance per path (W/m$^2$ per m)")
-axis.set(xlabel="optical path (m)", ylabel="x on the wall (m)")
-axis.set_title(f"streak along y = {y[row]:.2f} m")
-
-total = light.sum(axis=(1, 2))
-first, last = np.flatnonzero(total > 1e-2 * total.max())[[0, -1]]
-moments = np.linspace(first, last, 7).astype(int)[1:5]
-for number, (axis, k) in enumerate(zip(low.subplots(1, 4), moments, strict=True)):
-    shown = axis.pcolormesh(x, y, light[k], cmap="inferno", shading="nearest")
-    axis.invert_xaxis()
-    axis.set(xlabel="x (m)", aspect="equal", title=f"path {capture.times[k]:.2f} m")
-    if number == 0:
-        axis.set_ylabel("y (m)")
-    low.colorbar(shown, ax=axis, shrink=0.7)
+figure, axes = plt.subplots(1, 4, figsize=(16, 4.2), layout="constrained")
+views.transient(capture, at=(2.1, 2.25, 2.4), axes=axes)
 plt.show()
 
 # %%
 # What to see:
 
-arrivals = capture.times[(light > 0).argmax(axis=0)]
+total = capture.H.sum(axis=(1, 2))
+lit = np.flatnonzero(total > 1e-2 * total.max())
+first, last = lit[0], lit[-1]
+arrivals = capture.times[(capture.H > 0).argmax(axis=0)]
 nearest = np.unravel_index(arrivals.argmin(), arrivals.shape)
+x, y, _ = capture.sensor_points[nearest]
 print(
-    f"The first light is back after {arrivals.min():.2f} m of path, at x = {x[nearest[1]]:.2f} m and "
-    f"y = {y[nearest[0]]:.2f} m; the corners of the wall see it up to {arrivals.max():.2f} m. All of "
+    f"The first light is back after {arrivals.min():.2f} m of path, at x = {x:.2f} m and "
+    f"y = {y:.2f} m; the corners of the wall see it up to {arrivals.max():.2f} m. All of "
     f"it is within {capture.times[last] - capture.times[first]:.2f} m, or "
     f"{1e9 * (capture.times[last] - capture.times[first]) / 299792458.0:.1f} ns."
 )

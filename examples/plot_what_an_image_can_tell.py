@@ -44,7 +44,7 @@ found = {
 # correlation of a reconstruction, against the slopes.
 
 figure, axes = plt.subplots(1, 3, figsize=(15, 4.4), layout="constrained")
-for axis, slope in zip(axes, (0.01, 0.08), strict=False):
+for axis, slope in zip(axes, (0.01, 0.04), strict=False):
     views.feasibility(found[slope], axes=axis)
     axis.set_title(f"slopes {slope:g} rad: {found[slope].verdict.split(':')[0]}")
 axes[2].plot(slopes, [one.score for one in found.values()], "o-")
