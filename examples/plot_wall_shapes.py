@@ -24,14 +24,14 @@ from nlosoptics.scene import ConcaveWall, ConvexWall, FlatWall, WavyWall
 # of view and makes the image smaller.
 
 scenes = Path(__file__).parent / "scenes"
-small = nlos.Scene.load(scenes / "letter_speckle.toml").resized(128)
+small = nlos.Scene.load(scenes / "letter_speckle.toml").resized(96)
 small = replace(small, camera=replace(small.camera, stop_diameter=8e-3, exposure=0.5))
 size = small.wall.size
 walls = {
     "flat": FlatWall(size=size),
     "concave, R = 3 m": ConcaveWall(3.0, size=size),
     "convex, R = 3 m": ConvexWall(3.0, size=size),
-    "wavy, 0.3 mm": WavyWall(0.3e-3, 0.2, phase=np.radians(60), size=size),
+    "wavy, 0.2 mm": WavyWall(0.2e-3, 0.25, phase=np.radians(60), size=size),
 }
 results = {
     name: nlos.simulate(replace(small, wall=wall), tol=1e-2, seed=0) for name, wall in walls.items()
