@@ -69,7 +69,8 @@ plt.show()
 
 half = np.sqrt(np.log(2.0)) / (s[-1] / heights[-1])
 print(
-    f"Heights of {1e9 * half:.0f} nm rms, {half / scene.laser.wavelength:.3f} of the wavelength, take "
+    f"Heights of {1e9 * half:.0f} nm rms, {half / scene.laser.wavelength:.3f} of the wavelength, "
+    "take "
     f"half of the light out of the core. At {1e9 * heights[-1]:.0f} nm, s = {s[-1]:.1f}, the core "
     f"holds {core[-1]:.1g} of the light: the wall is a diffuser."
 )

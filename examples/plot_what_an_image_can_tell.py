@@ -37,9 +37,9 @@ found = {
 # %%
 # Look
 # ----
-# Left and middle: modulation against frequency on the object; what lies above the dashed line of its
-# noise can be told, and the grey line is the frequency of the letter's strokes. Right: the expected
-# correlation of a reconstruction, against the slopes.
+# Left and middle: modulation against frequency on the object; what lies above the dashed line of
+# its noise can be told, and the grey line is the frequency of the letter's strokes. Right: the
+# expected correlation of a reconstruction, against the slopes.
 
 figure, axes = plt.subplots(1, 3, figsize=(15, 4.4), layout="constrained")
 for axis, slope in zip(axes, (0.01, 0.04), strict=False):
