@@ -69,7 +69,8 @@ def faults(site: Path) -> list[str]:
             if not target.is_file():
                 found.append(f"{name}: {address} is not there")
             elif parts.fragment and target in pages:
-                if unquote(parts.fragment) not in pages[target].anchors:
+                anchors = pages[target].anchors
+                if unquote(parts.fragment) not in anchors:
                     found.append(f"{name}: {address} has no such anchor")
     for path in sorted(site.rglob("*.css")):
         outside = STYLE_URL.findall(path.read_text())

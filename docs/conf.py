@@ -1,4 +1,4 @@
-"""How Sphinx builds the site: ``sphinx-build -W -n docs out/docs``; nothing is fetched, now or later."""
+"""How Sphinx builds the site, which fetches nothing: ``sphinx-build -W -n docs out/docs``."""
 
 import sys
 from pathlib import Path
@@ -13,7 +13,7 @@ sys.path.insert(0, str(HERE / "_ext"))
 
 project = "nlosoptics"
 author = "The nlosoptics developers"
-copyright = "The nlosoptics developers, BSD-3-Clause"  # noqa: A001
+copyright = "The nlosoptics developers, BSD-3-Clause"
 version = release = nlosoptics.__version__
 
 extensions = [

@@ -19,7 +19,10 @@ def pages(target: Path) -> None:
     e1, e2, n = scene.camera.frame
     arrows = [
         (np.zeros(3), np.eye(3)[i], f"${name}$", "#000000") for i, name in enumerate("xyz")
-    ] + [(position, axis, f"${name}$", "#0072B2") for axis, name in ((e1, "e_1"), (e2, "e_2"), (n, "n"))]
+    ] + [
+        (position, axis, f"${name}$", "#0072B2")
+        for axis, name in ((e1, "e_1"), (e2, "e_2"), (n, "n"))
+    ]
     for view, (across, up) in ((top, (0, 2)), (side, (2, 1))):
         for start, axis, name, colour in arrows:
             step = LENGTH * axis[[across, up]]
@@ -27,7 +30,10 @@ def pages(target: Path) -> None:
                 continue
             begin = start[[across, up]]
             view.annotate(
-                "", begin + step, begin, arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.8}
+                "",
+                begin + step,
+                begin,
+                arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.8},
             )
             view.annotate(
                 name,

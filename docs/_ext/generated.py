@@ -21,7 +21,7 @@ def make(app: Sphinx) -> None:
 
 
 def gather_scripts(folder: Path) -> None:
-    """Link the gallery's scripts alone: the other examples have README files, which make sections."""
+    """Link the gallery's scripts alone: README files of other examples would make sections."""
     folder.mkdir(exist_ok=True)
     for link in folder.iterdir():
         link.unlink()

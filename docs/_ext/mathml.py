@@ -24,7 +24,11 @@ def visit_inline(writer: Any, node: nodes.math) -> None:
 def visit_block(writer: Any, node: nodes.math_block) -> None:
     """Write a formula on lines of its own, which may scroll on a narrow screen."""
     name = node["ids"][0] if node["ids"] else ""
-    opening = f'<div class="formula" id="{name}" tabindex="0">' if name else '<div class="formula" tabindex="0">'
+    opening = (
+        f'<div class="formula" id="{name}" tabindex="0">'
+        if name
+        else '<div class="formula" tabindex="0">'
+    )
     writer.body.append(opening + convert(node.astext(), display="block") + "</div>\n")
     raise nodes.SkipNode
 

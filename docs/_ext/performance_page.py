@@ -54,7 +54,9 @@ def pages(target: Path) -> None:
     there = {path.name for path in tables.RESULTS.iterdir()}
     if there != {section.file for section in SECTIONS}:
         differ = sorted(there ^ {section.file for section in SECTIONS})
-        raise LookupError(f"docs/_ext/performance_page.py and benchmarks/results differ in {differ}")
+        raise LookupError(
+            f"docs/_ext/performance_page.py and benchmarks/results differ in {differ}"
+        )
     text = []
     for section in SECTIONS:
         found = rows(section.file)
@@ -87,7 +89,8 @@ def errors_against_seconds(axes: Axes, series: dict[str, list[tuple[float, float
     low, high = axes.dataLim.intervalx
     old = axes.get_xlim() if axes.get_shared_x_axes().get_siblings(axes)[1:] else (low, high)
     axes.set_xlim(
-        10 ** math.floor(math.log10(min(low, old[0]))), 10 ** math.ceil(math.log10(max(high, old[1])))
+        10 ** math.floor(math.log10(min(low, old[0]))),
+        10 ** math.ceil(math.log10(max(high, old[1]))),
     )
     axes.grid(alpha=0.3)
 
@@ -276,7 +279,9 @@ def evidence(found: Sequence[Row]) -> str:
 
 def staged(found: Sequence[Row]) -> str:
     """Return success by what is known."""
-    return table(["group, pixels a side", *FITS], fits([r for r in found if "size" in r], "group", "size"))
+    return table(
+        ["group, pixels a side", *FITS], fits([r for r in found if "size" in r], "group", "size")
+    )
 
 
 def diffusers(found: Sequence[Row]) -> str:
@@ -400,7 +405,8 @@ def draw_tolerances(found: Sequence[Row]) -> Any:
     """Draw a line for each stage."""
     groups = grouped(found, "stage").items()
     return draw_series(
-        {name: [(row["seconds"], row["error"]) for row in part] for (name,), part in groups}, "error"
+        {name: [(row["seconds"], row["error"]) for row in part] for (name,), part in groups},
+        "error",
     )
 
 
@@ -441,8 +447,8 @@ SECTIONS = (
     Section(
         "psf_peers.json",
         "Point spreads beside their peers",
-        "Each program by its fastest setting that reaches an error, its set-up kept; 256 x 256 image "
-        "samples, error as max |dI|/max I, one thread.",
+        "Each program by its fastest setting that reaches an error, its set-up kept; 256 x 256 "
+        "image samples, error as max |dI|/max I, one thread.",
         f"{RUN}/psf_peers.py --json benchmarks/results/psf_peers.json",
         psf_peers,
         draw_psf_peers,
@@ -478,8 +484,8 @@ SECTIONS = (
     Section(
         "known_psf.jsonl",
         "Reconstruction, point spread known",
-        "Objects by smooth and speckled point spreads, 128 x 128 pixels, data not made by the model "
-        "that is inverted. scikit-image's have the best setting of those tried.",
+        "Objects by smooth and speckled point spreads, 128 x 128 pixels, data not made by the "
+        "model that is inverted. scikit-image's have the best setting of those tried.",
         f"{RUN}/inverse/known_psf.py --json benchmarks/results/known_psf.jsonl",
         known_psf,
     ),
@@ -544,9 +550,9 @@ SECTIONS = (
     Section(
         "bounces.jsonl",
         "Four and five bounces beside mitransient",
-        "A letter in a corridor, 32 x 32 sensors, bins of 1 cm; error is the relative L1 difference "
-        "of independent seeds over the root of 2. The last column follows from seconds and error, "
-        "which falls as the root of the samples.",
+        "A letter in a corridor, 32 x 32 sensors, bins of 1 cm; error is the relative L1 "
+        "difference of independent seeds over the root of 2. The last column follows from seconds "
+        "and error, which falls as the root of the samples.",
         f"{RUN}/transient/bounces.py --peer-python PEER/bin/python "
         "--json benchmarks/results/bounces.jsonl",
         bounces,

@@ -40,7 +40,7 @@ def prepare(
 ) -> None:
     """Escape bars and stars, and leave out a subpackage's list of its private files."""
     if what == "module":
-        lines[:] = lines[: next((i for i, l in enumerate(lines) if l.startswith("- ")), None)]
+        lines[:] = lines[: next((i for i, line in enumerate(lines) if line.startswith("- ")), None)]
     lines[:] = [MARKS.sub(lambda m: m[1] or "\\" + m[0], line) for line in lines]
 
 

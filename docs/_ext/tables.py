@@ -14,7 +14,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 #: Okabe and Ito's colours, distinct to every kind of colour vision.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 #: How cells begin in a column of numbers.
-NUMERIC = re.compile(r"[-+−\d]|not reached|n\^|$")
+NUMERIC = re.compile(r"[-+\u2212\d]|not reached|n\^|$")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 
@@ -28,7 +28,7 @@ def rows(name: str) -> Any:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A figure as it is read: ``1.3e−05`` where it is small or large, else ``0.0234``."""
+    """A figure as it is read: ``1.3e-05`` where it is small or large, else ``0.0234``."""
     if value is None:
         return ""
     if value == 0:
@@ -49,10 +49,11 @@ def seconds(value: float | None) -> str:
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:
-    """A Markdown table, columns of numbers on the right."""
+    """A Markdown table, columns of numbers after the first on the right."""
     cells = [[str(cell) for cell in line] for line in body]
     numeric = [all(NUMERIC.match(cell) for cell in column) for column in zip(*cells, strict=True)]
-    lines = [head, ["--:" if right else "---" for right in numeric], *cells]
+    marks = ["---", *("--:" if right else "---" for right in numeric[1:])]
+    lines = [head, marks, *cells]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""The validation page: each reference value, the tests that hold it, and our errors against them."""
+"""The validation page: each reference value, the tests that hold it, and our errors."""
 
 import ast
 import json
@@ -199,8 +199,14 @@ def draw_walls(axes: Any) -> None:
             listed[:, :2],
         )
         off = np.maximum(np.abs(ours - listed[:, 2]), 1e-20)
-        axes.loglog(np.maximum(np.abs(listed[:, 2]), 1e-20), off, ".", color=colour, label=case["name"])
-    axes.set(xlabel="W, 50 digits (m)", ylabel="off by (m)", title="wave aberration (1e-20: no difference)")
+        axes.loglog(
+            np.maximum(np.abs(listed[:, 2]), 1e-20), off, ".", color=colour, label=case["name"]
+        )
+    axes.set(
+        xlabel="W, 50 digits (m)",
+        ylabel="off by (m)",
+        title="wave aberration (1e-20: no difference)",
+    )
     axes.legend(fontsize="x-small")
     axes.grid(alpha=0.3)
 
@@ -224,7 +230,9 @@ def draw_strehl(axes: Any) -> None:
             curve.append(psf.strehl(wave))
         axes.plot(waves, curve, color=colour, label=name.removeprefix("strehl_"))
         marks = [(float(row["parameters"]["w"]), float(row["value"])) for row in listed[name]]
-        axes.plot(*zip(*(m for m in marks if m[0] <= 1), strict=True), "o", color=colour, fillstyle="none")
+        axes.plot(
+            *zip(*(m for m in marks if m[0] <= 1), strict=True), "o", color=colour, fillstyle="none"
+        )
     axes.set(xlabel="waves at the rim", ylabel="Strehl ratio", title="on axis (circles: reference)")
     axes.legend(fontsize="x-small")
     axes.grid(alpha=0.3)
@@ -236,7 +244,9 @@ def draw_albedo(axes: Any) -> None:
     angles = np.linspace(0, 90, 91)
     for sigma, colour in zip(("0.1", "0.3", "0.5", "1"), COLOURS, strict=False):
         material = scene.OrenNayar(1.0, float(sigma))
-        axes.plot(angles, material.albedo(np.radians(angles)), color=colour, label=f"slope rms {sigma}")
+        axes.plot(
+            angles, material.albedo(np.radians(angles)), color=colour, label=f"slope rms {sigma}"
+        )
         marks = [
             (row["parameters"]["theta_i_deg"], float(row["value"]))
             for row in listed
@@ -255,6 +265,8 @@ def draw_relay(axes: Any) -> None:
     frequency = np.geomspace(0.05, 6, 100)
     axes.semilogy(frequency, limits.lambert_relay_transfer(frequency, 1.0), color=COLOURS[0])
     marks = [(float(row["parameters"]["f_cycles_per_m"]), float(row["value"])) for row in listed]
-    axes.plot(*zip(*(m for m in marks if m[0] <= 6), strict=True), "o", color=COLOURS[0], fillstyle="none")
+    axes.plot(
+        *zip(*(m for m in marks if m[0] <= 6), strict=True), "o", color=COLOURS[0], fillstyle="none"
+    )
     axes.set(xlabel="cycles per m, 1 m from the wall", ylabel="passed", title="matt relay wall")
     axes.grid(alpha=0.3)
