@@ -2,9 +2,9 @@
 Object and wall from two pictures
 =================================
 
-Where the wall's shape is not known, one picture seldom tells it: no blur of a blurred letter explains
-it as well as a blurred letter. A second picture with a known change of focus breaks the tie, because
-the same wall must explain both.
+Where the wall's shape is not known, one picture seldom tells it: a blurred letter off a perfect
+wall explains it as well as a sharp letter off a bad one. A second picture with a known change of
+focus breaks the tie, because the same wall must explain both.
 """
 
 import matplotlib.pyplot as plt
@@ -18,9 +18,9 @@ plt.style.use("tableau-colorblind10")
 # %%
 # Two pictures
 # ------------
-# A letter by a wall of 0.4 waves rms in twelve Zernike modes, drawn at random, with 1 % of noise. The
-# second picture is half a wave rms out of focus. The pictures are made on a frame twice as large as
-# the one that is fitted.
+# A letter by a wall of 0.4 waves rms in twelve Zernike modes, drawn at random, with 1 % of noise.
+# The second picture is half a wave rms out of focus. The pictures are made on a frame twice as
+# large as the one that is fitted.
 
 wavelength = 632.8e-9
 modes = tuple(range(4, 16))
@@ -49,9 +49,9 @@ pictures = seen + noise * random.normal(size=seen.shape)
 # %%
 # The fit
 # -------
-# `inverse.evidence_fit` starts from random walls and compares them by the evidence of the pictures,
-# with the object integrated out. It is told the modes, the lengths and the defocus; not the wall, and
-# not the letter.
+# `inverse.evidence_fit` starts from random walls and compares them by the evidence of the
+# pictures, with the object integrated out. It is told the modes, the lengths and the defocus; not
+# the wall, and not the letter.
 
 pupil = inverse.PupilPSF.from_zernike(modes, shape=size, **optics)
 found = inverse.evidence_fit(

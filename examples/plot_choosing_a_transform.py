@@ -36,8 +36,8 @@ waves = {
 # All transforms of each
 # ----------------------
 # On 128 x 128 pixels of one Airy unit. Full markers are the errors that a transform estimates of
-# itself, hollow ones its difference from the best. Those that cannot take a wave, or would take long,
-# are left out and named.
+# itself, hollow ones its difference from the best. Those that cannot take a wave, or would take
+# long, are left out and named.
 
 window = {"pitch": 8e-6, "shape": 128, "pixel_integrated": True}
 tables = {name: psf.compare(wave, repeats=2, longest=1.0, **window) for name, wave in waves.items()}
@@ -49,8 +49,8 @@ for name, table in tables.items():
 plt.show()
 
 # %%
-# What to see: the line is the error that is asked for. What auto takes is the transform that it predicts
-# to be the cheapest below it, from the wave alone.
+# What to see: the line is the error that is asked for. What auto takes is the transform that it
+# predicts to be the cheapest below it, from the wave alone.
 
 print(tables["2 waves rms"])
 for name, wave in waves.items():

@@ -21,8 +21,8 @@ plt.style.use("tableau-colorblind10")
 # The scene
 # ---------
 # A wavy wall, a stop of 8 mm and incoherent light, so that photons and the camera's own noise are
-# all the noise there is. The laser has 20 mW; only the product of its power and the exposure counts.
-# The point spread does not depend on the exposure, so it is computed once.
+# all the noise there is. The laser has 20 mW; only the product of its power and the exposure
+# counts. The point spread does not depend on the exposure, so it is computed once.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_speckle.toml").resized(128)
@@ -61,6 +61,6 @@ plt.show()
 print(
     f"From {1e3 * exposures[0]:.0f} to {1e3 * exposures[-1]:.0f} ms the brightest pixel goes from "
     f"{peaks[0]:.1f} to {peaks[-1]:.1f} times its noise, {peaks[-1] / peaks[0]:.2f}-fold for four "
-    f"times the light. The reconstruction's correlation with the truth goes from {scores[0]:.3f} to "
-    f"{scores[-1]:.3f}."
+    f"times the light. The reconstruction's correlation with the truth goes from {scores[0]:.3f} "
+    f"to {scores[-1]:.3f}."
 )

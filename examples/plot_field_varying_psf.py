@@ -23,9 +23,9 @@ plt.style.use("tableau-colorblind10")
 # %%
 # A field of point spreads
 # ------------------------
-# The wall is a part of a sphere of 2.5 m radius, and the stop is 8 mm wide. `psf.point_spread_field`
-# computes point spreads at nodes over the picture, keeps the fewest modes that carry them within
-# ``tol``, and checks the field at points between the nodes.
+# The wall is a part of a sphere of 2.5 m radius, and the stop is 8 mm wide.
+# `psf.point_spread_field` computes point spreads at nodes over the picture, keeps the fewest modes
+# that carry them within ``tol``, and checks the field at points between the nodes.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_flat.toml")
@@ -40,8 +40,9 @@ field = psf.point_spread_field(scene, 7, tol=1e-2, pitch=9e-6)
 # %%
 # Look
 # ----
-# Left: the point spreads of 5 x 5 points of the picture, arranged as the wall sees the picture, each
-# as the camera shows it. Right: the weights of the strongest modes along the picture's diagonal.
+# Left: the point spreads of 5 x 5 points of the picture, arranged as the wall sees the picture,
+# each as the camera shows it. Right: the weights of the strongest modes along the picture's
+# diagonal.
 
 places = np.linspace(-1.0, 1.0, 5)
 spreads = {(x, y): field.point_spread(x, y) for y in places for x in places}
@@ -78,6 +79,6 @@ plt.show()
 brightest = [spread.max() for spread in spreads.values()]
 print(
     f"The peak changes {max(brightest) / min(brightest):.1f}-fold over the object. "
-    f"{len(field.modes)} modes stand for all point spreads; at points between the nodes they err by "
-    f"{field.error_estimate:.1g} of the peak."
+    f"{len(field.modes)} modes stand for all point spreads; at points between the nodes they err "
+    f"by {field.error_estimate:.1g} of the peak."
 )

@@ -68,7 +68,8 @@ peak_to_valley = spread.regime.peak_to_valley
 across, up = (1e6 * width for width in psf.fwhm(spread))
 airy = 1e6 * psf.fwhm(perfect)[0]
 print(
-    f"The concave wall adds {peak_to_valley:.2f} waves from peak to valley. At half maximum the spot "
+    f"The concave wall adds {peak_to_valley:.2f} waves from peak to valley. At half maximum the "
+    "spot "
     f"is {across:.1f} um wide and {up:.1f} um high, {airy:.1f} um off the flat wall; its peak is "
     f"{100 * spread.intensity.max() / perfect.intensity.max():.0f} % of the flat wall's."
 )

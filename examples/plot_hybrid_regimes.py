@@ -3,9 +3,9 @@ Waves for the core, rays for the rest
 =====================================
 
 What reaches the lens from one object point has three parts. The core is light that a smooth mirror
-would reflect, and interferes. The halo is what small heights scatter about it. The diffuse light has
-been inside the wall and comes from everywhere. Each part has a method of its own: exact waves, a
-mean over all walls, and traced rays.
+would reflect, and interferes. The halo is what small heights scatter about it. The diffuse light
+has been inside the wall and comes from everywhere. Each part has a method of its own: exact waves,
+a mean over all walls, and traced rays.
 """
 
 from pathlib import Path
@@ -71,7 +71,8 @@ apart = abs(total - example.traced_flux) / np.hypot(
 )
 print(
     f"At 60 nm the core has {example.coherent_flux:.4f}, the halo {example.halo_flux:.4f} and the "
-    f"diffuse light {example.diffuse_flux:.4f} +- {example.diffuse_flux_error:.4f}. All lobes traced "
+    f"diffuse light {example.diffuse_flux:.4f} +- {example.diffuse_flux_error:.4f}. All lobes "
+    "traced "
     f"by rays alone bring {example.traced_flux:.4f} +- {example.traced_flux_error:.4f}, which is "
     f"{apart:.1f} standard errors from the sum. Most of the light is "
     f"diffuse, but it covers the whole sensor: a pixel has {example.diffuse.mean():.1g} of it, the "

@@ -94,9 +94,10 @@ plt.show()
 
 print(
     f"From {apertures[0]} to {apertures[-1]} m of aperture the spot shrinks from "
-    f"{1e2 * widths[0]:.1f} to {1e2 * widths[-1]:.1f} cm, {widths[0] / widths[-1]:.1f}-fold; the law "
-    f"says {law[0] / law[-1]:.1f}-fold, less than the apertures' {apertures[-1] / apertures[0]:.1f}, "
+    f"{1e2 * widths[0]:.1f} to {1e2 * widths[-1]:.1f} cm, {widths[0] / widths[-1]:.1f}-fold; the "
+    f"law says {law[0] / law[-1]:.1f}-fold, less than the apertures' "
+    f"{apertures[-1] / apertures[0]:.1f}, "
     f"because the edge of the widest is seen under "
-    f"{np.degrees(np.arctan(apertures[-1] / 2 / distance)):.0f} degrees. Of the widest less is gained "
-    "than that, since the far parts of the wall get and send less light."
+    f"{np.degrees(np.arctan(apertures[-1] / 2 / distance)):.0f} degrees. Of the widest less is "
+    "gained than that, since the far parts of the wall get and send less light."
 )

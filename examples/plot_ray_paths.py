@@ -2,8 +2,8 @@
 Where the light goes
 ====================
 
-Laser, wall, object, wall, lens: light that the camera can use meets three surfaces on its way. Traced
-rays show these paths in the room, and how little of the light takes them.
+Laser, wall, object, wall, lens: light that the camera can use meets three surfaces on its way.
+Traced rays show these paths in the room, and how little of the light takes them.
 """
 
 from pathlib import Path

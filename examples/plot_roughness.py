@@ -48,7 +48,9 @@ for height, spread, shade in zip(heights, found, shades, strict=True):
     s = spread.rayleigh_parameter
     label = f"{1e9 * height:.0f} nm, s = {s:.2f}"
     axes[0].semilogy(spread.x * 1e3, row, color=shade, lw=1.2, label=label)
-axes[0].set(xlabel="x (mm)", ylabel="energy per sample, smooth peak 1", xlim=(-0.4, 0.4), ylim=(1e-5, 2))
+axes[0].set(
+    xlabel="x (mm)", ylabel="energy per sample, smooth peak 1", xlim=(-0.4, 0.4), ylim=(1e-5, 2)
+)
 axes[0].set_title("mean point spread")
 axes[0].legend(title="height rms", fontsize=8)
 
@@ -67,7 +69,8 @@ plt.show()
 
 half = np.sqrt(np.log(2.0)) / (s[-1] / heights[-1])
 print(
-    f"Heights of {1e9 * half:.0f} nm rms, {half / scene.laser.wavelength:.3f} of the wavelength, take "
+    f"Heights of {1e9 * half:.0f} nm rms, {half / scene.laser.wavelength:.3f} of the wavelength, "
+    "take "
     f"half of the light out of the core. At {1e9 * heights[-1]:.0f} nm, s = {s[-1]:.1f}, the core "
     f"holds {core[-1]:.1g} of the light: the wall is a diffuser."
 )

@@ -2,9 +2,9 @@
 What a pulse brings back
 ========================
 
-A short laser pulse lights one spot of a matt wall. Light spreads from there, meets the hidden letter
-and comes back to the wall, at each point at its own time. A picture of these arrivals is what
-time-resolved methods see around the corner with.
+A short laser pulse lights one spot of a matt wall. Light spreads from there, meets the hidden
+letter and comes back to the wall, at each point at its own time. A picture of these arrivals is
+what time-resolved methods see around the corner with.
 """
 
 import matplotlib.pyplot as plt
