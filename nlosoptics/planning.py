@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ._checks import fits_memory, in_range
+from ._html import table
 from .errors import NotWaveGradeError, SamplingError, SceneError
 from .psf.aberration import check_wave_grade
 from .psf.estimates import rounded_up
@@ -105,6 +106,16 @@ class Plan:
             for row in rows
         ]
         return "\n".join(line.rstrip() for line in lines)
+
+    def _repr_html_(self) -> str:
+        """Table of all stages."""
+        runs = [(s.name, f"{s.seconds:.2f}", s.error, s.reason) for s in self.stages]
+        skipped = [(s.name, "skipped", "", s.reason) for s in self.skipped]
+        return table(
+            f"Plan: {self.seconds:.2g} s predicted, to {self.tol:g} of the peak",
+            ("stage", "seconds", "error", "why"),
+            [*runs, *skipped],
+        )
 
 
 def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:

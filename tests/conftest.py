@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from .chromium import page
+
+__all__ = ["page"]
+
 ROOT = Path(__file__).parents[1]
+FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +38,16 @@ def data() -> Path:
     if not Path(folder).is_dir():
         pytest.fail(f"NLOSOPTICS_DATA = {folder} is not a folder")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def code_blocks() -> Callable[[Path, str], list[str]]:
+    """The code blocks of a Markdown page in one language, in their order."""
+
+    def found(page: Path, language: str) -> list[str]:
+        return [code for name, code in FENCE.findall(page.read_text()) if name == language]
+
+    return found
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +34,13 @@ def test_links_lead_somewhere() -> None:
 
 
 def test_examples_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    code_blocks: Callable[[Path, str], list[str]],
 ) -> None:
     """The Python examples, one after the other, in a folder of their own beside the examples."""
-    examples = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+    examples = code_blocks(ROOT / "README.md", "python")
     assert [len(example.splitlines()) <= 15 for example in examples] == [True] * 4
     script = (ROOT / "examples" / "reconstruct.py").read_text()
     assert script.split('"""\n\n', 1)[1] == examples[1]

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .._html import card
 from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement
 from .torch_model import TorchForwardModel, torch_model
@@ -55,6 +56,29 @@ class Reconstruction:
     score: float
     history: Mapping[str, NDArray[np.float64]]
     seconds: float
+
+    def _repr_html_(self) -> str:
+        """Small picture with status, score, seconds and what else was settled."""
+        from .. import views
+
+        rows, columns = self.object.shape
+        retrieved = "fourier_error" in self.history
+        meaning = "agreement of halves" if retrieved else "residual, rms of the noise"
+        figures = {
+            "status": self.status.replace("_", " "),
+            meaning: f"{self.score:.3g}",
+            "restarts"
+            if retrieved
+            else "iterations": f"{max(map(len, self.history.values()), default=0)}",
+            "seconds": f"{self.seconds:.3g}",
+        }
+        for name, value in self.physical_parameters.items():
+            if np.ndim(value) == 0:
+                figures[name.replace("_", " ")] = (
+                    f"{value:.4g}" if isinstance(value, float) else str(value)
+                )
+        alt = f"Reconstructed object, {rows} x {columns} pixels, {figures['status']}"
+        return card("Reconstruction", figures, draw=lambda: views.reconstruction(self), alt=alt)
 
 
 def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float64]]:

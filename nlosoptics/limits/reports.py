@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import positive
+from .._html import card
 from ..errors import SceneError
 from ..imaging import SpeckleImage, form_image
 from ..imaging.detector import noise_variance
@@ -156,6 +157,24 @@ class Feasibility:
             )
         )
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """Small picture of modulation and noise with the verdict."""
+        from .. import views
+
+        e = self.electrons
+        figures = {
+            "verdict": self.verdict,
+            "predicted correlation": f"{self.score:.3f}",
+            "photons of the picture": f"{self.photons:.3g}",
+            "brightest pixel": f"{self.brightest:.3g} electrons",
+            "veil": f"{100 * self.veil:.2g} % of the light",
+            "electrons": ", ".join(f"{name} {e[name]:.3g}" for name in e),
+            "modes above noise": f"{self.modes}, by diffuse light alone {self.diffuse_modes}",
+            "resolution": f"{self.limit:.3g} cycles/m, strokes {1e3 * self.stroke:.3g} mm wide",
+        }
+        alt = "Modulation against frequency on the object, with what noise hides"
+        return card("Feasibility", figures, draw=lambda: views.feasibility(self), alt=alt)
 
     def figures(self) -> dict[str, Any]:
         """Everything as plain numbers, lists and text for JSON; infinity becomes None."""

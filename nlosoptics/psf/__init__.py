@@ -23,7 +23,8 @@
 - `lobes`: the point spread of a wall's mirror-like lobes; `hybrids`, `hybrid_waves`: with the light
   of all other lobes by rays.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
-  spot radius, Zernike fit; `metric_errors`: their error bars over patterns drawn at random.
+  spot diagram and radius, Zernike fit; `metric_errors`: their error bars over patterns drawn at
+  random.
 - `exchange`, `poppy_files`, `zernike_tables`: waves for other tools and from them; `whole_files`
   writes.
 """
@@ -52,7 +53,15 @@ from .rough_samples import sample_point_spread
 from .rough_scales import split_scale, two_scale_point_spread
 from .roughness import Roughness
 from .slopes import integrated_slopes, wavefront_from_slopes
-from .spots import centroid, ensquared_energy, peak_strehl, ptf, spot_radius
+from .spots import (
+    SpotDiagram,
+    centroid,
+    ensquared_energy,
+    peak_strehl,
+    ptf,
+    spot_diagram,
+    spot_radius,
+)
 from .tails import field_with_tail, widened, with_tail
 from .wavefronts import Removed, Wavefront
 from .windows import window_shape
@@ -73,6 +82,7 @@ __all__ = [
     "Removed",
     "RoughPointSpread",
     "Roughness",
+    "SpotDiagram",
     "SurfacePointSpread",
     "WallView",
     "Wavefront",
@@ -112,6 +122,7 @@ __all__ = [
     "rms_aberration",
     "sample_point_spread",
     "split_scale",
+    "spot_diagram",
     "spot_radius",
     "strehl",
     "to_prysm",

@@ -119,6 +119,8 @@ def _splat(boxes: _Boxes, residual: Residual, window: Window, out: Array) -> Non
 
 def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
     """Boxes of all rays, or of a share of them along each side."""
+    if residual.is_flat:
+        return iter([_single_box(residual)])
     if residual.wavefront.layout == "polar":
         return _polar_boxes(residual, window, share)
     if residual.wavefront.layout == "cells":
@@ -129,6 +131,12 @@ def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]
             "do not share; sample it with nodes='cells'"
         )
     return _local_boxes(residual, window, share)
+
+
+def _single_box(residual: Residual) -> _Boxes:
+    """All light of a wave without aberration, whose rays land in one point."""
+    none = np.zeros(1)
+    return _Boxes(none, none, none, none, _blur(residual, none, none, none, 0.0), np.ones(1))
 
 
 def ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, one_of, positive
+from .._html import card
 from ..errors import SamplingError, SceneError
 from . import fft
 from .choices import automatic
@@ -98,6 +99,31 @@ class PointSpread:
     def y(self) -> Array:
         """Coordinates along a column, m."""
         return Window.centred(self.pitch, self.shape).y
+
+    def _repr_html_(self) -> str:
+        """Small picture with method, regime, error and pitch."""
+        from .. import views
+
+        ny, nx = self.shape
+        kind = self.regime
+        waves = f"{kind.peak_to_valley:.3g} waves peak to valley, {kind.rms:.3g} rms"
+        if kind.folded:
+            waves += ", folded by a caustic"
+        if kind.rayleigh_parameter > 0.0:
+            waves += f", Rayleigh parameter {kind.rayleigh_parameter:.3g}"
+        samples = "pixels" if self.pixel_integrated else "samples"
+        figures = {
+            "method": self.method,
+            "why": self.reason,
+            "error": f"{self.error_estimate:.1e} of the peak",
+            "regime": waves,
+            "pitch": f"{1e6 * self.pitch:.4g} µm, {kind.pixel:.3g} lambda N",
+            samples: f"{ny} x {nx}",
+            "energy within": f"{100 * self.enclosed_energy:.4g} %",
+            "light": f"{1e9 * self.wavelength:.4g} nm at F/{self.f_number:.3g}",
+        }
+        alt = f"Point spread function, {ny} x {nx} {samples}, logarithmic colours"
+        return card("Point spread", figures, draw=lambda: views.point_spread(self), alt=alt)
 
 
 def point_spread(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import whole
 from ..errors import SamplingError, SceneError
 from . import quadrature
 from .metrics import pupil_function, spectrum_along
@@ -17,6 +19,68 @@ from .wavefronts import Wavefront
 from .windows import Window
 
 Array = NDArray[np.float64]
+
+#: First zero of J1 over pi: the dark ring of a round pupil without aberration, in lambda N.
+DARK_RING: Final = 1.2196698912665045
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpotDiagram:
+    """Where the rays of a wave land in the image plane, diffraction left out.
+
+    Parameters
+    ----------
+    x, y : ndarray
+        (n,), read-only, m from the reference point.
+    energy : ndarray
+        (n,), read-only: each ray's share of the light, above 0; sum 1.
+    centroid : (float, float)
+        Mean of the rays, (x, y), m.
+    radius : float
+        Their root mean square distance from it, m.
+    airy_radius : float
+        Of the first dark ring of a round pupil of this F-number without aberration, m.
+    """
+
+    x: Array
+    y: Array
+    energy: Array
+    centroid: tuple[float, float]
+    radius: float
+    airy_radius: float
+
+
+def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
+    """Rays of a wave in the image plane, ``image_distance`` times the gradient of its aberration.
+
+    Parameters
+    ----------
+    wavefront : Wavefront
+        Of any layout; one ray from every lit node.
+    rings : int
+        Of a polar wavefront, the least number of rings of rays, each of twice as many.
+
+    Returns
+    -------
+    SpotDiagram
+    """
+    rings = whole("rings", rings)
+    residual = split(wavefront)
+    polar = wavefront.layout == "polar"
+    rays = residual.traced(rings, 2 * rings) if polar else residual.rays
+    lit = rays.energy > 0
+    x, y, energy = (values[lit] for values in (rays.x, rays.y, rays.energy))
+    x, y = x + residual.shift[0], y + residual.shift[1]
+    for values in (x, y, energy):
+        values.setflags(write=False)
+    return SpotDiagram(
+        x=x,
+        y=y,
+        energy=energy,
+        centroid=centroid(wavefront),
+        radius=spot_radius(wavefront),
+        airy_radius=DARK_RING * residual.airy_unit,
+    )
 
 
 def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:

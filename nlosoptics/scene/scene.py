@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._html import card
 from ..errors import SceneError
 from .camera import Camera
 from .hidden import HiddenObject, MeshObject, PlanarObject
@@ -100,6 +101,33 @@ class Scene:
         from .file import save_scene
 
         save_scene(self, Path(path))
+
+    def _repr_html_(self) -> str:
+        """Small sketch with the figures of laser, wall, object and camera."""
+        from .. import views
+
+        laser, camera = self.laser, self.camera
+        size = self.wall.size
+        ny, nx = camera.shape
+        figures = {
+            "laser": f"{1e9 * laser.wavelength:.4g} nm, {1e3 * laser.power:.3g} mW",
+            "wall": type(self.wall).__name__ + (f", {size[0]:g} x {size[1]:g} m" if size else ""),
+            "wall material": type(self.wall_material).__name__,
+            "hidden": type(self.hidden).__name__,
+            "occluders": f"{len(self.occluders)}",
+            "camera": f"{1e3 * camera.focal_length:.3g} mm at "
+            f"F/{camera.focal_length / camera.stop_diameter:.3g}",
+            "image": f"{nx} x {ny} pixels of {1e6 * camera.image_pitch:.3g} µm",
+            "exposure": f"{1e3 * camera.exposure:.3g} ms",
+        }
+        if isinstance(self.hidden, PlanarObject):
+            across, high = self.hidden.size
+            figures["hidden"] = f"picture, {across:g} x {high:g} m"
+        if self.transient is not None:
+            scan = self.transient
+            figures["scan"] = f"{scan.scan}, {scan.count} x {scan.count} points, {scan.n_bins} bins"
+        alt = "Sketch of the scene from above and from the side: wall, laser, hidden object, camera"
+        return card("Scene", figures, draw=lambda: views.scene_sketch(self), alt=alt)
 
     def resized(self, size: int) -> Scene:
         """The same scene with an image of ``size`` pixels across the same field."""

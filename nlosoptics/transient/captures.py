@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import Vector, one_of, positive, real, vector
+from .._html import card
 from ..errors import SamplingError, SceneError
 from .wall_points import checked_points, pair_shape
 
@@ -141,6 +142,25 @@ class TransientCapture:
         return self.pairing == "confocal" and bool(
             np.allclose(self.laser_points, self.sensor_points, rtol=0.0, atol=1e-9)
         )
+
+    def _repr_html_(self) -> str:
+        """Small streak with the sizes of the capture."""
+        from .. import views
+
+        def told(shape: tuple[int, ...]) -> str:
+            return " x ".join(map(str, shape)) or "one point"
+
+        low, high = float(self.edges[0]), float(self.edges[-1])
+        figures = {
+            "bins": f"{self.n_bins} of {1e3 * self.delta_t:.4g} mm, {low:.4g} to {high:.4g} m",
+            "laser points": told(self.laser_shape),
+            "sensor points": told(self.sensor_shape),
+            "pairing": self.pairing,
+            "quantity": self.quantity,
+            "outer legs": "in the times" if self.outer_legs else "not in the times",
+        }
+        alt = "Light on the relay wall: optical path against sensor position"
+        return card("Transient", figures, draw=lambda: views.transient(self, at=()), alt=alt)
 
     def with_details(self, **more: Any) -> TransientCapture:
         """Return the same capture with more ``details``."""

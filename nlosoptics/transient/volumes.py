@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, pair, positive, vector, whole
+from .._html import card
 from ..errors import SamplingError, SceneError
 from .wall_points import UNEVEN, even_axes
 
@@ -156,6 +157,19 @@ class VolumeImage:
                 "volume"
             )
         object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
+
+    def _repr_html_(self) -> str:
+        """Small picture as seen from the wall, with method and volume."""
+        from .. import views
+
+        volume = self.volume
+        ends = {
+            f"{name} (m)": f"{axis[0]:.4g} to {axis[-1]:.4g}, {len(axis)} planes"
+            for name, axis in (("x", volume.x), ("y", volume.y), ("z", volume.z))
+        }
+        figures = {"method": self.method, "seconds": f"{self.seconds:.3g}", **ends}
+        alt = "Brightest voxels of the hidden scene as seen from the relay wall"
+        return card("Volume", figures, draw=lambda: views.volume(self), alt=alt)
 
     def projection(self, axis: str = "z") -> Array:
         """Brightest voxel along an axis: (ny, nx) along z, (nz, nx) along y, (nz, ny) along x."""

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import one_of
+from .._checks import one_of, positive
 from .canvas import new_axes
+from .reliefs import relief
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -76,7 +77,7 @@ def wavefront(
 def point_spread(
     point_spread: PointSpread,
     *,
-    scale: Literal["log", "linear"] = "log",
+    scale: Literal["log", "linear", "surface"] = "log",
     decades: float = 6.0,
     half_width: float | None = None,
     axes: Axes | None = None,
@@ -87,34 +88,48 @@ def point_spread(
     ----------
     point_spread : PointSpread
         What to draw.
-    scale : {"log", "linear"}
-        Of the colours.
+    scale : {"log", "linear", "surface"}
+        Of the colours; "surface" draws heights in a linear scale under colours in a logarithmic
+        one, on axes of three dimensions.
     decades : float
         Of the logarithmic scale, below the peak; what is fainter is drawn like the faintest.
     half_width : float, optional
         Half the side of the square that is shown about the centre, m; all by default.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Where to draw, for a surface with ``projection="3d"``; a new figure by default.
 
     Returns
     -------
     Axes
-        Image coordinates in um, turned as the camera shows them: y grows downward.
+        Image coordinates in um, turned as the camera shows them: y grows downward, on a surface
+        toward the viewer.
+
+    Raises
+    ------
+    SceneError
+        If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or a surface is
+        wanted on flat axes.
     """
     from matplotlib.colors import LogNorm, Normalize
 
-    one_of("scale", scale, ("log", "linear"))
+    one_of("scale", scale, ("log", "linear", "surface"))
+    positive("decades", decades)
+    if half_width is not None:
+        half_width = positive("half_width", half_width, unit="m")
+    peak = float(point_spread.intensity.max()) or 1.0
+    norm = Normalize(0.0, peak) if scale == "linear" else LogNorm(peak * 10.0**-decades, peak)
+    meaning = MEANING[point_spread.normalisation]
+    title = f"point spread, {point_spread.method}"
+    if scale == "surface":
+        return relief(point_spread, norm, half_width, meaning=meaning, title=title, axes=axes)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
-    peak = float(point_spread.intensity.max())
-    floor = peak * 10.0**-decades if scale == "log" else 0.0
-    norm = LogNorm(floor, peak) if scale == "log" else Normalize(floor, peak)
     drawn = _spread_map(axes, point_spread.intensity, point_spread.pitch, norm)
     if half_width is not None:
         axes.set(
             xlim=(-half_width * 1e6, half_width * 1e6), ylim=(half_width * 1e6, -half_width * 1e6)
         )
-    colour_bar(axes, drawn, MEANING[point_spread.normalisation])
-    axes.set(xlabel="x (um)", ylabel="y (um)", title=f"point spread, {point_spread.method}")
+    colour_bar(axes, drawn, meaning)
+    axes.set(xlabel="x (µm)", ylabel="y (µm)", title=title)
     return axes
 
 
@@ -149,7 +164,7 @@ def hybrid_parts(
     for axis, name in zip(drawn_on, ("coherent", "halo", "diffuse"), strict=True):
         drawn = _spread_map(axis, getattr(point_spread, name), point_spread.pitch, norm)
         share = getattr(point_spread, f"{name}_flux")
-        axis.set(xlabel="x (um)", ylabel="y (um)", title=f"{name}, {share:.3g} in all")
+        axis.set(xlabel="x (µm)", ylabel="y (µm)", title=f"{name}, {share:.3g} in all")
     colour_bar(drawn_on[-1], drawn, MEANING[point_spread.normalisation])
     return drawn_on
 
@@ -221,7 +236,11 @@ def reconstruction(
         to left, so that letters read.
     """
     pictures = [] if truth is None else [("ground truth", np.asarray(truth))]
-    pictures.append((f"reconstruction, {reconstruction.status}", np.asarray(reconstruction.object)))
+    found = reconstruction.object
+    if hasattr(found, "detach"):  # a tensor, which may be on another device or carry gradients
+        found = found.detach().cpu()
+    told = reconstruction.status.replace("_", " ")
+    pictures.append((f"reconstruction, {told}", np.asarray(found)))
     if axes is None:
         axes = new_axes(len(pictures), width=0.6 + 4.8 * len(pictures), height=4.6)
     for where, (title, picture) in zip(axes, pictures, strict=True):
@@ -233,6 +252,6 @@ def reconstruction(
 
 
 def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
-    """Add a colour bar beside axes."""
+    """Add a colour bar beside axes, as high as what is drawn on them."""
     figure: Any = axes.get_figure(root=True)
-    figure.colorbar(drawn, ax=axes, label=label, shrink=0.9)
+    figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)

@@ -91,6 +91,15 @@ def test_rays_of_spherical_aberration_pile_up_without_bound(layout):
     assert psf.encircled_energy(spread, radii) == approx((radii / widest) ** (2 / 3), abs=0.015)
 
 
+def test_rays_of_a_flat_wave_land_in_one_pixel():
+    spread = rays(zernike_wave(), 20 * UNIT, 9)
+    expected = np.zeros((9, 9))
+    expected[4, 4] = 1.0
+    assert spread.intensity == approx(expected, abs=1e-12)  # sums of parts round
+    # pixels of 20 lambda N leave 1 / (10 pi^2) of an Airy pattern's light to the others, if not more
+    assert spread.error_estimate > 0.01
+
+
 def test_tilt_moves_the_rays():
     wave = zernike_wave({2: 30.0, 3: -20.0, 4: 20.0})
     spread = rays(wave, 20 * UNIT, 41)

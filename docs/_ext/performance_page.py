@@ -1,0 +1,581 @@
+"""The performance page: every file of ``benchmarks/results`` as a table, some as a figure."""
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import tables
+from matplotlib.axes import Axes
+from tables import COLOURS, MARKERS, figure, number, rows, save, seconds, table
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Section:
+    """One results file on the page.
+
+    Parameters
+    ----------
+    file : str
+        In ``benchmarks/results``.
+    title, text : str
+    command : str
+        That wrote the file.
+    body : callable
+        Takes what the file holds, returns Markdown.
+    draw : callable, optional
+        Takes the same, returns a figure.
+    alternative : str
+        What the figure shows, for who cannot see it.
+    """
+
+    file: str
+    title: str
+    text: str
+    command: str
+    body: Callable[[Any], str]
+    draw: Callable[[Any], Any] | None = None
+    alternative: str = ""
+
+
+def pages(target: Path) -> None:
+    """Write the tables and figures into a folder.
+
+    Raises
+    ------
+    LookupError
+        If a results file has no section or a section no file.
+    """
+    there = {path.name for path in tables.RESULTS.iterdir()}
+    if there != {section.file for section in SECTIONS}:
+        differ = sorted(there ^ {section.file for section in SECTIONS})
+        raise LookupError(
+            f"docs/_ext/performance_page.py and benchmarks/results differ in {differ}"
+        )
+    text = []
+    for section in SECTIONS:
+        found = rows(section.file)
+        text += [f"## {section.title}\n", section.text + "\n", section.body(found)]
+        if section.draw is not None:
+            picture = f"{Path(section.file).stem}.svg"
+            save(section.draw(found), target / picture)
+            text.append(f"![{section.alternative}](_generated/{picture})\n")
+        text.append(f"```console\n$ {section.command}\n```\n")
+    tables.write(target / "performance.md", "\n".join(text))
+
+
+def grouped(found: Sequence[Row], *keys: str) -> dict[tuple[Any, ...], list[Row]]:
+    """Rows by the values of some keys, in the order in which they come."""
+    groups = defaultdict(list)
+    for row in found:
+        groups[tuple(row[key] for key in keys)].append(row)
+    return dict(groups)
+
+
+def errors_against_seconds(axes: Axes, series: dict[str, list[tuple[float, float]]]) -> None:
+    """Draw seconds across and error up, both logarithmic, a line for each name."""
+    for i, (name, points) in enumerate(series.items()):
+        style = {"color": COLOURS[i % len(COLOURS)], "marker": MARKERS[i % len(MARKERS)]}
+        axes.loglog(*zip(*sorted(points), strict=True), label=name, markersize=4, **style)
+    axes.set(xlabel="seconds", ylabel="error")
+    axes.xaxis.set_minor_formatter("")
+    axes.yaxis.set_minor_formatter("")
+    # a decade has its number; panels that share an axis keep what the others need
+    low, high = axes.dataLim.intervalx
+    old = axes.get_xlim() if axes.get_shared_x_axes().get_siblings(axes)[1:] else (low, high)
+    axes.set_xlim(
+        10 ** math.floor(math.log10(min(low, old[0]))),
+        10 ** math.ceil(math.log10(max(high, old[1]))),
+    )
+    axes.grid(alpha=0.3)
+
+
+PROGRAMS = ("nlosoptics", "prysm", "HCIPy", "POPPY", "Optiland")
+
+
+def fastest(found: Sequence[Row], most: float) -> dict[str, Row]:
+    """The quickest row of each program whose error is no larger, by its name's first word."""
+    best: dict[str, Row] = {}
+    for row in found:
+        name = row["name"].split(",")[0]
+        if row["error"] <= most and row["seconds"] < best.get(name, {"seconds": 1e99})["seconds"]:
+            best[name] = row
+    return best
+
+
+def psf_peers(found: Sequence[Row]) -> str:
+    """Return what each program takes to two errors."""
+    body = []
+    for (case,), part in grouped(found, "case").items():
+        for most in (1e-3, 1e-6):
+            best = fastest(part, most)
+            cells = [
+                f"{seconds(best[name]['seconds'])} ({number(best[name]['error'], 2)})"
+                if name in best
+                else "not reached"
+                for name in PROGRAMS
+            ]
+            body.append([f"{case}, to {most:g}", *cells])
+    return table(["seconds (error)", *PROGRAMS], body)
+
+
+def draw_psf_peers(found: Sequence[Row]) -> Any:
+    """Draw the least seconds to any error, a panel a case."""
+    drawn = figure(9, 6.4)
+    panels = drawn.subplots(2, 2, sharex=True, sharey=True).flat
+    for axes, ((case,), part) in zip(panels, grouped(found, "case").items(), strict=True):
+        series = {}
+        for name in PROGRAMS:
+            own = [row for row in part if row["name"].startswith(name) and row["error"] > 0]
+            # only what no other setting of the same program beats in both
+            front = [
+                (row["seconds"], row["error"])
+                for row in own
+                if not any(
+                    other["seconds"] <= row["seconds"] and other["error"] < row["error"]
+                    for other in own
+                )
+            ]
+            if front:
+                series[name] = front
+        errors_against_seconds(axes, series)
+        axes.set_title(case, fontsize="medium")
+    handles, labels = axes.figure.axes[0].get_legend_handles_labels()
+    drawn.legend(handles, labels, loc="outside lower center", ncols=5)
+    for axes in drawn.axes:
+        axes.label_outer()
+    return drawn
+
+
+def psf_study(found: Row) -> str:
+    """Return how often choice and estimate of ``auto`` were right."""
+    body = [
+        ["random waves", found["cases"]],
+        ["compared with a reference", found["compared"]],
+        ["of these: error within tol", f"{found['within_tol']:.1%}"],
+        ["estimate bounds the error", f"{found['bounded']:.1%}"],
+        ["estimate over error, median", number(found["median_overstatement"])],
+        ["refused", f"{found['refused']:.1%}"],
+        ["refused without a remedy", found["refusals_without_remedy"]],
+        ["remedies tried, failed", f"{found['remedies_tried']}, {found['remedies_failed']}"],
+        ["seconds over predicted, median", number(found["median_seconds_over_predicted"])],
+        ["predicted within a factor of three", f"{found['seconds_within_three']:.1%}"],
+        ["longest", f"{found['longest_seconds']:g} s"],
+    ]
+    return table(["figure", "found"], body)
+
+
+def draw_psf_study(found: Row) -> Any:
+    """Draw each wave's error and estimate over what was asked for, against its seconds."""
+    drawn = figure(7, 3.8)
+    axes = drawn.subplots()
+    # where the reference is known well enough to tell
+    run = [row for row in found["rows"] if row.get("error") and 3 * row["doubt"] < row["asked"]]
+    for key, style in (
+        ("estimate", {"marker": "o", "facecolors": "none", "edgecolors": COLOURS[1]}),
+        ("error", {"marker": ".", "color": COLOURS[0]}),
+    ):
+        over = [row[key] / row["asked"] for row in run]
+        axes.scatter([row["seconds"] for row in run], over, label=key, s=18, **style)
+    axes.axhline(1, color="black", linewidth=0.8)
+    axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="over the error asked for")
+    axes.legend()
+    axes.grid(alpha=0.3)
+    return drawn
+
+
+def tolerances(found: Sequence[Row]) -> str:
+    """Return one row a stage and tolerance."""
+    head = ["stage", "tol", "seconds", "estimate", "error", "work"]
+    return table(
+        head,
+        (
+            [
+                row["stage"],
+                number(row["tol"]),
+                seconds(row["seconds"]),
+                number(row["estimate"], 2),
+                number(row["error"], 2),
+                row["work"],
+            ]
+            for row in found
+        ),
+    )
+
+
+def rough_walls(found: Row) -> str:
+    """Return the closed-form mean against drawn walls."""
+    head = ["angle, phase rms", "mean", "one wall", "differ", "by chance", "falls with walls as"]
+    return table(
+        head,
+        (
+            [
+                f"{row['angle']}°, {row['s']:g} rad",
+                seconds(row["mean_ms"] / 1e3),
+                seconds(row["one_ms"] / 1e3),
+                f"{row['worst_percent']:.2g} %",
+                f"{row['chance_percent']:.2g} %",
+                f"n^{row['slope']:.2f}",
+            ]
+            for row in found["drawn"]
+        ),
+    )
+
+
+def known_psf(found: Sequence[Row]) -> str:
+    """Return correlation and seconds of each solver, by noise."""
+    methods = [key for key in found[0] if key not in ("case", "image")]
+    body = []
+    for noise in ("0.01", "0.05"):
+        part = [row for row in found if row["case"].split()[-2] == noise]
+        middle, least = (f([row["image"] for row in part]) for f in (median, min))
+        body.append([f"the image itself, {float(noise):.0%}", number(middle), number(least), ""])
+        for method in methods:
+            scores = [row[method]["correlation"] for row in part if method in row]
+            times = [row[method]["seconds"] for row in part if method in row]
+            name = method.replace("skimage_", "scikit-image, ")
+            body.append(
+                [
+                    f"{name}, {float(noise):.0%}",
+                    number(median(scores)),
+                    number(min(scores)),
+                    seconds(median(times)),
+                ]
+            )
+    return table(["method, noise", "median correlation", "least", "median seconds"], body)
+
+
+def fits(found: Sequence[Row], *keys: str) -> list[list[object]]:
+    """Rows of a table of blind fits: cases, found, wrong and called right, score, seconds."""
+    body = []
+    for values, part in grouped(found, *keys).items():
+        scores = [row["correlation"] for row in part]
+        sure = [row["correlation"] for row in part if row["status"] == "converged"]
+        body.append(
+            [
+                ", ".join(str(value) for value in values),
+                len(part),
+                sum(score > 0.9 for score in scores),
+                sum(score <= 0.9 for score in sure),
+                number(median(scores)),
+                seconds(median(row["seconds"] for row in part)),
+            ]
+        )
+    return body
+
+
+FITS = ["cases", "above 0.9", "converged, not above 0.9", "median correlation", "median seconds"]
+
+
+def evidence(found: Sequence[Row]) -> str:
+    """Return success by the wall's strength."""
+    return table(["wall, waves rms", *FITS], sorted(fits(found, "rms")))
+
+
+def staged(found: Sequence[Row]) -> str:
+    """Return success by what is known."""
+    return table(
+        ["group, pixels a side", *FITS], fits([r for r in found if "size" in r], "group", "size")
+    )
+
+
+def diffusers(found: Sequence[Row]) -> str:
+    """Return correlation and agreement of halves, by method."""
+    body = []
+    for method in ("alternating", "hio", "raar"):
+        own = [row[method] for row in found]
+        scores = [row["correlation"] for row in own]
+        body.append(
+            [
+                method,
+                len(own),
+                number(median(scores)),
+                number(min(scores)),
+                number(median(row["halves"] for row in own)),
+                seconds(median(row["seconds"] for row in own)),
+            ]
+        )
+    head = ["method", "cases", "median correlation", "least", "halves agree", "median seconds"]
+    return table(head, body)
+
+
+def real_speckle(found: Row) -> str:
+    """Return whether two halves of the restarts find the same picture."""
+    head = ["measured data, method", "halves agree", "status", "seconds"]
+    return table(
+        head,
+        (
+            [
+                f"{row['object']}, {row['method']}",
+                number(row["halves"]),
+                row["status"],
+                seconds(row["seconds"]),
+            ]
+            for row in found["retrieved"]
+        ),
+    )
+
+
+def feasibility(found: Sequence[Row]) -> str:
+    """Return what was predicted against what the fits reached."""
+    body = []
+    for said in (True, False):
+        part = [row for row in found if row["predicted"] == said]
+        reached = sum(row["correlation"] > 0.9 for row in part)
+        body.append(
+            [
+                "recoverable" if said else "not recoverable",
+                reached,
+                len(part) - reached,
+                seconds(median(row["feasibility_seconds"] for row in part)),
+                seconds(median(row["seconds"] for row in part)),
+            ]
+        )
+    head = ["predicted", "fit above 0.9", "fit below", "seconds of the verdict", "of the fit"]
+    return table(head, body)
+
+
+def peer_prior(found: Sequence[Row]) -> str:
+    """Return one row a run."""
+    body = ([r["method"], number(r["correlation"], 4), seconds(r["seconds"])] for r in found)
+    return table(["method", "correlation", "seconds"], body)
+
+
+def phasor(found: Sequence[Row]) -> str:
+    """Return overlap with the letter and seconds."""
+    body = (
+        [f"{r['wall']} x {r['wall']}, {r['method']}", number(r["iou"]), seconds(r["seconds"])]
+        for r in found
+    )
+    return table(["sensors, method", "overlap with the letter", "seconds"], body)
+
+
+def measured_charts(found: Sequence[Row]) -> str:
+    """Return error of depth and seconds, by chart and method."""
+    head = ["chart, method", "mean error of depth", "over", "seconds", "seconds, whole volume"]
+    return table(
+        head,
+        (
+            [
+                f"{row['chart'].replace('_', ' ')}, {row['method']}",
+                f"{row['mae_m'] * 1e3:.2f} mm",
+                f"{row['coverage']:.0%} of columns",
+                seconds(row["seconds"]),
+                seconds(row.get("seconds_full")),
+            ]
+            for row in found
+        ),
+    )
+
+
+def bounces(found: Sequence[Row]) -> str:
+    """Return seconds and error, and the seconds to 1 % that they make."""
+    head = ["program, bounces, samples", "seconds", "error, median", "at worst", "to 1 %, median"]
+    return table(
+        head,
+        (
+            [
+                f"{row['name']}, {row['bounces']}, {row['samples']}",
+                seconds(row["seconds"]),
+                f"{row['l1_median']:.1%}",
+                f"{row['l1_max']:.1%}",
+                seconds(row["seconds_to_goal_median"]),
+            ]
+            for row in found
+        ),
+    )
+
+
+def draw_series(series: dict[str, list[tuple[float, float]]], label: str) -> Any:
+    """Draw seconds against error, a colour for each name."""
+    drawn = figure(7, 3.6)
+    axes = drawn.subplots()
+    errors_against_seconds(axes, series)
+    axes.set_ylabel(label)
+    drawn.legend(loc="outside right upper")
+    return drawn
+
+
+def draw_tolerances(found: Sequence[Row]) -> Any:
+    """Draw a line for each stage."""
+    groups = grouped(found, "stage").items()
+    return draw_series(
+        {name: [(row["seconds"], row["error"]) for row in part] for (name,), part in groups},
+        "error",
+    )
+
+
+def draw_peer_prior(found: Sequence[Row]) -> Any:
+    """Draw a point for ours and a line for deepinv's numbers of steps."""
+    series: dict[str, list[tuple[float, float]]] = defaultdict(list)
+    for row in found:
+        series[row["method"].split()[0]].append((row["seconds"], 1 - row["correlation"]))
+    return draw_series(dict(series), "1 - correlation")
+
+
+def draw_bounces(found: Sequence[Row]) -> Any:
+    """Draw each program's median error."""
+    series = {
+        f"{name}, {count} bounces": [(row["seconds"], row["l1_median"]) for row in part]
+        for (name, count), part in grouped(found, "name", "bounces").items()
+    }
+    return draw_series(series, "relative L1 error of a sensor, median")
+
+
+def draw_measured_charts(found: Sequence[Row]) -> Any:
+    """Draw a point for each method, a panel a chart."""
+    drawn = figure(8.5, 3.6)
+    panels = drawn.subplots(1, 2, sharey=True)
+    for axes, ((chart,), part) in zip(panels, grouped(found, "chart").items(), strict=True):
+        errors_against_seconds(
+            axes, {row["method"]: [(row["seconds"], row["mae_m"] * 1e3)] for row in part}
+        )
+        axes.set(title=chart.replace("_", " "), ylabel="mean error of depth (mm)", yscale="linear")
+        axes.set_ylim(bottom=0)
+        axes.label_outer()
+    drawn.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return drawn
+
+
+RUN = "python benchmarks"
+SECTIONS = (
+    Section(
+        "psf_peers.json",
+        "Point spreads beside their peers",
+        "Each program by its fastest setting that reaches an error, its set-up kept; 256 x 256 "
+        "image samples, error as max |dI|/max I, one thread.",
+        f"{RUN}/psf_peers.py --json benchmarks/results/psf_peers.json",
+        psf_peers,
+        draw_psf_peers,
+        "Seconds against error of point spreads by five programs, for 0, 1, 10 and 100 waves",
+    ),
+    Section(
+        "psf_study.json",
+        "Choice and error estimate of `point_spread`",
+        "Random waves, apertures, nodes and tolerances, each judged against a reference that "
+        "shares no code with the transforms.",
+        f"{RUN}/psf_study.py --max-seconds 20 --json benchmarks/results/psf_study.json",
+        psf_study,
+        draw_psf_study,
+        "Error and estimate over the error asked for, against seconds: errors all lie below one",
+    ),
+    Section(
+        "tolerances.json",
+        "What a tolerance costs",
+        "Fields of point spreads and traced light at two tolerances.",
+        f"{RUN}/tolerances.py --json benchmarks/results/tolerances.json",
+        tolerances,
+        draw_tolerances,
+        "Seconds against error of fields of point spreads and of traces at two tolerances",
+    ),
+    Section(
+        "rough_walls.json",
+        "Rough walls: the mean against drawn walls",
+        "Closed-form mean and the average of 2048 drawn walls, in rings of equal light; the last "
+        "column is how their difference falls with the number n of walls, by chance n^-0.5.",
+        f"{RUN}/rough_walls.py",
+        rough_walls,
+    ),
+    Section(
+        "known_psf.jsonl",
+        "Reconstruction, point spread known",
+        "Objects by smooth and speckled point spreads, 128 x 128 pixels, data not made by the "
+        "model that is inverted. scikit-image's have the best setting of those tried.",
+        f"{RUN}/inverse/known_psf.py --json benchmarks/results/known_psf.jsonl",
+        known_psf,
+    ),
+    Section(
+        "peer_prior.jsonl",
+        "Untrained networks beside deepinv",
+        "A letter by a smooth wall, 1 % noise, both on our operator.",
+        f"PEER/bin/{RUN}/inverse/peer_prior.py --json benchmarks/results/peer_prior.jsonl",
+        peer_prior,
+        draw_peer_prior,
+        "Seconds against one minus correlation: ours, and deepinv after 250, 1000 and 2500 steps",
+    ),
+    Section(
+        "evidence_two_frames.jsonl",
+        "Wall unknown, two frames",
+        "`evidence_fit` from random starts, the second frame with a known defocus, 64 x 64 pixels, "
+        "walls that were not used in tuning.",
+        f"{RUN}/inverse/evidence.py --frames 2 --rms 0.25 0.5 1.0 "
+        "--json benchmarks/results/evidence_two_frames.jsonl",
+        evidence,
+    ),
+    Section(
+        "evidence_one_frame.jsonl",
+        "Wall unknown, one frame",
+        "The same off a single frame.",
+        f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --jobs 2 "
+        "--json benchmarks/results/evidence_one_frame.jsonl",
+        evidence,
+    ),
+    Section(
+        "staged.jsonl",
+        "Staged fits",
+        "near10, near14, near30: one image, start 0.10, 0.14, 0.30 waves off; diversity3: nothing "
+        "known, three defoci; walls4: nothing known, four walls; calibrate: the wall from a known "
+        "object first; noise5: near10 at 5 % noise; far: one image, nothing known, for the "
+        "verdict's sake.",
+        f"{RUN}/inverse/staged.py --json benchmarks/results/staged.jsonl",
+        staged,
+    ),
+    Section(
+        "diffusers.jsonl",
+        "Phase retrieval behind diffusers",
+        "Objects from the autocorrelation of one speckled frame of 512 x 512 pixels.",
+        f"{RUN}/inverse/diffusers.py --walls 2 --json benchmarks/results/diffusers.jsonl",
+        diffusers,
+    ),
+    Section(
+        "real_speckle.json",
+        "Phase retrieval from measured speckle",
+        "Exposures of Metzler 2020; there is no ground truth, only whether two independent halves "
+        "of the restarts find one picture.",
+        f"{RUN}/inverse/real_speckle.py --json benchmarks/results/real_speckle.json",
+        real_speckle,
+    ),
+    Section(
+        "feasibility.jsonl",
+        "Verdicts before the fit",
+        "Random scenes; the fit is `tv_deconvolve` with the point spread known.",
+        f"{RUN}/inverse/feasibility.py --json benchmarks/results/feasibility.jsonl",
+        feasibility,
+    ),
+    Section(
+        "bounces.jsonl",
+        "Four and five bounces beside mitransient",
+        "A letter in a corridor, 32 x 32 sensors, bins of 1 cm; error is the relative L1 "
+        "difference of independent seeds over the root of 2. The last column follows from seconds "
+        "and error, which falls as the root of the samples.",
+        f"{RUN}/transient/bounces.py --peer-python PEER/bin/python "
+        "--json benchmarks/results/bounces.jsonl",
+        bounces,
+        draw_bounces,
+        "Seconds against the error of a sensor: nlosoptics lies far below mitransient",
+    ),
+    Section(
+        "phasor.jsonl",
+        "Phasor fields beside y-tal",
+        "A letter at 1 m, one laser point; overlap is the intersection over union at its best "
+        "threshold, seconds are of a call with its set-up.",
+        f"{RUN}/transient/phasor.py --peer-python PEER/bin/python "
+        "--json benchmarks/results/phasor.jsonl",
+        phasor,
+    ),
+    Section(
+        "measured_charts.jsonl",
+        "Measured charts at known depths",
+        "Confocal captures of O'Toole 2018, charts 40 and 65 cm from the wall.",
+        f"{RUN}/transient/measured.py --data DIR --peer-python PEER/bin/python "
+        "--json benchmarks/results/measured_charts.jsonl",
+        measured_charts,
+        draw_measured_charts,
+        "Seconds against mean error of depth of six methods on two measured charts",
+    ),
+)

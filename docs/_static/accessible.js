@@ -1,0 +1,16 @@
+// What the theme and docutils leave to be said to screen readers.
+document.addEventListener("DOMContentLoaded", () => {
+  for (const summary of document.querySelectorAll(".bd-sidebar summary")) {
+    const link = summary.parentElement.parentElement.querySelector("a");
+    summary.setAttribute("aria-label", `Pages of ${link ? link.textContent.trim() : "this section"}`);
+  }
+  for (const button of document.querySelectorAll(".search-button-field")) {
+    button.setAttribute("aria-label", button.textContent.replace(/\s+/g, " ").trim());
+  }
+  for (const link of document.querySelectorAll(".sphx-glr-thumbcontainer a.internal")) {
+    link.setAttribute("aria-label", link.textContent.trim()); // its text is not shown
+  }
+  for (const list of document.querySelectorAll(".citation-list, .citation")) {
+    list.removeAttribute("role"); // references of one docstring, linked both ways
+  }
+});

@@ -1,0 +1,75 @@
+"""
+Statistics of speckle
+=====================
+
+One rough wall does not make the smooth mean of all walls: in coherent light it makes speckle. Where
+the wall is rough enough, intensities follow the exponential law, whose standard deviation is its
+mean, and patterns that add up bring the contrast down as one over the root of their number.
+"""
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import nlosoptics as nlos
+from nlosoptics import psf, views
+
+plt.style.use("tableau-colorblind10")
+
+# %%
+# One wall, and the mean of all
+# -----------------------------
+# `psf.sample_point_spread` draws a wall by its seed and sends the wave through it.
+# `psf.mean_point_spread` is what its average over all seeds comes to.
+
+scenes = Path(__file__).parent / "scenes"
+scene = nlos.Scene.load(scenes / "letter_flat.toml")
+rough = psf.Roughness(300e-9, correlation_length=1e-3)
+window = {"pitch": 0.6e-6, "shape": 128}
+mean = psf.mean_point_spread(scene, rough, **window)
+walls = [psf.sample_point_spread(scene, rough, seed=seed, **window) for seed in range(32)]
+
+# %%
+# Contrast and histogram
+# ----------------------
+# Intensities are taken relative to the mean at the same place, so that the halo's slope does not
+# count as contrast.
+
+relative = np.array([wall.intensity / mean.intensity for wall in walls])
+counts = 2 ** np.arange(6)
+contrasts = [
+    float(np.mean([relative[k : k + n].mean(axis=0).std() for k in range(0, 32, n)]))
+    for n in counts
+]
+
+figure, axes = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained")
+views.point_spread(walls[0], scale="linear", axes=axes[0])
+axes[0].set_title("one rough wall")
+bins = np.linspace(0.0, 8.0, 41)
+axes[1].hist(relative.ravel(), bins, density=True, color="#ABABAB", label="32 walls")
+axes[1].semilogy(bins, np.exp(-bins), label="exp(-I/mean)")
+axes[1].set(xlabel="intensity over its mean", ylabel="probability density", ylim=(1e-4, 2))
+axes[1].set_title("exponential law")
+axes[1].legend()
+axes[2].loglog(counts, contrasts, "o", label="measured")
+axes[2].loglog(counts, counts**-0.5, label=r"$1/\sqrt{N}$")
+axes[2].set(xlabel="patterns N that add up", ylabel="contrast, rms over mean")
+axes[2].set_xticks(counts, [str(n) for n in counts])
+axes[2].set_yticks([0.2, 0.4, 0.6, 1.0], ["0.2", "0.4", "0.6", "1"])
+axes[2].minorticks_off()
+axes[2].set_title("contrast")
+axes[2].legend()
+plt.show()
+
+# %%
+# What to see:
+
+dark = float((relative < 0.1).mean())
+print(
+    f"With s = {mean.rayleigh_parameter:.1f} rad no core is left. One pattern has the contrast "
+    f"{contrasts[0]:.3f}, where fully developed speckle has 1; {counts[-1]} of them have "
+    f"{contrasts[-1]:.3f}, where the law has {counts[-1] ** -0.5:.3f}. {100 * dark:.1f} % of the "
+    f"samples are darker than a tenth of the mean; the exponential law says "
+    f"{100 * (1 - np.exp(-0.1)):.1f} %."
+)

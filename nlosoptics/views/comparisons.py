@@ -1,0 +1,97 @@
+"""Transforms of one wave against each other."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import TYPE_CHECKING
+
+from .._checks import positive
+from ..errors import SceneError
+from .canvas import new_axes
+from .palette import GREY, MARKERS, SERIES
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from ..psf import Comparison
+
+LEAST = 1e-17  # error that is drawn; a smaller one is no more than rounding
+APART = "hollow: apart from the best"
+
+
+def compare_methods(
+    comparison: Comparison, *, tol: float | None = None, axes: Axes | None = None
+) -> Axes:
+    """Draw error against seconds, one marker for each transform that ran.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        As of `psf.compare`.
+    tol : float, optional
+        Wanted error, drawn as a line.
+    axes : matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Both scales are logarithmic. Full markers are the estimates, which bound the errors; hollow
+        ones the differences from the transform of the least estimate, named in the title. Those
+        that did not run are listed with what forbade it.
+
+    Raises
+    ------
+    SceneError
+        If no transform ran, or ``tol`` is not above 0.
+    """
+    ran = [row for row in comparison.rows if row.seconds is not None]
+    if not ran:
+        raise SceneError(
+            "no transform ran, so there is nothing to draw; print the comparison for the reasons"
+        )
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=7.0, height=5.2)
+    if tol is not None:
+        tol = positive("tol", tol)
+        axes.axhline(tol, color=GREY, linestyle="--", label=f"wanted, {tol:g}")
+    for row, colour, marker in zip(ran, SERIES, MARKERS, strict=False):
+        looks = {"color": colour, "marker": marker, "linestyle": "", "markersize": 9}
+        errors = (row.error_estimate or 0.0, row.difference or 0.0)
+        estimate, difference = (max(error, LEAST) for error in errors)
+        axes.plot([row.seconds], [estimate], label=row.method, **looks)
+        if row.method != comparison.best:
+            looks["markerfacecolor"] = "none"
+            axes.plot([row.seconds], [difference], **looks)
+            axes.plot([row.seconds] * 2, [estimate, difference], color=colour, linewidth=0.8)
+    axes.plot([], [], color=GREY, marker="o", linestyle="", markerfacecolor="none", label=APART)
+    ny, nx = comparison.shape
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="seconds",
+        ylabel="error, max |dI| / max I",
+        title=f"{ny} x {nx} samples of {1e6 * comparison.pitch:.3g} µm, best: {comparison.best}",
+    )
+    axes.margins(x=0.15, y=0.12)
+    axes.grid(alpha=0.25, which="both")
+    axes.legend()
+    _tell_left_out(comparison, axes)
+    return axes
+
+
+def _tell_left_out(comparison: Comparison, axes: Axes) -> None:
+    """Write below the axes which transforms did not run, and why."""
+    reasons = [
+        textwrap.fill(f"{row.method}: {row.reason}", 100, subsequent_indent="    ")
+        for row in comparison.rows
+        if row.seconds is None
+    ]
+    if reasons:
+        axes.text(
+            0.0,
+            -0.16,
+            "did not run\n" + "\n".join(reasons),
+            transform=axes.transAxes,
+            verticalalignment="top",
+            fontsize=8,
+        )

@@ -1,0 +1,94 @@
+"""Point spreads as surfaces."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SceneError
+from .canvas import new_axes
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Normalize
+
+    from ..psf import PointSpread
+
+Array = NDArray[np.float64]
+
+MOST = 160  # patches along a side; more are no finer to the eye and take seconds
+
+
+def relief(
+    point_spread: PointSpread,
+    norm: Normalize,
+    half_width: float | None,
+    *,
+    meaning: str,
+    title: str,
+    axes: Axes | None,
+) -> Axes:
+    """Draw `point_spread` as a surface, its colours by ``norm``; see `views.point_spread`."""
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LightSource
+
+    on: Any = axes
+    if on is None:
+        on = _new_axes_3d()
+    elif getattr(on, "name", "") != "3d":
+        raise SceneError(
+            "axes are flat; give scale = 'surface' axes made with projection='3d', or none"
+        )
+    x, y, heights = _shown(point_spread, half_width)
+    colours = colormaps["viridis"](norm(np.maximum(heights, norm.vmin or 0.0)))
+    # slopes as they stand in the drawn box, whose three sides are about as long
+    slopes = heights * (max(heights.shape) / (norm.vmax or 1.0))
+    colours[..., :3] = LightSource(azdeg=250, altdeg=40).shade_rgb(
+        colours[..., :3], slopes, blend_mode="soft"
+    )
+    on.plot_surface(
+        *np.meshgrid(x * 1e6, y * 1e6),
+        heights,
+        facecolors=colours,
+        rstride=1,
+        cstride=1,
+        linewidth=0,
+        antialiased=False,
+        shade=False,
+    )
+    figure: Any = on.get_figure(root=True)
+    bar = ScalarMappable(norm, "viridis")
+    figure.colorbar(bar, ax=on, label="the same, logarithmic", shrink=0.7, pad=0.12, aspect=25)
+    on.set(xlabel="x (µm)", ylabel="y (µm)", zlabel=meaning, title=title)
+    on.zaxis.labelpad = 12
+    on.invert_yaxis()
+    on.view_init(elev=32, azim=-58)
+    return on  # type: ignore[no-any-return]
+
+
+def _new_axes_3d() -> Any:
+    """Axes of three dimensions on a new figure."""
+    (flat,) = new_axes(1, width=6.4, height=4.8)
+    figure: Any = flat.get_figure()
+    flat.remove()
+    return figure.add_subplot(projection="3d")
+
+
+def _shown(spread: PointSpread, half_width: float | None) -> tuple[Array, Array, Array]:
+    """Places x and y, m, and intensities of the samples, or of the brightest of several."""
+    reach = np.inf if half_width is None else half_width
+    rows, columns = np.abs(spread.y) <= reach, np.abs(spread.x) <= reach
+    x, y, light = spread.x[columns], spread.y[rows], spread.intensity[rows][:, columns]
+    step = -(-max(light.shape) // MOST)
+    if step == 1:
+        return x, y, light
+    starts = [np.arange(0, n, step) for n in light.shape]
+    light = np.maximum.reduceat(np.maximum.reduceat(light, starts[0], axis=0), starts[1], axis=1)
+    x, y = (
+        np.add.reduceat(places, start) / np.diff(start, append=len(places))
+        for places, start in ((x, starts[1]), (y, starts[0]))
+    )
+    return x, y, light
