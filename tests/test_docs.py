@@ -17,7 +17,11 @@ from nlosoptics.cli import main
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted(path for path in DOCS.rglob("*.md") if not {"_generated", "gallery"} & {*path.parts})
+PAGES = sorted(
+    path
+    for path in DOCS.rglob("*.md")
+    if not {"_generated", "gallery"} & {*path.relative_to(DOCS).parts}
+)
 #: First line of a block that readers may run and that takes too long here, with the reason.
 NOT_RUN = re.compile(r"# not run in the tests: \S")
 Blocks = Callable[[Path, str], list[str]]
