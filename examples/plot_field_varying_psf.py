@@ -58,9 +58,9 @@ for row, y in zip(axes[::-1], places, strict=True):
         middle = spread[ny // 2 - half : ny // 2 + half + 1, nx // 2 - half : nx // 2 + half + 1]
         shown = axis.imshow(np.maximum(middle, 1e-4 * peak), norm=LogNorm(1e-4 * peak, peak))
         axis.set(xticks=[], yticks=[])
-left.colorbar(shown, ax=axes, label="energy per pixel of 9 um", shrink=0.8)
+left.colorbar(shown, ax=axes, label="energy per pixel of 9 µm", shrink=0.8)
 side = 1e6 * field.pitch * (2 * half + 1)
-left.suptitle(f"point spreads over 0.4 m of the object, frames of {side:.0f} um")
+left.suptitle(f"point spreads over 0.4 m of the object, frames of {side:.0f} µm")
 
 axis = right.subplots()
 across = np.linspace(-1.0, 1.0, 101)

@@ -56,7 +56,7 @@ views.point_spread(spread, decades=4, half_width=60e-6, axes=axes[1])
 middle = spread.shape[0] // 2
 for found, label in ((perfect, "flat wall"), (spread, "concave wall")):
     axes[2].plot(found.x * 1e6, found.intensity[middle] / perfect.intensity.max(), label=label)
-axes[2].set(xlabel="x (um)", ylabel="intensity, flat wall's peak 1", xlim=(-60, 60))
+axes[2].set(xlabel="x (µm)", ylabel="intensity, flat wall's peak 1", xlim=(-60, 60))
 axes[2].set_title("cut through the centre")
 axes[2].legend(loc="upper left")
 plt.show()

@@ -24,7 +24,7 @@ from nlosoptics.scene import ConcaveWall, ConvexWall, FlatWall, WavyWall
 # field of view and makes the image smaller.
 
 scenes = Path(__file__).parent / "scenes"
-small = nlos.Scene.load(scenes / "letter_speckle.toml").resized(96)
+small = nlos.Scene.load(scenes / "letter_speckle.toml").resized(128)
 small = replace(small, camera=replace(small.camera, stop_diameter=8e-3, exposure=0.5))
 size = small.wall.size
 walls = {

@@ -17,7 +17,11 @@ from nlosoptics.cli import main
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-PAGES = sorted(path for path in DOCS.rglob("*.md") if not {"_generated", "gallery"} & {*path.parts})
+PAGES = sorted(
+    path
+    for path in DOCS.rglob("*.md")
+    if not {"_generated", "gallery"} & {*path.relative_to(DOCS).parts}
+)
 #: Begins a block of Python and ends a command that cannot be run in seconds, with the reason.
 NOT_RUN = re.compile(r"# not run in the tests: \S")
 Blocks = Callable[[Path, str], list[str]]

@@ -96,7 +96,7 @@ def test_rays_of_a_flat_wave_land_in_one_pixel():
     expected = np.zeros((9, 9))
     expected[4, 4] = 1.0
     assert spread.intensity == approx(expected, abs=1e-12)  # sums of parts round
-    # pixels of 20 lambda N leave 1 / (10 pi^2) of an Airy pattern's light to the others, if not more
+    # a square of 20 lambda N leaves about 2 / (10 pi^2) of an Airy pattern's light to the others
     assert spread.error_estimate > 0.01
 
 
