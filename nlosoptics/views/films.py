@@ -149,8 +149,6 @@ def transient_film(
     SceneError
         If an option is out of range, or the sensors form no grid.
     """
-    from matplotlib.animation import FuncAnimation
-
     light = _light(capture, laser)
     _check_grid(light)
     first, last = _span(capture, light, between)
@@ -170,6 +168,8 @@ def transient_film(
         return drawn, axes.set_title(f"optical path {middle:.3f} m")
 
     draw(0)
+    from matplotlib.animation import FuncAnimation
+
     figure: Any = axes.get_figure(root=True)
     if made:
         # laid out once; every frame would do it again, ten times as long as drawing
@@ -288,7 +288,7 @@ def _span(
 def _row(capture: TransientCapture, light: Array) -> tuple[Array, Array, str]:
     """Places (n,), light (n_bins, n) and title of the streak."""
     if light.ndim == 2:
-        return np.arange(light.shape[1]), light, "streak over the sensor points"
+        return np.arange(float(light.shape[1])), light, "streak over the sensor points"
     points = capture.sensor_points
     middle = light.shape[1] // 2
     return points[middle, :, 0], light[:, middle], f"streak, y = {points[middle, 0, 1]:.3g} m"

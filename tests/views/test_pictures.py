@@ -281,7 +281,7 @@ def test_irradiance_is_drawn_where_it_falls() -> None:
     box = drawn.get_paths()[cell].get_extents()
     assert (box.x0 + box.x1) / 2 == pytest.approx(0.2)
     assert (box.y0 + box.y1) / 2 == pytest.approx(-0.1)
-    assert "W/m" in axes.figure.axes[1].get_ylabel()
+    assert "W/m" in axes.child_axes[0].get_ylabel()
 
 
 def test_paths_are_drawn_from_both_sides(flat_scene: Scene) -> None:
