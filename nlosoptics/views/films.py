@@ -31,15 +31,16 @@ UNITS = {"irradiance": " (W/m$^2$)", "radiance": " (W/(m$^2$ sr))", "radiosity":
 FRAMES = 3  # beside a streak, where times are not given
 GAMMA = 0.5  # of the colours: echoes fall off with the fourth power of distance
 MOST_MEGABYTES = 200.0  # of a film in a page
+#: Of buttons, in characters that every font has.
 ICONS = {
     "minus": "\u2212",
     "plus": "+",
-    "fast-backward": "\u23ee",
-    "step-backward": "\u23f4\u2758",
-    "pause": "\u23f8",
+    "fast-backward": "|\u25c0",
+    "step-backward": "\u2039",
+    "pause": "||",
     "play": "\u25b6",
-    "step-forward": "\u2758\u23f5",
-    "fast-forward": "\u23ed",
+    "step-forward": "\u203a",
+    "fast-forward": "\u25b6|",
 }
 
 
@@ -165,7 +166,8 @@ def transient_film(
     def draw(number: int) -> tuple[Any, ...]:
         drawn.set_array(np.maximum(frames[number], 0.0))
         middle = 0.5 * (edges[starts[number]] + edges[min(starts[number] + step, last + 1)])
-        return drawn, axes.set_title(f"optical path {middle:.3f} m")
+        # a given height spares a search for free room over the axes in every frame
+        return drawn, axes.set_title(f"optical path {middle:.3f} m", y=1.01)
 
     draw(0)
     from matplotlib.animation import FuncAnimation
