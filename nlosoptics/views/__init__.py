@@ -1,17 +1,22 @@
-"""Pictures in matplotlib: axes in, axes out; nothing is computed and nothing is shown.
+"""Pictures: axes or plotters in and out; nothing is computed and nothing is shown.
 
-matplotlib is the extra ``nlosoptics[views]`` and is imported by the first picture. Figures are made
-without pyplot, so they need no display and keep no global state: `save` writes them.
+matplotlib and pyvista are the extra ``nlosoptics[views]`` and are imported by the first picture
+that needs them. Figures are made without pyplot, so they need no display and keep no global state;
+plotters draw off the screen. `save` writes either.
 """
 
 from .canvas import save
 from .comparisons import compare_methods
 from .curves import encircled_energy, history, mtf
-from .films import save_film, transient, transient_film
-from .light import irradiance, ray_paths
+from .films import transient, transient_film
+from .light import irradiance
 from .limits import feasibility
 from .maps import hybrid_parts, image, point_spread, reconstruction, wavefront
+from .pages import html_page
+from .phasor_volumes import phasor_volume
 from .plans import plan
+from .probing import rendering_works, window
+from .rooms import ray_paths, scene_3d
 from .sketch import scene_sketch
 from .spots import spot_diagram
 from .volumes import volume
@@ -21,20 +26,24 @@ __all__ = [
     "encircled_energy",
     "feasibility",
     "history",
+    "html_page",
     "hybrid_parts",
     "image",
     "irradiance",
     "mtf",
+    "phasor_volume",
     "plan",
     "point_spread",
     "ray_paths",
     "reconstruction",
+    "rendering_works",
     "save",
-    "save_film",
+    "scene_3d",
     "scene_sketch",
     "spot_diagram",
     "transient",
     "transient_film",
     "volume",
     "wavefront",
+    "window",
 ]

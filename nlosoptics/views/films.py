@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, one_of, positive, whole
+from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
 from .canvas import new_axes
 from .maps import colour_bar
@@ -124,7 +124,7 @@ def transient_film(
     most: int = 100,
     axes: Axes | None = None,
 ) -> FuncAnimation:
-    """Film of the light on the relay wall; `save_film` writes it.
+    """Film of the light on the relay wall; `save` writes it as ``.gif`` or ``.html``.
 
     Parameters
     ----------
@@ -180,26 +180,9 @@ def transient_film(
     return FuncAnimation(figure, draw, frames=len(frames), interval=50)
 
 
-def save_film(film: FuncAnimation, path: str | Path) -> None:
-    """Write a film, whole or not at all; the suffix names the format.
-
-    Parameters
-    ----------
-    film : matplotlib FuncAnimation
-        As of `transient_film`.
-    path : str or Path
-        ``.gif``, or ``.html``: a page with a slider that asks nothing of the net.
-
-    Raises
-    ------
-    SceneError
-        If the suffix is another, or the file cannot be written.
-    """
-    from ..psf.whole_files import write_whole
-
-    path = Path(path)
-    suffix = one_of("suffix of the film", path.suffix.lower(), (".gif", ".html"))
-    write_whole({path: _page(film).encode() if suffix == ".html" else _gif(film)})
+def film_file(film: FuncAnimation, suffix: str) -> bytes:
+    """Film as ``.gif``, or as ``.html``: a page with a slider that asks nothing of the net."""
+    return _page(film).encode() if suffix == ".html" else _gif(film)
 
 
 def _gif(film: FuncAnimation) -> bytes:
