@@ -180,7 +180,7 @@ def transient_film(
     return FuncAnimation(figure, draw, frames=len(frames), interval=50)
 
 
-def film_file(film: FuncAnimation, suffix: str) -> bytes:
+def film_file(film: Any, suffix: str) -> bytes:
     """Film as ``.gif``, or as ``.html``: a page with a slider that asks nothing of the net."""
     return _page(film).encode() if suffix == ".html" else _gif(film)
 
