@@ -71,7 +71,7 @@ def transient(
         Of the streak: optical path in m upward, from the first to the last bin with light, against
         x in m along the middle row of sensors, or against their numbers where they form no grid; of
         one sensor, its light against the optical path. Then the frames, x and y in m as seen from
-        the room: x grows to the left. All share one scale of colours, with the square root of the
+        the room: x grows to the right. All share one scale of colours, with the square root of the
         light; values below 0 are drawn as 0.
 
     Raises
@@ -105,8 +105,6 @@ def transient(
     )
     across = "sensor point" if light.ndim == 2 else "x (m)"
     streak.set(xlabel=across, ylabel="optical path (m)", ylim=ends, title=title)
-    if light.ndim == 3:
-        streak.invert_xaxis()
     streak.locator_params(axis="x", nbins=5)
     for axis, index in zip(others, frames, strict=True):
         streak.axhline(capture.times[index], color=SKY, linewidth=0.8, linestyle="--")
@@ -295,7 +293,6 @@ def _frame(axes: Axes, capture: TransientCapture, frame: Array, norm: Normalize,
         x, y, _ = capture.laser_points.reshape(-1, 3)[laser]
         axes.plot([x], [y], color=SKY, marker="+", markersize=9, linestyle="", label="laser point")
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    axes.invert_xaxis()
     axes.locator_params(nbins=5)
     return drawn
 

@@ -41,7 +41,8 @@ def test_streak_and_frames_show_the_light_where_and_when_it_is(capture, assert_d
     np.testing.assert_array_equal(light, capture.H[:, 1, 1])
     np.testing.assert_allclose(x[0], capture.sensor_points[1, :, 0])
     np.testing.assert_allclose(path[:, 0], capture.times)
-    assert streak.xaxis_inverted()
+    # facing the wall, -z, with y up, +x is on the right
+    assert not streak.xaxis_inverted()
     assert streak.get_ylim() == (1.5, 4.0)  # without the dark bin
     assert (streak.get_xlabel(), streak.get_ylabel()) == ("x (m)", "optical path (m)")
     # 2.6 m is in the bin from 2.5 to 3 m
@@ -49,7 +50,7 @@ def test_streak_and_frames_show_the_light_where_and_when_it_is(capture, assert_d
     np.testing.assert_array_equal(light, capture.H[3, 1])
     np.testing.assert_allclose(x, capture.sensor_points[..., 0])
     np.testing.assert_allclose(y, capture.sensor_points[..., 1])
-    assert frame.xaxis_inverted()
+    assert not frame.xaxis_inverted()
     assert not frame.yaxis_inverted()
     assert frame.get_title() == "at 2.75 m"
     assert frame.lines[0].get_xydata()[0] == pytest.approx((-0.3, 0.0))
