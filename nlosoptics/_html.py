@@ -44,10 +44,11 @@ def card(title: str, figures: Mapping[str, str], *, draw: Callable[[], Any], alt
         f'<tr><th scope="row"{CELL}>{escape(name)}</th><td{CELL}>{escape(value)}</td></tr>'
         for name, value in figures.items()
     )
+    beside = f"<table>{_caption(title)}<tbody>{rows}</tbody></table>"
     return (
         '<div style="display:flex;flex-wrap:wrap;gap:1em;align-items:flex-start">'
         f'<img alt="{escape(alt)}" src="{source}" style="max-width:100%;height:auto">'
-        f'<div style="flex:1 1 22em"><table>{_caption(title)}<tbody>{rows}</tbody></table></div></div>'
+        f'<div style="flex:1 1 22em">{beside}</div></div>'
     )
 
 

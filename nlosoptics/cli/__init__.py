@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import captures, forward, reconstructions  # noqa: F401  # their commands, in the order of the help
+from . import captures, forward, pictures, reconstructions  # noqa: F401  # their commands
 from .shell import DONE, app, tell
 
 __all__ = ["main"]

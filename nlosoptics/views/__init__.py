@@ -8,14 +8,14 @@ plotters draw off the screen. `save` writes either.
 from .canvas import save
 from .comparisons import compare_methods
 from .curves import encircled_energy, history, mtf
-from .films import save_film, transient, transient_film
+from .films import transient, transient_film
 from .light import irradiance
 from .limits import feasibility
 from .maps import hybrid_parts, image, point_spread, reconstruction, wavefront
 from .pages import html_page
 from .phasor_volumes import phasor_volume
 from .plans import plan
-from .probing import rendering_works
+from .probing import rendering_works, window
 from .rooms import ray_paths, scene_3d
 from .sketch import scene_sketch
 from .spots import spot_diagram
@@ -38,7 +38,6 @@ __all__ = [
     "reconstruction",
     "rendering_works",
     "save",
-    "save_film",
     "scene_3d",
     "scene_sketch",
     "spot_diagram",
@@ -46,4 +45,5 @@ __all__ = [
     "transient_film",
     "volume",
     "wavefront",
+    "window",
 ]

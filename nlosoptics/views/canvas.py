@@ -11,6 +11,7 @@ from .._whole_files import write_whole
 from ..errors import MissingExtraError, SceneError
 
 if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from pyvista import Plotter
@@ -32,16 +33,19 @@ def new_axes(columns: int, *, width: float, height: float) -> tuple[Axes, ...]:
     return tuple(figure.subplots(1, columns, squeeze=False)[0])
 
 
-def save(picture: Figure | Axes | Iterable[Axes] | Plotter, path: str | Path) -> None:
+def save(
+    picture: Figure | Axes | Iterable[Axes] | Plotter | FuncAnimation, path: str | Path
+) -> None:
     """Write a picture to a file, whose suffix names the format; the file appears whole or not.
 
     Parameters
     ----------
-    picture : matplotlib Figure, Axes or iterable of Axes, or pyvista Plotter
+    picture : matplotlib Figure, Axes, iterable of Axes or FuncAnimation, or pyvista Plotter
         What to write; the whole figure that the axes belong to.
     path : str or Path
         ``.png``, ``.pdf`` or ``.svg`` of figures; ``.png``, ``.html`` or ``.glb`` of plotters. The
         HTML page is that of `html_page`; glTF holds surfaces, lines and camera, and no text.
+        ``.gif`` or ``.html``, a page with a slider, of films. No page asks anything of the net.
 
     Raises
     ------
@@ -55,6 +59,11 @@ def save(picture: Figure | Axes | Iterable[Axes] | Plotter, path: str | Path) ->
     if hasattr(picture, "render_window"):
         _checked_suffix(path, "a picture in 3-D", (".png", ".html", ".glb"))
         content = _plotter_file(picture, suffix)
+    elif hasattr(picture, "to_jshtml"):
+        from .films import film_file
+
+        _checked_suffix(path, "a film", (".gif", ".html"))
+        content = film_file(picture, suffix)
     else:
         _checked_suffix(path, "a figure", (".png", ".pdf", ".svg"))
         content = _figure_file(picture, suffix)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .._checks import positive
 from ..errors import SceneError
@@ -55,14 +55,20 @@ def compare_methods(
         tol = positive("tol", tol)
         axes.axhline(tol, color=GREY, linestyle="--", label=f"wanted, {tol:g}")
     for row, colour, marker in zip(ran, SERIES, MARKERS, strict=False):
-        looks = {"color": colour, "marker": marker, "linestyle": "", "markersize": 9}
+        looks: dict[str, Any] = {
+            "color": colour,
+            "marker": marker,
+            "linestyle": "",
+            "markersize": 9,
+        }
+        seconds = row.seconds or 0.0
         errors = (row.error_estimate or 0.0, row.difference or 0.0)
         estimate, difference = (max(error, LEAST) for error in errors)
-        axes.plot([row.seconds], [estimate], label=row.method, **looks)
+        axes.plot([seconds], [estimate], label=row.method, **looks)
         if row.method != comparison.best:
             looks["markerfacecolor"] = "none"
-            axes.plot([row.seconds], [difference], **looks)
-            axes.plot([row.seconds] * 2, [estimate, difference], color=colour, linewidth=0.8)
+            axes.plot([seconds], [difference], **looks)
+            axes.plot([seconds] * 2, [estimate, difference], color=colour, linewidth=0.8)
     axes.plot([], [], color=GREY, marker="o", linestyle="", markerfacecolor="none", label=APART)
     ny, nx = comparison.shape
     axes.set(

@@ -75,7 +75,7 @@ def mtf(
     for (name, label, colour, line), given in zip(cuts, (along_x, along_y), strict=True):
         if given is None:
             continue
-        values = _samples(name, getattr(given, "value", given), like=places, of="frequency")
+        values = _samples(name, _value(given), like=places, of="frequency")
         axes.plot(places, values, color=colour, linestyle=line, label=label)
         if hasattr(given, "standard_error"):
             error = _samples(name, given.standard_error, like=places, of="frequency")
@@ -132,7 +132,7 @@ def encircled_energy(
     if len(radii) > 1 and np.diff(radii).min() <= 0.0:
         raise SamplingError("radius must rise from value to value; sort it together with energy")
     wanted = [in_range("shares", share, 0.0, 1.0, open_low=True) for share in shares]
-    values = _samples("energy", getattr(energy, "value", energy), like=radii, of="radius")
+    values = _samples("energy", _value(energy), like=radii, of="radius")
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
     if diffraction_limit is not None:
         limit = _samples("diffraction_limit", diffraction_limit, like=radii, of="radius")
@@ -187,8 +187,6 @@ def history(
     SceneError
         If the method keeps no records, such as a network, or did nothing.
     """
-    from matplotlib.ticker import MaxNLocator
-
     panels: dict[str, dict[str, Array]] = {}
     for name, record in fit.history.items():
         if len(record):
@@ -204,6 +202,8 @@ def history(
     )
     if len(on) != len(panels):
         raise SceneError(f"{len(on)} axes for {len(panels)} records, {', '.join(panels)}")
+    from matplotlib.ticker import MaxNLocator
+
     for axis, (label, records) in zip(on, panels.items(), strict=True):
         counted = "iteration"
         for (name, record), colour, marker in zip(records.items(), SERIES, MARKERS, strict=False):
@@ -230,6 +230,11 @@ def history(
         axis.set(xlabel=counted, ylabel=label)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     return on
+
+
+def _value(given: Any) -> Any:
+    """The values of a `MetricEstimate`, or what was given."""
+    return getattr(given, "value", given)
 
 
 def _samples(name: str, values: ArrayLike, *, like: Array | None = None, of: str = "") -> Array:

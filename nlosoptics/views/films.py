@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, one_of, positive, whole
+from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
 from .canvas import new_axes
 from .maps import colour_bar
@@ -31,15 +31,16 @@ UNITS = {"irradiance": " (W/m$^2$)", "radiance": " (W/(m$^2$ sr))", "radiosity":
 FRAMES = 3  # beside a streak, where times are not given
 GAMMA = 0.5  # of the colours: echoes fall off with the fourth power of distance
 MOST_MEGABYTES = 200.0  # of a film in a page
+#: Of buttons, in characters that every font has.
 ICONS = {
     "minus": "\u2212",
     "plus": "+",
-    "fast-backward": "\u23ee",
-    "step-backward": "\u23f4\u2758",
-    "pause": "\u23f8",
+    "fast-backward": "|\u25c0",
+    "step-backward": "\u2039",
+    "pause": "||",
     "play": "\u25b6",
-    "step-forward": "\u2758\u23f5",
-    "fast-forward": "\u23ed",
+    "step-forward": "\u203a",
+    "fast-forward": "\u25b6|",
 }
 
 
@@ -70,7 +71,7 @@ def transient(
         Of the streak: optical path in m upward, from the first to the last bin with light, against
         x in m along the middle row of sensors, or against their numbers where they form no grid; of
         one sensor, its light against the optical path. Then the frames, x and y in m as seen from
-        the room: x grows to the left. All share one scale of colours, with the square root of the
+        the room: x grows to the right. All share one scale of colours, with the square root of the
         light; values below 0 are drawn as 0.
 
     Raises
@@ -104,8 +105,6 @@ def transient(
     )
     across = "sensor point" if light.ndim == 2 else "x (m)"
     streak.set(xlabel=across, ylabel="optical path (m)", ylim=ends, title=title)
-    if light.ndim == 3:
-        streak.invert_xaxis()
     streak.locator_params(axis="x", nbins=5)
     for axis, index in zip(others, frames, strict=True):
         streak.axhline(capture.times[index], color=SKY, linewidth=0.8, linestyle="--")
@@ -123,7 +122,7 @@ def transient_film(
     most: int = 100,
     axes: Axes | None = None,
 ) -> FuncAnimation:
-    """Film of the light on the relay wall; `save_film` writes it.
+    """Film of the light on the relay wall; `save` writes it as ``.gif`` or ``.html``.
 
     Parameters
     ----------
@@ -149,8 +148,6 @@ def transient_film(
     SceneError
         If an option is out of range, or the sensors form no grid.
     """
-    from matplotlib.animation import FuncAnimation
-
     light = _light(capture, laser)
     _check_grid(light)
     first, last = _span(capture, light, between)
@@ -167,9 +164,12 @@ def transient_film(
     def draw(number: int) -> tuple[Any, ...]:
         drawn.set_array(np.maximum(frames[number], 0.0))
         middle = 0.5 * (edges[starts[number]] + edges[min(starts[number] + step, last + 1)])
-        return drawn, axes.set_title(f"optical path {middle:.3f} m")
+        # a given height spares a search for free room over the axes in every frame
+        return drawn, axes.set_title(f"optical path {middle:.3f} m", y=1.01)
 
     draw(0)
+    from matplotlib.animation import FuncAnimation
+
     figure: Any = axes.get_figure(root=True)
     if made:
         # laid out once; every frame would do it again, ten times as long as drawing
@@ -178,26 +178,9 @@ def transient_film(
     return FuncAnimation(figure, draw, frames=len(frames), interval=50)
 
 
-def save_film(film: FuncAnimation, path: str | Path) -> None:
-    """Write a film, whole or not at all; the suffix names the format.
-
-    Parameters
-    ----------
-    film : matplotlib FuncAnimation
-        As of `transient_film`.
-    path : str or Path
-        ``.gif``, or ``.html``: a page with a slider that asks nothing of the net.
-
-    Raises
-    ------
-    SceneError
-        If the suffix is another, or the file cannot be written.
-    """
-    from ..psf.whole_files import write_whole
-
-    path = Path(path)
-    suffix = one_of("suffix of the film", path.suffix.lower(), (".gif", ".html"))
-    write_whole({path: _page(film).encode() if suffix == ".html" else _gif(film)})
+def film_file(film: Any, suffix: str) -> bytes:
+    """Film as ``.gif``, or as ``.html``: a page with a slider that asks nothing of the net."""
+    return _page(film).encode() if suffix == ".html" else _gif(film)
 
 
 def _gif(film: FuncAnimation) -> bytes:
@@ -288,7 +271,7 @@ def _span(
 def _row(capture: TransientCapture, light: Array) -> tuple[Array, Array, str]:
     """Places (n,), light (n_bins, n) and title of the streak."""
     if light.ndim == 2:
-        return np.arange(light.shape[1]), light, "streak over the sensor points"
+        return np.arange(float(light.shape[1])), light, "streak over the sensor points"
     points = capture.sensor_points
     middle = light.shape[1] // 2
     return points[middle, :, 0], light[:, middle], f"streak, y = {points[middle, 0, 1]:.3g} m"
@@ -310,7 +293,6 @@ def _frame(axes: Axes, capture: TransientCapture, frame: Array, norm: Normalize,
         x, y, _ = capture.laser_points.reshape(-1, 3)[laser]
         axes.plot([x], [y], color=SKY, marker="+", markersize=9, linestyle="", label="laser point")
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    axes.invert_xaxis()
     axes.locator_params(nbins=5)
     return drawn
 

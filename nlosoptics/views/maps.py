@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, positive
 from .canvas import new_axes
-from .reliefs import relief
+from .reliefs import relief, spread_norm
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.colors import LogNorm, Normalize
+    from matplotlib.colors import Normalize
     from matplotlib.image import AxesImage
 
     from ..imaging import SpeckleImage
@@ -110,19 +110,16 @@ def point_spread(
         If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or a surface is
         wanted on flat axes.
     """
-    from matplotlib.colors import LogNorm, Normalize
-
     one_of("scale", scale, ("log", "linear", "surface"))
     positive("decades", decades)
     if half_width is not None:
         half_width = positive("half_width", half_width, unit="m")
-    peak = float(point_spread.intensity.max()) or 1.0
-    norm = Normalize(0.0, peak) if scale == "linear" else LogNorm(peak * 10.0**-decades, peak)
     meaning = MEANING[point_spread.normalisation]
     title = f"point spread, {point_spread.method}"
     if scale == "surface":
-        return relief(point_spread, norm, half_width, meaning=meaning, title=title, axes=axes)
+        return relief(point_spread, decades, half_width, meaning=meaning, title=title, axes=axes)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
+    norm = spread_norm(point_spread, None if scale == "linear" else decades)
     drawn = _spread_map(axes, point_spread.intensity, point_spread.pitch, norm)
     if half_width is not None:
         axes.set(
@@ -156,11 +153,9 @@ def hybrid_parts(
     tuple of three Axes
         Image coordinates in um, turned as the camera shows them: y grows downward.
     """
-    from matplotlib.colors import LogNorm
-
+    positive("decades", decades)
     drawn_on = tuple(axes) if axes is not None else new_axes(3, width=13.0, height=4.2)
-    peak = float(point_spread.intensity.max())
-    norm = LogNorm(peak * 10.0**-decades, peak)
+    norm = spread_norm(point_spread, decades)
     for axis, name in zip(drawn_on, ("coherent", "halo", "diffuse"), strict=True):
         drawn = _spread_map(axis, getattr(point_spread, name), point_spread.pitch, norm)
         share = getattr(point_spread, f"{name}_flux")
@@ -169,7 +164,7 @@ def hybrid_parts(
     return drawn_on
 
 
-def _spread_map(axes: Axes, intensity: Array, pitch: float, norm: LogNorm | Normalize) -> AxesImage:
+def _spread_map(axes: Axes, intensity: Array, pitch: float, norm: Normalize) -> AxesImage:
     """Draw samples of the image plane about their centre, as the camera shows them."""
     ny, nx = intensity.shape
     pixel = pitch * 1e6

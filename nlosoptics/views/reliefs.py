@@ -23,18 +23,14 @@ MOST = 160  # patches along a side; more are no finer to the eye and take second
 
 def relief(
     point_spread: PointSpread,
-    norm: Normalize,
+    decades: float,
     half_width: float | None,
     *,
     meaning: str,
     title: str,
     axes: Axes | None,
 ) -> Axes:
-    """Draw `point_spread` as a surface, its colours by ``norm``; see `views.point_spread`."""
-    from matplotlib import colormaps
-    from matplotlib.cm import ScalarMappable
-    from matplotlib.colors import LightSource
-
+    """Draw a point spread as a surface; see `views.point_spread`."""
     on: Any = axes
     if on is None:
         on = _new_axes_3d()
@@ -42,6 +38,11 @@ def relief(
         raise SceneError(
             "axes are flat; give scale = 'surface' axes made with projection='3d', or none"
         )
+    from matplotlib import colormaps
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import LightSource
+
+    norm = spread_norm(point_spread, decades)
     x, y, heights = _shown(point_spread, half_width)
     colours = colormaps["viridis"](norm(np.maximum(heights, norm.vmin or 0.0)))
     # slopes as they stand in the drawn box, whose three sides are about as long
@@ -67,6 +68,14 @@ def relief(
     on.invert_yaxis()
     on.view_init(elev=32, azim=-58)
     return on  # type: ignore[no-any-return]
+
+
+def spread_norm(spread: PointSpread, decades: float | None) -> Normalize:
+    """Scale of colours from the peak downward: linear, or logarithmic over so many decades."""
+    from matplotlib.colors import LogNorm, Normalize
+
+    peak = float(spread.intensity.max()) or 1.0
+    return Normalize(0.0, peak) if decades is None else LogNorm(peak * 10.0**-decades, peak)
 
 
 def _new_axes_3d() -> Any:

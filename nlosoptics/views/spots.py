@@ -35,10 +35,10 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
         its share of the light; the circle about the centroid is the first dark ring of Airy's
         pattern.
     """
-    from matplotlib.patches import Circle
-
     whole("most", most)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.4, height=5.4)
+    from matplotlib.patches import Circle
+
     drawn = slice(None, None, max(1, -(-len(spots.x) // most)))
     x, y, energy = (1e6 * spots.x[drawn], 1e6 * spots.y[drawn], spots.energy[drawn])
     rms, airy = 1e6 * spots.radius, 1e6 * spots.airy_radius

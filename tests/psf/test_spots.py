@@ -112,3 +112,47 @@ def test_peak_of_coma_lies_off_the_reference():
     assert psf.peak_strehl(coma) > at_reference
     # a tilt in steps of 1e-3 waves finds the same peak to second order
     assert psf.peak_strehl(coma) == approx(best, abs=2e-5)
+
+
+def test_spot_diagram_of_defocus_is_an_even_disc():
+    """W = c sqrt3 (2 rho^2 - 1) sends the ray at rho to 4 sqrt3 c d rho/R from the axis."""
+    radius, distance, c = 5e-3, 0.05, 4e-7
+    wave = psf.Wavefront.from_zernike(
+        {4: c}, wavelength=6e-7, pupil_radius=radius, image_distance=distance
+    )
+    spots = psf.spot_diagram(wave, rings=7)
+    rim = 4 * math.sqrt(3) * c * distance / radius
+    reach = np.hypot(spots.x, spots.y)
+    assert 0.95 * rim < reach.max() < rim
+    # light inside a circle grows with its area: rounding, and the share of one of the rings
+    rings = np.unique(np.round(reach / rim, 9))
+    assert len(rings) >= 7
+    assert spots.energy.sum() == pytest.approx(1.0, rel=1e-12)
+    mean_square = float((spots.energy * reach**2).sum())
+    # Gauss's rule is exact for rho^2
+    assert mean_square == pytest.approx(rim**2 / 2, rel=1e-10)
+    assert spots.radius == pytest.approx(rim / math.sqrt(2), rel=1e-10)
+    # the first zero of J1
+    assert spots.airy_radius == pytest.approx(3.8317059702 / math.pi * 6e-7 * 5.0, rel=1e-9)
+    assert not spots.x.flags.writeable
+
+
+@pytest.mark.parametrize("nodes", ["polar", "grid"])
+def test_spot_diagram_moves_with_the_tilt(nodes):
+    """W = a u lands at x = a d; without aberration, all light in one point."""
+    radius, distance, tilt = 5e-3, 0.05, 3e-7
+    wave = psf.Wavefront.from_zernike(
+        {2: tilt},
+        wavelength=6e-7,
+        pupil_radius=radius,
+        image_distance=distance,
+        nodes=nodes,
+        samples=32 if nodes == "grid" else None,
+    )
+    spots = psf.spot_diagram(wave)
+    # Noll's second is 2 rho cos; differences of 1e-7 m over a grid's pitch lose six digits
+    expected = 2 * tilt / radius * distance
+    np.testing.assert_allclose(spots.x, expected, rtol=1e-9)
+    np.testing.assert_allclose(spots.y, 0.0, atol=1e-9 * expected)
+    assert spots.centroid == pytest.approx((expected, 0.0), rel=1e-9, abs=1e-9 * expected)
+    assert spots.energy.min() > 0.0
