@@ -22,7 +22,7 @@ import numpy as np
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "examples" / "scenes" / "letter_wavy.toml"
-PATHS, SEGMENTS, FRAMES = 500, 10_000, 60
+PATHS, SEGMENTS, FRAMES, RUNS = 500, 10_000, 20, 3
 PROGRAM = """
 import sys, time
 start = time.perf_counter()
@@ -40,9 +40,9 @@ print(traced - start, tried - traced, time.perf_counter() - tried)
 
 
 def png_seconds(folder: Path) -> dict[str, float]:
-    """Best of five runs: the whole, and its parts."""
+    """Best of the runs: the whole, and its parts."""
     runs = []
-    for _ in range(5):
+    for _ in range(RUNS):
         words = [sys.executable, "-c", PROGRAM, str(SCENE), str(folder / "room.png"), str(PATHS)]
         began = time.perf_counter()
         said = subprocess.run(words, capture_output=True, text=True, check=True).stdout

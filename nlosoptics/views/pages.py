@@ -91,7 +91,7 @@ def _three() -> str:
             "trimesh came without the viewer that web pages are made with; run pip install "
             "'trimesh>=4.5,<6', or write .glb or .png"
         ) from None
-    return libraries + ended
+    return str(libraries + ended)
 
 
 def _bar(title: str, bar: Any) -> dict[str, Any]:
