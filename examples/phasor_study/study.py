@@ -58,13 +58,11 @@ def keys(setting: str) -> list[Key]:
         return [*letters, *diffuse, *glossy]
     if setting == "middle":
         both = (0.056, 0.112)
-        return [
-            key
-            for name in scenes.DEPTHS
-            for key in _cases(
-                name, 64, both, max_bounces=4, tol=1e-2, n_rays=1 << 13, seeds=1, cell=0.05
-            )
-        ]
+        middle: Key = {"max_bounces": 5, "tol": 1e-2, "n_rays": 1 << 17, "cell": 0.05}
+        letters = _cases("letters", 64, both, **middle)
+        diffuse = _cases("dragon", 64, both, materials=scenes.MATERIALS[:1], **middle)
+        glossy = _cases("dragon", 64, both, materials=scenes.MATERIALS[1:], seeds=1, **middle)
+        return [*letters, *diffuse, *glossy]
     fine = {"max_bounces": 5, "tol": 3e-3, "n_rays": 1 << 18}
     letters = _cases("letters", 64, (0.056, 0.112), **fine)
     dragon = _cases("dragon", 128, (0.028, 0.056), cell=0.012, **fine)
