@@ -24,15 +24,15 @@ LABELS = {
 }
 
 
-def write(lines: list[Line], folder: Path, setting: str) -> None:
-    """RESULTS.md and results/*.png, of whatever is finished."""
+def write(lines: list[Line], folder: Path, setting: str, n_left: int) -> None:
+    """RESULTS.md and results/*.png, of whatever is finished; so many cases are not."""
     done = [line for line in lines if line["status"] == "done"]
     (folder / "results").mkdir(parents=True, exist_ok=True)
     if not done:
         return
     drawn = figures.draw(done, folder, LABELS)
     parts = [
-        _head(done, setting, len(lines) - len(done)),
+        _head(done, setting, len(lines) - len(done), n_left),
         claims.table(done),
         *(f"![{text.split(' (as')[0]}](results/{name})\n\n{text}" for name, text in drawn),
         _why(done, folder),
@@ -44,7 +44,7 @@ def write(lines: list[Line], folder: Path, setting: str) -> None:
     (folder / "RESULTS.md").write_text("\n\n".join(part for part in parts if part) + "\n")
 
 
-def _head(lines: list[Line], setting: str, refused: int) -> str:
+def _head(lines: list[Line], setting: str, refused: int, n_left: int) -> str:
     some = lines[0]
     scenes = []
     for name in _all(lines, "scene"):
@@ -55,7 +55,8 @@ def _head(lines: list[Line], setting: str, refused: int) -> str:
             f"{name}: {chosen[0]['points']} x {chosen[0]['points']} laser points {pitch:.3g} cm "
             f"apart, wavelengths {waves} cm"
         )
-    text = f"""Made by `study.py --setting {setting}`: {len(lines)} cases, {refused} refused.
+    left = f"; {n_left} more of this setting were not run" if n_left else ""
+    text = f"""Made by `study.py --setting {setting}`: {len(lines)} cases, {refused} refused{left}.
 {"; ".join(scenes)}. Up to {len(_all(lines, "seed"))} seeds and {some["max_bounces"]} bounces, bins
 of {1e2 * some["bin"]:.2g} cm; seconds are of a shared machine ({platform.machine()}). The error of
 depths is the mean of its absolute value over the cells that the best threshold leaves, which must
@@ -161,12 +162,14 @@ def _spreads(lines: list[Line]) -> str:
             for aperture in _all(deepest, "aperture"):
                 found = claims.chosen(deepest, place, material=material, aperture=aperture)
                 values = np.array([x["mae"] for x in found])
-                if values.size:
+                if len(values) > 1:
                     seeds.append(values.mean(axis=1).std())
+                if values.size:
                     planes.append(values.mean(axis=0).std())
         rows.append(
             f"| {place['scene']} | {1e2 * place['wavelength']:.3g} | {1e2 * place['voxel']:.3g} | "
-            f"{1e3 * np.median(seeds):.2f} | {1e3 * np.median(planes):.2f} |"
+            f"{f'{1e3 * np.median(seeds):.2f}' if seeds else 'one seed'} | "
+            f"{1e3 * np.median(planes):.2f} |"
         )
     return "\n".join(rows)
 

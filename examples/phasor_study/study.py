@@ -162,7 +162,9 @@ def main(arguments: list[str] | None = None) -> None:
                 file.flush()
                 told = np.round(line.get("mae", []), 4).tolist()
                 print(cases.name_of(line), line["status"], told, flush=True)
-    report.write(lines, options.out, options.setting)
+    names = {cases.name_of(key) for key in keys(options.setting)}
+    n_left = len(names - {cases.name_of(line) for line in lines})
+    report.write(lines, options.out, options.setting, n_left)
 
 
 if __name__ == "__main__":
