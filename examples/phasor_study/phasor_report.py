@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -24,15 +25,16 @@ LABELS = {
 }
 
 
-def write(lines: list[Line], folder: Path, setting: str, n_left: int) -> None:
-    """RESULTS.md and results/*.png, of whatever is finished; so many cases are not."""
+def write(lines: list[Line], folder: Path, setting: str, left: list[Line]) -> None:
+    """RESULTS.md and results/*.png, of whatever is finished; ``left`` are the cases not run."""
     done = [line for line in lines if line["status"] == "done"]
     (folder / "results").mkdir(parents=True, exist_ok=True)
     if not done:
         return
     drawn = figures.draw(done, folder, LABELS)
     parts = [
-        _head(done, setting, len(lines) - len(done), n_left),
+        _head(done, setting, len(lines) - len(done)),
+        _left_out(left),
         claims.table(done),
         *(f"![{text.split(' (as')[0]}](results/{name})\n\n{text}" for name, text in drawn),
         _why(done, folder),
@@ -44,7 +46,7 @@ def write(lines: list[Line], folder: Path, setting: str, n_left: int) -> None:
     (folder / "RESULTS.md").write_text("\n\n".join(part for part in parts if part) + "\n")
 
 
-def _head(lines: list[Line], setting: str, refused: int, n_left: int) -> str:
+def _head(lines: list[Line], setting: str, refused: int) -> str:
     some = lines[0]
     scenes = []
     for name in _all(lines, "scene"):
@@ -53,15 +55,32 @@ def _head(lines: list[Line], setting: str, refused: int, n_left: int) -> str:
         pitch = 179.2 / chosen[0]["points"]
         scenes.append(
             f"{name}: {chosen[0]['points']} x {chosen[0]['points']} laser points {pitch:.3g} cm "
-            f"apart, wavelengths {waves} cm"
+            f"apart, {_triangles(chosen[0])} triangles, wavelengths {waves} cm"
         )
-    left = f"; {n_left} more of this setting were not run" if n_left else ""
-    text = f"""Made by `study.py --setting {setting}`: {len(lines)} cases, {refused} refused{left}.
+    text = f"""Made by `study.py --setting {setting}`: {len(lines)} cases, {refused} refused.
 {"; ".join(scenes)}. Up to {len(_all(lines, "seed"))} seeds and {some["max_bounces"]} bounces, bins
 of {1e2 * some["bin"]:.2g} cm; seconds are of a shared machine ({platform.machine()}). The error of
 depths is the mean of its absolute value over the cells that the best threshold leaves, which must
 be half of the true ones at least."""
     return "# Reflectance and phasor fields: what came out\n\n" + textwrap.fill(text, 100)
+
+
+def _triangles(line: Line) -> int:
+    """Of the hidden objects, without the corridor."""
+    return sum(len(mesh.faces) for mesh in scenes.objects(line["scene"], cell=line["cell"]))
+
+
+def _left_out(left: list[Line]) -> str:
+    """Which cases of the setting were not run."""
+    if not left:
+        return ""
+    counts: Counter[str] = Counter()
+    for key in left:
+        what = "further seeds" if key["seed"] else "three bounces alone"
+        alone = key["seed"] or key["bounces"] < key["max_bounces"]
+        counts[f"{key['scene']}, {LABELS[key['material']]}{f', {what}' if alone else ''}"] += 1
+    rows = "; ".join(f"{name}: {count}" for name, count in counts.items())
+    return textwrap.fill(f"Not run are {len(left)} cases more of this setting. {rows}.", 100)
 
 
 def _why(lines: list[Line], folder: Path) -> str:

@@ -4,7 +4,7 @@ python examples/phasor_study/study.py --setting small --out phasor_study [--repo
 
 One line of JSON for each finished case in OUT/SETTING.jsonl; started again, it goes on where it was
 cut off. Then RESULTS.md and pictures. "small" takes some minutes on two cores; "middle" has more
-laser points and one seed; "full" has the paper's points and five bounces, and takes hours.
+laser points and five bounces; "full" has the paper's points and five bounces, and takes hours.
 """
 
 from __future__ import annotations
@@ -162,9 +162,9 @@ def main(arguments: list[str] | None = None) -> None:
                 file.flush()
                 told = np.round(line.get("mae", []), 4).tolist()
                 print(cases.name_of(line), line["status"], told, flush=True)
-    names = {cases.name_of(key) for key in keys(options.setting)}
-    n_left = len(names - {cases.name_of(line) for line in lines})
-    report.write(lines, options.out, options.setting, n_left)
+    done = {cases.name_of(line) for line in lines}
+    left = [key for key in todo if cases.name_of(key) not in done]
+    report.write(lines, options.out, options.setting, left)
 
 
 if __name__ == "__main__":
