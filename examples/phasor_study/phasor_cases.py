@@ -78,7 +78,7 @@ def _kept(key: Key, seed: int | None, folder: Path) -> transient.TransientCaptur
 
 
 def _rendered(key: Key, seed: int | None) -> transient.TransientCapture:
-    """All bounces of a seed; without one, three bounces to the tolerance asked for."""
+    """More than three bounces of a seed; without one, three bounces alone."""
     deepest = scenes.DEPTHS[key["scene"]][1]
     aside = 0.5 * scenes.SIDE
     longest = math.hypot(aside, aside, deepest) + math.hypot(2 * aside, 2 * aside, deepest)
@@ -91,9 +91,9 @@ def _rendered(key: Key, seed: int | None) -> transient.TransientCapture:
         t_start=BEGIN,
         delta_t=key["bin"],
         n_bins=math.ceil((end - BEGIN) / key["bin"]),
+        min_bounces=3 if seed is None else 4,
         max_bounces=key["max_bounces"],
-        # with a seed only the further bounces are taken, and three of them need no care
-        tol=key["tol"] if seed is None else 0.5,
+        tol=key["tol"],
         tol_multiple=1e-2,
         n_rays=key["n_rays"] or None,
         wall_size=scenes.ROOM[:2],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import textwrap
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -24,8 +25,8 @@ LABELS = {
 }
 
 
-def write(lines: list[Line], folder: Path, setting: str) -> None:
-    """RESULTS.md and results/*.png, of whatever is finished."""
+def write(lines: list[Line], folder: Path, setting: str, left: list[Line]) -> None:
+    """RESULTS.md and results/*.png, of whatever is finished; ``left`` are the cases not run."""
     done = [line for line in lines if line["status"] == "done"]
     (folder / "results").mkdir(parents=True, exist_ok=True)
     if not done:
@@ -33,6 +34,7 @@ def write(lines: list[Line], folder: Path, setting: str) -> None:
     drawn = figures.draw(done, folder, LABELS)
     parts = [
         _head(done, setting, len(lines) - len(done)),
+        _left_out(left),
         claims.table(done),
         *(f"![{text.split(' (as')[0]}](results/{name})\n\n{text}" for name, text in drawn),
         _why(done, folder),
@@ -53,7 +55,7 @@ def _head(lines: list[Line], setting: str, refused: int) -> str:
         pitch = 179.2 / chosen[0]["points"]
         scenes.append(
             f"{name}: {chosen[0]['points']} x {chosen[0]['points']} laser points {pitch:.3g} cm "
-            f"apart, wavelengths {waves} cm"
+            f"apart, {_triangles(chosen[0])} triangles, wavelengths {waves} cm"
         )
     text = f"""Made by `study.py --setting {setting}`: {len(lines)} cases, {refused} refused.
 {"; ".join(scenes)}. Up to {len(_all(lines, "seed"))} seeds and {some["max_bounces"]} bounces, bins
@@ -61,6 +63,24 @@ of {1e2 * some["bin"]:.2g} cm; seconds are of a shared machine ({platform.machin
 depths is the mean of its absolute value over the cells that the best threshold leaves, which must
 be half of the true ones at least."""
     return "# Reflectance and phasor fields: what came out\n\n" + textwrap.fill(text, 100)
+
+
+def _triangles(line: Line) -> int:
+    """Of the hidden objects, without the corridor."""
+    return sum(len(mesh.faces) for mesh in scenes.objects(line["scene"], cell=line["cell"]))
+
+
+def _left_out(left: list[Line]) -> str:
+    """Which cases of the setting were not run."""
+    if not left:
+        return ""
+    counts: Counter[str] = Counter()
+    for key in left:
+        what = "further seeds" if key["seed"] else "three bounces alone"
+        alone = key["seed"] or key["bounces"] < key["max_bounces"]
+        counts[f"{key['scene']}, {LABELS[key['material']]}{f', {what}' if alone else ''}"] += 1
+    rows = "; ".join(f"{name}: {count}" for name, count in counts.items())
+    return textwrap.fill(f"Not run are {len(left)} cases more of this setting. {rows}.", 100)
 
 
 def _why(lines: list[Line], folder: Path) -> str:
@@ -161,12 +181,14 @@ def _spreads(lines: list[Line]) -> str:
             for aperture in _all(deepest, "aperture"):
                 found = claims.chosen(deepest, place, material=material, aperture=aperture)
                 values = np.array([x["mae"] for x in found])
-                if values.size:
+                if len(values) > 1:
                     seeds.append(values.mean(axis=1).std())
+                if values.size:
                     planes.append(values.mean(axis=0).std())
         rows.append(
             f"| {place['scene']} | {1e2 * place['wavelength']:.3g} | {1e2 * place['voxel']:.3g} | "
-            f"{1e3 * np.median(seeds):.2f} | {1e3 * np.median(planes):.2f} |"
+            f"{f'{1e3 * np.median(seeds):.2f}' if seeds else 'one seed'} | "
+            f"{1e3 * np.median(planes):.2f} |"
         )
     return "\n".join(rows)
 

@@ -4,7 +4,7 @@ python examples/phasor_study/study.py --setting small --out phasor_study [--repo
 
 One line of JSON for each finished case in OUT/SETTING.jsonl; started again, it goes on where it was
 cut off. Then RESULTS.md and pictures. "small" takes some minutes on two cores; "middle" has more
-laser points and one seed; "full" has the paper's points and five bounces, and takes hours.
+laser points and five bounces; "full" has the paper's points and five bounces, and takes hours.
 """
 
 from __future__ import annotations
@@ -58,13 +58,11 @@ def keys(setting: str) -> list[Key]:
         return [*letters, *diffuse, *glossy]
     if setting == "middle":
         both = (0.056, 0.112)
-        return [
-            key
-            for name in scenes.DEPTHS
-            for key in _cases(
-                name, 64, both, max_bounces=4, tol=1e-2, n_rays=1 << 13, seeds=1, cell=0.05
-            )
-        ]
+        middle: Key = {"max_bounces": 5, "tol": 1e-2, "n_rays": 1 << 17, "cell": 0.05}
+        letters = _cases("letters", 64, both, **middle)
+        diffuse = _cases("dragon", 64, both, materials=scenes.MATERIALS[:1], **middle)
+        glossy = _cases("dragon", 64, both, materials=scenes.MATERIALS[1:], seeds=1, **middle)
+        return [*letters, *diffuse, *glossy]
     fine = {"max_bounces": 5, "tol": 3e-3, "n_rays": 1 << 18}
     letters = _cases("letters", 64, (0.056, 0.112), **fine)
     dragon = _cases("dragon", 128, (0.028, 0.056), cell=0.012, **fine)
@@ -164,7 +162,9 @@ def main(arguments: list[str] | None = None) -> None:
                 file.flush()
                 told = np.round(line.get("mae", []), 4).tolist()
                 print(cases.name_of(line), line["status"], told, flush=True)
-    report.write(lines, options.out, options.setting)
+    done = {cases.name_of(line) for line in lines}
+    left = [key for key in todo if cases.name_of(key) not in done]
+    report.write(lines, options.out, options.setting, left)
 
 
 if __name__ == "__main__":

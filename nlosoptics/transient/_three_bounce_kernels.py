@@ -213,11 +213,13 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
 def _seen(rows, boxes, clear, reach, p, q, known, known_is_q, room, pieces):
     """Triangles, as parts that both points see from one side; return parts and their number.
 
-    ``known`` says of each triangle what one of the points, q or p, sees: all, nothing or a part.
+    ``known`` is what one of the points, q or p, sees: of each triangle all, nothing or a part, and
+    where its polygons begin and end among those kept.
 
     Rows of ``pieces`` are three corners, the area, both points' heights and the triangle's number.
     """
     polygons, sizes, shadows = room
+    how, ends, kept, kept_sizes = known
     count = 0
     for t in range(rows.shape[0]):
         row = rows[t]
@@ -228,15 +230,20 @@ def _seen(rows, boxes, clear, reach, p, q, known, known_is_q, room, pieces):
         tiny = 1e-12 * reach
         if not (h1 > tiny and h2 > tiny) and not (h1 < -tiny and h2 < -tiny):
             continue
+        if how[t] == NOTHING:
+            continue
         _whole(polygons, sizes)
         left = 1
-        if known[t] == NOTHING:
-            continue
         if not clear[t, 0 if h1 > 0.0 else 1]:
-            if known_is_q or known[t] != ALL:
+            begin, end = ends[t], ends[t + 1]
+            if end > begin and not known_is_q:
+                left = end - begin
+                for m in range(left):
+                    polygons[m], sizes[m] = kept[begin + m], kept_sizes[begin + m]
+            elif known_is_q or how[t] != ALL:
                 left = see(rows, boxes, t, p, reach, polygons, sizes, left, shadows)
             same = p[0] == q[0] and p[1] == q[1]
-            if left > 0 and not same and not (known_is_q and known[t] == ALL):
+            if left > 0 and not same and not (known_is_q and how[t] == ALL):
                 left = see(rows, boxes, t, q, reach, polygons, sizes, left, shadows)
             if left == OVERFLOW:
                 return pieces, OVERFLOW
@@ -264,8 +271,12 @@ def _seen(rows, boxes, clear, reach, p, q, known, known_is_q, room, pieces):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def sights(rows, boxes, clear, reach, points, out):
-    """Fill ``out`` (points, triangles) with how much of each triangle a point sees."""
+def sights(rows, boxes, clear, reach, points, out, ends, kept, kept_sizes):
+    """Fill ``out`` (points, triangles) with how much of each triangle a point sees.
+
+    ``ends`` (points, triangles + 1) then has at t + 1 in how many polygons it sees a part. With
+    room for polygons they are kept there, where ``ends``, by then summed up, says.
+    """
     for i in prange(points.shape[0]):
         polygons = np.empty((PIECES, 2 * CORNERS))
         sizes = np.empty(PIECES, dtype=np.int64)
@@ -275,15 +286,24 @@ def sights(rows, boxes, clear, reach, points, out):
             row = rows[t]
             n = _frame(row)[0]
             h = n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) - n[2] * row[2]
-            out[i, t] = ALL
-            if clear[t, 0 if h > 0.0 else 1]:
-                continue
+            begin, end = ends[i, t], ends[i, t + 1]
+            if kept.size:
+                if end == begin:
+                    continue
+            else:
+                out[i, t] = ALL
+                if clear[t, 0 if h > 0.0 else 1]:
+                    continue
             _whole(polygons, sizes)
             left = see(rows, boxes, t, p, reach, polygons, sizes, 1, shadows)
-            if left == 0:
+            if kept.size:
+                for m in range(left):
+                    kept[begin + m], kept_sizes[begin + m] = polygons[m], sizes[m]
+            elif left == 0:
                 out[i, t] = NOTHING
             elif left != 1 or not _is_whole(polygons[0], sizes[0]):
                 out[i, t] = PART
+                ends[i, t + 1] = max(left, 0)  # not where there are too many
 
 
 @njit(cache=True, error_model="numpy")
@@ -386,6 +406,7 @@ def three_bounces(
     world,
     lasers,
     sensors,
+    turned,
     sight,
     known,
     starts,
@@ -399,8 +420,9 @@ def three_bounces(
     """Fill ``out`` (pairs, bins + 2) with G of each pair and ``report`` (pairs, REPORT).
 
     Block i of the pairs is from ``blocks[i]`` to ``blocks[i + 1]``; the bins before and after the
-    window are first and last. Row ``sight[i]`` of ``known`` is what the laser point sees. Pairs
-    share no sum, so that threads change no bit.
+    window are first and last. Row ``sight[i]`` of ``known`` is what the laser point sees; the
+    sensor point's shadows come first where ``turned[i]``. Pairs share no sum, so that threads
+    change no bit.
     """
     for block in prange(blocks.size - 1):
         room = (
@@ -413,13 +435,11 @@ def three_bounces(
         stack = np.empty((DEEPEST + 4, COLUMNS))
         for i in range(blocks[block], blocks[block + 1]):
             p, q = lasers[i], sensors[i]
-            # the lower point first, so that light there and back goes through the same numbers
-            swapped = q[0] < p[0] or (q[0] == p[0] and q[1] < p[1])
-            if swapped:
+            if turned[i]:
                 p, q = q, p
-            pieces, count = _seen(
-                rows, boxes, clear, reach, p, q, known[sight[i]], swapped, room, pieces
-            )
+            how, ends, kept, kept_sizes = known
+            seen = how[sight[i]], ends[sight[i]], kept, kept_sizes
+            pieces, count = _seen(rows, boxes, clear, reach, p, q, seen, turned[i], room, pieces)
             out[i, :] = 0.0
             report[i, :] = 0.0
             if count == OVERFLOW:

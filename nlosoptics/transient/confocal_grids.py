@@ -19,6 +19,9 @@ Array = NDArray[np.floating]
 
 #: Share of the light at the shortest possible paths from which on it is taken for direct light.
 DIRECT_SHARE = 0.01
+#: Stretches of time, of which the darkest tells the dark level, and standard deviations of what it
+#: adds by chance.
+STRETCHES, CHANCE = 16, 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,9 +105,10 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     """Raise `SceneError` where the laser's spot itself is seen.
 
     Light that reaches the sensor point no later than two bins after the path along the wall comes
-    from no hidden object.
+    from no hidden object. Dark counts are the same at all times: the level of the darkest stretch
+    of time is taken off, and what it varies by is allowed for.
     """
-    n_paths = max(1, capture.H[0].size)
+    n_bins, n_paths = capture.n_bins, max(1, capture.H[0].size)
     if capture.pairing == "confocal":
         apart = np.linalg.norm(capture.laser_points - capture.sensor_points, axis=-1)
     else:
@@ -112,19 +116,40 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
         sensors = capture.sensor_points.reshape(1, -1, 3)
         apart = np.linalg.norm(lasers - sensors, axis=-1)
     shortest = (apart.ravel() + outer_legs(capture).ravel() - capture.t_start) / capture.delta_t
-    ends = np.clip(np.floor(shortest) + 2, 0, capture.n_bins).astype(np.int64)
+    ends = np.clip(np.floor(shortest) + 2, 0, n_bins).astype(np.int64)
     if not ends.any():
         return
-    direct = total = 0.0
-    for k, light in enumerate(np.abs(bins) for bins in capture.H.reshape(capture.n_bins, n_paths)):
-        total += float(light.sum(dtype=np.float64))
-        direct += float(light.sum(where=ends > k, dtype=np.float64))
-    if direct > DIRECT_SHARE * total:
+    # light, its squares, and paths in each bin: along the wall, and later
+    sums = np.zeros((2, 3, n_bins))
+    for k, light in enumerate(np.abs(bins) for bins in capture.H.reshape(n_bins, n_paths)):
+        for part, chosen in zip(sums, (ends > k, ends <= k), strict=True):
+            some = light[chosen].astype(np.float64)
+            part[:, k] = some.sum(), some @ some, some.size
+    level, spread = _dark_level(*sums[1])
+    open_bins = sums[:, 0].sum(axis=0) > 0.0  # a gate keeps dark counts out, too
+    direct, total = (
+        float(part[0].sum() - level * part[2, open_bins].sum()) for part in (sums[0], sums.sum(0))
+    )
+    chance = CHANCE * spread * math.sqrt(sums[0, 2, open_bins].sum())
+    if direct > DIRECT_SHARE * max(total, 0.0) + chance:
         raise SceneError(
-            f"{method}: {100 * direct / total:.2g} % of the light comes from the lit point itself, "
-            f"along the wall, limit {100 * DIRECT_SHARE:g} %; cut it with "
+            f"{method}: {100 * direct / max(total, direct):.2g} % of the light comes from the lit "
+            f"point itself, along the wall, limit {100 * DIRECT_SHARE:g} %; cut it with "
             "transient.gated(capture, start=...)"
         )
+
+
+def _dark_level(light: Array, squares: Array, count: Array) -> tuple[float, float]:
+    """Mean and standard deviation of a path's bin in the darkest stretch of time that has light."""
+    lit = np.flatnonzero(light > 0.0)
+    if not lit.size:
+        return 0.0, 0.0
+    starts = np.unique(np.linspace(0, lit.size, STRETCHES, endpoint=False).astype(np.int64))
+    sums = [np.add.reduceat(values[lit], starts) for values in (light, squares, count)]
+    means = sums[0] / sums[2]
+    darkest = int(means.argmin())
+    variance = sums[1][darkest] / sums[2][darkest] - means[darkest] ** 2
+    return float(means[darkest]), math.sqrt(max(float(variance), 0.0))
 
 
 def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Volume:

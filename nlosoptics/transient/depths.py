@@ -88,8 +88,8 @@ def depth_map(
         Columns whose peak is below this share of the brightest voxel hold nothing; None: only
         those without any light.
     interpolate : bool
-        Whether the depth is that of the parabola through the peak and its two neighbours, at most
-        half a voxel away, not the voxel's own.
+        Whether the depth is found between the planes, `VolumeImage.peak_depth`, at most half a
+        voxel away, not the voxel's own.
 
     Raises
     ------
@@ -103,12 +103,8 @@ def depth_map(
         raise SceneError(
             f"the brightest voxel is {brightest:g}, must be above 0 and finite, to have a depth"
         )
-    peak = values.argmax(axis=0)
-    height = np.take_along_axis(values, peak[None], axis=0)[0]
-    depth = z[peak]
-    if interpolate and len(z) > 2:
-        depth = depth + (z[1] - z[0]) * _vertex(values, peak, height)
-    confidence = np.asarray(height / brightest, dtype=np.float64)
+    depth = image.peak_depth() if interpolate else z[values.argmax(axis=0)]
+    confidence = np.asarray(image.projection() / brightest, dtype=np.float64)
     nothing = (confidence < share) | (confidence <= 0.0)
     return DepthMap(
         depth=np.where(nothing, np.nan, depth),
@@ -117,17 +113,6 @@ def depth_map(
         y=image.volume.y,
         threshold=share,
     )
-
-
-def _vertex(values: Array, peak: NDArray[np.intp], height: Array) -> Array:
-    """Offset in voxels of the parabola's vertex; 0 at the ends of the axis."""
-    last = values.shape[0] - 1
-    inner = (peak > 0) & (peak < last)
-    before = np.take_along_axis(values, np.maximum(peak - 1, 0)[None], axis=0)[0].astype(float)
-    after = np.take_along_axis(values, np.minimum(peak + 1, last)[None], axis=0)[0].astype(float)
-    bend = before - 2.0 * height + after
-    inner &= bend < 0.0
-    return np.where(inner, 0.5 * (before - after) / np.where(inner, bend, -1.0), 0.0)
 
 
 def depth_error(

@@ -40,7 +40,9 @@ class MultipleBounces(NamedTuple):
         (n_bins, *shape): irradiance per watt that leaves the laser's spot, 1/m^2, over each bin.
     details : dict
         ``"paths"`` drawn, ``"batches"``, ``"reached"``: by number of reflections the largest
-        relative L1 error expected of a sensor, and ``"stopped"``: "tol" or "paths".
+        relative L1 error expected of a sensor that light reaches, infinite where it reaches none
+        within the bins, and ``"stopped"``: "tol", "paths" where those ran out before, or "dark"
+        where some number of reflections brought no light into the bins, and the others ``tol``.
     """
 
     by_bounce: dict[int, Array]
@@ -164,7 +166,7 @@ def multiple_bounces(
         "paths": paths,
         "batches": batches,
         "reached": dict(zip(chosen, reached, strict=True)),
-        "stopped": "tol" if tol is not None and max(reached) <= tol else "paths",
+        "stopped": _stopped(reached, tol),
     }
     return MultipleBounces(by_bounce, errors, details)
 
@@ -227,7 +229,8 @@ def _run(
                 progress((number + 1) / max(goal, number + 1), "paths of several bounces")
         done = goal
         reached = [_l1(total[k], squares[k], done) for k in range(len(job.orders))]
-        worst = max(reached)
+        # what no path has lit is not waited for
+        worst = max((error for error in reached if error < math.inf), default=0.0)
         if done >= most or (tol is not None and worst <= tol):
             return total, squares, done, paths, reached
         # what the square root law asks for, a little more, at most four times what is done
@@ -245,13 +248,23 @@ def _variance(total: Array, squares: Array, n: int) -> Array:
     return np.asarray(spread / (n * (n - 3.0)))
 
 
+def _stopped(reached: list[float], tol: float | None) -> str:
+    """Why no more paths were drawn."""
+    if tol is None or any(tol < error < math.inf for error in reached):
+        return "paths"
+    return "dark" if math.inf in reached else "tol"
+
+
 def _l1(total: Array, squares: Array, n: int) -> float:
-    """Largest relative L1 error expected of a pair: a Gaussian's mean size is sqrt(2/pi) sigma."""
+    """Largest relative L1 error expected of a lit pair, infinite where none is.
+
+    A Gaussian's mean size is sqrt(2/pi) sigma.
+    """
     light = total.sum(axis=1) / n
     errors = np.sqrt(_variance(total, squares, n)).sum(axis=1)
     lit = light > 0.0
     if not lit.any():
-        return 0.0
+        return math.inf
     return math.sqrt(2.0 / math.pi) * float((errors[lit] / light[lit]).max())
 
 

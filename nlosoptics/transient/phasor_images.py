@@ -49,33 +49,3 @@ class PhasorImage(VolumeImage):
         shape = self.volume.shape if self.times is None else (len(self.times), *self.volume.shape)
         if self.field.shape != shape:
             raise SamplingError(f"field has shape {self.field.shape}, must be {shape}")
-
-    def peak_depth(self) -> Array:
-        """Depth of the brightest voxel along z, found between the planes.
-
-        Returns
-        -------
-        ndarray
-            (ny, nx), m: where a parabola through the logarithm of the intensity at the brightest
-            plane and its two neighbours is highest, which is exact for one surface under the
-            pulse's Gaussian envelope; the plane itself at the volume's ends and where a neighbour
-            is dark. Every column has one: dim columns are for a threshold to leave out.
-        """
-        light, z = self.intensity, self.volume.z
-        best = light.argmax(axis=0)
-        depth = z[best]
-        if len(z) < 3:
-            return np.asarray(depth)
-        middle = np.clip(best, 1, len(z) - 2)
-        rows, columns = np.indices(best.shape)
-        low, top, high = (
-            light[middle + step, rows, columns].astype(np.float64) for step in (-1, 0, 1)
-        )
-        inside = (best == middle) & (np.minimum(low, high) > 0.0)
-        ones = np.where(inside, 1.0, np.nan)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            fall, rise = np.log(top / low) * ones, np.log(top / high) * ones
-            # both are at least 0 at the brightest plane, so the peak is within half a step
-            shift = 0.5 * (fall - rise) / (fall + rise)
-        shift = np.where(inside & np.isfinite(shift), shift, 0.0)
-        return np.asarray(depth + shift * (z[1] - z[0]))

@@ -58,6 +58,18 @@ class _Setting:
         """(n_bins, *shape) of G as what is measured."""
         return values * self.factors.reshape(self.shape)
 
+    def told(self, three: ThreeBounces | None) -> dict[str, Any]:
+        """What a capture's details say of three bounces, where they were wanted."""
+        if three is None:
+            return {}
+        return {
+            "error_estimate": self.each(three.error),
+            "before": self.each(three.before),
+            "after": self.each(three.after),
+            "parts": three.parts.reshape(self.shape),
+            "shadows": three.shadows,
+        }
+
 
 def render(
     surfaces: Iterable[tuple[trimesh.Trimesh, Material]],
@@ -69,6 +81,7 @@ def render(
     t_start: float,
     delta_t: float,
     n_bins: int,
+    min_bounces: int = 3,
     max_bounces: int = 5,
     quantity: Literal["irradiance", "radiance", "radiosity"] = "irradiance",
     keep_laser_cosine: bool = False,
@@ -98,8 +111,10 @@ def render(
     t_start, delta_t : float
         Where the first bin begins and how wide a bin is, m of optical path.
     n_bins : int
-    max_bounces : int
-        Most reflections of a path, the wall's two included, 3 to 32.
+    min_bounces, max_bounces : int
+        Fewest and most reflections of a path, the wall's two included, 3 to 32. Above 3, light of
+        fewer is left out: further seeds need not repeat three bounces, which draw nothing at
+        random.
     quantity : {"irradiance", "radiance", "radiosity"}
         At the sensor points: irradiance, W/m^2; radiance, W/(m^2 sr), which is the wall's albedo
         over pi times that; radiosity, the albedo times that. Of a pulse that brings 1 J (or 1 W)
@@ -131,11 +146,12 @@ def render(
     -------
     TransientCapture
         With ``by_bounce`` and ``standard_error``, which is 0 for three bounces. ``details`` has of
-        three bounces, in arrays of the pairs' shape, ``"error_estimate"`` (summed over the bins,
-        what the last two passes differ by), ``"before"`` and ``"after"`` (light outside the bins)
-        and ``"parts"`` (of the surface), and ``"shadows"``, whether they were needed. Of more
-        bounces, ``"multiple_bounces"`` has the number of paths, the errors reached, and what ended
-        them: "tol", or "paths" where those ran out before.
+        three bounces, where they are wanted, in arrays of the pairs' shape, ``"error_estimate"``
+        (summed over the bins, what the last two passes differ by), ``"before"`` and ``"after"``
+        (light outside the bins) and ``"parts"`` (of the surface), and ``"shadows"``, whether they
+        were needed. Of more bounces, ``"multiple_bounces"`` has the number of paths, the errors
+        reached, and what ended them: "tol", "paths" where those ran out before, or "dark" where
+        some number of reflections brought no light into the bins.
 
     Raises
     ------
@@ -161,7 +177,8 @@ def render(
     key = checked_seed(seed)
     paths = None if n_rays is None else whole("n_rays", n_rays, LEAST, MOST_RAYS)
     size = None if wall_size is None else pair("wall_size", wall_size)
-    most = whole("max_bounces", max_bounces, 3, MOST_ORDER)
+    fewest = whole("min_bounces", min_bounces, 3, MOST_ORDER)
+    most = whole("max_bounces", max_bounces, fewest, MOST_ORDER)
     one_of("quantity", quantity, ("irradiance", "radiance", "radiosity"))
     hidden = hidden_surfaces(surfaces)
     rho = in_range("wall_albedo", wall_albedo, 0.0, 1.0, open_low=True)
@@ -173,17 +190,11 @@ def render(
     setting = _setting(
         laser_points, sensor_points, pairing, origins, scale, bool(keep_laser_cosine), outer_legs
     )
-    found = three_bounces(
-        hidden,
-        setting.lasers,
-        setting.sensors,
-        starts=bin_0 - setting.legs,
-        delta_t=width,
-        n_bins=count,
-        tol=wanted,
-        progress=progress,
-    )
-    more = MultipleBounces({}, {}, {})
+    bins: dict[str, Any] = {"starts": bin_0 - setting.legs, "delta_t": width, "n_bins": count}
+    three, more = None, MultipleBounces({}, {}, {})
+    if fewest == 3:
+        points = setting.lasers, setting.sensors
+        three = three_bounces(hidden, *points, **bins, tol=wanted, progress=progress)
     if most > 3:
         more = multiple_bounces(
             hidden,
@@ -192,29 +203,22 @@ def render(
             pairing=setting.pairing,
             wall_albedo=rho,
             wall_size=size,
-            starts=bin_0 - setting.legs,
-            delta_t=width,
-            n_bins=count,
-            orders=range(4, most + 1),
+            **bins,
+            orders=range(max(4, fewest), most + 1),
             tol=wanted_multiple,
             n_rays=paths,
             seed=key,
             progress=progress,
         )
     if not any(light.any() for light in more.by_bounce.values()):
-        _check_light(found, setting, bin_0, bin_0 + count * width)
-    by_bounce = {3: setting.bins(found.G)}
+        _check_light(three, setting, (fewest, most), (bin_0, bin_0 + count * width))
+    by_bounce = {} if three is None else {3: setting.bins(three.G)}
     by_bounce |= {n: setting.scaled(light) for n, light in more.by_bounce.items()}
     errors = [setting.scaled(error) for error in more.standard_error.values()]
-    H = by_bounce[3].copy()
-    for n in more.by_bounce:
+    H = by_bounce[fewest].copy()
+    for n in range(fewest + 1, most + 1):
         H += by_bounce[n]
-    details = {
-        "error_estimate": setting.each(found.error),
-        "before": setting.each(found.before),
-        "after": setting.each(found.after),
-        "parts": found.parts.reshape(setting.shape),
-        "shadows": found.shadows,
+    details = setting.told(three) | {
         "multiple_bounces": more.details,
         "wall_albedo": rho,
         "keep_laser_cosine": bool(keep_laser_cosine),
@@ -276,11 +280,23 @@ def _distance(name: str, origin: Vector | None, points: Array, option: str) -> A
     return np.asarray(np.sqrt((lines * lines).sum(axis=-1)))
 
 
-def _check_light(found: ThreeBounces, setting: _Setting, begin: float, end: float) -> None:
+def _check_light(
+    three: ThreeBounces | None,
+    setting: _Setting,
+    bounces: tuple[int, int],
+    span: tuple[float, float],
+) -> None:
     """Raise where no light comes back, or none within the bins."""
-    if found.G.any():
+    held = "" if not setting.legs.any() else " (times hold the outer legs)"
+    if three is None:
+        raise SamplingError(
+            f"no light of {bounces[0]} to {bounces[1]} bounces arrives in the bins, which hold "
+            f"paths from {span[0]:g} to {span[1]:g} m; change t_start or n_bins, draw more n_rays, "
+            f"or give the light a second surface, as by wall_size{held}"
+        )
+    if three.G.any():
         return
-    early, late = bool(found.before.any()), bool(found.after.any())
+    early, late = bool(three.before.any()), bool(three.after.any())
     if not (early or late):
         raise SceneError(
             "no light comes back: every triangle is hidden or seen edge-on from the wall points, "
@@ -288,7 +304,6 @@ def _check_light(found: ThreeBounces, setting: _Setting, begin: float, end: floa
         )
     when = "before and after" if early and late else "before" if early else "after"
     raise SamplingError(
-        f"all light arrives {when} the bins, which hold paths from {begin:g} to {end:g} m; "
-        "change t_start or n_bins"
-        + ("" if not setting.legs.any() else " (times hold the outer legs)")
+        f"all light arrives {when} the bins, which hold paths from {span[0]:g} to {span[1]:g} m; "
+        f"change t_start or n_bins{held}"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,11 @@ from ..errors import SamplingError, SceneError
 from .captures import Progress
 from .hidden_surfaces import HiddenSurfaces
 
+if TYPE_CHECKING:
+    from ..raytrace.triangles import Facets
+
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 #: Triangles up to which it is asked beforehand whether any stands before another's plane.
 ASKED = 8000
@@ -20,8 +25,9 @@ ASKED = 8000
 MOST_PARTS = 20_000_000
 #: Blocks of pairs that threads share, and most pairs at a time.
 BLOCKS, MOST_PAIRS = 64, 1 << 16
-#: Most triangles times points of which it is kept whether one sees the other, bytes.
-MOST_SIGHTS = 1 << 28
+#: Most triangles times points of which it is kept whether one sees the other, and most polygons
+#: of triangles that a point sees in part, which take a quarter of a KiB each.
+MOST_SIGHTS, MOST_KEPT = 1 << 26, 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,14 +125,12 @@ def three_bounces(
     names = facets.names.astype(np.int64)
     world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
     out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
-    lasers, sensors, lights, sight = _shared(lasers, sensors)
+    lasers, sensors, lights, sight, turned = _shared(lasers, sensors)
     # what a point sees is kept where others see by it, and need not be asked again
     shared = 2 * len(lights) <= count and len(lights) * len(facets.rows) <= MOST_SIGHTS
     if not shared:
         lights, sight = lights[:1], np.zeros_like(sight)
-    known = np.full((len(lights), len(facets.rows)), kernels.PART, dtype=np.int8)
-    if shared and not clear.all():
-        kernels.sights(facets.rows, facets.boxes, clear, reach, lights, known)
+    known = _sights(facets, clear, reach, lights, shared and not clear.all())
     # few at first, so that what is out of reach is told soon
     first, step = 0, 64
     while first < count:
@@ -140,6 +144,7 @@ def three_bounces(
             world,
             lasers[part],
             sensors[part],
+            turned[part],
             sight[part],
             known,
             starts[part],
@@ -164,16 +169,46 @@ def three_bounces(
     )
 
 
-def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, NDArray[np.bool_]]:
     """Pairs with the fewer different points first, those points, and which of them each pair has.
 
-    G is the same both ways.
+    G is the same both ways. Of each pair last whether its second point's shadows are cut out
+    first: the point that more pairs have comes before the other, else the lower one, so that light
+    there and back goes through the same numbers.
     """
-    lights, sight = np.unique(lasers, axis=0, return_inverse=True)
-    seen, sight_back = np.unique(sensors, axis=0, return_inverse=True)
-    if len(seen) < len(lights):
-        return sensors, lasers, seen, sight_back.reshape(-1)
-    return lasers, sensors, lights, sight.reshape(-1)
+    points, places = np.unique(np.concatenate([lasers, sensors]), axis=0, return_inverse=True)
+    first, second = places.reshape(2, -1)
+    pairs = np.bincount(first, minlength=len(points)) + np.bincount(second, minlength=len(points))
+    # unique points are sorted
+    turned = (pairs[second] > pairs[first]) | ((pairs[second] == pairs[first]) & (second < first))
+    if len(np.unique(second)) < len(np.unique(first)):
+        lasers, sensors, first, turned = sensors, lasers, second, (first != second) & ~turned
+    lights, sight = np.unique(first, return_inverse=True)
+    return lasers, sensors, points[lights], sight.reshape(-1), turned
+
+
+def _sights(
+    facets: Facets, clear: NDArray[np.bool_], reach: float, lights: Array, ask: bool
+) -> Any:
+    """What each of ``lights`` sees of each triangle, and the polygons of what it sees in part."""
+    from . import _three_bounce_kernels as kernels
+    from ._shadow_kernels import CORNERS
+
+    shape = len(lights), len(facets.rows)
+    known = np.full(shape, kernels.PART, dtype=np.int8)
+    ends = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
+    kept, sizes = np.empty((0, 2 * CORNERS)), np.empty(0, dtype=np.int64)
+    if ask:
+        world = facets.rows, facets.boxes, clear, reach, lights, known, ends
+        kernels.sights(*world, kept, sizes)
+        total = int(ends.sum(dtype=np.int64))
+        if 0 < total <= MOST_KEPT:
+            ends = np.cumsum(ends.ravel(), dtype=np.int32).reshape(ends.shape)
+            kept, sizes = np.empty((total, 2 * CORNERS)), np.empty(total, dtype=np.int64)
+            kernels.sights(*world[:-1], ends, kept, sizes)
+        else:
+            ends[:] = 0
+    return known, ends, kept, sizes
 
 
 def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> None:

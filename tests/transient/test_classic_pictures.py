@@ -14,17 +14,24 @@ from scipy.special import erf
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import (
+    Detector,
     TransientCapture,
     Volume,
     backprojection,
     depth_map,
+    downsampled,
     fk_migration,
     gated,
     lct,
     smoothed,
     wall_grid,
 )
-from nlosoptics.transient.confocal_grids import confocal_grid, next_size
+from nlosoptics.transient.confocal_grids import (
+    DIRECT_SHARE,
+    confocal_grid,
+    next_size,
+    refuse_direct_light,
+)
 from nlosoptics.transient.migration import MARGIN, _migrated
 
 SIDE, COUNT = 1.0, 32  # m, wall
@@ -356,6 +363,25 @@ def direct():
     light = point_light(POINT)
     light[0] = 100.0
     return capture(light)
+
+
+@pytest.mark.parametrize("dark", [0.5, 20.0])
+@pytest.mark.parametrize("gate", [None, (0.0, 2.2)])
+def test_dark_counts_are_no_direct_light(dark, gate):
+    """Dark counts of up to many times the signal pass; the laser's spot among them does not."""
+    light = 100.0 * point_light(POINT)
+    detector = Detector(dark_counts=dark, gate=gate)
+
+    def counted():
+        return detector.measure(downsampled(capture(light), bins=4), seed=3)
+
+    noisy = counted()
+    if dark > 1.0:  # what is along the wall alone tells nothing
+        assert noisy.H[:2].sum() > 2 * DIRECT_SHARE * noisy.H.sum()
+    refuse_direct_light(noisy, "test")
+    light[0] = 0.1 * light.sum(axis=0)
+    with pytest.raises(SceneError, match="lit point itself"):
+        refuse_direct_light(counted(), "test")
 
 
 BENT = GRID + np.array([0.0, 0.0, 1.0]) * GRID[..., :1] ** 2

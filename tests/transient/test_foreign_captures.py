@@ -9,6 +9,7 @@ from scipy.io import savemat
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import TransientCapture, wall_grid
+from nlosoptics.transient.mat_files import variables
 
 GRID = wall_grid(1.0, 3)[:2]  # 2 rows of 3, so that no axis is taken for another
 LASERS = wall_grid(1.0, 5)[:4]
@@ -323,3 +324,26 @@ def test_measured_lct_light_comes_when_it_must(data, name):
     seen = capture.H[:, 28:36, 28:36].sum(axis=(1, 2)) * capture.times**2
     depth = 0.5 * capture.times[np.argmax(seen)]
     assert depth == pytest.approx(nominal, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("held", "at", "value", "words"),
+    [
+        # scipy's own reader ends the process on the first three
+        (np.ones((3, 4, 5)), 184, 8, "type 8"),
+        (np.ones((3, 4, 5)), 184, 200, "type 200"),
+        (np.ones((3, 4, 5)), 145, 8, "lacks a part of its numbers"),  # said to be complex
+        (np.ones((3, 4, 5)), 191, 1, "ends beyond"),
+        (np.array([[1.0, "x"]], dtype=object), 163, 1, "lacks some of its"),  # 2^24 cells
+    ],
+)
+def test_broken_elements_of_matlab_files_are_told(tmp_path, held, at, value, words):
+    path = tmp_path / "p.mat"
+    savemat(path, {"H": held})
+    assert set(variables(path)) == {"H"}
+    raw = bytearray(path.read_bytes())
+    raw[at] = value
+    path.write_bytes(raw)
+    with pytest.raises(SceneError, match=f"is a broken MATLAB file.*{words}") as caught:
+        variables(path)
+    assert "\n" not in str(caught.value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -392,6 +393,18 @@ def test_a_single_plate_has_no_fourth_bounce():
     found = multiple_bounces(hidden, LASER, SENSOR, delta_t=0.5, n_bins=16, wall_size=2.0)
     assert not found.by_bounce[4].any()
     assert found.by_bounce[5].any()  # wall, plate, wall, plate, wall
+    assert found.details["reached"][4] == math.inf
+    assert found.details["reached"][5] <= 1e-2
+    assert found.details["stopped"] == "dark"
+
+
+def test_light_that_misses_the_bins_is_no_convergence():
+    hidden = hidden_surfaces(CORRIDOR)
+    bins = {"delta_t": 0.1, "n_bins": 2, "n_rays": 1 << 12}
+    for tol, stopped in ((0.1, "dark"), (None, "paths")):
+        found = multiple_bounces(hidden, LASER, SENSOR, tol=tol, **bins)
+        assert set(found.details["reached"].values()) == {math.inf}
+        assert found.details["stopped"] == stopped
 
 
 def test_render_keeps_bounces_apart():
@@ -419,6 +432,31 @@ def test_render_keeps_bounces_apart():
     np.testing.assert_allclose(capture.by_bounce[4], 0.64 * direct.by_bounce[4], rtol=1e-12)
     error = np.sqrt(sum(e**2 for e in direct.standard_error.values()))
     np.testing.assert_allclose(capture.standard_error, 0.64 * error, rtol=1e-12)
+
+
+def test_further_bounces_alone_are_those_of_all():
+    setting = {
+        "laser_points": LASER,
+        "sensor_points": POINTS,
+        "t_start": 0.0,
+        "delta_t": 0.5,
+        "n_bins": 16,
+        "tol": 0.05,
+        "tol_multiple": 0.3,
+        "seed": 4,
+    }
+    whole = transient.render(CORRIDOR[:3], max_bounces=5, **setting)
+    more = transient.render(CORRIDOR[:3], min_bounces=4, max_bounces=5, **setting)
+    assert sorted(more.by_bounce) == [4, 5]
+    for n in (4, 5):
+        assert np.array_equal(more.by_bounce[n], whole.by_bounce[n])
+    assert np.array_equal(more.H, more.by_bounce[4] + more.by_bounce[5])
+    assert np.array_equal(more.standard_error, whole.standard_error)
+    assert "error_estimate" not in more.details
+    with pytest.raises(SamplingError, match="no light of 4 to 5 bounces arrives in the bins"):
+        transient.render(CORRIDOR[:3], min_bounces=4, **setting | {"n_bins": 1, "delta_t": 0.1})
+    with pytest.raises(SceneError, match="max_bounces = 5 is out of range, must be from 6 to 32"):
+        transient.render(CORRIDOR[:3], min_bounces=6, **setting)
 
 
 @pytest.mark.parametrize(

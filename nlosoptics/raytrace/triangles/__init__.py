@@ -199,10 +199,10 @@ def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:
 def _tree(corners: Array, rounding: float) -> Array:
     """Boxes of a complete binary tree with four triangles a leaf, root first."""
     leaves = 1 << max(0, math.ceil(math.log2(max(1, math.ceil(len(corners) / 4)))))
-    # the last triangle's box fills up the leaves that hold none
-    fill = ((0, 4 * leaves - len(corners)), (0, 0))
-    low = np.pad(corners.min(axis=1) - rounding, fill, mode="edge")
-    high = np.pad(corners.max(axis=1) + rounding, fill, mode="edge")
+    # leaves that hold none are a point, which little meets, and which widens no box
+    fill = np.broadcast_to(corners[-1, 0], (4 * leaves - len(corners), 3))
+    low = np.concatenate([corners.min(axis=1) - rounding, fill])
+    high = np.concatenate([corners.max(axis=1) + rounding, fill])
     levels = []
     width = 4
     while True:
