@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import captures, forward, reconstructions  # noqa: F401  # their commands, in the order of the help
+from . import captures, forward, reconstructions, reports  # noqa: F401  # their commands, in the order of the help
 from .shell import DONE, app, tell
 
 __all__ = ["main"]
@@ -28,7 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Words after the program's name; those of this process by default.
     """
     try:
-        code = app(args=arguments, prog_name="nlosoptics", standalone_mode=False)
+        words = tuple(sys.argv[1:] if arguments is None else arguments)
+        code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
     except (Exception, KeyboardInterrupt) as error:
         code = tell(error)
     sys.exit(code or DONE)
