@@ -7,6 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from .chromium import page
+
+__all__ = ["page"]
+
 ROOT = Path(__file__).parents[1]
 
 
