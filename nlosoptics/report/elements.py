@@ -12,7 +12,6 @@ VOID = ("img", "meta", "br")
 PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NARROW = "\N{NARROW NO-BREAK SPACE}"
-TIMES = "\N{MULTIPLICATION SIGN}"
 
 
 class Html(str):
@@ -57,15 +56,15 @@ def joined(children: Iterable[object]) -> Html:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Number of so many digits, powers of ten written out: ``1.6e-10`` as it is printed."""
+    """Number of so many digits, powers of ten written out: ``1.6 × 10⁻¹⁰``."""
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
         text = f"{value:.{digits}g}"
         text = text if "e" not in text else f"{float(text):.0f}"
     else:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         raised = str(int(exponent)).translate(SUPERSCRIPTS)
-        text = f"{float(mantissa):g}{NARROW}{TIMES}{NARROW}10{raised}"
-    return text.replace("-", "\N{MINUS SIGN}")
+        text = f"{float(mantissa):g}{NARROW}×{NARROW}10{raised}"
+    return text.replace("-", "−")
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:

@@ -35,8 +35,7 @@ def page(folder: str | Path, *, interactive: bool = True) -> str:
         If the folder is none of these, or a file of it cannot be read.
     """
     held = Folder.read(Path(folder))
-    drawn, missing = _room(held) if interactive else (None, "")
-    parts = sections.parts(held, drawn, missing)
+    parts = sections.parts(held, *_room(held, interactive))
     contents = [tag("li", tag("a", title, href=f"#{anchor}")) for anchor, title, _ in parts]
     body = joined(
         [
@@ -57,10 +56,11 @@ def _contents(items: list[Html]) -> Html:
     return tag("nav", tag("ol", *items), aria_label="Contents")
 
 
-def _room(held: Folder) -> tuple[Room | None, str]:
-    """The scene in three dimensions, or why there is none."""
+def _room(held: Folder, interactive: bool) -> tuple[Room | None, str]:
+    """The view in three dimensions, or why there is none."""
+    if not interactive:
+        return None, ""
     try:
-        scene = held.scene()
-        return (None, "") if scene is None else (room(scene, held.record.seed or 0), "")
+        return room(held), ""
     except NlosError as error:
         return None, str(error)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .elements import TIMES, Html, figure, number, png, tag
+from .elements import Html, figure, number, png, tag
 
 MOST = 1024  # pixels a side that are drawn
 COARSE = 256  # up to which a page shows single pixels
@@ -53,10 +53,10 @@ def pixels(
     drawn = Image.fromarray(grey)
     ny, nx = values.shape
     step = math.ceil(max(nx, ny) / MOST)
-    size = f"{nx} {TIMES} {ny} pixels"
+    size = f"{nx} × {ny} pixels"
     if step > 1:
         drawn = drawn.reduce(step)
-        size += f", drawn as means of {step} {TIMES} {step}"
+        size += f", drawn as means of {step} × {step}"
     held = io.BytesIO()
     drawn.save(held, format="PNG", optimize=True)
     picture = tag(

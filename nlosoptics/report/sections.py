@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from .. import __version__
+from ..planning import FIELD
 from . import words
 from .elements import (
-    TIMES,
     Column,
     Html,
     date,
@@ -60,7 +60,7 @@ def parts(held: Folder, drawn: Room | None, missing: str) -> list[Part]:
         ("spread", "Wave and point spread", _spread(held)),
         ("image", "Image", _image(held)),
         ("reconstruction", "Reconstruction", _reconstruction(held)),
-        ("volume", "Hidden volume", _volume(held)),
+        ("volume", "Hidden volume", _volume(held, drawn, missing)),
         ("times", "Accuracy and time", _times(held)),
         ("provenance", "Provenance", _provenance(held)),
     )
@@ -114,15 +114,16 @@ def _tiles(held: Folder) -> Iterator[tuple[object, object]]:
             tile(number(f.correlation_with_truth, 4), "1 is perfect", took("reconstruction")),
         )
     if f.reconstruction_score is not None:
-        yield "Residual", tile(number(f.reconstruction_score), *_score_note(held), took("solver"))
+        name = "Agreement" if f.method == "phase_retrieval" else "Residual"
+        yield name, tile(number(f.reconstruction_score), *_score_note(held), took("solver"))
     if f.point_spread_error is not None:
         yield (
             "Error of the point spread",
             tile(number(f.point_spread_error, 2), "of its peak", took("point spread")),
         )
-    name = "field of point spreads"
-    if name in f.errors:
-        yield "Error of the image by its field", tile(number(f.errors[name], 2), "rms", took(name))
+    if FIELD in f.errors:
+        error = number(f.errors[FIELD], 2)
+        yield "Error of the image by its field", tile(error, "rms", took(FIELD))
     if f.aberration_rms is not None and f.aberration_rms_waves is not None:
         yield (
             "Wave aberration",
@@ -146,9 +147,12 @@ def _tiles(held: Folder) -> Iterator[tuple[object, object]]:
     if f.iterations is not None:
         yield "Iterations", tile(str(f.iterations), f.method)
     if record.wl_mean is not None:
-        yield "Virtual wavelength", tile(quantity(record.wl_mean, "m"), record.camera)
+        yield (
+            "Virtual wavelength",
+            tile(quantity(record.wl_mean, "m"), record.camera and _spaced(record.camera)),
+        )
     if f.volume_shape:
-        yield "Voxels", tile(f" {TIMES} ".join(map(str, f.volume_shape)), "depth, height, width")
+        yield "Voxels", tile(" × ".join(map(str, f.volume_shape)), "depth, height, width")
     if "total" in record.seconds:
         memory = f.peak_memory_bytes
         most = None if memory is None else f"at most {number(memory / 2**20)} MiB of memory"
@@ -161,23 +165,31 @@ def _score_note(held: Folder) -> tuple[str, ...]:
     return ("of the noise", "1 fits the image to its noise")
 
 
-def _scene(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
-    if drawn is not None:
-        frame = tag(
-            "iframe",
-            srcdoc=drawn.document,
-            title="Scene in three dimensions, to be turned with the mouse",
-            loading="lazy",
-            sandbox="allow-scripts",
-        )
-        still = tag(
-            "img", src=png(drawn.picture), alt=f"Scene in three dimensions. {drawn.told}",
-            class_="still",
-        )  # fmt: skip
-        turn = tag("span", "Drag to turn, scroll or pinch to come closer. ", class_="turn")
-        yield figure(joined([frame, still]), turn, f"{drawn.told}. Metres.", class_="room")
+def _turned(drawn: Room | None, missing: str) -> Iterator[Html]:
+    """A view that can be turned, its still for paper, or why there is none."""
     if missing:
         yield tag("p", f"The view in three dimensions is left out: {missing}.", class_="notice")
+    if drawn is None:
+        return
+    frame = tag(
+        "iframe",
+        srcdoc=drawn.document,
+        title="View in three dimensions, to be turned",
+        loading="lazy",
+        sandbox="allow-scripts",
+    )
+    still = paper = None
+    if drawn.picture is None:
+        paper = tag("span", " It is not on paper, because nothing can be rendered here.")
+    else:
+        alt = f"View in three dimensions. {drawn.told}"
+        still = tag("img", src=png(drawn.picture), alt=alt, class_="still")
+    yield figure(joined([frame, still]), drawn.told, paper, class_="room")
+
+
+def _scene(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
+    if held.record.command == "run":
+        yield from _turned(drawn, missing)
     if sketch := held.picture("scene.png"):
         picture = tag(
             "img",
@@ -279,7 +291,7 @@ def _image(held: Folder) -> Iterator[Html]:
             low=float(electrons.min()),
             high=float(electrons.max()),
             alt="What the camera reads: the blurred, noisy picture of the hidden object.",
-            told=f"{number(nx)} {TIMES} {number(ny)} mm on the detector, exposed for "
+            told=f"{number(nx)} × {number(ny)} mm on the detector, exposed for "
             f"{quantity(float(found['exposure']), 's')}; mirror-reversed by the wall.",
         )
     rows = [
@@ -326,18 +338,24 @@ def _ledger(held: Folder) -> Iterator[Html]:
 
 
 def _reconstruction(held: Folder) -> Iterator[Html]:
-    f = held.record.figures
-    shown = list(_objects(held))
+    shown, told = list(_objects(held)), list(_settlement(held))
+    if len(shown) == 1 and told:
+        yield tag("div", *shown, tag("div", *told), class_="figures")
+        return
     if shown:
         yield tag("div", *shown, class_="figures")
+    yield from told
+
+
+def _settlement(held: Folder) -> Iterator[Html]:
+    """What a reconstruction came to, in figures and in words."""
+    f = held.record.figures
     status = f.reconstruction_status
     if status is None:
         return
-    score = None
+    score = correlation = None
     if f.reconstruction_score is not None:
-        note = ", ".join(_score_note(held))
-        score = f"{number(f.reconstruction_score)} {note}"
-    correlation = None
+        score = f"{number(f.reconstruction_score)} {', '.join(_score_note(held))}"
     if f.correlation_with_truth is not None:
         correlation = (
             f"{number(f.correlation_with_truth, 4)} after registration; 1 is the same picture but "
@@ -345,20 +363,17 @@ def _reconstruction(held: Folder) -> Iterator[Html]:
         )
     yield facts(
         [
-            ("Status", f"{status.replace('_', ' ')}. {words.STATUS.get(status, '')}".rstrip()),
+            ("Status", f"{_spaced(status)}. {words.STATUS.get(status, '')}".rstrip()),
             ("Method", f.method),
             ("Iterations", f.iterations),
-            ("Score" if f.method == "phase_retrieval" else "Residual", score),
+            ("Agreement" if f.method == "phase_retrieval" else "Residual", score),
             ("Correlation with the truth", correlation),
             ("Masked pixels", None if f.masked_fraction is None else percent(f.masked_fraction)),
         ]
     )
-    rows = [
-        (name.replace("_", " "), _settled(value)) for name, value in f.physical_parameters.items()
-    ]
+    rows = [(_spaced(name), _settled(value)) for name, value in f.physical_parameters.items()]
     if rows:
-        columns = (Column("Parameter"), Column("Value"))
-        yield table("What the method settled", columns, rows)
+        yield table("What the method settled", (Column("Parameter"), Column("Value")), rows)
 
 
 def _objects(held: Folder) -> Iterator[Html]:
@@ -394,6 +409,11 @@ def _objects(held: Folder) -> Iterator[Html]:
         )
 
 
+def _spaced(name: str) -> str:
+    """A name of the code as words."""
+    return name.replace("_", " ")
+
+
 def _settled(value: Any) -> str:
     """Number or numbers that a method settled."""
     if isinstance(value, list):
@@ -403,11 +423,13 @@ def _settled(value: Any) -> str:
     return number(value)
 
 
-def _volume(held: Folder) -> Iterator[Html]:
+def _volume(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
+    if held.record.command == "phasor":
+        yield from _turned(drawn, missing)
     views = {
         "front.png": ("From the wall", "x to the left, y up"),
-        "top.png": ("From above", "x to the left, z away from the wall"),
         "side.png": ("From the side", "z away from the wall, y up"),
+        "top.png": ("From above", "x to the left, z away from the wall"),
     }
     shown = [
         figure(
@@ -427,7 +449,7 @@ def _volume(held: Folder) -> Iterator[Html]:
     sigma, aperture = record.wl_sigma, record.aperture
     yield facts(
         [
-            ("Virtual camera", record.camera.replace("_", " ")),
+            ("Virtual camera", _spaced(record.camera)),
             ("Virtual pulse", None if sigma is None else f"sigma {quantity(sigma, 'm')}"),
             (
                 "Aperture",
@@ -482,7 +504,7 @@ def _timed(value: float) -> str:
 def _reached(held: Folder) -> dict[str, str]:
     """Accuracy that a run found, by stage."""
     f = held.record.figures
-    of = {"point spread": "of the peak", "field of point spreads": "of the image, rms"}
+    of = {"point spread": "of the peak", FIELD: "of the image, rms"}
     found = {
         name: f"{number(error, 2)} {of.get(name, '')}".rstrip() for name, error in f.errors.items()
     }
