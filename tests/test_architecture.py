@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "nlosoptics"
 
-BASE = {"errors", "_checks", "_random", "_random_kernels"}
+BASE = {"errors", "_checks", "_random", "_random_kernels", "_whole_files"}
 OPTICS = {"scene", "raytrace", "psf", "imaging", "limits", "inverse", "transient"}
 
 #: What each part may import from the rest of the package; itself is understood.
@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "_checks": {"errors"},
     "_random": {"errors", "_checks", "_random_kernels"},
     "_random_kernels": set(),
+    "_whole_files": {"errors"},
     "scene": BASE,
     "raytrace": BASE | {"scene"},
     "psf": BASE | {"scene", "raytrace"},

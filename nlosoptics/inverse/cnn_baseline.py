@@ -18,9 +18,9 @@ from torch import Tensor, nn
 
 from .._checks import in_range, positive, whole
 from .._random import checked_seed, generator
+from .._whole_files import write_whole
 from ..errors import MissingExtraError, SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
-from ..psf.whole_files import write_whole
 from ._threads import gradients, single_thread
 from .callbacks import Progress
 from .measurements import measurement

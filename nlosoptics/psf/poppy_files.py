@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import one_of, positive, real
+from .._whole_files import write_whole
 from ..errors import MissingExtraError, SamplingError, SceneError
 from .exchange import cell_amplitude, maps
 from .nodes import fitting_pitch
 from .wavefronts import Removed, Wavefront
-from .whole_files import write_whole
 
 if TYPE_CHECKING:
     from types import ModuleType

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final, Literal
 
 from .._checks import in_range, one_of, real
+from .._whole_files import write_whole
 from ..errors import SceneError
-from .whole_files import write_whole
 from .zernikes import ORDERINGS, Ordering, zernike_order
 
 Unit = Literal["m", "um", "nm", "waves"]

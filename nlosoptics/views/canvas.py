@@ -1,16 +1,19 @@
-"""Figures without pyplot: made, and written to files."""
+"""Figures without pyplot are made here, and every picture is written."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import MissingExtraError
+from .._whole_files import write_whole
+from ..errors import MissingExtraError, SceneError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from pyvista import Plotter
 
 DOTS_PER_INCH = 120
 
@@ -29,18 +32,70 @@ def new_axes(columns: int, *, width: float, height: float) -> tuple[Axes, ...]:
     return tuple(figure.subplots(1, columns, squeeze=False)[0])
 
 
-def save(picture: Figure | Axes | Iterable[Axes], path: str | Path) -> None:
-    """Write a picture to a file, whose suffix names the format.
+def save(picture: Figure | Axes | Iterable[Axes] | Plotter, path: str | Path) -> None:
+    """Write a picture to a file, whose suffix names the format; the file appears whole or not.
 
     Parameters
     ----------
-    picture : matplotlib Figure, Axes or iterable of Axes
+    picture : matplotlib Figure, Axes or iterable of Axes, or pyvista Plotter
         What to write; the whole figure that the axes belong to.
     path : str or Path
-        ``.png``, ``.pdf`` or ``.svg``.
+        ``.png``, ``.pdf`` or ``.svg`` of figures; ``.png``, ``.html`` or ``.glb`` of plotters. The
+        HTML page is that of `html_page`; glTF holds surfaces, lines and camera, and no text.
+
+    Raises
+    ------
+    SceneError
+        If the suffix names no such format, or the file cannot be written.
+    MissingExtraError
+        If a PNG of a plotter is wanted where nothing can be rendered, see `rendering_works`.
     """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if hasattr(picture, "render_window"):
+        _checked_suffix(path, "a picture in 3-D", (".png", ".html", ".glb"))
+        content = _plotter_file(picture, suffix)
+    else:
+        _checked_suffix(path, "a figure", (".png", ".pdf", ".svg"))
+        content = _figure_file(picture, suffix)
+    write_whole({path: content})
+
+
+def _checked_suffix(path: Path, what: str, known: tuple[str, ...]) -> None:
+    if path.suffix.lower() not in known:
+        raise SceneError(
+            f"{path} has the suffix {path.suffix!r}; {what} is written as {', '.join(known)}"
+        )
+
+
+def _figure_file(picture: Any, suffix: str) -> bytes:
     if not hasattr(picture, "get_figure"):
         picture = next(iter(picture))
     # A figure is its own root; no program's name in the file, so equal pictures give equal bytes.
-    figure: Any = picture.get_figure(root=True)
-    figure.savefig(path, metadata={"Software": None} if Path(path).suffix == ".png" else None)
+    figure = picture.get_figure(root=True)
+    content = BytesIO()
+    metadata = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+    figure.savefig(content, format=suffix[1:], metadata=metadata[suffix])
+    return content.getvalue()
+
+
+def _plotter_file(plotter: Any, suffix: str) -> bytes:
+    if suffix == ".glb":
+        from .gltf import glb
+
+        return glb(plotter)
+    if suffix == ".html":
+        from .pages import html_page
+
+        return html_page(plotter).encode()
+    from PIL import Image
+
+    from .probing import rendering_works
+    from .stages import quiet
+
+    rendering_works()
+    with quiet():
+        shot = plotter.screenshot(None, return_img=True)
+    content = BytesIO()
+    Image.fromarray(shot).save(content, format="PNG")
+    return content.getvalue()

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from ..errors import SceneError
+from .errors import SceneError
 
 
 def write_whole(contents: Mapping[Path, bytes]) -> None:

@@ -1,0 +1,143 @@
+"""A plotter as one web page that needs nothing else: glTF, drawn by trimesh's three.js."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+from importlib.resources import files
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import MissingExtraError
+from .gltf import glb
+from .probing import pyvista
+from .stages import legend_entries
+
+if TYPE_CHECKING:
+    from pyvista import Plotter
+
+STEPS = 32  # colours of a colour bar
+TICKS = 5
+LAST = "THREE.GLTFLoader=GLTFLoader;})();"  # where trimesh's own page begins to use the libraries
+
+
+def html_page(plotter: Plotter) -> str:
+    """Text of a web page in which what a plotter shows can be turned.
+
+    Parameters
+    ----------
+    plotter : pyvista Plotter
+        Its surfaces and lines are shown; its legend and colour bars are written below them. Its
+        title is the page's.
+
+    Returns
+    -------
+    str
+        One HTML file that asks for nothing from any network; nothing was rendered for it. Mouse,
+        fingers and keys turn it.
+
+    Raises
+    ------
+    MissingExtraError
+        If pyvista is not installed, or trimesh came without its viewer.
+    """
+    title = plotter.title if getattr(plotter, "title", "") else "A room in three dimensions"
+    legend = legend_entries(plotter)
+    bars = [_bar(bar_title, bar) for bar_title, bar in plotter.scalar_bars.items()]
+    camera = plotter.camera
+    near, far = camera.clipping_range
+    width, height = plotter.window_size
+    room = {
+        "position": list(camera.position),
+        "focus": list(camera.focal_point),
+        "up": list(camera.up),
+        "angle": camera.view_angle,
+        "aspect": width / height,
+        "near": near / 20,
+        "far": 20 * far,
+        "glb": base64.b64encode(glb(plotter)).decode(),
+    }
+    names = ", ".join(name for name in legend)
+    about = [f"{bar['title']}: {bar['ticks'][0]} to {bar['ticks'][-1]}" for bar in bars]
+    filled = {
+        "TITLE": html.escape(title),
+        "BACKGROUND": plotter.background_color.hex_rgb,
+        "DESCRIPTION": html.escape("; ".join(filter(None, [title, names, *about])), quote=True),
+        "CAPTION": "\n".join([_legend(legend), *(_bar_html(bar) for bar in bars)]),
+        "VIEWER": f"<script>{_three()}</script>",
+        # no text of a name can end the script
+        "ROOM": json.dumps(room).replace("<", "\\u003c"),
+    }
+    page = files(__package__).joinpath("room_page.html").read_text(encoding="utf-8")
+    return re.sub(r"@([A-Z]+)@", lambda found: filled[found[1]], page)
+
+
+def _three() -> str:
+    """three.js with its trackball and its glTF loader, from trimesh's own page."""
+    from trimesh import resources, util
+
+    try:
+        archive: Any = util.decompress(resources.get_bytes("templates/viewer.zip"), file_type="zip")
+        text = archive["viewer.html.template"].read().decode("utf-8")
+        _, opened, script = text.partition("<script>")
+        libraries, ended, _ = script.partition(LAST)
+        if not opened or not ended:
+            raise KeyError(LAST)
+    except (KeyError, OSError, ValueError):
+        raise MissingExtraError(
+            "trimesh came without the viewer that web pages are made with; run pip install "
+            "'trimesh>=4.5,<6', or write .glb or .png"
+        ) from None
+    return libraries + ended
+
+
+def _bar(title: str, bar: Any) -> dict[str, Any]:
+    """Title, colours and ticks of a colour bar."""
+    table = bar.GetLookupTable()
+    low, high = table.GetRange()
+    logarithmic = bool(table.UsingLogScale()) and low > 0.0
+    # colours that are labelled one by one are steps, not a scale
+    named = pyvista().convert_array(bar.GetCustomLabels()) if bar.GetUseCustomLabels() else ()
+    steps = len(named) or STEPS
+    at = (np.arange(steps) + 0.5) / steps
+    ends = np.arange(TICKS) / (TICKS - 1)
+    if logarithmic:
+        values, marks = (low * (high / low) ** share for share in (at, ends))
+    else:
+        values, marks = (low + (high - low) * share for share in (at, ends))
+    colours = []
+    for value in values.tolist():
+        rgb = [0.0, 0.0, 0.0]
+        table.GetColor(value, rgb)
+        colours.append(pyvista().Color(rgb).hex_rgb)
+    return {
+        "title": title,
+        "colours": colours,
+        "ticks": [_number(float(mark)) for mark in (named if len(named) else marks)],
+        "steps": len(named) > 0,
+    }
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _legend(entries: dict[str, Any]) -> str:
+    rows = [
+        f'<li><span style="background: {colour}"></span>{html.escape(name)}</li>'
+        for name, colour in entries.items()
+    ]
+    return f"<ul>{''.join(rows)}</ul>" if rows else ""
+
+
+def _bar_html(bar: dict[str, Any]) -> str:
+    cells = "".join(f'<i style="background: {colour}"></i>' for colour in bar["colours"])
+    ticks = "".join(f"<span>{html.escape(tick)}</span>" for tick in bar["ticks"])
+    middle = " middle" if bar["steps"] else ""
+    return (
+        f'<div class="bar">{html.escape(bar["title"])}<div class="colours">{cells}</div>'
+        f'<div class="ticks{middle}">{ticks}</div></div>'
+    )

@@ -1,0 +1,161 @@
+"""Light paths as lines: which are drawn, and what colours them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import one_of, whole
+from ..errors import SceneError
+from ..raytrace.paths import DETECTED
+from .probing import pyvista
+
+if TYPE_CHECKING:
+    from pyvista import PolyData
+
+    from ..psf import Wavefront
+    from ..raytrace import RayPaths
+
+#: Name of the data and title of the colour bar of each way to colour.
+COLOURS: Final = {
+    "bounces": ("reflections so far", "reflections so far"),
+    "path_length": ("path length", "path length from the source (m)"),
+    "weight": ("power", "power of the path (W)"),
+    "aberration": ("aberration", "wave aberration (waves)"),
+}
+# Okabe and Ito's colours, distinct to every kind of colour vision
+LEGS: Final = ("#D55E00", "#E69F00", "#56B4E9", "#CC79A7", "#009E73", "#0072B2", "#000000")
+DARK: Final = 0.86  # of a colour map is used: what is lighter is lost on white
+DECADES: Final = 6.0  # of power that are told apart
+
+
+def chosen_paths(
+    paths: RayPaths, *, n_bounces: int | None, only_detected: bool, most: int
+) -> NDArray[np.int64]:
+    """Indices of the paths to draw, rising.
+
+    Raises
+    ------
+    SceneError
+        If there is none.
+    """
+    whole("most", most)
+    if not len(paths.weight):
+        raise SceneError("the trace kept no paths; trace with keep_paths=True")
+    wanted = np.ones(len(paths.weight), dtype=bool)
+    if only_detected:
+        wanted &= paths.status == DETECTED
+        if not wanted.any():
+            raise SceneError(
+                f"none of {len(wanted)} paths reaches the pupil; pass only_detected=False to see "
+                "where they end"
+            )
+    if n_bounces is not None:
+        whole("n_bounces", n_bounces, 0)
+        there = np.unique(paths.n_bounces[wanted])
+        wanted &= paths.n_bounces == n_bounces
+        if not wanted.any():
+            raise SceneError(
+                f"no path has n_bounces = {n_bounces}; these have {', '.join(map(str, there))}"
+            )
+    found = np.flatnonzero(wanted)
+    if len(found) <= most:
+        return found
+    power = np.cumsum(paths.weight[found])
+    if power[-1] <= 0.0:
+        power = np.arange(1.0, len(found) + 1)
+    steps = (np.arange(most) + 0.5) / most * power[-1]
+    return found[np.unique(np.searchsorted(power, steps))]
+
+
+def path_lines(
+    paths: RayPaths, chosen: NDArray[np.int64], *, colour: str, wavefront: Wavefront | None
+) -> PolyData:
+    """All legs of the chosen paths as one set of lines of two points each.
+
+    Raises
+    ------
+    SceneError
+        If the colour is unknown, or the wavefront is missing or not that of the paths.
+    """
+    one_of("colour", colour, COLOURS)
+    points = paths.points[chosen]
+    legs = np.linalg.norm(np.diff(points, axis=1), axis=2)
+    path, leg = np.nonzero(legs > 0.0)  # shorter paths repeat their end
+    ends = np.stack([points[path, leg], points[path, leg + 1]], axis=1)
+    lines = pyvista().line_segments_from_points(ends.reshape(-1, 3))
+    lines.cell_data["path"] = chosen[path]
+    lines.cell_data["reflections so far"] = leg
+    if colour == "path_length":
+        run = np.concatenate([np.zeros((len(chosen), 1)), np.cumsum(legs, axis=1)], axis=1)
+        lines.point_data["path length"] = np.stack(
+            [run[path, leg], run[path, leg + 1]], axis=1
+        ).ravel()
+    elif colour == "weight":
+        lines.cell_data["power"] = paths.weight[chosen][path]
+    elif colour == "aberration":
+        lines.cell_data["aberration"] = _aberrations(paths, chosen, wavefront)[path]
+    return lines
+
+
+def _aberrations(
+    paths: RayPaths, chosen: NDArray[np.int64], wavefront: Wavefront | None
+) -> NDArray[np.float64]:
+    """Wave aberration of the chosen paths, waves."""
+    if wavefront is None:
+        raise SceneError(
+            "colour = 'aberration' needs wavefront=; make it by psf.wavefront_from_rays of the "
+            "paths of raytrace.pupil_rays"
+        )
+    detected = np.flatnonzero(paths.status == DETECTED)
+    if wavefront.aberration.shape != detected.shape:
+        raise SceneError(
+            f"wavefront has {wavefront.aberration.size} nodes and {len(detected)} paths are "
+            "detected; give psf.wavefront_from_rays of these paths"
+        )
+    if not np.isin(chosen, detected).all():
+        raise SceneError(
+            "paths beside the pupil have no aberration; colour = 'aberration' needs "
+            "only_detected=True"
+        )
+    return np.asarray(
+        wavefront.aberration[np.searchsorted(detected, chosen)] / wavefront.wavelength
+    )
+
+
+def colour_style(colour: str, values: NDArray[Any]) -> dict[str, Any]:
+    """Arguments of pyvista to colour values by; ``bar`` and ``steps`` are for the colour bar."""
+    from matplotlib.colors import ListedColormap
+
+    low, high = float(values.min()), float(values.max())
+    if colour == "bounces":
+        count = int(high) + 1
+        return {
+            "cmap": ListedColormap([LEGS[min(k, len(LEGS) - 1)] for k in range(count)]),
+            "clim": (-0.5, count - 0.5),
+            "bar": {"fmt": "%.0f"},
+            "steps": list(range(count)),
+        }
+    if colour == "aberration":
+        largest = max(-low, high) or 1.0
+        return {"cmap": "coolwarm", "clim": (-largest, largest), "bar": {"fmt": "%.3g"}}
+    if colour == "weight":
+        high = high or 1.0
+        low = min(max(low, high * 10.0**-DECADES), high / 10.0)
+        return {
+            "cmap": dark_viridis(),
+            "clim": (low, high),
+            "log_scale": True,
+            "bar": {"fmt": "%.1e"},
+        }
+    return {"cmap": dark_viridis(), "clim": (0.0, high), "bar": {"fmt": "%.3g"}}
+
+
+def dark_viridis() -> Any:
+    """The part of viridis that stands out on white."""
+    from matplotlib import colormaps
+    from matplotlib.colors import ListedColormap
+
+    return ListedColormap(colormaps["viridis"](np.linspace(0.0, DARK, 256)))
