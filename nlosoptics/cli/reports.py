@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from .._whole_files import write_whole
 from ..records import PAGE
 from .shell import Debug, app, check_file, errors_told, progress_bar
 
@@ -38,26 +39,15 @@ def report_command(
         with progress_bar() as progress:
             progress("report", 0.0)
             text = report.page(folder, interactive=three_d)
+        contents = {file: text.encode()}
         if file.resolve().parent == folder.resolve():
-            _own(folder, file.name)
-        _write(file, text)
-        typer.echo(f"{file}: {len(text.encode()) / 1e6:.2g} MB")
+            contents[folder / "result.json"] = _owning(folder, file.name)
+        write_whole(contents)
+        typer.echo(f"{file}: {len(contents[file]) / 1e6:.2g} MB")
 
 
-def _own(folder: Path, name: str) -> None:
-    """List a file as the run's own, so that a later run may replace the folder."""
-    path = folder / "result.json"
-    record = json.loads(path.read_text())
-    if name not in record["files"]:
-        record["files"] = sorted([*record["files"], name])
-        _write(path, json.dumps(record, indent=2, allow_nan=False) + "\n")
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    temporary = path.with_name(f".{path.name}")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+def _owning(folder: Path, name: str) -> bytes:
+    """The folder's record with one more file of its own, so that a later run may replace it."""
+    record = json.loads((folder / "result.json").read_bytes())
+    record["files"] = sorted({*record["files"], name})
+    return (json.dumps(record, indent=2, allow_nan=False) + "\n").encode()

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from ..errors import MissingExtraError
 from ..scene import Scene
-from .elements import seconds
 from .folders import Folder
-
-if TYPE_CHECKING:
-    from pyvista import Plotter
 
 RAYS = 4096  # traced; a second's work
 MOST = 300  # paths that are drawn
@@ -65,9 +60,7 @@ def room(held: Folder) -> Room | None:
 def _scene(scene: Scene, seed: int) -> Room:
     from .. import raytrace, views
 
-    began = time.perf_counter()
     paths = raytrace.trace(scene, n_rays=RAYS, keep_paths=True, seed=seed)
-    took = time.perf_counter() - began
     if not len(paths.weight):
         return _drawn(
             views.scene_3d(scene),
@@ -76,7 +69,7 @@ def _scene(scene: Scene, seed: int) -> Room:
     return _drawn(
         views.ray_paths(paths, scene, most=MOST),
         f"The {min(MOST, len(paths.weight))} strongest light paths that reach the camera, of "
-        f"{RAYS} rays traced anew for this page with seed {seed} in {seconds(took)}.",
+        f"{RAYS} rays traced anew for this page with seed {seed}.",
     )
 
 
@@ -92,11 +85,11 @@ def _volume(held: Folder) -> Room | None:
     return _drawn(
         views.phasor_volume(image, threshold=SURFACE),
         f"Surface around the voxels above {SURFACE:g} of the brightest, coloured by its distance "
-        "from the wall.",
+        "from the wall. It opens as seen from the far end of the room, where letters are reversed.",
     )
 
 
-def _drawn(plotter: Plotter, told: str) -> Room:
+def _drawn(plotter: Any, told: str) -> Room:
     from .. import views
 
     try:
@@ -105,7 +98,7 @@ def _drawn(plotter: Plotter, told: str) -> Room:
         plotter.close()
 
 
-def _still(plotter: Plotter) -> bytes | None:
+def _still(plotter: Any) -> bytes | None:
     from .. import views
 
     with tempfile.TemporaryDirectory() as kept:
