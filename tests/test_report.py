@@ -507,6 +507,7 @@ def test_turns_in_three_dimensions_and_asks_for_nothing(looked_at):
 def test_nothing_serious_is_in_the_way_of_anyone(scheme, looked_at):
     axe = importlib.resources.files(pytest.importorskip("axe_core_python")) / "axe.min.js"
     emulate(looked_at, 1000, 700, scheme)
+    looked_at.driver.set_script_timeout(200)
     looked_at.driver.execute_script(axe.read_text(encoding="utf-8"))
     found = looked_at.driver.execute_async_script(
         "axe.run(document, {iframes: false}).then(arguments[arguments.length - 1])"
