@@ -13,7 +13,13 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import captures, forward, reconstructions, reports  # noqa: F401  # their commands, in the order of the help
+from . import (  # their commands, in the order of the help
+    captures,  # noqa: F401
+    forward,  # noqa: F401
+    pictures,  # noqa: F401
+    reconstructions,  # noqa: F401
+    reports,  # noqa: F401
+)
 from .shell import DONE, app, tell
 
 __all__ = ["main"]

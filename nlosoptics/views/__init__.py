@@ -11,7 +11,7 @@ from .limits import feasibility
 from .maps import hybrid_parts, image, point_spread, reconstruction, wavefront
 from .pages import html_page
 from .phasor_volumes import phasor_volume
-from .probing import rendering_works
+from .probing import rendering_works, window
 from .rooms import ray_paths, scene_3d
 from .sketch import scene_sketch
 from .volumes import volume
@@ -32,4 +32,5 @@ __all__ = [
     "scene_sketch",
     "volume",
     "wavefront",
+    "window",
 ]

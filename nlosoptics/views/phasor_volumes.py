@@ -102,7 +102,7 @@ def phasor_volume(
     finish_bar(plotter, BAR)
     box = pv.Box([value for ends in zip(low, high, strict=True) for value in ends])
     plotter.add_mesh(box.extract_all_edges(), color=BOX, name="volume", **FLAT)
-    legend = {f"where more than {threshold:g} of the brightest voxel": "#26828e", "volume": BOX}
+    legend = {f"{threshold:g} of the brightest voxel or more": "#26828e", "volume": BOX}
     if alone:
         step = round_step(float((high - low).max()) / 6)
         floor = floor_grid(low, high, step)

@@ -6,9 +6,12 @@ import signal
 import subprocess
 import sys
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import MissingExtraError
+
+if TYPE_CHECKING:
+    from pyvista import Plotter
 
 #: Renders one empty picture off the screen: VTK ends the process where it finds no OpenGL.
 TRIAL = """
@@ -18,12 +21,15 @@ window = vtkRenderWindow()
 window.SetOffScreenRendering(1)
 window.AddRenderer(vtkRenderer())
 window.Render()
+print(window.GetClassName())
 """
 SECONDS = 60.0  # that a trial may take; half a second is usual
 NEEDED = (
     "for pictures in 3-D install a software OpenGL, on Debian apt-get install libegl1 "
     "libgl1-mesa-dri (or libosmesa6); .html and .glb need none"
 )
+#: VTK's windows without a screen.
+HIDDEN = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "vtkOSMesaRenderWindow")
 
 
 def pyvista() -> Any:
@@ -53,22 +59,47 @@ def rendering_works() -> None:
         EGL nor OSMesa; what to install is said.
     """
     pyvista()
-    if found := _fault():
-        raise MissingExtraError(f"VTK cannot render here ({found}); {NEEDED}")
+    _, fault = _trial()
+    if fault:
+        raise MissingExtraError(f"VTK cannot render here ({fault}); {NEEDED}")
+
+
+def window() -> Plotter:
+    """An empty window to draw on; its ``show()`` opens it.
+
+    Raises
+    ------
+    MissingExtraError
+        If pyvista is not installed, or there is no display.
+    """
+    from .stages import new_plotter
+
+    pyvista()
+    kind, fault = _trial()
+    if fault or kind in HIDDEN:
+        raise MissingExtraError(
+            "there is no display to open a window on; write a file instead, such as room.html"
+        )
+    return new_plotter("nlosoptics", window=True)
 
 
 @cache
-def _fault() -> str:
-    """What is wrong with rendering on this machine; empty where nothing is."""
+def _trial() -> tuple[str, str]:
+    """VTK's kind of window on this machine, and what is wrong with rendering; empty if nothing."""
     try:
         ended = subprocess.run(
-            [sys.executable, "-c", TRIAL], capture_output=True, timeout=SECONDS, check=False
+            [sys.executable, "-c", TRIAL],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=SECONDS,
+            check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"a trial did not end within {SECONDS:g} s"
+        return "", f"a trial did not end within {SECONDS:g} s"
     if ended.returncode < 0:
-        return f"a trial ended by {signal.Signals(-ended.returncode).name}"
+        return "", f"a trial ended by {signal.Signals(-ended.returncode).name}"
     if ended.returncode > 0:
-        said = ended.stderr.decode(errors="replace").strip().splitlines()
-        return said[-1] if said else f"a trial ended with code {ended.returncode}"
-    return ""
+        said = ended.stderr.strip().splitlines()
+        return "", said[-1] if said else f"a trial ended with code {ended.returncode}"
+    return ended.stdout.strip(), ""

@@ -43,7 +43,10 @@ def chosen_paths(
     """
     whole("most", most)
     if not len(paths.weight):
-        raise SceneError("the trace kept no paths; trace with keep_paths=True")
+        raise SceneError(
+            "there are no paths to draw; trace with keep_paths=True, and with more rays or bounces "
+            "where no light was detected"
+        )
     wanted = np.ones(len(paths.weight), dtype=bool)
     if only_detected:
         wanted &= paths.status == DETECTED
@@ -61,13 +64,27 @@ def chosen_paths(
                 f"no path has n_bounces = {n_bounces}; these have {', '.join(map(str, there))}"
             )
     found = np.flatnonzero(wanted)
-    if len(found) <= most:
-        return found
-    power = np.cumsum(paths.weight[found])
-    if power[-1] <= 0.0:
-        power = np.arange(1.0, len(found) + 1)
-    steps = (np.arange(most) + 0.5) / most * power[-1]
-    return found[np.unique(np.searchsorted(power, steps))]
+    return found[_by_power(paths.weight[found], most)]
+
+
+def _by_power(weight: NDArray[np.float64], most: int) -> NDArray[np.int64]:
+    """Indices of ``most`` weights, rising: those above their share, and even steps of the rest."""
+    if len(weight) <= most:
+        return np.arange(len(weight))
+    power = weight if np.count_nonzero(weight) > most else np.ones(len(weight))
+    drawn = np.zeros(len(weight), dtype=bool)
+    while True:
+        left = most - np.count_nonzero(drawn)
+        rest = np.where(drawn, 0.0, power)
+        share = rest.sum() / left
+        large = rest >= share
+        if not large.any():
+            break
+        drawn |= large
+    # no weight is as large as a step, so each step finds another
+    steps = (np.arange(left) + 0.5) * share
+    drawn[np.searchsorted(np.cumsum(rest), steps)] = True
+    return np.flatnonzero(drawn)
 
 
 def path_lines(

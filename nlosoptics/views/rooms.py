@@ -123,9 +123,9 @@ def ray_paths(
     only_detected : bool
         Draw only paths that reach the detector through the pupil.
     most : int
-        How many to draw. Where there are more, they are drawn at even steps of the power they carry
-        in the order of the trace, so that lines are as dense as the light; a path that carries
-        several steps is drawn once.
+        How many to draw. Where there are more, those are drawn that carry more than their share of
+        the power, and the others at even steps of it in the order of the trace, so that lines are
+        as dense as the light.
     plotter : pyvista Plotter, optional
         Where to draw; a new one off the screen by default. Room and paths that it already shows
         are replaced.

@@ -284,23 +284,6 @@ def test_irradiance_is_drawn_where_it_falls() -> None:
     assert "W/m" in axes.figure.axes[1].get_ylabel()
 
 
-def test_paths_are_drawn_from_both_sides(flat_scene: Scene) -> None:
-    """The strongest paths, over the sketch of their scene, from laser to lens."""
-    from nlosoptics.errors import SceneError
-    from nlosoptics.raytrace import trace
-
-    paths = trace(flat_scene, n_rays=64, max_bounces=3, keep_paths=True)
-    top, side = views.scene_sketch(flat_scene)
-    before = len(top.lines)
-    views.ray_paths(paths, most=5, axes=(top, side))
-    assert len(top.lines) == before + 5
-    strongest = paths.points[np.argmax(paths.weight)]
-    assert np.asarray(top.lines[before].get_xydata()) == pytest.approx(strongest[:, [0, 2]])
-    assert np.asarray(side.lines[-5].get_xydata()) == pytest.approx(strongest[:, [2, 1]])
-    with pytest.raises(SceneError, match="keep_paths=True"):
-        views.ray_paths(trace(flat_scene, n_rays=8))
-
-
 def test_parts_of_a_hybrid_share_one_scale():
     """Colours of the three maps stand for the same light; a dark part is drawn as the floor."""
     coherent, diffuse = np.zeros((3, 5)), np.full((3, 5), 1e-4)
