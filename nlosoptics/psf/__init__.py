@@ -24,8 +24,7 @@
   of all other lobes by rays.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
   spot radius, Zernike fit; `metric_errors`: their error bars over patterns drawn at random.
-- `exchange`, `poppy_files`, `zernike_tables`: waves for other tools and from them; `whole_files`
-  writes.
+- `exchange`, `poppy_files`, `zernike_tables`: waves for other tools and from them.
 """
 
 from .aberration import path_difference, wall_aberration, wavefront

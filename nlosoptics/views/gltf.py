@@ -116,7 +116,7 @@ def _add_actor(file: _File, name: str, actor: Actor) -> None:
     """Add an actor's triangles and lines as one node."""
     mesh = actor.mapper.dataset
     if not isinstance(mesh, pyvista().PolyData):
-        mesh = mesh.extract_surface(algorithm=None)
+        mesh = mesh.extract_geometry()
     colours, by_cell = _colours(actor)
     primitives = []
     if mesh.n_lines:

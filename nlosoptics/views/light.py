@@ -25,7 +25,7 @@ def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
     Returns
     -------
     Axes
-        World x and y in m, y up, as seen from the room: x grows to the left.
+        World x and y in m, as seen from the room: x grows to the right, y up.
     """
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.6)
     drawn = axes.pcolormesh(
@@ -33,5 +33,4 @@ def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
     )
     colour_bar(axes, drawn, "irradiance (W/m$^2$)")
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="light on the relay wall")
-    axes.invert_xaxis()
     return axes

@@ -180,14 +180,13 @@ def camera_body(camera: Camera, side: float) -> PolyData:
     box.points = np.asarray(box.points) @ camera.frame
     behind = np.array(camera.position) - 0.65 * side * camera.axis
     box.points = np.asarray(box.points) + behind
-    radius = max(camera.stop_diameter / 2, 0.22 * side)
-    barrel = pv.CylinderStructured(
-        radius=[radius, 1.15 * radius],
-        height=0.35 * side,
+    barrel = pv.Cylinder(
         center=np.array(camera.position) - 0.175 * side * camera.axis,
         direction=camera.axis,
-        theta_resolution=49,
-    ).extract_surface(algorithm=None)
+        radius=max(0.6 * camera.stop_diameter, 0.22 * side),
+        height=0.349 * side,  # ends just behind the lens, or the two would flicker
+        resolution=48,
+    )
     return pv.merge([box, barrel.triangulate()])
 
 

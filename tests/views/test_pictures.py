@@ -258,7 +258,7 @@ def test_sketch_shows_every_occluder_and_names_one(flat_scene):
 
 
 def test_irradiance_is_drawn_where_it_falls() -> None:
-    """The brightest cell, at high x and low y, is on the left and below, as from the room."""
+    """Looking along -z with y up, high x is on the right: the axes are right-handed."""
     from nlosoptics.raytrace import WallIrradiance
 
     light = np.zeros((2, 3))
@@ -274,7 +274,7 @@ def test_irradiance_is_drawn_where_it_falls() -> None:
         seconds=0.0,
     )
     axes = views.irradiance(found)
-    assert axes.xaxis_inverted()
+    assert not axes.xaxis_inverted()
     assert not axes.yaxis_inverted()
     (drawn,) = axes.collections
     cell = np.argmax(np.asarray(drawn.get_array()))
