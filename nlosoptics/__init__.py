@@ -11,6 +11,7 @@ camera looks at the wall. The subpackages follow the light:
 - `inverse`: reconstructions, in torch.
 - `transient`: time-resolved captures and their pictures.
 - `views`: pictures.
+- `report`: a page about a run.
 
 `plan` says what a scene needs, `simulate` runs exactly that.
 """

@@ -5,6 +5,7 @@ from . import inverse as inverse
 from . import limits as limits
 from . import psf as psf
 from . import raytrace as raytrace
+from . import report as report
 from . import scene as scene
 from . import transient as transient
 from . import views as views

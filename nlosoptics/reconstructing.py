@@ -24,7 +24,7 @@ from .errors import SamplingError, SceneError
 from .imaging import CameraImage, ForwardModel, camera_image, image_field
 from .limits.modulation import scene_point_spread
 from .planning import FIELD, MOST_NODES, plan
-from .records import arrays, scene_hash, versions
+from .records import PAGE, arrays, now, scene_hash, versions
 from .scene import Scene
 from .simulation import veil_shape
 
@@ -323,6 +323,7 @@ def carry_out(
     resume: bool = False,
     progress: Callable[[str, float], None] | None = None,
     interrupted: Callable[[], bool] | None = None,
+    command_line: str = "",
 ) -> dict[str, Any]:
     """Run a task and write its files into a folder, which is made where there is none.
 
@@ -336,6 +337,8 @@ def carry_out(
         Told what is at work and the fraction done.
     interrupted : callable, optional
         Whether the fit is to end with what it has.
+    command_line : str
+        What was typed, for the record.
 
     Returns
     -------
@@ -350,6 +353,7 @@ def carry_out(
     report = {
         "program": "nlosoptics",
         "command": "reconstruct",
+        "command_line": command_line,
         "status": "running",
         "seed": task.seed,
         "tol": task.tol,
@@ -366,6 +370,7 @@ def carry_out(
     if interrupted is not None and interrupted():
         raise KeyboardInterrupt
     folder.mkdir(exist_ok=True)
+    (folder / PAGE).unlink(missing_ok=True)  # it tells of what was here before
     write_text(folder / "result.json", report)
     keeper = Keeper(folder, identity, progress, interrupted)
     try:
@@ -374,6 +379,7 @@ def carry_out(
         raise KeyboardInterrupt from None  # by a solver that does not keep what it has
     _write_object(task, found, folder, keeper)
     report["status"] = "interrupted" if keeper.stopped else "done"
+    report["finished"] = now()
     report["figures"] = _figures(task, found)
     report["seconds"] = {"solver": found.seconds, "total": time.perf_counter() - started}
     report["files"] = sorted({*FILES, "result.json", CHECKPOINT, PREVIEW})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import importlib.metadata
 import sys
 from collections.abc import Mapping
@@ -13,6 +14,8 @@ from . import __version__
 if TYPE_CHECKING:
     from .scene import Scene
 
+#: The page that `report` makes of a run's folder.
+PAGE = "report.html"
 #: Distributions whose versions decide a run's numbers.
 DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
 
@@ -51,6 +54,11 @@ def scene_hash(scene: Scene) -> str:
     for path in files:
         digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def now() -> str:
+    """Date and time, UTC, ISO 8601 to the second."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def versions() -> dict[str, str]:

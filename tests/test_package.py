@@ -68,6 +68,7 @@ def test_import_is_light() -> None:
         ("limits", {"numpy", "scipy", "ducc0"}),
         ("transient", {"numpy"}),
         ("planning", {"numpy", "scipy", "ducc0"}),
+        ("report", {"numpy", "scipy", "ducc0", "pydantic"}),
     ],
 )
 def test_subpackage_import_is_light(subpackage: str, allowed: set[str]) -> None:

@@ -13,7 +13,13 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import captures, forward, pictures, reconstructions  # noqa: F401  # their commands
+from . import (  # their commands, in the order of the help
+    captures,  # noqa: F401
+    forward,  # noqa: F401
+    pictures,  # noqa: F401
+    reconstructions,  # noqa: F401
+    reports,  # noqa: F401
+)
 from .shell import DONE, app, tell
 
 __all__ = ["main"]
@@ -28,7 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Words after the program's name; those of this process by default.
     """
     try:
-        code = app(args=arguments, prog_name="nlosoptics", standalone_mode=False)
+        words = tuple(sys.argv[1:] if arguments is None else arguments)
+        code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
     except (Exception, KeyboardInterrupt) as error:
         code = tell(error)
     sys.exit(code or DONE)

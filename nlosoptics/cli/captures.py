@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..records import arrays, peak_memory, scene_hash, versions
+from ..records import arrays, now, peak_memory, scene_hash, versions
 from .shell import (
     Debug,
     SceneFile,
@@ -24,6 +24,7 @@ from .shell import (
     numbers,
     progress_bar,
     require,
+    typed,
     whole_folder,
 )
 
@@ -100,6 +101,7 @@ def transient_command(
 
 @app.command("phasor")
 def phasor_command(
+    context: typer.Context,
     capture_file: Annotated[
         Path, typer.Argument(metavar="CAPTURE", help="HDF5 or .mat of a capture.")
     ],
@@ -176,7 +178,7 @@ def phasor_command(
                 progress=_turned(progress),
             )
             progress("writing", 1.0)
-            report = _report(image, capture, capture_file)
+            report = _report(image, capture, capture_file) | {"command_line": typed(context)}
             with whole_folder(folder) as new:
                 _write_picture(image, new)
                 report["seconds"]["total"] = time.perf_counter() - start
@@ -219,7 +221,9 @@ def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[s
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {
         "program": "nlosoptics",
+        "command": "phasor",
         "status": "done",
+        "finished": now(),
         "figures": {
             "brightest_voxel": [float(volume.x[x]), float(volume.y[y]), float(volume.z[z])],
             "volume_shape": list(volume.shape),

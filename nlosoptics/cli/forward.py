@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..records import arrays, peak_memory, scene_hash, versions
+from ..records import arrays, now, peak_memory, scene_hash, versions
 from .shell import (
     Debug,
     SceneFile,
@@ -22,6 +22,7 @@ from .shell import (
     load,
     progress_bar,
     require,
+    typed,
     whole_folder,
 )
 
@@ -42,6 +43,7 @@ def plan_command(
 
 @app.command("run")
 def run_command(
+    context: typer.Context,
     scene_file: SceneFile,
     tol: Tol = 1e-3,
     seed: Seed = 0,
@@ -71,7 +73,7 @@ def run_command(
         with progress_bar() as progress:
             result = simulate(scene, tol, seed, reconstruct, progress=progress)
             progress("writing", 1.0)
-            report = _report(result)
+            report = _report(result) | {"command_line": typed(context)}
             with whole_folder(folder) as new:
                 began = time.perf_counter()
                 _write_arrays(result, new)
@@ -100,7 +102,9 @@ def _report(result: Result) -> dict[str, Any]:
 
     return {
         "program": "nlosoptics",
+        "command": "run",
         "status": "done",
+        "finished": now(),
         "figures": _figures(result),
         "seed": result.seed,
         "tol": result.plan.tol,
@@ -116,6 +120,8 @@ def _report(result: Result) -> dict[str, Any]:
 
 def _figures(result: Result) -> dict[str, Any]:
     """Numbers that sum up a run, SI units."""
+    from dataclasses import asdict
+
     from .. import psf
 
     pupil, wave, spread, image = (
@@ -134,6 +140,12 @@ def _figures(result: Result) -> dict[str, Any]:
         "aberration_rms_waves": psf.rms_aberration(wave) / wave.wavelength,
         "point_spread_method": spread.method,
         "point_spread_error": spread.error_estimate,
+        "point_spread_reason": spread.reason,
+        "point_spread_regime": {
+            **asdict(spread.regime),
+            "coherent_fraction": spread.regime.coherent_fraction,
+        },
+        "wavelength": spread.wavelength,
         "errors": dict(result.errors),
         "field_nodes": 1 if result.field is None else result.field.weights[0].size,
         "field_modes": 1 if result.field is None else len(result.field.modes),

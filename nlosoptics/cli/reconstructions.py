@@ -24,6 +24,7 @@ from .shell import (
     numbers,
     progress_bar,
     require,
+    typed,
 )
 
 
@@ -54,6 +55,7 @@ def feasibility_command(
 
 @app.command("reconstruct")
 def reconstruct_command(
+    context: typer.Context,
     images: Annotated[
         list[Path], typer.Argument(metavar="IMAGE...", help="Pictures: PNG, TIFF or .npy, grey.")
     ],
@@ -118,7 +120,12 @@ def reconstruct_command(
         )
         with progress_bar(width=60) as progress, interruptible() as interrupted:
             report = reconstructing.carry_out(
-                task, folder, resume=resume, progress=progress, interrupted=interrupted
+                task,
+                folder,
+                resume=resume,
+                progress=progress,
+                interrupted=interrupted,
+                command_line=typed(context),
             )
         if as_json:
             typer.echo(json.dumps(report, indent=2))

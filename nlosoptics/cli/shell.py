@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import shlex
 import signal
 import tempfile
 import traceback
@@ -93,6 +94,11 @@ def tell(error: BaseException) -> int:
         message = f"{type(error).__name__}: {error}; --debug shows where"
     typer.echo(f"nlosoptics: {' '.join(message.split())}", err=True)
     return code
+
+
+def typed(context: typer.Context) -> str:
+    """The command line as it was typed, for the records of a run."""
+    return shlex.join(["nlosoptics", *(context.obj or ())])
 
 
 def numbers(option: str, text: str) -> tuple[float, ...]:

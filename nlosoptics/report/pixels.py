@@ -1,0 +1,77 @@
+"""Arrays as pictures of their own pixels, with a scale that is text."""
+
+from __future__ import annotations
+
+import io
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .elements import Html, figure, number, png, tag
+
+MOST = 1024  # pixels a side that are drawn
+COARSE = 256  # up to which a page shows single pixels
+
+
+def pixels(
+    values: NDArray[Any],
+    title: str,
+    *,
+    unit: str,
+    low: float,
+    high: float,
+    alt: str,
+    told: str = "",
+) -> Html:
+    """A grey picture of an array with its scale.
+
+    Parameters
+    ----------
+    values : ndarray, (ny, nx)
+        Row 0 is drawn on top.
+    title : str
+    unit : str
+        Of the values.
+    low, high : float
+        Values that are black and white.
+    alt : str
+        What there is to see, for who does not.
+    told : str
+        More of the caption.
+
+    Returns
+    -------
+    Html
+        A figure.
+    """
+    from PIL import Image
+
+    span = high - low if high > low else 1.0
+    grey = np.rint(255.0 * np.clip((values - low) / span, 0.0, 1.0)).astype(np.uint8)
+    drawn = Image.fromarray(grey)
+    ny, nx = values.shape
+    step = math.ceil(max(nx, ny) / MOST)
+    size = f"{nx} × {ny} pixels"
+    if step > 1:
+        drawn = drawn.reduce(step)
+        size += f", drawn as means of {step} × {step}"
+    held = io.BytesIO()
+    drawn.save(held, format="PNG", optimize=True)
+    picture = tag(
+        "img",
+        src=png(held.getvalue()),
+        alt=alt,
+        width=drawn.width,
+        height=drawn.height,
+        class_="coarse" if max(nx, ny) <= COARSE else None,
+    )
+    scale = tag(
+        "span",
+        tag("span", number(low)),
+        tag("span", class_="ramp"),
+        tag("span", f"{number(high)} {unit}".rstrip()),
+        class_="scale",
+    )
+    return figure(picture, scale, tag("b", title), f", {size}. {told}".rstrip(), class_="pixels")

@@ -1,0 +1,564 @@
+"""The parts of the page, each made of what the folder holds and left out where it holds nothing."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from typing import Any
+
+from .. import __version__
+from ..planning import FIELD
+from . import words
+from .elements import (
+    Column,
+    Html,
+    date,
+    facts,
+    figure,
+    joined,
+    number,
+    percent,
+    png,
+    quantity,
+    seconds,
+    section,
+    table,
+    tag,
+)
+from .folders import Folder
+from .pixels import pixels
+from .rooms import Room
+
+Part = tuple[str, str, Html]
+SHARES_OF_ROUNDING = 1e-12  # of a sum: smaller terms of it are rounding
+
+
+def head(held: Folder) -> Html:
+    """Name of the run, its outcome in a sentence, and its key figures."""
+    record = held.record
+    made = f"nlosoptics {record.versions.get('nlosoptics', '')}".strip()
+    when = record.finished and date(record.finished)
+    told = [when, _seed(held), None if record.tol is None else f"tol {number(record.tol)}"]
+    notice = words.UNFINISHED.get(record.status)
+    return joined(
+        [
+            tag("p", f"{made}, {words.COMMANDS[record.command]}", class_="kind"),
+            tag("h1", held.name),
+            tag("p", _outcome(held), class_="lead"),
+            tag("p", ", ".join(part for part in told if part), class_="when"),
+            None if notice is None else tag("p", notice, class_="notice"),
+            facts(_tiles(held), class_="tiles"),
+        ]
+    )
+
+
+def parts(held: Folder, drawn: Room | None, missing: str) -> list[Part]:
+    """Anchor, title and contents of each part that the folder has something for."""
+    made = (
+        ("scene", "Scene", _scene(held, drawn, missing)),
+        ("plan", "Plan", _plan(held)),
+        ("spread", "Wave and point spread", _spread(held)),
+        ("image", "Image", _image(held)),
+        ("reconstruction", "Reconstruction", _reconstruction(held)),
+        ("volume", "Hidden volume", _volume(held, drawn, missing)),
+        ("times", "Accuracy and time", _times(held)),
+        ("provenance", "Provenance", _provenance(held)),
+    )
+    return [
+        (anchor, title, section(anchor, title, *contents))
+        for anchor, title, contents in ((a, t, list(c)) for a, t, c in made)
+        if contents
+    ]
+
+
+def colophon() -> str:
+    """What made the page."""
+    return (
+        f"Made by nlosoptics report {__version__}. This file is whole: it asks for nothing from "
+        "anywhere else."
+    )
+
+
+def _seed(held: Folder) -> str | None:
+    return None if held.record.seed is None else f"seed {held.record.seed}"
+
+
+def _outcome(held: Folder) -> str:
+    """What came of the run, in a sentence."""
+    figures = held.record.figures
+    if held.record.command == "phasor" and figures.brightest_voxel:
+        place = ", ".join(number(value) for value in figures.brightest_voxel)
+        return f"The brightest voxel of the hidden scene is at ({place}) m."
+    status = figures.reconstruction_status
+    if status is None:
+        return "No object was reconstructed."
+    told = words.OUTCOME.get(status, f"The reconstruction is {status}.")
+    if figures.correlation_with_truth is not None:
+        told += f" It correlates with the truth to {number(figures.correlation_with_truth, 4)}."
+    return told
+
+
+def _tiles(held: Folder) -> Iterator[tuple[object, object]]:
+    """Key figures, each accuracy with the time that it took."""
+    record, f = held.record, held.record.figures
+
+    def tile(value: str, *notes: str | None) -> Html:
+        return joined([value, tag("small", ", ".join(note for note in notes if note))])
+
+    def took(name: str) -> str | None:
+        return seconds(record.seconds[name]) if name in record.seconds else None
+
+    if f.correlation_with_truth is not None:
+        yield (
+            "Correlation with the truth",
+            tile(number(f.correlation_with_truth, 4), "1 is perfect", took("reconstruction")),
+        )
+    if f.reconstruction_score is not None:
+        name = "Agreement" if f.method == "phase_retrieval" else "Residual"
+        yield name, tile(number(f.reconstruction_score), *_score_note(held), took("solver"))
+    if f.point_spread_error is not None:
+        yield (
+            "Error of the point spread",
+            tile(number(f.point_spread_error, 2), "of its peak", took("point spread")),
+        )
+    if FIELD in f.errors:
+        error = number(f.errors[FIELD], 2)
+        yield "Error of the image by its field", tile(error, "rms", took(FIELD))
+    if f.aberration_rms is not None and f.aberration_rms_waves is not None:
+        yield (
+            "Wave aberration",
+            tile(
+                f"{number(f.aberration_rms_waves)} waves",
+                f"{quantity(f.aberration_rms, 'm')} rms",
+                took("wave aberration"),
+            ),
+        )
+    if f.f_number is not None and f.exit_pupil_radius is not None:
+        radius = quantity(f.exit_pupil_radius, "m")
+        yield (
+            "Working F-number",
+            tile(number(f.f_number), f"exit pupil of {radius} radius", f"stop: {f.stop}"),
+        )
+    if f.electrons_peak is not None and f.electrons_mean is not None:
+        yield (
+            "Brightest pixel",
+            tile(f"{number(f.electrons_peak)} electrons", f"mean {number(f.electrons_mean)}"),
+        )
+    if f.iterations is not None:
+        yield "Iterations", tile(str(f.iterations), f.method)
+    if record.wl_mean is not None:
+        yield (
+            "Virtual wavelength",
+            tile(quantity(record.wl_mean, "m"), record.camera and _spaced(record.camera)),
+        )
+    if f.volume_shape:
+        yield "Voxels", tile(" × ".join(map(str, f.volume_shape)), "depth, height, width")
+    if "total" in record.seconds:
+        memory = f.peak_memory_bytes
+        most = None if memory is None else f"at most {number(memory / 2**20)} MiB of memory"
+        yield "Whole run", tile(seconds(record.seconds["total"]), most)
+
+
+def _score_note(held: Folder) -> tuple[str, ...]:
+    if held.record.figures.method == "phase_retrieval":
+        return ("correlation of two halves of its restarts", "1 is full agreement")
+    return ("of the noise", "1 fits the image to its noise")
+
+
+def _turned(drawn: Room | None, missing: str) -> Iterator[Html]:
+    """A view that can be turned, its still for paper, or why there is none."""
+    if missing:
+        yield tag("p", f"The view in three dimensions is left out: {missing}.", class_="notice")
+    if drawn is None:
+        return
+    frame = tag(
+        "iframe",
+        srcdoc=drawn.document,
+        title="View in three dimensions, to be turned",
+        loading="lazy",
+        sandbox="allow-scripts",
+    )
+    still = paper = None
+    if drawn.picture is None:
+        paper = tag("span", " It is not on paper, because nothing can be rendered here.")
+    else:
+        alt = f"View in three dimensions. {drawn.told}"
+        still = tag("img", src=png(drawn.picture), alt=alt, class_="still")
+    yield figure(joined([frame, still]), drawn.told, paper, class_="room")
+
+
+def _scene(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
+    if held.record.command == "run":
+        yield from _turned(drawn, missing)
+    if sketch := held.picture("scene.png"):
+        picture = tag(
+            "img",
+            src=png(sketch),
+            alt="Plan and side view of relay wall, laser beam, hidden object and camera.",
+        )
+        scroller = tag("div", picture, class_="wide", tabindex=0, role="group", aria_label="Sketch")
+        yield figure(
+            scroller,
+            tag("b", "From above and from the side"),
+            ", metres. The chief path is that of the light from the laser's spot by way of the "
+            "object to the lens, as a flat wall would send it.",
+            class_="sketch",
+        )
+
+
+def _plan(held: Folder) -> Iterator[Html]:
+    plan = held.record.plan
+    columns = (Column("Stage"), Column("Why"))
+    if plan.stages:
+        yield table("What ran", columns, [(s.name, s.reason) for s in plan.stages])
+    if plan.skipped:
+        rows = [(s.name, s.reason) for s in plan.skipped]
+        yield table("What was skipped", (Column("Stage"), Column("Why not")), rows)
+
+
+def _spread(held: Folder) -> Iterator[Html]:
+    f = held.record.figures
+    shown = []
+    if wave := held.picture("wavefront.png"):
+        picture = tag("img", src=png(wave), alt="Map of the wave aberration over the exit pupil.")
+        rms = "" if f.aberration_rms is None else f", {quantity(f.aberration_rms, 'm')} rms"
+        shown.append(
+            figure(
+                picture,
+                tag("b", "Wave aberration"),
+                f"{rms}, in waves over the exit pupil in mm. Red has gone the longer path.",
+                class_="plot",
+            )
+        )
+    if spread := held.picture("point_spread.png"):
+        picture = tag("img", src=png(spread), alt="Point spread, logarithmic colours.")
+        shown.append(
+            figure(
+                picture,
+                tag("b", "Point spread"),
+                " of the object's reference point, on the detector in µm; energy per pixel, "
+                "colours logarithmic.",
+                class_="plot",
+            )
+        )
+    if shown:
+        yield tag("div", *shown, class_="figures")
+    if f.point_spread_method is None:
+        return
+    error = f.point_spread_error
+    field = None
+    if f.field_nodes > 1:
+        field = f"{f.field_nodes} points over the object, in {f.field_modes} modes"
+    yield facts(
+        [
+            ("Method", f.point_spread_method),
+            ("Why this one", f.point_spread_reason),
+            ("Estimated error", None if error is None else f"{number(error, 2)} of the peak"),
+            ("Field of point spreads", field),
+        ]
+    )
+    yield from _regime(held)
+
+
+def _regime(held: Folder) -> Iterator[Html]:
+    f = held.record.figures
+    rows = []
+    for key, value in f.point_spread_regime.items():
+        if value is None or key not in words.REGIME:
+            continue
+        name, unit, meaning = words.REGIME[key]
+        told = ("yes" if value else "no") if isinstance(value, bool) else number(value)
+        rows.append((name, f"{told} {unit}".rstrip(), meaning))
+    if rows:
+        if f.wavelength is not None and f.f_number is not None:
+            airy = quantity(f.wavelength * f.f_number, "m")
+            rows.append(("Airy unit λN", airy, "wavelength times working F-number"))
+        columns = (Column("Regime of the wave"), Column("Value", "number"), Column("Meaning"))
+        yield table("What kind of wave it is", columns, rows)
+
+
+def _image(held: Folder) -> Iterator[Html]:
+    f = held.record.figures
+    shown = None
+    found = held.arrays("image.npz", "electrons", "pitch", "exposure")
+    if found is not None:
+        electrons = found["electrons"]
+        ny, nx = (1e3 * n * float(found["pitch"]) for n in electrons.shape)
+        shown = pixels(
+            electrons,
+            "Camera image",
+            unit="electrons",
+            low=float(electrons.min()),
+            high=float(electrons.max()),
+            alt="What the camera reads: the blurred, noisy picture of the hidden object.",
+            told=f"{number(nx)} × {number(ny)} mm on the detector, exposed for "
+            f"{quantity(float(found['exposure']), 's')}; mirror-reversed by the wall.",
+        )
+    rows = [
+        ("Brightest pixel", f.electrons_peak, "electrons"),
+        ("Mean", f.electrons_mean, "electrons per pixel"),
+        ("Object alone, brightest", f.signal_electrons_peak, "electrons"),
+        ("Noise, rms", f.noise_sigma_mean, "electrons per pixel, on average"),
+    ]
+    told: list[tuple[object, object]] = [
+        (name, f"{number(value)} {unit}") for name, value, unit in rows if value is not None
+    ]
+    if told and f.saturated_fraction is not None:
+        told.append(("Full pixels", percent(f.saturated_fraction)))
+    if shown is not None or told:
+        yield tag("div", shown, tag("div", facts(told), *_ledger(held)), class_="figures")
+
+
+def _ledger(held: Folder) -> Iterator[Html]:
+    ledger = held.record.figures.electrons_in_total
+    total = sum(ledger.get(name, 0.0) for name in words.LIGHT)
+    if total <= 0.0:
+        return
+    rows = [
+        (meaning, number(ledger[name]), percent(ledger[name] / total))
+        for name, meaning in words.LIGHT.items()
+        if name in ledger
+    ]
+    columns = (
+        Column("Part"),
+        Column("Electrons", "number"),
+        Column("Share", "number"),
+    )
+    yield table("Where the expected electrons come from", columns, rows)
+    lost = [
+        f"{percent(max(share, 0.0))} {meaning}"
+        for name, meaning in words.LOST.items()
+        if name in ledger and ledger.get("ideal", 0.0) > 0.0
+        # a difference of sums: below their rounding it is none
+        for share in (ledger[name] / ledger["ideal"],)
+        if share > SHARES_OF_ROUNDING
+    ]
+    if lost:
+        yield tag("p", f"Of the object's picture before the blur, {' and '.join(lost)} is lost.")
+
+
+def _reconstruction(held: Folder) -> Iterator[Html]:
+    shown, told = list(_objects(held)), list(_settlement(held))
+    if len(shown) == 1 and told:
+        yield tag("div", *shown, tag("div", *told), class_="figures")
+        return
+    if shown:
+        yield tag("div", *shown, class_="figures")
+    yield from told
+
+
+def _settlement(held: Folder) -> Iterator[Html]:
+    """What a reconstruction came to, in figures and in words."""
+    f = held.record.figures
+    status = f.reconstruction_status
+    if status is None:
+        return
+    score = correlation = None
+    if f.reconstruction_score is not None:
+        score = f"{number(f.reconstruction_score)} {', '.join(_score_note(held))}"
+    if f.correlation_with_truth is not None:
+        correlation = (
+            f"{number(f.correlation_with_truth, 4)} after registration; 1 is the same picture but "
+            "for brightness"
+        )
+    yield facts(
+        [
+            ("Status", f"{_spaced(status)}. {words.STATUS.get(status, '')}".rstrip()),
+            ("Method", f.method),
+            ("Iterations", f.iterations),
+            ("Agreement" if f.method == "phase_retrieval" else "Residual", score),
+            ("Correlation with the truth", correlation),
+            ("Masked pixels", None if f.masked_fraction is None else percent(f.masked_fraction)),
+        ]
+    )
+    rows = [(_spaced(name), _settled(value)) for name, value in f.physical_parameters.items()]
+    if rows:
+        yield table("What the method settled", (Column("Parameter"), Column("Value")), rows)
+
+
+def _objects(held: Folder) -> Iterator[Html]:
+    """Truth, where it is known, and object, or the last preview of one."""
+    found = held.arrays("reconstruction.npz", "object")
+    image = None if found is None else held.arrays("image.npz", "ideal")
+    if image is not None and (brightest := float(image["ideal"].max())) > 0.0:
+        yield pixels(
+            image["ideal"][:, ::-1] / brightest,
+            "Truth",
+            alt="The object as the camera would see it without blur and noise.",
+            told="The object in the image's frame without blur and noise, mirror undone.",
+            unit="of the brightest",
+            low=0.0,
+            high=1.0,
+        )
+    if found is not None:
+        yield pixels(
+            found["object"][:, ::-1],
+            "Reconstruction",
+            alt="The object that was reconstructed.",
+            told="Mirror undone.",
+            unit="of the brightest",
+            low=0.0,
+            high=max(1.0, float(found["object"].max())),
+        )
+    elif preview := held.picture("preview.png"):
+        yield figure(
+            tag("img", src=png(preview), alt="Object so far."),
+            tag("b", "Last state kept"),
+            ", as the camera's frame has it, 0 black, the brightest pixel white.",
+            class_="pixels",
+        )
+
+
+def _spaced(name: str) -> str:
+    """A name of the code as words."""
+    return name.replace("_", " ")
+
+
+def _settled(value: Any) -> str:
+    """Number or numbers that a method settled."""
+    if isinstance(value, list):
+        return ", ".join(_settled(inner) for inner in value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return "not told" if value is None else str(value)
+    return number(value)
+
+
+def _volume(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
+    if held.record.command == "phasor":
+        yield from _turned(drawn, missing)
+    views = {
+        "front.png": ("From the wall", "x to the left, y up"),
+        "side.png": ("From the side", "z away from the wall, y up"),
+        "top.png": ("From above", "x to the left, z away from the wall"),
+    }
+    shown = [
+        figure(
+            tag("img", src=png(data), alt=f"Brightest voxels of the hidden scene. {title}."),
+            tag("b", title),
+            f": {axes}, metres; the brightest voxel along the line of sight, relative.",
+            class_="plot",
+        )
+        for name, (title, axes) in views.items()
+        if (data := held.picture(name))
+    ]
+    if shown:
+        yield tag("div", *shown, class_="figures")
+    record = held.record
+    if record.camera is None:
+        return
+    sigma, aperture = record.wl_sigma, record.aperture
+    yield facts(
+        [
+            ("Virtual camera", _spaced(record.camera)),
+            ("Virtual pulse", None if sigma is None else f"sigma {quantity(sigma, 'm')}"),
+            (
+                "Aperture",
+                "all of the wall" if aperture is None else f"{quantity(aperture, 'm')} square",
+            ),
+            *(("Limit of the sampling", note) for note in record.notes),
+        ]
+    )
+
+
+def _times(held: Folder) -> Iterator[Html]:
+    """Wanted and reached accuracy of each stage beside its time."""
+    record = held.record
+    if not record.seconds:
+        return
+    planned = {stage.name: stage for stage in record.plan.stages}
+    reached = _reached(held)
+    longest = max((v for k, v in record.seconds.items() if k != "total"), default=0.0) or 1.0
+    rows = []
+    for name, took in record.seconds.items():
+        stage = planned.get(name)
+        share = 0.0 if name == "total" else took / longest
+        bar = tag("span", class_="bar", style=f"width: {100 * share:.1f}%") if share else None
+        cells: list[object] = [
+            joined(["whole run" if name == "total" else name, bar]),
+            _timed(took),
+        ]
+        if planned:
+            cells += [
+                reached.get(name, ""),
+                stage.error if stage else "",
+                _timed(stage.seconds) if stage else "",
+            ]
+        rows.append(cells)
+    columns = [Column("Stage"), Column("Took (s)", "number")]
+    if planned:
+        columns += [Column("Reached"), Column("Wanted"), Column("Foreseen (s)", "number")]
+    yield _wide(table("Each accuracy with its run time", columns, rows), "Accuracy and time")
+    if planned:
+        yield tag(
+            "p",
+            "Bars compare what the stages took. Times are foreseen for one core, once compiled.",
+            class_="kind",
+        )
+
+
+def _timed(value: float) -> str:
+    """Seconds, so that they stand under one another."""
+    return f"{value:.2f}" if value >= 0.005 else "< 0.01"
+
+
+def _reached(held: Folder) -> dict[str, str]:
+    """Accuracy that a run found, by stage."""
+    f = held.record.figures
+    of = {"point spread": "of the peak", FIELD: "of the image, rms"}
+    found = {
+        name: f"{number(error, 2)} {of.get(name, '')}".rstrip() for name, error in f.errors.items()
+    }
+    if f.correlation_with_truth is not None:
+        found["reconstruction"] = f"correlation {number(f.correlation_with_truth, 4)}"
+    elif f.reconstruction_score is not None:
+        found["reconstruction"] = f"residual {number(f.reconstruction_score)}"
+    return found
+
+
+def _wide(inner: Html, label: str) -> Html:
+    """What may be scrolled sideways where the page is narrow."""
+    return tag("div", inner, class_="wide", tabindex=0, role="group", aria_label=label)
+
+
+def _provenance(held: Folder) -> Iterator[Html]:
+    record = held.record
+    told: list[tuple[object, object]] = [
+        ("Finished", record.finished and date(record.finished)),
+        ("Seed", record.seed),
+        ("tol", None if record.tol is None else number(record.tol)),
+        ("Scene, SHA-256", record.scene_sha256 and tag("code", record.scene_sha256)),
+        ("Capture", record.capture_file),
+        ("Capture, SHA-256", record.capture_sha256 and tag("code", record.capture_sha256)),
+        ("Typed", tag("code", record.command_line) if record.command_line else None),
+        ("To repeat it", _repeated(held)),
+    ]
+    yield facts(told)
+    sizes = [
+        (name, quantity((held.path / name).stat().st_size, "B"))
+        for name in record.files
+        if (held.path / name).is_file() and not name.endswith(".html")
+    ]
+    listed = [
+        table(caption, (Column(head), Column(value, "number")), rows)
+        for caption, head, value, rows in (
+            ("Versions", "Package", "Version", list(record.versions.items())),
+            ("Files of the run", "File", "Size", sizes),
+        )
+        if rows
+    ]
+    yield tag("div", *listed, class_="figures")
+    if text := held.text("scene.toml"):
+        yield tag("h3", "Scene file", id="scene-file")
+        yield tag("pre", tag("code", text), tabindex=0, role="region", aria_labelledby="scene-file")
+
+
+def _repeated(held: Folder) -> Html | None:
+    """Command that makes the run again from its own folder."""
+    record = held.record
+    if record.command != "run" or held.text("scene.toml") is None:
+        return None
+    parts = ["nlosoptics", "run", f"{held.name}/scene.toml", "--tol", repr(record.tol)]
+    parts += ["--seed", str(record.seed), "--out", f"{held.name}-again"]
+    if any(stage.name == "reconstruction" for stage in record.plan.skipped):
+        parts.append("--no-reconstruct")
+    return tag("code", shlex.join(parts))
