@@ -83,8 +83,7 @@ def frames() -> dict[str, Any]:
     for _ in range(FRAMES):
         began = time.perf_counter()
         plotter.camera.azimuth += 1.0
-        plotter.render()
-        plotter.screenshot(None, return_img=True)  # or the frame would not be waited for
+        plotter.screenshot(None, return_img=True)  # renders, and waits for the frame
         seconds.append(time.perf_counter() - began)
     return {
         "segments": drawn,
