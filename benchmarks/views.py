@@ -83,7 +83,8 @@ def frames() -> dict[str, Any]:
     for _ in range(FRAMES):
         began = time.perf_counter()
         plotter.camera.azimuth += 1.0
-        plotter.screenshot(None, return_img=True)  # renders, and waits for the frame
+        plotter.render()  # a screenshot alone would show the frame before
+        plotter.render_window.WaitForCompletion()
         seconds.append(time.perf_counter() - began)
     return {
         "segments": drawn,

@@ -55,6 +55,7 @@ def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[A
             view.plot(*points[:, [across, up]].T, label=label, **style)
         view.set_aspect("equal", adjustable="datalim")
         view.grid(alpha=0.25)
+    top.yaxis.set_inverted(True)  # who looks down and has x on the right has z toward himself
     top.set(xlabel="x (m)", ylabel="z, into the room (m)", title="from above")
     side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="from the side")
     if axes is None:
