@@ -277,6 +277,25 @@ def evidence(found: Sequence[Row]) -> str:
     return table(["wall, waves rms", *FITS], sorted(fits(found, "rms")))
 
 
+def pictures(found: Row) -> str:
+    """Return seconds, sizes and frame rate of the rooms."""
+    png, files, frames = found["png_seconds"], found["files"], found["frames"]
+    drawn = png["trial_of_rendering"] + png["picture_with_pyvista"]
+    renderer = f"{frames['renderer'].split(' (')[0]}, {found['cores']} cores"
+    return table(
+        ["what", "value"],
+        [
+            ["PNG, with the import of pyvista and the trial of rendering", seconds(drawn)],
+            ["HTML page", f"{number(files['html_megabytes'])} MB"],
+            ["glTF", f"{number(files['glb_megabytes'])} MB"],
+            [
+                f"{frames['segments']} segments, {renderer}",
+                f"{number(frames['frames_per_second'])} frames per second",
+            ],
+        ],
+    )
+
+
 def staged(found: Sequence[Row]) -> str:
     """Return success by what is known."""
     return table(
@@ -520,7 +539,8 @@ SECTIONS = (
         "Staged fits",
         "near10, near14, near30: one image, start 0.10, 0.14, 0.30 waves off; diversity3: nothing "
         "known, three defoci; walls4: nothing known, four walls; calibrate: the wall from a known "
-        "object first; noise5: near10 at 5 % noise; far: one image, nothing known, for the "
+        "object first; noise5: near10 at 5 % noise, noise5unet with an "
+        "untrained network's object; far: one image, nothing known, for the "
         "verdict's sake.",
         f"{RUN}/inverse/staged.py --json benchmarks/results/staged.jsonl",
         staged,
@@ -577,5 +597,13 @@ SECTIONS = (
         measured_charts,
         draw_measured_charts,
         "Seconds against mean error of depth of six methods on two measured charts",
+    ),
+    Section(
+        "views.json",
+        "Pictures in three dimensions",
+        "A wavy wall's room with 500 light paths, rendered in software where no graphics card is "
+        "named; pages and models are written without rendering.",
+        f"{RUN}/views.py",
+        pictures,
     ),
 )
