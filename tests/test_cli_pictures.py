@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -101,7 +102,11 @@ def test_a_png_is_drawn_where_that_works(scene, capsys, tmp_path):
         (["--out", "no/room.png"], 2, "which is no folder; create it first"),
         (["--out", "room.glb", "--colour", "red"], 2, "not one of 'bounces', 'path_length'"),
         (["--out", "room.glb", "--paths", "-1"], 2, "--paths"),
-        (["--out", "room.glb", "--bounces", "1", "--paths", "5"], 2, "there are no paths to draw"),
+        (
+            ["--out", "room.glb", "--bounces", "1", "--paths", "5"],
+            2,
+            "no light path with --bounces 1 reaches the camera, of 131072 rays; --paths 0",
+        ),
         (
             ["--out", "room.glb", "--bounces", "3", "--colour", "aberration"],
             2,
@@ -142,14 +147,22 @@ def test_without_a_display_a_file_is_proposed(scene, capsys, monkeypatch, untrie
 
 
 def test_with_a_display_a_window_is_shown(scene, capsys, monkeypatch, untried):
-    """The plotter is not off the screen, holds the paths, and is shown once."""
+    """The plotter is not off the screen, holds the paths, and is shown once.
+
+    It is made in the main thread: macOS ends a process that makes windows elsewhere.
+    """
     import pyvista
 
     monkeypatch.setattr(probing, "TRIAL", "print('vtkXOpenGLRenderWindow')")
-    shown = []
+    shown, made_in = [], []
     monkeypatch.setattr(pyvista.Plotter, "show", lambda plotter: shown.append(plotter))
+    window = views.window
+    monkeypatch.setattr(
+        views, "window", lambda: (made_in.append(threading.current_thread()), window())[1]
+    )
     code, _, wrong = run(capsys, scene, "--paths", "20")
     assert (code, wrong) == (0, "")
+    assert made_in == [threading.main_thread()]
     (plotter,) = shown
     assert not plotter.off_screen
     assert "ray paths" in plotter.actors

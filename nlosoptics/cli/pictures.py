@@ -72,11 +72,12 @@ def view_command(
         require("pyvista", "views")
         from .. import views
 
+        # some systems want windows in the main thread; a trial for a file waits on nothing
+        plotter = views.window() if out is None else None
         with ThreadPoolExecutor(1) as beside:
-            # a machine that cannot render is told at once, and the trial waits on nothing
-            trial = beside.submit(_stage, out)
+            trial = beside.submit(_try_to_render, out)
             scene = load(scene_file, None)
-            plotter = trial.result()
+            trial.result()
         with progress_bar() as progress:
             if paths:
                 drawn = _drawn(scene, paths, bounces, colour, seed, progress)
@@ -100,15 +101,12 @@ def view_command(
             typer.echo(f"written to {out}, {size:.2f} MB, in {spent:.1f} s")
 
 
-def _stage(out: Path | None) -> Any:
-    """A window to draw on; None for a file, once it is sure that it can be drawn."""
+def _try_to_render(out: Path | None) -> None:
+    """Raise where a PNG is wanted and nothing can be rendered."""
     from .. import views
 
-    if out is None:
-        return views.window()
-    if out.suffix.lower() == ".png":
+    if out is not None and out.suffix.lower() == ".png":
         views.rendering_works()
-    return None
 
 
 def _drawn(
@@ -120,6 +118,7 @@ def _drawn(
     progress: Callable[[str, float], None],
 ) -> dict[str, Any]:
     """Paths to draw, with the wave that colours them where it is asked for."""
+    from ..errors import SceneError
     from ..raytrace import pupil_rays, trace
 
     if colour is Colour.aberration:
@@ -140,6 +139,12 @@ def _drawn(
         )
         # those kept have been detected
         kept = int((found.n_bounces == bounces).sum()) if bounces else len(found.weight)
-        if kept >= count or rays >= MOST_RAYS:
+        if kept >= count or (kept and rays >= MOST_RAYS):
             return {"paths": found}
+        if rays >= MOST_RAYS:
+            kind = "" if bounces is None else f" with --bounces {bounces}"
+            raise SceneError(
+                f"no light path{kind} reaches the camera, of {rays} rays; --paths 0 draws the room "
+                "alone"
+            )
         rays = min(8 * rays, MOST_RAYS)
