@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from tables import ROOT, figure, save
+from tables import ROOT, figure
 
 from nlosoptics import Scene, views
 
@@ -49,4 +49,4 @@ def pages(target: Path) -> None:
             view.get_legend().remove()
     handles, labels = top.get_legend_handles_labels()
     drawn.legend(handles, labels, loc="outside lower center", ncols=4)
-    save(drawn, target / "frames.svg")
+    views.save(drawn, target / "frames.svg")

@@ -10,7 +10,9 @@ from typing import Any
 
 import tables
 from matplotlib.axes import Axes
-from tables import COLOURS, MARKERS, figure, number, rows, save, seconds, table
+from tables import COLOURS, MARKERS, figure, number, rows, seconds, table
+
+from nlosoptics import views
 
 Row = dict[str, Any]
 
@@ -63,7 +65,7 @@ def pages(target: Path) -> None:
         text += [f"## {section.title}\n", section.text + "\n", section.body(found)]
         if section.draw is not None:
             picture = f"{Path(section.file).stem}.svg"
-            save(section.draw(found), target / picture)
+            views.save(section.draw(found), target / picture)
             text.append(f"![{section.alternative}](_generated/{picture})\n")
         text.append(f"```console\n$ {section.command}\n```\n")
     tables.write(target / "performance.md", "\n".join(text))

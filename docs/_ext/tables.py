@@ -66,11 +66,3 @@ def write(target: Path, text: str) -> None:
     """Write a file where it differs, so that Sphinx reads again only what changed."""
     if not target.exists() or target.read_text() != text:
         target.write_text(text)
-
-
-def save(drawn: Figure, target: Path) -> None:
-    """Write a figure as SVG with the same bytes for the same picture."""
-    import matplotlib
-
-    with matplotlib.rc_context({"svg.hashsalt": "nlosoptics"}):
-        drawn.savefig(target, metadata={"Date": None})

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import tables
-from tables import COLOURS, ROOT, figure, save, table
+from tables import COLOURS, ROOT, figure, table
 
-from nlosoptics import limits, psf, scene
+from nlosoptics import limits, psf, scene, views
 
 TESTS = ROOT / "tests"
 TITLES = {
@@ -46,7 +46,7 @@ def pages(target: Path) -> None:
     """Write tables, the tests' own code and the figure into a folder."""
     tables.write(target / "validation.md", text())
     tables.write(target / "test_files.md", file_table())
-    save(draw(), target / "validation.svg")
+    views.save(draw(), target / "validation.svg")
 
 
 def text() -> str:

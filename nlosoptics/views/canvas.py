@@ -80,11 +80,14 @@ def _checked_suffix(path: Path, what: str, known: tuple[str, ...]) -> None:
 def _figure_file(picture: Any, suffix: str) -> bytes:
     if not hasattr(picture, "get_figure"):
         picture = next(iter(picture))
-    # A figure is its own root; no program's name in the file, so equal pictures give equal bytes.
-    figure = picture.get_figure(root=True)
+    from matplotlib import rc_context
+
+    figure = picture.get_figure(root=True)  # a figure is its own root
     content = BytesIO()
+    # no program's name, no date and no names drawn at random: equal pictures give equal bytes
     metadata = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
-    figure.savefig(content, format=suffix[1:], metadata=metadata[suffix])
+    with rc_context({"svg.hashsalt": "nlosoptics"}):
+        figure.savefig(content, format=suffix[1:], metadata=metadata[suffix])
     return content.getvalue()
 
 

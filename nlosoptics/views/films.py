@@ -15,7 +15,7 @@ from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
 from .canvas import new_axes
 from .maps import colour_bar
-from .palette import SKY
+from .palette import BLUE, SKY
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -93,7 +93,7 @@ def transient(
         )
     meaning = f"{capture.quantity} per bin{UNITS.get(capture.quantity, '')}"
     if light.ndim == 1:
-        streak.plot(capture.times, light, color="#0072B2", drawstyle="steps-mid")
+        streak.plot(capture.times, light, color=BLUE, drawstyle="steps-mid")
         title = "light at the sensor point"
         streak.set(xlabel="optical path (m)", ylabel=meaning, xlim=ends, title=title)
         streak.grid(alpha=0.25)

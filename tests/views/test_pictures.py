@@ -195,14 +195,18 @@ def test_axes_go_in_and_come_out(flat_scene: Scene) -> None:
     assert views.wavefront(one_wave_of_tilt("polar"), axes=single) is single
 
 
-def test_save_writes_equal_bytes(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("suffix", "begins"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")]
+)
+def test_save_writes_equal_bytes(tmp_path: Path, suffix: str, begins: bytes) -> None:
     """The same picture twice is the same file; any of figure, axes and axes' tuple will do."""
-    for name in ("a.png", "b.png"):
-        views.save((views.wavefront(one_wave_of_tilt("grid")),), tmp_path / name)
-    views.save(views.wavefront(one_wave_of_tilt("grid")).get_figure(), tmp_path / "c.png")  # type: ignore[arg-type]
-    contents = {(tmp_path / name).read_bytes() for name in ("a.png", "b.png", "c.png")}
+    files = [tmp_path / f"{name}{suffix}" for name in "abc"]
+    for file in files[:2]:
+        views.save((views.wavefront(one_wave_of_tilt("grid")),), file)
+    views.save(views.wavefront(one_wave_of_tilt("grid")).get_figure(), files[2])  # type: ignore[arg-type]
+    contents = {file.read_bytes() for file in files}
     assert len(contents) == 1
-    assert contents.pop().startswith(b"\x89PNG")
+    assert contents.pop().startswith(begins)
 
 
 def test_unknown_unit_is_refused() -> None:
