@@ -86,8 +86,10 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
             (scene.object_point, parts.object_radius(scene)),
         ],
     )
-    leftmost = floor.points[np.argmin(floor.points @ frame[0])]
-    plotter.add_mesh(parts.triad(leftmost, 0.6 * step, frame), color=INK, name="axes", **FLAT)
+    origin = np.array(floor.points[np.argmin(floor.points @ frame[0])])
+    # away from the floor's corner, or the wall would hide letters
+    origin[2] += np.copysign(1.2 * step, floor.center[2] - origin[2])
+    plotter.add_mesh(parts.triad(origin, 0.6 * step, frame), color=INK, name="axes", **FLAT)
     add_legend(plotter, legend)
     return plotter
 

@@ -439,3 +439,15 @@ def test_missing_pyvista_is_told_in_one_line():
     )
     line = "MissingExtraError pyvista is not installed; run pip install 'nlosoptics[views]'"
     assert [text[: len(line)] for text in answer.stdout.splitlines()] == [line] * 2
+
+
+@pytest.mark.parametrize("wall", [None, ConcaveWall(5.0, size=(1.4, 1.0))])
+def test_no_axis_is_hidden_by_the_wall(flat_scene, wall):
+    """Arrows and letters stand nearer to the viewer than any of the wall, within the floor."""
+    scene = flat_scene if wall is None else replace(flat_scene, wall=wall)
+    actors = views.scene_3d(scene).actors
+    axes, wall_, floor = (
+        np.reshape(actors[name].bounds, (3, 2)) for name in ("axes", "relay wall", "floor grid")
+    )
+    assert axes[2, 0] > wall_[2, 1]
+    assert axes[2, 1] < floor[2, 1]
