@@ -129,7 +129,9 @@ def test_nothing_is_loaded_from_elsewhere(text):
     assert "url(" not in text
     assert "@import" not in text
     assert "<script" not in text
-    assert "default-src 'none'" in text
+    policy = Outline(text).named("meta")[-1]["content"]
+    assert "default-src 'none'" in policy
+    assert "'unsafe-eval'" not in policy
 
 
 def test_text_of_files_is_escaped(run, copy):

@@ -68,8 +68,8 @@ def _scene(scene: Scene, seed: int) -> Room:
         )
     return _drawn(
         views.ray_paths(paths, scene, most=MOST),
-        f"The {min(MOST, len(paths.weight))} strongest light paths that reach the camera, of "
-        f"{RAYS} rays traced anew for this page with seed {seed}.",
+        f"{min(MOST, len(paths.weight))} light paths that reach the camera, of {RAYS} rays traced "
+        f"anew for this page with seed {seed}; lines are as dense as the light.",
     )
 
 
