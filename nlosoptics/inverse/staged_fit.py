@@ -44,11 +44,12 @@ _UNKNOWN_ERROR = 0.5
 #: Start errors above this are too far for an object of the start's own point spread.
 _NEAR = 0.25
 #: Free energy below that of a fit from no blur which tells an answer from chance. Where the start
-#: is known well enough to put no blur so far off, the answer's own may be a little above, and the
-#: residual at least so much of the noise: wrong answers have fitted it.
+#: is known well enough to put no blur so far off, the answer's own may be above, by this over the
+#: noise's part of the range, since what the modes leave unexplained weighs the more the less noise
+#: there is; the residual is at least so much of the noise: wrong answers have fitted it.
 _SURE_MARGIN = 50.0
 _SURE_START = 100.0
-_LITTLE_ABOVE = 20.0
+_LITTLE_ABOVE = 1.0
 _OVERFITTED = 0.93
 #: Correlation with the image from which such an answer is the image.
 _LIKE_THE_IMAGE = 0.9
@@ -160,11 +161,11 @@ def staged_fit(
     ``start_error``.
 
     One image: "converged" where the free energy is 50 or more below that of a fit which started
-    at no blur and whose coefficients are free; also where it is at most 20 above, the prior of
-    ``start_error`` puts no blur 100 or more above the answer, and the residual is at least 0.93 of
-    the noise, since wrong answers fit noise. Otherwise "trivial" where the object is the image
-    itself. Several: "converged" where the residual in excess of the noise is below 1.4 % of the
-    brightest pixel, rms.
+    at no blur and whose coefficients are free; also where it is at most 100 above (at 1 % noise, 20
+    at 5 %), the prior of ``start_error`` puts no blur 100 or more above the answer, and the
+    residual is at least 0.93 of the noise, since wrong answers fit noise. Otherwise "trivial" where
+    the object is the image itself. Several: "converged" where the residual in excess of the noise
+    is below 1.4 % of the brightest pixel, rms.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -345,7 +346,9 @@ def _status(fit: BlindFit, state: State, margin: float, held: float) -> Status:
         limit = 1.0 + (_UNEXPLAINED / faint) ** 2
         return "converged" if float(state.square[0]) <= limit else "unconverged"
     fitted_noise = math.sqrt(float(state.square[0])) < _OVERFITTED
-    by_start = margin - held < -_SURE_START and margin < _LITTLE_ABOVE and not fitted_noise
+    noise = fit.frames.measured[0].sigma / fit.frames.scale
+    above = margin * noise < _LITTLE_ABOVE
+    by_start = margin - held < -_SURE_START and above and not fitted_noise
     if margin < -_SURE_MARGIN or by_start:
         return "converged"
     level = fit.energy.level(state.theta)[0]
