@@ -74,7 +74,7 @@ panels = {
 for axis, (title, values) in zip(axes, panels.items(), strict=False):
     shown = axis.imshow(values, cmap="gray", origin="lower")
     axis.set(title=title, xlabel="column (pixels)")
-    figure.colorbar(shown, ax=axis, shrink=0.8)
+    figure.colorbar(shown, ax=axis, shrink=0.8, label="relative brightness")
 axes[0].set_ylabel("row (pixels)")
 axes[4].bar(np.array(modes) - 0.2, wall, 0.4, label="true wall")
 axes[4].bar(np.array(modes) + 0.2, fitted, 0.4, label="found")
