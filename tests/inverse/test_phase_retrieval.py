@@ -98,8 +98,9 @@ def test_diffuser_hides_the_object_and_its_autocorrelation_tells_it(method):
     truth = letter(256, 4)
     image, _ = diffused(truth, 1, 0.01)
     assert registered_correlation(image, truth) < 0.5
-    found = inverse.phase_retrieval(image, method=method, restarts=8)
-    # measured 0.946 and 0.944; the number of grains in the frame sets the noise of the lags
+    # by rounding none of HIO's first eight may end at the letter
+    found = inverse.phase_retrieval(image, method=method, restarts=32)
+    # measured 0.942 and 0.944; the number of grains in the frame sets the noise of the lags
     assert registered_correlation(found, truth, flip=True) > 0.88
     assert found.object.min() >= 0.0
     assert found.object.max() == 1.0
