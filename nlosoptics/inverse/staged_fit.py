@@ -362,13 +362,8 @@ def _refined(fit: BlindFit, state: State, object_model: str, boundary: str, seed
     data = frames.measured[0]
     kernel = frames.pupil(state.coefficients[0, 0]).detach().double().cpu().numpy()
     model = ForwardModel(kernel, shape=data.data.shape, boundary=boundary)  # type: ignore[arg-type]
-    # what the wall's modes leave unexplained is no more to be fitted than noise is
-    excess = math.sqrt(max(1.0, float(state.square[0])))
-    sigma: Any = data.sigma * excess
-    if data.weights is not None:
-        sigma = sigma / data.weights.sqrt()
+    sigma: Any = data.sigma if data.weights is None else data.sigma / data.weights.sqrt()
     options: dict[str, Any] = {
-        "noise_sigma": sigma,
         "fit_background": data.fit_background,
         "background_shape": data.background_shape,
         "gain": frames.scale,
@@ -377,10 +372,12 @@ def _refined(fit: BlindFit, state: State, object_model: str, boundary: str, seed
     other: Tensor
     if object_model == "unet":
         # total variation is in what the network is fed with already
-        options["noise_sigma"] = sigma / excess
-        other = deep_image_prior(data.data, model, tv_weight=0.0, **options).object
+        options |= {"noise_sigma": sigma, "tv_weight": 0.0}
+        other = deep_image_prior(data.data, model, **options).object
     else:
-        other = tv_deconvolve(data.data, model, **options).object
+        # what the wall's modes leave unexplained is no more to be fitted than noise is
+        excess = math.sqrt(max(1.0, float(state.square[0])))
+        other = tv_deconvolve(data.data, model, noise_sigma=sigma * excess, **options).object
     # two priors, whose errors are not the same: the mean is nearer than either, save by 0.006 at
     # worst of seven walls and objects at 1 and 5 % noise
     return 0.5 * (fit.energy.level(state.theta) + other[None].to(frames.images))
