@@ -361,6 +361,25 @@ def feasibility(found: Sequence[Row]) -> str:
     return table(head, body)
 
 
+def image_prior(found: Sequence[Row]) -> str:
+    """Return correlation and seconds by wall and noise."""
+    body = []
+    for (wall, noise), part in grouped(found, "wall", "noise").items():
+        scores = [row["deep_image_prior"] for row in part]
+        body.append(
+            [
+                f"{wall}, {noise:.0%}",
+                len(part),
+                number(median(scores), 4),
+                number(min(scores), 4),
+                number(min(row["tv_deconvolve"] for row in part), 4),
+                seconds(median(row["seconds"] for row in part)),
+            ]
+        )
+    head = ["wall, noise", "fits", "median correlation", "least", "least, guide", "median seconds"]
+    return table(head, body)
+
+
 def peer_prior(found: Sequence[Row]) -> str:
     """Return one row a run."""
     body = ([r["method"], number(r["correlation"], 4), seconds(r["seconds"])] for r in found)
@@ -509,6 +528,13 @@ SECTIONS = (
         "model that is inverted. scikit-image's have the best setting of those tried.",
         f"{RUN}/inverse/known_psf.py --json benchmarks/results/known_psf.jsonl",
         known_psf,
+    ),
+    Section(
+        "image_prior.jsonl",
+        "Untrained networks, point spread known",
+        "The same data. The guide is the answer by total variation that the network is fed with.",
+        f"{RUN}/inverse/image_prior.py --json benchmarks/results/image_prior.jsonl",
+        image_prior,
     ),
     Section(
         "peer_prior.jsonl",

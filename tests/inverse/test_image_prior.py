@@ -50,6 +50,23 @@ def test_small_picture_is_recovered_from_any_guide(small, guide):
     assert abs(found.physical_parameters["background"]) < 0.06
 
 
+def test_guide_share_mixes_network_and_guide(small):
+    """Levels, in image units: all of the guide is total variation's answer, a half the mean."""
+    image, model, _ = small
+    levels = []
+    for share in (0.0, 0.5, 1.0):
+        found = inverse.deep_image_prior(
+            image, model, noise_sigma=0.02, guide_share=share, depth=2, max_iterations=5
+        )
+        levels.append(found.object * found.physical_parameters["gain"])
+    guide = inverse.tv_deconvolve(image, model, noise_sigma=0.02)
+    # arithmetic in double precision
+    known = guide.object * guide.physical_parameters["gain"]
+    np.testing.assert_allclose(levels[2], known, atol=1e-12)
+    np.testing.assert_allclose(levels[1], 0.5 * (levels[0] + known), atol=1e-12)
+    assert abs(levels[0] - known).max() > 0.1
+
+
 def test_array_gives_array_and_tensor_gives_tensor(small):
     image, model, _ = small
     options = {"noise_sigma": 0.02, "max_iterations": 5}
@@ -156,6 +173,12 @@ def test_uniform_image_is_too_few_photons(small, level):
         ({"image": np.zeros((40, 32))}, SamplingError, r"image has shape \(40, 32\), must be"),
         ({"model": np.ones((5, 5))}, SceneError, "model of type ndarray is not an image model"),
         ({"guide": "blur"}, SceneError, "guide = 'blur' is unknown"),
+        ({"guide_share": 1.5}, SceneError, "guide_share = 1.5 is out of range"),
+        (
+            {"guide": "noise", "guide_share": 0.5},
+            SceneError,
+            'guide_share = 0.5, but guide="noise" is no picture',
+        ),
         ({"base": 9}, SceneError, "base = '9' is unknown"),
         ({"tv_weight": -1.0}, SceneError, "tv_weight = -1 is out of range"),
         ({"learning_rate": 0.0}, SceneError, "learning_rate = 0 is out of range"),
