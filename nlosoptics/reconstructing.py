@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ._progress import Progress
 from ._random import checked_seed
 from .errors import SamplingError, SceneError
 from .imaging import CameraImage, ForwardModel, camera_image, image_field
@@ -193,7 +194,7 @@ def reconstructed(
     *,
     model: ForwardModel | None = None,
     start: Mapping[str, Any] | None = None,
-    progress: Any = None,
+    progress: Progress | None = None,
 ) -> Reconstruction:
     """Run a task.
 
@@ -204,7 +205,7 @@ def reconstructed(
         By `known_model`, lest it be made again.
     start : mapping, optional
         A solver's state to go on from; see `inverse.callbacks`.
-    progress : callable, optional
+    progress : callable(str, float), optional
         As of the solvers; may raise `inverse.Stop` and may have a method ``look``.
 
     Returns
@@ -234,7 +235,9 @@ def _trained(task: Task) -> Callable[..., Reconstruction]:
     return task.network.reconstruct
 
 
-def _blind(task: Task, start: Mapping[str, Any] | None, progress: Any) -> Reconstruction:
+def _blind(
+    task: Task, start: Mapping[str, Any] | None, progress: Progress | None
+) -> Reconstruction:
     """Fit of object and wave, from frames of known extra focus."""
     from . import inverse
     from .inverse.blind_frames import padded_shape
@@ -261,7 +264,9 @@ def _blind(task: Task, start: Mapping[str, Any] | None, progress: Any) -> Recons
     return inverse.pcin(frames, pupil, recipe=task.method, **offered)
 
 
-def _always(task: Task, start: Mapping[str, Any] | None, progress: Any) -> dict[str, Any]:
+def _always(
+    task: Task, start: Mapping[str, Any] | None, progress: Progress | None
+) -> dict[str, Any]:
     """Options that any method may take."""
     offered: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
     if task.iterations is not None:
@@ -321,7 +326,7 @@ def carry_out(
     folder: Path,
     *,
     resume: bool = False,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
     interrupted: Callable[[], bool] | None = None,
     command_line: str = "",
 ) -> dict[str, Any]:
@@ -446,7 +451,7 @@ class Keeper:
         self,
         folder: Path,
         identity: str,
-        progress: Callable[[str, float], None] | None = None,
+        progress: Progress | None = None,
         interrupted: Callable[[], bool] | None = None,
     ) -> None:
         self._folder, self._identity = folder, identity
@@ -456,7 +461,7 @@ class Keeper:
         self._unseen = 0  # reports since the last look
         self.stopped = False
 
-    def __call__(self, fraction: float, text: str) -> None:
+    def __call__(self, text: str, fraction: float) -> None:
         """Pass on where the solver stands, and end it where that was asked for."""
         from .inverse import Stop
 

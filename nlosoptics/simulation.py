@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ._progress import Progress
 from ._random import checked_seed
 from .errors import NotWaveGradeError, SamplingError
 from .planning import FIELD, MOST_NODES, MOST_SAMPLES, Plan, plan, wave_refusal
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from .inverse import Reconstruction
     from .psf import PointSpread, PointSpreadField, Wavefront
 
-Progress = Callable[[str, float], None]
 Array = NDArray[np.float64]
 GRID_STEPS = (512, 1024, 2048)  # cells across a pupil that the wall's edge cuts
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -79,7 +78,7 @@ def transient_command(
                 tol_multiple=tol_multiple,
                 seed=seed,
                 quantity=quantity,
-                progress=_turned(progress),
+                progress=progress,
             )
             if detector is not None:
                 progress("counting photons", 1.0)
@@ -175,7 +174,7 @@ def phasor_command(
                 wl_mean=wanted["wl_mean"],
                 wl_sigma=wl_sigma,
                 aperture=aperture,
-                progress=_turned(progress),
+                progress=progress,
             )
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
@@ -188,10 +187,6 @@ def phasor_command(
         for note in image.notes:
             typer.echo(f"nlosoptics: {note}", err=True)
         _print_picture(report, folder)
-
-
-def _turned(progress: Callable[[str, float], None]) -> Callable[[float, str], None]:
-    return lambda fraction, text: progress(text, fraction)
 
 
 def _picture(capture: TransientCapture, given: dict[str, float | None]) -> dict[str, float]:

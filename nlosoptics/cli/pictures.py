@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._progress import Progress
 from .shell import (
     Debug,
     SceneFile,
@@ -23,8 +24,6 @@ from .shell import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from ..scene import Scene
 
 SUFFIXES = (".png", ".html", ".glb")
@@ -115,7 +114,7 @@ def _drawn(
     bounces: int | None,
     colour: Colour,
     seed: int,
-    progress: Callable[[str, float], None],
+    progress: Progress,
 ) -> dict[str, Any]:
     """Paths to draw, with the wave that colours them where it is asked for."""
     from ..errors import SceneError

@@ -173,14 +173,14 @@ def train_command(
                 waves=waves,
                 size=frame,
                 seed=seed,
-                progress=lambda done, _: progress("training pairs", done),
+                progress=lambda _, done: progress("training pairs", done),
             )
             training = inverse.train_cnn(
                 made,
                 base=base,
                 epochs=epochs,
                 seed=seed,
-                progress=lambda done, told: progress(told.removeprefix("training: "), done),
+                progress=lambda told, done: progress(told.removeprefix("training: "), done),
             )
             training.network.save(out)
         error = training.history["validation"].min()

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import in_range, whole
+from .._progress import Progress
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField, point_spread_field
 from ..scene import PlanarObject, Scene
 from .forward_model import ForwardModel
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 #: Nodes along each side of the picture, tried in turn.
 COUNTS = (1, 2, 4, 6, 9, 13, 19, 27)

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .._progress import Progress
 from ..errors import SamplingError
 from . import callbacks
 from .adam_states import adam_state, take_up_adam
@@ -255,7 +256,7 @@ class Report:
         Whether the callback asked the fit to end.
     """
 
-    def __init__(self, progress: callbacks.Progress | None, total: int) -> None:
+    def __init__(self, progress: Progress | None, total: int) -> None:
         self._progress, self._total, self._done = progress, total, 0
         self.stage, self.no_blur, self.ended = 0, NoBlur(), False
 
@@ -278,9 +279,9 @@ class Report:
         at = int(state.energy.argmin())
         self.ended = not callbacks.goes_on(
             self._progress,
-            min(1.0, self._done / self._total),
             f"staged fit: residual {math.sqrt(float(state.square[at])):.3f} of the noise, "
             f"free energy {float(state.energy[at]):.1f} at noise x {factor:.2g}",
+            min(1.0, self._done / self._total),
             lambda: self._state(fit, state, adam, place),
         )
         return not self.ended

@@ -1,6 +1,6 @@
 """What a solver tells its caller on the way, how it is stopped, and where it goes on from.
 
-Each solver calls ``progress(fraction, text)`` now and then, with the share done and a line of text.
+Each solver calls ``progress(text, fraction)`` now and then, with a line of text and the share done.
 Two things more are open to a callback:
 
 - It may raise `Stop`: the solver then returns the best it has, status "unconverged".
@@ -20,9 +20,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from .._progress import Progress
 from ..errors import SamplingError, SceneError
 
-Progress = Callable[[float, str], object]
 State = dict[str, NDArray[Any]]
 Snapshot = Callable[[], State]
 
@@ -34,22 +34,22 @@ class Stop(Exception):
         super().__init__("a progress callback asked the fit to end")
 
 
-def goes_on(progress: Progress | None, fraction: float, text: str, snapshot: Snapshot) -> bool:
+def goes_on(progress: Progress | None, text: str, fraction: float, snapshot: Snapshot) -> bool:
     """Tell a callback where a fit stands; False where it asks to stop.
 
     Parameters
     ----------
     progress : callable or None
+    text : str
     fraction : float
         Share done, 0 to 1.
-    text : str
     snapshot : callable
         Makes the solver's state as arrays.
     """
     if progress is None:
         return True
     try:
-        progress(fraction, text)
+        progress(text, fraction)
         look = getattr(progress, "look", None)
         if look is not None:
             look(snapshot)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from .._checks import in_range, positive, whole
+from .._progress import Progress
 from .._random import checked_seed, generator
 from .._whole_files import write_whole
 from ..errors import MissingExtraError, SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
-from .callbacks import Progress
 from .measurements import measurement
 from .reconstructions import Reconstruction, assemble, beside, frozen, without_object
 from .scaled_images import ScaledImage
@@ -234,7 +234,7 @@ def train_cnn(
         Of the first weights and of the order of the pairs; on one processor the same seed gives the
         same bits.
     progress : callable or None
-        Called after every step with the fraction done and a line of text.
+        Called after every step with a line of text and the fraction done.
 
     Returns
     -------
@@ -281,7 +281,7 @@ def train_cnn(
                 total += loss.item() * len(chosen)
                 if progress is not None:
                     told = f", validation {least:.4f}" if best is not None else ""
-                    progress(done, f"training: epoch {epoch + 1} of {epochs}{told}")
+                    progress(f"training: epoch {epoch + 1} of {epochs}{told}", done)
             error = _validation(made, images[shown:], objects[shown:], batch)
             history["training"].append(total / shown)
             history["validation"].append(error)
@@ -297,7 +297,7 @@ def train_cnn(
         )
     made.load_state_dict(best)
     if progress is not None and not interrupted:
-        progress(1.0, f"training: validation {least:.4f}")
+        progress(f"training: validation {least:.4f}", 1.0)
     return Training(
         network=made.cpu(),
         history=frozen(history),

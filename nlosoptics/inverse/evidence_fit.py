@@ -12,11 +12,12 @@ import numpy as np
 import torch
 
 from .._checks import in_range, positive, whole
+from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ._threads import single_thread
 from .blind_frames import Frames, frames_of
-from .callbacks import Progress, State, goes_on, state_of
+from .callbacks import State, goes_on, state_of
 from .evidence_search import Island, Watch, evolve, gather, refine, sharp, without_blur
 from .free_energy import Floats, FreeEnergy, Starts
 from .pupil_psf import PupilPSF
@@ -113,7 +114,7 @@ def evidence_fit(
         A state of this solver with the same images and options, see `callbacks`: the search goes
         on after the rounds that were done, and its ``coefficients`` are one more start.
     progress : callable or None
-        Called with the fraction done and a line of text; may raise `Stop`, which ends the search
+        Called with a line of text and the fraction done; may raise `Stop`, which ends the search
         after the descent at work.
 
     Returns
@@ -215,7 +216,7 @@ class _Search:
         pool = self._kept(frames=True)
         for turn in range(min(self._behind, rounds - 1), rounds):
             self._rounds = turn
-            late = self._tell(turn / rounds, "random walls")
+            late = self._tell("random walls", turn / rounds)
             if pool is None and self._ended:
                 pool = self._finished(np.zeros(self._energy.modes), frames=True)
             if late and pool is not None:
@@ -254,7 +255,7 @@ class _Search:
         self._margin, self._sharp_margin = (float(pool.energy[0]) - e for e in levels)
         for turn in range(min(self._behind, rounds - 1), rounds):
             self._rounds = turn
-            if self._tell(turn / rounds, "walls and their children"):
+            if self._tell("walls and their children", turn / rounds):
                 break
             island = self._island(turn)
             born = evolve(
@@ -389,7 +390,7 @@ class _Search:
 
     def _share_of(self, turn: int, rounds: int, first: float, last: float = 1.0) -> Watch:
         """Reports of a part of one round as parts of all."""
-        return lambda done, text: self._tell((turn + first + (last - first) * done) / rounds, text)
+        return lambda text, done: self._tell(text, (turn + first + (last - first) * done) / rounds)
 
     def _kept(self, *, frames: bool) -> Starts | None:
         """The wall of the state that the search goes on from, if any."""
@@ -421,16 +422,16 @@ class _Search:
             torch.from_numpy(level), coefficients=best.coefficients[0], rounds=self._rounds
         )
 
-    def _tell(self, done: float, text: str) -> bool:
+    def _tell(self, text: str, done: float) -> bool:
         """Report, and say whether to stop: by the callback's wish, or because time is up."""
         if not self._ended:
-            self._ended = not goes_on(self._progress, done, f"evidence: {text}", self._state)
+            self._ended = not goes_on(self._progress, f"evidence: {text}", done, self._state)
         return self._ended or time.perf_counter() > self._deadline
 
     def _tell_end(self) -> None:
         """Report that all is done, which no wish changes."""
         if not self._ended:
-            goes_on(self._progress, 1.0, "evidence: done", self._state)
+            goes_on(self._progress, "evidence: done", 1.0, self._state)
 
 
 def _from_state(start: Mapping[str, Any] | None, modes: int) -> tuple[int, Floats | None]:

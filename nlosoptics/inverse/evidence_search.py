@@ -10,8 +10,8 @@ from numpy.random import Generator
 
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
 
-#: Told how far a search is, 0 to 1; true: stop now and return the best so far.
-Watch = Callable[[float, str], bool]
+#: Told what a search does and how far it is, 0 to 1; true: stop now and return the best so far.
+Watch = Callable[[str, float], bool]
 
 # Several frames: strong noise first, so that all starts see one broad basin.
 _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave_rate=0.016)
@@ -207,7 +207,7 @@ def evolve(
             pool = energy.descend(pool, stage).best(island.population)
             done += 1
         for _ in range(turns):
-            if watch(done / total, "walls and their children"):
+            if watch("walls and their children", done / total):
                 return pool
             walls = children(pool[:12], island.litter, twin, breeding, random)
             young = energy.descend(energy.starts(walls, stage.first, island.radius), stage)
@@ -254,7 +254,7 @@ def refine(
     compare, finish = (_SETTLE, _FINISH) if frames else (_COMPARE, _FREE)
     found = energy.descend(pool.best(8).held(np.inf), compare).best(8)
     for turn in range(generations):
-        if enough(found) or watch(turn / generations, "near the best walls"):
+        if enough(found) or watch("near the best walls", turn / generations):
             break
         walls = children(found[:4], 12, twin, Breeding(flips=0.03, noise=0.25), random)
         # a radius is a guess, rather too large than too small: the first look further down

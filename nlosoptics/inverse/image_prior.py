@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 
 from .._checks import in_range, one_of, positive, whole
+from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
 from .adam_states import adam_state, take_up_adam
-from .callbacks import Progress, State, goes_on, started_from, state_of
+from .callbacks import State, goes_on, started_from, state_of
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, beside, without_object
 from .scaled_images import ScaledImage, total_variation
@@ -107,7 +108,7 @@ def deep_image_prior(
         A state of this solver with the same options, from which it goes on bit by bit; an object
         alone is no start for a network. See `callbacks`.
     progress : callable or None
-        Called now and then with the fraction done and a line of text; may raise `Stop`.
+        Called now and then with a line of text and the fraction done; may raise `Stop`.
 
     Returns
     -------
@@ -263,8 +264,8 @@ class _Fit:
             if done or iteration % 10 == 9:
                 on = goes_on(
                     progress,
-                    1.0 if done else (iteration + 1) / max_iterations,
                     f"deep image prior: residual {residual:.3f} after {iteration + 1} iterations",
+                    1.0 if done else (iteration + 1) / max_iterations,
                     partial(self._state, iteration + 1),
                 )
             if done or not on:

@@ -11,11 +11,12 @@ import torch
 from torch import Tensor
 
 from .._checks import in_range, positive, whole
+from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
-from .callbacks import Progress, goes_on, started_from, state_of
+from .callbacks import goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
@@ -69,7 +70,7 @@ def richardson_lucy(
         Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
         Where it is dark it stays dark.
     progress : callable or None
-        Called now and then with the fraction done and a line of text; may raise `Stop`.
+        Called now and then with a line of text and the fraction done; may raise `Stop`.
 
     Returns
     -------
@@ -199,9 +200,9 @@ class _Maximisation:
             if done or iteration % 10 == 9:
                 on = goes_on(
                     progress,
-                    1.0 if done else (iteration + 1) / max_iterations,
                     f"Richardson-Lucy: residual {residual:.3g} of the noise after "
                     f"{iteration + 1} iterations",
+                    1.0 if done else (iteration + 1) / max_iterations,
                     partial(state_of, self.best.double() * self.scale),
                 )
             if done or not on:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from .._checks import one_of
-from .callbacks import Progress
+from .._progress import Progress
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
 
@@ -52,7 +52,7 @@ def pcin(
     start : mapping, optional
         A state of the same recipe, from which it goes on; see `callbacks`.
     progress : callable or None
-        Called with the fraction done and a line of text; may raise `Stop`.
+        Called with a line of text and the fraction done; may raise `Stop`.
     **options
         Handed to the recipe, which refuses what it does not know.
 

@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 from torch import Tensor
 
 from .._checks import one_of, whole
+from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .alternating import alternating_minimisation, spectral_start
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
-from .callbacks import Progress, State, goes_on, state_of
+from .callbacks import State, goes_on, state_of
 from .measurements import measurement
 from .projections import averaged, fourier_errors, projected
 from .reconstructions import Reconstruction, Status
@@ -76,7 +77,7 @@ def phase_retrieval(
         Of each restart.
     seed : int
     progress : callable or None
-        Called now and then with the fraction done and a line of text; may raise `Stop`, and then
+        Called now and then with a line of text and the fraction done; may raise `Stop`, and then
         has the mean of the restarts so far. The state that it may look at is a preview, largest
         value 1: restarts are many and short, and none goes on from it.
 
@@ -245,8 +246,8 @@ class _Search:
 
             self._ended = not goes_on(
                 self._progress,
-                done,
                 f"phase retrieval: {self._restarts} restarts by {self._method}",
+                done,
                 preview,
             )
             return not self._ended

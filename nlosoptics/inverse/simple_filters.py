@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from .._checks import in_range, positive
+from .._progress import Progress
 from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
-from .callbacks import Progress
 from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, beside, without_object
 from .torch_model import TorchForwardModel, one_kernel_shape, torch_model
@@ -61,7 +61,7 @@ def inverse_filter(
     seed : int
         Part of every solver's signature; this one draws nothing, any seed gives the same bits.
     progress : callable or None
-        Called once, when done, with 1 and a line of text.
+        Called once, when done, with a line of text and 1.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def inverse_filter(
     level, guard = _divided(data, twin, guard)
     strength, score = beside(data, level, twin)
     if progress is not None:
-        progress(1.0, f"inverse filter: residual {score:.2g} of the noise")
+        progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
     return assemble(
         data,
         level,

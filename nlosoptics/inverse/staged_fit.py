@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from .._checks import one_of, positive, whole
+from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
@@ -30,7 +31,7 @@ from .blind_stages import (
     near_stages,
     taken_up,
 )
-from .callbacks import Progress, started_from
+from .callbacks import started_from
 from .image_prior import deep_image_prior
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, Status, frozen
@@ -134,7 +135,7 @@ def staged_fit(
         (H, W), where the object starts, in any unit; or a state of this solver with the same
         images and options, from which it goes on; see `callbacks`. None: a Wiener filter's answer.
     progress : callable or None
-        Called with the fraction done and a line of text; may raise `Stop`.
+        Called with a line of text and the fraction done; may raise `Stop`.
 
     Returns
     -------

@@ -12,11 +12,12 @@ import torch
 from torch import Tensor
 
 from .._checks import in_range, positive, whole
+from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SamplingError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
-from .callbacks import Progress, State, goes_on, started_from, state_of
+from .callbacks import State, goes_on, started_from, state_of
 from .field_steps import FieldStep
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, assemble, without_object
@@ -89,7 +90,7 @@ def tv_deconvolve(
     start : array_like, mapping or None
         Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
     progress : callable or None
-        Called now and then with the fraction done and a line of text; may raise `Stop`.
+        Called now and then with a line of text and the fraction done; may raise `Stop`.
 
     Returns
     -------
@@ -358,9 +359,9 @@ class _Splitting:
         """Tell a callback where the fit stands; False where it asks to stop."""
         return goes_on(
             progress,
-            done,
             f"total variation: residual {self.history['residual'][-1]:.3f}, change "
             f"{self.history['change'][-1]:.1e} after {count} iterations",
+            done,
             lambda: self._state(count),
         )
 

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from .. import psf
 from .._checks import positive, whole
+from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SceneError
 from ..imaging import form_image
 from ..scene import PlanarObject, Scene
-from .callbacks import Progress
 
 Array = NDArray[np.float32]
 
@@ -68,7 +68,7 @@ def training_pairs(
     seed : int
         The first pairs are the same whatever their count.
     progress : callable or None
-        Called now and then with the fraction done and a line of text.
+        Called now and then with a line of text and the fraction done.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def training_pairs(
         objects[done] = taken.ideal / brightest
         done += 1
         if progress is not None and (done % 20 == 0 or done == count):
-            progress(done / count, f"training pairs: {done} of {count}")
+            progress(f"training pairs: {done} of {count}", done / count)
     return TrainingPairs(images=images, objects=objects)
 
 

@@ -11,10 +11,11 @@ import torch
 from torch import Tensor
 
 from .._checks import in_range, positive, whole
+from .._progress import Progress
 from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
-from .callbacks import Progress, goes_on, started_from, state_of
+from .callbacks import goes_on, started_from, state_of
 from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, Status, assemble, beside, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
@@ -63,7 +64,7 @@ def wiener(
     start : array_like, mapping or None
         Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
     progress : callable or None
-        Called with the fraction done and a line of text; may raise `Stop`.
+        Called with a line of text and the fraction done; may raise `Stop`.
 
     Returns
     -------
@@ -233,8 +234,8 @@ def _conjugate_gradients(
         done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
         on = goes_on(
             progress,
-            min(max(done, (iteration + 1) / max_iterations), 1.0),
             f"Wiener filter: residual {left:.1e} after {iteration + 1} iterations",
+            min(max(done, (iteration + 1) / max_iterations), 1.0),
             partial(state_of, level),
         )
         if left <= tolerance or not on:

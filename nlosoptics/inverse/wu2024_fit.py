@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from .._checks import in_range, one_of, positive, whole
+from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
 from .adam_states import adam_state, joined, spread, take_up_adam
-from .callbacks import Progress, State, goes_on, state_of
+from .callbacks import State, goes_on, state_of
 from .measurements import Measurement, measurement
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, assemble, without_object
@@ -94,7 +95,7 @@ def wu2024_fit(
     seed : int
         Of the random angles and weights.
     progress : callable or None
-        Called after each turn with the fraction done and a line of text; may raise `Stop`.
+        Called after each turn with a line of text and the fraction done; may raise `Stop`.
 
     Returns
     -------
@@ -232,9 +233,9 @@ class _Pcin:
             done = max_iterations - left
             if not goes_on(
                 progress,
-                done / max_iterations,
                 f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after {done} "
                 "iterations",
+                done / max_iterations,
                 partial(self._state, done),
             ):
                 return

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, is_single, positive, whole
+from .._progress import Progress
 from .._random import generator
 from ..errors import SamplingError, SceneError
 from ..raytrace.meshes import worker_pool
@@ -19,7 +19,6 @@ from .lobes import lobe_point_spread, lobe_window
 from .point_spreads import PointSpread
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 HELD_OUT = 501  # stream of the points that check a field
 AVERAGED = 32  # points along each side of the picture over which a field is averaged
 FINEST = 1e-3  # of the object's size, the smallest radius that `isoplanatic_radius` tells

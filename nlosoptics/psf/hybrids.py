@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Final, Literal
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, one_of, positive, whole
+from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SceneError
 from ..raytrace import PointTrace, ray_plan, trace_point
@@ -90,7 +90,7 @@ def hybrid_point_spread(
     normalisation: Literal["unit-sum", "flux"] = "unit-sum",
     check: bool = True,
     seed: int = 0,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> HybridPointSpread:
     """Image of an object point by all that the wall's material does.
 

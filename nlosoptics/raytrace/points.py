@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Literal
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, one_of, positive, vector, whole
+from .._progress import Progress
 from ..errors import SceneError
 from ..scene import Lambert, PlanarObject, Scene
 from .footprints import lens_footprint
@@ -103,7 +104,7 @@ def trace_point(
     n_rays: int = 1 << 16,
     max_bounces: int = 3,
     seed: int = 0,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> PointTrace:
     """Follow the light of one object point by the wall to the detector.
 

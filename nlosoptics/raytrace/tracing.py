@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, in_range, one_of, positive, whole
+from .._progress import Progress
 from .._random import checked_seed, scrambled_sobol
 from ..errors import SceneError
 from ..scene import Scene
@@ -44,7 +45,7 @@ def trace(
     analog: bool = False,
     sampler: Literal["sobol", "philox"] = "sobol",
     seed: int = 0,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> RayPaths:
     """Follow the laser's light until it is detected, absorbed or gone.
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of, positive
+from .._progress import Progress
 from ..errors import SamplingError
-from .captures import Progress, TransientCapture
+from .captures import TransientCapture
 from .confocal_grids import refuse_direct_light
 from .gating import outer_legs
 from .volumes import Volume, VolumeImage, axes_before
@@ -51,8 +52,8 @@ def backprojection(
     falloff : {"none", "matched", "diffuse", "retroreflective"}
         Weight of each path: 1; ``1/(r1 r2)^2``, the falloff itself, which makes the sum the adjoint
         of light off points; ``(r1 r2)^2`` or ``r1 r2``, which undo it.
-    progress : callable(float, str), optional
-        Share done and what is being done.
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
 
     Returns
     -------
@@ -184,7 +185,7 @@ def _sums(
             seen[rows],
         )
         if progress is not None:
-            progress(min(1.0, (first + BLOCK) / ny), "backprojection")
+            progress("backprojection", min(1.0, (first + BLOCK) / ny))
     unseen = np.flatnonzero(~seen.all(axis=(0, 1)))
     if len(unseen):
         raise SamplingError(

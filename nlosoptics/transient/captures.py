@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,7 +19,6 @@ from .wall_points import checked_points, pair_shape
 Array = NDArray[np.floating]
 Pairing = Literal["all", "confocal"]
 #: Told the share done and what is being done.
-Progress = Callable[[float, str], None]
 Quantity = Literal["irradiance", "radiance", "radiosity", "counts", "unknown"]
 
 QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of, positive
-from .captures import Progress, TransientCapture
+from .._progress import Progress
+from .captures import TransientCapture
 from .confocal_grids import (
     ConfocalGrid,
     confocal_grid,
@@ -56,8 +57,8 @@ def lct(
         second derivatives, ``q^4/snr`` with q^2 the squared frequency over its mean.
     dtype : {"float32", "float64"}
         Of the waves; of float32 they err by about 1e-6 of the brightest voxel.
-    progress : callable(float, str), optional
-        Share done and what is being done.
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
 
     Returns
     -------
@@ -212,7 +213,7 @@ def _inverted(
         waves = (to_ky @ spectrum[i] @ to_kx.T) * wiener
         found[i] = from_ky @ waves @ from_kx.T
         if progress is not None and (i % 64 == 0 or i == len(frequencies) - 1):
-            progress((i + 1) / len(frequencies), "light-cone transform")
+            progress("light-cone transform", (i + 1) / len(frequencies))
     return np.asarray(scipy.fft.irfft(found, size, axis=0)[: len(squares)])
 
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of
-from .captures import Progress, TransientCapture
+from .._progress import Progress
+from .captures import TransientCapture
 from .confocal_grids import (
     ConfocalGrid,
     confocal_grid,
@@ -63,8 +64,8 @@ def fk_migration(
         are darker in the picture.
     dtype : {"float32", "float64"}
         Of the waves; of float32 they err by about 1e-6 of the brightest voxel.
-    progress : callable(float, str), optional
-        Share done and what is being done.
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
 
     Returns
     -------
@@ -164,7 +165,7 @@ def _migrated(
         part = np.matmul(from_kx, deep)  # (rows, nx, nz)
         field += from_ky[:, rows] @ part.reshape(len(part), -1)
         if progress is not None:
-            progress(min(1.0, (first + ROWS) / len(ky)), "f-k migration")
+            progress("f-k migration", min(1.0, (first + ROWS) / len(ky)))
     return field.reshape(ny, nx, nz).transpose(2, 0, 1)
 
 

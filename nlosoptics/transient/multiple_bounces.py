@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, pair, positive, whole
+from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from .bounce_surfaces import bounce_surfaces
-from .captures import Progress
 from .hidden_surfaces import HiddenSurfaces
 from .wall_points import pair_shape, points_on_wall
 
@@ -99,8 +99,8 @@ def multiple_bounces(
         a core, by the numbers of points and orders.
     seed : int
         0 to 2^64 - 1. The same seed gives the same bits on any number of threads.
-    progress : callable(float, str), optional
-        Told the fraction done and what is done.
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
 
     Returns
     -------
@@ -226,7 +226,7 @@ def _run(
         for number in range(done, goal):
             paths += add_batch(job, number, total, squares)
             if progress is not None:
-                progress((number + 1) / max(goal, number + 1), "paths of several bounces")
+                progress("paths of several bounces", (number + 1) / max(goal, number + 1))
         done = goal
         reached = [_l1(total[k], squares[k], done) for k in range(len(job.orders))]
         # what no path has lit is not waited for

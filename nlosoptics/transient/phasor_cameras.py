@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, one_of, positive, real
+from .._progress import Progress
 from ..errors import SamplingError, SceneError, ValidityWarning
 from . import phasor_validity as validity
-from .captures import Progress, TransientCapture
+from .captures import TransientCapture
 from .phasor_fields import Band, blocks, pulse_band, responses
 from .phasor_images import Camera, PhasorImage
 from .phasor_setups import Setup, apertures, camera_setup
@@ -97,8 +98,8 @@ def phasor_image(
         Of the transforms; "direct" sums in float64 always.
     device : str, optional
         None: numba and FFT on the processor; else torch's name of a device, "cuda" or "cpu".
-    progress : callable, optional
-        Takes (share done, text).
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
 
     Returns
     -------
@@ -271,7 +272,7 @@ def _carry(
         def advance(share: float, kept: slice = kept) -> None:
             if progress is not None:
                 done = (kept.start + share * (kept.stop - kept.start)) / n_waves
-                progress(done, f"waves {kept.start + 1} to {kept.stop} of {n_waves}")
+                progress(f"waves {kept.start + 1} to {kept.stop} of {n_waves}", done)
 
         if device is not None:
             from . import _gpu

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import Vector, in_range, one_of, pair, positive, real, vector, whole
+from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..scene import Material
-from .captures import Pairing, Progress, TransientCapture
+from .captures import Pairing, TransientCapture
 from .hidden_surfaces import hidden_surfaces
 from .multiple_bounces import LEAST, MOST_ORDER, MOST_RAYS, MultipleBounces, multiple_bounces
 from .three_bounces import ThreeBounces, three_bounces
@@ -139,8 +140,8 @@ def render(
     seed : int
         Of what is drawn at random: nothing, for three bounces. The same seed gives the same bits on
         any number of threads.
-    progress : callable, optional
-        Called with the share done and a text.
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
 
     Returns
     -------

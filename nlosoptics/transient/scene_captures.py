@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._progress import Progress
 from ..errors import SceneError
 from ..scene import Lambert, MeshObject, PlanarObject, Scene, SumMaterial, TransientScan
-from .captures import Progress, TransientCapture
+from .captures import TransientCapture
 from .rendering import render
 from .wall_points import wall_grid
 
@@ -46,8 +47,8 @@ def render_scene(
     tol : float
         Relative error of three bounces, L1 over the bins of each pair of points.
     seed : int
-    progress : callable, optional
-        Takes (share done, text).
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
     **options
         Of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``, ``tol_multiple``,
         ``n_rays``.

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
+from .._progress import Progress
 from ..errors import SamplingError, SceneError
-from .captures import Progress
 from .hidden_surfaces import HiddenSurfaces
 
 if TYPE_CHECKING:
@@ -81,8 +81,8 @@ def three_bounces(
     n_bins : int
     tol : float
         Relative L1 error over the bins of each pair.
-    progress : callable, optional
-        Called with the share done and a text.
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
 
     Returns
     -------
@@ -157,7 +157,7 @@ def three_bounces(
         )
         _check_done(report[part], lasers[part], sensors[part], tol)
         if progress is not None:
-            progress(part.stop / count, f"three bounces: {part.stop} of {count} pairs of points")
+            progress(f"three bounces: {part.stop} of {count} pairs of points", part.stop / count)
         first, step = part.stop, min(4 * step, MOST_PAIRS if progress is None else count // 50 + 64)
     return ThreeBounces(
         out[:, 1:-1],

@@ -37,7 +37,7 @@ class Watch:
     def __init__(self, last: int | None = None) -> None:
         self.last, self.told, self.states = last, [], []
 
-    def __call__(self, fraction: float, text: str) -> None:
+    def __call__(self, text: str, fraction: float) -> None:
         self.told.append((fraction, text))
 
     def look(self, snapshot) -> None:

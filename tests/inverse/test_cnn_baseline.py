@@ -89,7 +89,7 @@ def test_best_epoch_is_kept(pairs, monkeypatch):
 def interrupting(epoch):
     """Progress that is Ctrl-C in the middle of an epoch."""
 
-    def progress(_, text):
+    def progress(text, _):
         if f"epoch {epoch} " in text:
             raise KeyboardInterrupt
 

@@ -104,7 +104,7 @@ def test_fit_stops_where_the_noise_is(small):
     assert residuals.size < 200
     assert residuals[-1] <= target
     assert (residuals[:-1] > target).all()
-    assert calls[-1][0] == 1.0
+    assert calls[-1][1] == 1.0
     assert found.physical_parameters["iterations"] == residuals.size
 
 

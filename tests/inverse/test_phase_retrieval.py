@@ -196,8 +196,8 @@ def test_progress_ends_at_one(method):
         object_size=(20, 16),
         progress=lambda *call: calls.append(call),
     )
-    assert calls[-1][0] == 1.0
-    assert all(0.0 <= done <= 1.0 and method in text for done, text in calls)
+    assert calls[-1][1] == 1.0
+    assert all(0.0 <= done <= 1.0 and method in text for text, done in calls)
 
 
 @pytest.mark.parametrize(

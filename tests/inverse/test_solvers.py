@@ -93,8 +93,8 @@ def test_progress_ends_at_one_when_converged(solver, small):
     calls = []
     found = solver(*small, noise_sigma=0.02, progress=lambda *call: calls.append(call))
     assert found.status == "converged"
-    assert calls[-1][0] == 1.0
-    assert all(0.0 <= done <= 1.0 and text for done, text in calls)
+    assert calls[-1][1] == 1.0
+    assert all(0.0 <= done <= 1.0 and text for text, done in calls)
 
 
 @pytest.mark.parametrize("noise_sigma", [None, 1.0, "map"])

@@ -220,7 +220,7 @@ def test_walls_have_coefficients_of_their_own():
 def test_progress_and_iterations():
     images, spread, _, _ = made()
     told = []
-    staged_fit(images, spread, progress=lambda done, text: told.append((done, text)), **SHORT)
+    staged_fit(images, spread, progress=lambda text, done: told.append((done, text)), **SHORT)
     shares = [done for done, _ in told]
     assert shares == sorted(shares)
     assert 0.0 < shares[0] <= shares[-1] <= 1.0

@@ -111,7 +111,7 @@ class Watch:
     def __init__(self, last: int | None = None) -> None:
         self.last, self.fractions, self.states = last, [], []
 
-    def __call__(self, fraction: float, text: str) -> None:
+    def __call__(self, text: str, fraction: float) -> None:
         assert text
         self.fractions.append(fraction)
 

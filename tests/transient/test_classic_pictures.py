@@ -352,7 +352,7 @@ def test_progress_is_told_up_to_the_end():
         method(
             capture(point_light(POINT)),
             Volume.before(SIDE, 8, [0.7, 0.8]),
-            progress=lambda share, text, told=told: told.append((share, text)),
+            progress=lambda text, share, told=told: told.append((share, text)),
         )
         shares = [share for share, _ in told]
         assert shares == sorted(shares)

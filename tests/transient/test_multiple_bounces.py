@@ -372,7 +372,7 @@ def test_the_wall_on_the_way_adds_to_five_bounces_alone():
 def test_tolerance_is_reached_or_the_shortfall_told():
     hidden = hidden_surfaces(CORRIDOR)
     told = []
-    options = {"delta_t": 0.5, "n_bins": 16, "progress": lambda share, text: told.append(share)}
+    options = {"delta_t": 0.5, "n_bins": 16, "progress": lambda text, share: told.append(share)}
     good = multiple_bounces(hidden, LASER, POINTS, tol=0.05, **options)
     assert good.details["stopped"] == "tol"
     assert max(good.details["reached"].values()) <= 0.05

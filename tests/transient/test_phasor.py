@@ -194,7 +194,7 @@ def test_waves_done_in_slices_add_up(monkeypatch, n_slices):
         phasor_cameras, "SPECTRA", 16 * EXHAUSTIVE.H[0].size * math.ceil(waves / n_slices)
     )
     told = []
-    options = {"wl_mean": 0.3, "progress": lambda share, text: told.append((share, text))}
+    options = {"wl_mean": 0.3, "progress": lambda text, share: told.append((share, text))}
     sliced = quiet(EXHAUSTIVE, volume, method="direct", **options)
     assert relative(sliced.field, whole.field) < 1e-13
     assert len({text for _, text in told}) == n_slices

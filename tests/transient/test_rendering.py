@@ -317,7 +317,7 @@ def test_both_sides_scatter_alike():
 
 def test_progress_ends_at_one():
     told = []
-    light([(letter(), WHITE)], progress=lambda share, text: told.append((share, text)))
+    light([(letter(), WHITE)], progress=lambda text, share: told.append((share, text)))
     assert told[-1] == (1.0, "three bounces: 2 of 2 pairs of points")
 
 

@@ -1,0 +1,6 @@
+"""What long work calls on its way, everywhere alike."""
+
+from collections.abc import Callable
+
+# What is being done, and the share of the whole that is done, 0 to 1.
+Progress = Callable[[str, float], object]
