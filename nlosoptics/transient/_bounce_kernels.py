@@ -18,6 +18,7 @@ from ..raytrace._light_kernels import tangents
 from ..raytrace._surround_kernels import dot, three
 from ..scene._kernels import material, material_pdf, sample_material
 from ..scene._material import LAMBERT
+from ._sight_kernels import blocked, sight_room
 
 VERTEX = 12
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
@@ -28,10 +29,6 @@ DENSITY, SENT, REACH, COSINE = range(4)
 DRAWS_SEEN, DRAWS_A_LEG = 4, 4
 DRAW_VIEW = 1000  # beyond all legs
 VIEWS = 8  # sensors whose lobes guide the first leg from a vertex
-FEW = 24  # triangles that are asked one after another
-DEPTH = 128  # of the stack through a tree of boxes
-EDGE = 1e-12  # of a triangle's sides, so that neighbours leave no gap
-NEAR = 1e-9  # of a connection's length: what its ends lie on is not in between
 
 
 class Surfaces(NamedTuple):
@@ -94,68 +91,6 @@ def _hidden_point(surfaces, u, v):
     ), k
 
 
-@njit(cache=True, inline="always")
-def _crossed(row, p, d):
-    """Whether the line p + t d, 0 < t < 1, crosses a triangle: Moeller and Trumbore 1997."""
-    ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
-    x, y, z = d[1] * bz - d[2] * by, d[2] * bx - d[0] * bz, d[0] * by - d[1] * bx
-    det = ax * x + ay * y + az * z
-    if det == 0.0:
-        return False
-    inverse = 1.0 / det
-    sx, sy, sz = p[0] - row[0], p[1] - row[1], p[2] - row[2]
-    u = inverse * (sx * x + sy * y + sz * z)
-    if u < -EDGE or u > 1.0 + EDGE:
-        return False
-    x, y, z = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
-    v = inverse * (d[0] * x + d[1] * y + d[2] * z)
-    if v < -EDGE or u + v > 1.0 + EDGE:
-        return False
-    t = inverse * (bx * x + by * y + bz * z)
-    return NEAR < t < 1.0 - NEAR
-
-
-@njit(cache=True, inline="always")
-def _misses(box, p, d):
-    """Whether the line p + t d, 0 < t < 1, misses a box."""
-    low, high = 0.0, 1.0
-    for k in range(3):
-        if d[k] == 0.0:
-            if p[k] < box[k] or p[k] > box[3 + k]:
-                return True
-            continue
-        a, b = (box[k] - p[k]) / d[k], (box[3 + k] - p[k]) / d[k]
-        low, high = max(low, min(a, b)), min(high, max(a, b))
-    return low > high
-
-
-@njit(cache=True)
-def _blocked(surfaces, p, d, stack):
-    """Whether a hidden triangle stands between p and p + d, which may lie on some."""
-    rows, boxes = surfaces.rows, surfaces.boxes
-    if rows.shape[0] <= FEW:
-        for m in range(rows.shape[0]):  # noqa: SIM110  (numba has no any of a generator)
-            if _crossed(rows[m], p, d):
-                return True
-        return False
-    first_leaf = boxes.shape[0] // 2
-    stack[0], top = 0, 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
-        if _misses(boxes[node], p, d):
-            continue
-        if node < first_leaf:
-            stack[top], stack[top + 1] = 2 * node + 2, 2 * node + 1
-            top += 2
-            continue
-        start = 4 * (node - first_leaf)
-        for m in range(start, min(start + 4, rows.shape[0])):
-            if _crossed(rows[m], p, d):
-                return True
-    return False
-
-
 @njit(cache=True, nogil=True)
 def look(surfaces, sampler, aimed, sensors, first, origins, directions, triangles):
     """Points that sensors may see: rays from them, or points drawn over the hidden area.
@@ -185,7 +120,7 @@ def look(surfaces, sampler, aimed, sensors, first, origins, directions, triangle
 @njit(cache=True, nogil=True)
 def seen_from(surfaces, sensors, vertices, factor, distance):
     """Fill ``factor`` and ``distance`` (sensors, vertices): cos cos/r^2, 1/m^2, and r, m."""
-    stack = np.empty(DEPTH, dtype=np.int64)
+    stack = sight_room()
     for c in range(sensors.shape[0]):
         s = three(sensors[c], 0)
         for j in range(vertices.shape[0]):
@@ -197,7 +132,7 @@ def seen_from(surfaces, sensors, vertices, factor, distance):
             distance[c, j] = math.sqrt(square)
             if vertices[j, TRIANGLE] < 0.0 or d[2] <= 0.0 or product <= 0.0:
                 continue
-            if surfaces.asked and _blocked(surfaces, s, d, stack):
+            if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, s, d, stack):
                 continue
             factor[c, j] = product / (square * square)
 
@@ -344,7 +279,7 @@ def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
 @njit(cache=True, nogil=True)
 def connect(surfaces, laser, vertices, value, length):
     """Weight and length of paths that end at a laser's spot on the wall, cos/r^2 with lobes."""
-    stack = np.empty(DEPTH, dtype=np.int64)
+    stack = sight_room()
     for i in range(vertices.shape[0]):
         value[i], vertex = 0.0, vertices[i]
         if vertex[TRIANGLE] < 0.0 or vertex[WEIGHT] <= 0.0:
@@ -355,7 +290,7 @@ def connect(surfaces, laser, vertices, value, length):
         cosine = dot(d, three(vertex, 3)) / r
         if cosine <= 0.0 or d[2] >= 0.0:
             continue
-        if surfaces.asked and _blocked(surfaces, three(vertex, 0), d, stack):
+        if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, three(vertex, 0), d, stack):
             continue
         incident = three(vertex, 6)
         mu, between = dot(incident, three(vertex, 3)), dot(incident, d) / r

@@ -15,7 +15,16 @@ from numba import njit, prange
 
 from ..scene._kernels import lobe
 from ..scene._material import LAMBERT
-from ._shadow_kernels import CORNERS, OVERFLOW, PIECES, _frame, see, shadow_room
+from ._shadow_kernels import (
+    CORNERS,
+    OVERFLOW,
+    PIECES,
+    frame,
+    outline,
+    outline_room,
+    see,
+    shadow_room,
+)
 
 # columns of what is reported of a pair
 TOTAL, ERROR, LEAVES, PASSES, STATUS = range(5)
@@ -210,20 +219,21 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
 
 
 @njit(cache=True, error_model="numpy")
-def _seen(rows, boxes, clear, reach, p, q, known, known_is_q, room, pieces):
+def _seen(mesh, clear, p, q, outlined, known, known_is_q, room, pieces):
     """Triangles, as parts that both points see from one side; return parts and their number.
 
-    ``known`` is what one of the points, q or p, sees: of each triangle all, nothing or a part, and
-    where its polygons begin and end among those kept.
+    ``outlined`` is of p and of q; ``known`` is what one of the points, q or p, sees: of each
+    triangle all, nothing or a part, and where its polygons begin and end among those kept.
 
     Rows of ``pieces`` are three corners, the area, both points' heights and the triangle's number.
     """
     polygons, sizes, shadows = room
     how, ends, kept, kept_sizes = known
+    rows, reach = mesh[0], mesh[2]
     count = 0
     for t in range(rows.shape[0]):
         row = rows[t]
-        n = _frame(row)[0]
+        n = frame(row)[0]
         size = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         h1 = (n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) - n[2] * row[2]) / size
         h2 = (n[0] * (q[0] - row[0]) + n[1] * (q[1] - row[1]) - n[2] * row[2]) / size
@@ -241,10 +251,10 @@ def _seen(rows, boxes, clear, reach, p, q, known, known_is_q, room, pieces):
                 for m in range(left):
                     polygons[m], sizes[m] = kept[begin + m], kept_sizes[begin + m]
             elif known_is_q or how[t] != ALL:
-                left = see(rows, boxes, t, p, reach, polygons, sizes, left, shadows)
+                left = see(mesh, t, p, outlined[0], polygons, sizes, left, shadows)
             same = p[0] == q[0] and p[1] == q[1]
             if left > 0 and not same and not (known_is_q and how[t] == ALL):
-                left = see(rows, boxes, t, q, reach, polygons, sizes, left, shadows)
+                left = see(mesh, t, q, outlined[1], polygons, sizes, left, shadows)
             if left == OVERFLOW:
                 return pieces, OVERFLOW
         for m in range(left):
@@ -271,20 +281,22 @@ def _seen(rows, boxes, clear, reach, p, q, known, known_is_q, room, pieces):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def sights(rows, boxes, clear, reach, points, out, ends, kept, kept_sizes):
+def sights(mesh, clear, points, out, ends, kept, kept_sizes):
     """Fill ``out`` (points, triangles) with how much of each triangle a point sees.
 
     ``ends`` (points, triangles + 1) then has at t + 1 in how many polygons it sees a part. With
     room for polygons they are kept there, where ``ends``, by then summed up, says.
     """
+    rows = mesh[0]
     for i in prange(points.shape[0]):
         polygons = np.empty((PIECES, 2 * CORNERS))
         sizes = np.empty(PIECES, dtype=np.int64)
         shadows = shadow_room()
         p = points[i]
+        outlined = outline(mesh, p, outline_room(mesh))
         for t in range(rows.shape[0]):
             row = rows[t]
-            n = _frame(row)[0]
+            n = frame(row)[0]
             h = n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) - n[2] * row[2]
             begin, end = ends[i, t], ends[i, t + 1]
             if kept.size:
@@ -295,7 +307,7 @@ def sights(rows, boxes, clear, reach, points, out, ends, kept, kept_sizes):
                 if clear[t, 0 if h > 0.0 else 1]:
                     continue
             _whole(polygons, sizes)
-            left = see(rows, boxes, t, p, reach, polygons, sizes, 1, shadows)
+            left = see(mesh, t, p, outlined, polygons, sizes, 1, shadows)
             if kept.size:
                 for m in range(left):
                     kept[begin + m], kept_sizes[begin + m] = polygons[m], sizes[m]
@@ -399,10 +411,8 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def three_bounces(
-    rows,
-    boxes,
+    mesh,
     clear,
-    reach,
     world,
     lasers,
     sensors,
@@ -430,7 +440,8 @@ def three_bounces(
             np.empty(PIECES, dtype=np.int64),
             shadow_room(),
         )
-        pieces = np.empty((rows.shape[0] + 16, 13))
+        first, second = outline_room(mesh), outline_room(mesh)
+        pieces = np.empty((mesh[0].shape[0] + 16, 13))
         before = np.empty(out.shape[1])
         stack = np.empty((DEEPEST + 4, COLUMNS))
         for i in range(blocks[block], blocks[block + 1]):
@@ -439,7 +450,9 @@ def three_bounces(
                 p, q = q, p
             how, ends, kept, kept_sizes = known
             seen = how[sight[i]], ends[sight[i]], kept, kept_sizes
-            pieces, count = _seen(rows, boxes, clear, reach, p, q, seen, turned[i], room, pieces)
+            first, second = outline(mesh, p, first), outline(mesh, q, second)
+            both = first, second
+            pieces, count = _seen(mesh, clear, p, q, both, seen, turned[i], room, pieces)
             out[i, :] = 0.0
             report[i, :] = 0.0
             if count == OVERFLOW:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +12,7 @@ from .._checks import fits_memory
 from .._progress import Progress
 from ..errors import SamplingError, SceneError
 from .hidden_surfaces import HiddenSurfaces
-
-if TYPE_CHECKING:
-    from ..raytrace.triangles import Facets
+from .occluders import Mesh, occluders
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -106,7 +104,6 @@ def three_bounces(
     as linear over a part, with the means of quadratic ones, and spread over the bins in closed
     form. The limit falls until two passes agree. Nothing is drawn at random.
     """
-    from ..raytrace.triangles import Facets
     from . import _shadow_kernels
     from . import _three_bounce_kernels as kernels
 
@@ -116,31 +113,29 @@ def three_bounces(
         40.0 * count * (n_bins + 2),  # with the copies that become a capture
         "take fewer points or bins",
     )
-    facets = Facets(surfaces.mesh)
     reach = float(np.abs(surfaces.corners).max())
     _check_apart(surfaces.corners, np.concatenate([lasers, sensors]), reach)
-    clear = np.zeros((len(facets.rows), 2), dtype=np.bool_)
-    if len(facets.rows) <= ASKED:
-        clear = _shadow_kernels.clear_sides(facets.rows, reach)
-    names = facets.names.astype(np.int64)
+    mesh, names = occluders(surfaces)
+    n_triangles = len(names)
+    clear = np.zeros((n_triangles, 2), dtype=np.bool_)
+    if n_triangles <= ASKED:
+        clear = _shadow_kernels.clear_sides(mesh[0], reach)
     world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
     out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
     lasers, sensors, lights, sight, turned = _shared(lasers, sensors)
     # what a point sees is kept where others see by it, and need not be asked again
-    shared = 2 * len(lights) <= count and len(lights) * len(facets.rows) <= MOST_SIGHTS
+    shared = 2 * len(lights) <= count and len(lights) * n_triangles <= MOST_SIGHTS
     if not shared:
         lights, sight = lights[:1], np.zeros_like(sight)
-    known = _sights(facets, clear, reach, lights, shared and not clear.all())
+    known = _sights(mesh, clear, lights, shared and not clear.all())
     # few at first, so that what is out of reach is told soon
     first, step = 0, 64
     while first < count:
         part = slice(first, min(first + step, count))
         blocks = np.unique(np.linspace(0, part.stop - first, BLOCKS + 1).astype(np.int64))
         kernels.three_bounces(
-            facets.rows,
-            facets.boxes,
+            mesh,
             clear,
-            reach,
             world,
             lasers[part],
             sensors[part],
@@ -187,19 +182,17 @@ def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, 
     return lasers, sensors, points[lights], sight.reshape(-1), turned
 
 
-def _sights(
-    facets: Facets, clear: NDArray[np.bool_], reach: float, lights: Array, ask: bool
-) -> Any:
+def _sights(mesh: Mesh, clear: NDArray[np.bool_], lights: Array, ask: bool) -> Any:
     """What each of ``lights`` sees of each triangle, and the polygons of what it sees in part."""
     from . import _three_bounce_kernels as kernels
     from ._shadow_kernels import CORNERS
 
-    shape = len(lights), len(facets.rows)
+    shape = len(lights), len(mesh[0])
     known = np.full(shape, kernels.PART, dtype=np.int8)
     ends = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
     kept, sizes = np.empty((0, 2 * CORNERS)), np.empty(0, dtype=np.int64)
     if ask:
-        world = facets.rows, facets.boxes, clear, reach, lights, known, ends
+        world = mesh, clear, lights, known, ends
         kernels.sights(*world, kept, sizes)
         total = int(ends.sum(dtype=np.int64))
         if 0 < total <= MOST_KEPT:
@@ -213,6 +206,7 @@ def _sights(
 
 def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> None:
     from . import _three_bounce_kernels as kernels
+    from ._shadow_kernels import PIECES
 
     status = report[:, kernels.STATUS]
     wrong = np.flatnonzero(status != kernels.DONE)
@@ -225,8 +219,8 @@ def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> Non
     )
     if status[i] == kernels.TOO_FINE:
         raise SamplingError(
-            f"{where}: shadows cut one triangle into more than 2048 parts; split large triangles "
-            "that stand behind many small ones"
+            f"{where}: shadows cut one triangle into more than {PIECES} parts; split large "
+            "triangles that stand behind many small ones"
         )
     raise SamplingError(
         f"{where}: three bounces need more than {MOST_PARTS} parts of the surface for tol = "
