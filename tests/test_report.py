@@ -51,8 +51,7 @@ def run(examples: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(run: Path, tmp_path: Path) -> Path:
-    """Such a folder, beside the scene's picture, to be changed."""
-    shutil.copy(run.parent / "F.png", tmp_path)
+    """Such a folder, away from what the scene was made of, to be changed."""
     return Path(shutil.copytree(run, tmp_path / "copy"))
 
 
@@ -393,7 +392,7 @@ def test_page_is_written_whole_or_not_at_all(copy, monkeypatch, capsys):
     assert call("report", copy, "--no-3d") == 2
     assert sorted(copy.iterdir()) == before
     assert (copy / "report.html").read_text() == "old"
-    assert sorted(p.name for p in copy.parent.iterdir()) == ["F.png", "copy"]
+    assert sorted(p.name for p in copy.parent.iterdir()) == ["copy"]
 
 
 def refusing(reason: str) -> Any:
@@ -403,6 +402,14 @@ def refusing(reason: str) -> Any:
         raise MissingExtraError(reason)
 
     return refuse
+
+
+def test_a_moved_folder_keeps_its_view(run, copy):
+    page = report.page(copy)
+    assert len(Outline(page).named("iframe")) == 1
+    assert "left out:" not in page
+    held, moved = (Scene.load(folder / "scene.toml") for folder in (run, copy))
+    np.testing.assert_array_equal(moved.hidden.reflectance, held.hidden.reflectance)
 
 
 def test_what_cannot_be_drawn_is_told(copy, monkeypatch):
@@ -415,9 +422,9 @@ def test_what_cannot_be_drawn_is_told(copy, monkeypatch):
     page = report.page(copy)
     assert "left out: pyvista is not installed &lt;here&gt;." in page
     assert "<iframe" not in page
-    (copy.parent / "F.png").unlink()
+    (copy / "hidden_image.png").unlink()
     words = told(report.page(copy))
-    assert "F.png" in words.split("left out:")[1].split("From above")[0]
+    assert "hidden_image.png" in words.split("left out:")[1].split("From above")[0]
 
 
 @pytest.mark.parametrize(

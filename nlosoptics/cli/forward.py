@@ -61,7 +61,7 @@ def run_command(
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
         from ..planning import plan
-        from ..scene.file import format_scene
+        from ..scene.file import scene_files
         from ..simulation import simulate
 
         scene = load(scene_file, size)
@@ -78,7 +78,8 @@ def run_command(
                 began = time.perf_counter()
                 _write_arrays(result, new)
                 _write_pictures(result, new)
-                (new / "scene.toml").write_text(format_scene(scene, folder), encoding="utf-8")
+                for name, content in scene_files(scene).items():
+                    (new / name).write_bytes(content)
                 report["seconds"]["writing"] = time.perf_counter() - began
                 report["seconds"]["total"] = time.perf_counter() - start
                 report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
