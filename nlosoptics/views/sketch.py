@@ -10,21 +10,15 @@ import numpy as np
 from ..errors import SceneError
 from ..scene import Occluder, PlanarObject, Scene
 from .canvas import new_axes
+from .palette import BLACK, BLUE, BROWN, GREEN, ORANGE, VERMILION
 
 if TYPE_CHECKING:
     import trimesh
     from matplotlib.axes import Axes
 
-# Okabe and Ito's colours, distinct to every kind of colour vision
-WALL, LASER, OBJECT, MIRRORED, CAMERA, CHIEF, OCCLUDER = (
-    "#000000",
-    "#D55E00",
-    "#009E73",
-    "#8FCFBA",
-    "#0072B2",
-    "#E69F00",
-    "#CC79A7",
-)
+WALL, LASER, OBJECT, CAMERA, CHIEF = BLACK, VERMILION, GREEN, BLUE, ORANGE
+MIRRORED = "#8FCFBA"  # the object's, paler
+OCCLUDER = BROWN  # no reflection's in `rays`, which crosses the same room
 
 
 def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[Axes, Axes]:

@@ -159,6 +159,14 @@ def test_reconstruction_reads() -> None:
         np.testing.assert_array_equal(shown(axes), letter())
 
 
+def test_reconstruction_names_its_scale() -> None:
+    """Each picture its own: only what has the largest value 1 is relative."""
+    found = SimpleNamespace(object=np.diag([3.0, 0.5]), status="converged")
+    axes = views.reconstruction(found, np.eye(2))  # type: ignore[arg-type]
+    told = [axis.child_axes[0].get_ylabel() for axis in axes]
+    assert told == ["relative brightness", "object units"]
+
+
 def test_reconstruction_without_truth_is_one_picture() -> None:
     """One axes in, one out, and the same one."""
     (axes,) = views.reconstruction(SimpleNamespace(object=letter(), status="converged"))  # type: ignore[arg-type]
