@@ -20,8 +20,9 @@ import pytest
 from PIL import Image
 
 from nlosoptics import cli, report, views
+from nlosoptics._html import tag
 from nlosoptics.errors import MissingExtraError
-from nlosoptics.report.elements import number, quantity, tag
+from nlosoptics.report.elements import number, quantity
 from nlosoptics.scene import Scene
 
 VOID = {"meta", "img", "br"}

@@ -7,24 +7,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from .. import __version__
+from .._html import Column, Html, joined, png, table, tag
 from ..planning import FIELD
 from . import words
-from .elements import (
-    Column,
-    Html,
-    date,
-    facts,
-    figure,
-    joined,
-    number,
-    percent,
-    png,
-    quantity,
-    seconds,
-    section,
-    table,
-    tag,
-)
+from .elements import date, facts, figure, number, percent, quantity, seconds, section
 from .folders import Folder
 from .pixels import pixels
 from .rooms import Room
