@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from .errors import NlosError
 
-VOID = ("img", "meta", "br")
+VOID = ("img", "source", "meta", "br")
 HEIGHT = 330  # pixels of a picture
 MOST_BYTES = 40_000  # of a picture, beyond which it is given a palette
 COLOURS = 96  # of that

@@ -25,7 +25,7 @@ from nlosoptics.errors import MissingExtraError
 from nlosoptics.report.elements import number, quantity
 from nlosoptics.scene import Scene
 
-VOID = {"meta", "img", "br"}
+VOID = {"meta", "img", "source", "br"}
 SECTIONS = ["scene", "plan", "spread", "image", "reconstruction", "times", "provenance"]
 
 
@@ -539,6 +539,21 @@ def test_page_is_no_wider_than_its_window(width, looked_at):
     # what is wider scrolls by itself, and a keyboard reaches it
     for box in looked_at.driver.find_elements("css selector", ".wide, pre"):
         assert box.get_attribute("tabindex") == "0"
+
+
+@pytest.mark.parametrize(("width", "inches"), [(320, 3.2), (830, 3.2), (850, 10.5), (1600, 10.5)])
+def test_sketch_fits_its_window_and_can_be_read(width, inches, looked_at):
+    emulate(looked_at, width, 844, "light")
+    # narrow windows have the views one above the other
+    way = "<" if inches == 3.2 else ">"
+    sketch = "document.querySelector('.sketch img')"
+    looked_at.wait(f"{sketch}.naturalWidth {way} {sketch}.naturalHeight")
+    drawn, room = looked_at.driver.execute_script(
+        f"return [{sketch}.clientWidth, {sketch}.closest('figure').clientWidth]"
+    )
+    assert drawn <= room
+    # labels of 10 points, a point being 1/72 of the picture's inch
+    assert 10.0 / 72.0 * drawn / inches >= 9.9
 
 
 def test_dark_is_dark(looked_at):

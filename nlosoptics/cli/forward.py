@@ -191,6 +191,7 @@ def _write_pictures(result: Result, folder: Path) -> None:
     from .. import views
 
     views.save(views.scene_sketch(result.scene), folder / "scene.png")
+    views.save(views.scene_sketch(result.scene, stacked=True), folder / "scene_narrow.png")
     views.save(views.wavefront(result.wavefront), folder / "wavefront.png")
     views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
     views.save(views.image(result.image), folder / "image.png")

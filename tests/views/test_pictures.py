@@ -254,6 +254,20 @@ def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
     assert answer.stdout == "False\n"
 
 
+def test_sketch_for_phones_has_its_views_one_above_the_other(flat_scene):
+    top, side = views.scene_sketch(flat_scene, stacked=True)
+    figure = top.get_figure()
+    figure.draw_without_rendering()
+    above, below = top.get_position(), side.get_position()
+    assert above.y0 > below.y1
+    assert above.x0 == pytest.approx(below.x0)
+    # the legend is within the picture
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.width
+
+
 def test_sketch_shows_every_occluder_and_names_one(flat_scene):
     import trimesh
 
