@@ -33,8 +33,8 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def seconds(value: float) -> str:
-    """Time that something took."""
-    return f"{number(value)}{NARROW}s" if value >= 0.01 else f"< 0.01{NARROW}s"
+    """Time in the unit that suits it; long ones stay seconds."""
+    return f"{number(value)}{NARROW}s" if value >= 1.0 else quantity(value, "s")
 
 
 def date(iso: str) -> str:
