@@ -1,26 +1,124 @@
-"""What nouns show in a notebook: a small picture beside a table of figures.
+"""HTML: text that is escaped once, tables, and what nouns show in a notebook.
 
-Colours and backgrounds are the notebook's own, light or dark; pictures bring their white paper.
+There it is a small picture beside a table of figures. Colours and backgrounds are the notebook's
+own, light or dark; pictures bring their white paper.
 """
 
 from __future__ import annotations
 
 import base64
+import html
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from html import escape
 from io import BytesIO
-from typing import Any
+from typing import Any, NamedTuple
 
 from .errors import NlosError
 
+VOID = ("img", "source", "meta", "br")
 HEIGHT = 330  # pixels of a picture
 MOST_BYTES = 40_000  # of a picture, beyond which it is given a palette
 COLOURS = 96  # of that
-CELL = ' style="text-align:left;vertical-align:top"'
+CELL = "text-align:left;vertical-align:top"
+CAPTION = "caption-side:top;text-align:left;color:inherit;font-weight:bold"
 
 
-def card(title: str, figures: Mapping[str, str], *, draw: Callable[[], Any], alt: str) -> str:
-    """Picture and figures of a noun, as HTML.
+class Html(str):
+    """Text that is HTML already; `tag` escapes every other."""
+
+    __slots__ = ()
+
+
+def tag(name: str, *children: object, **attributes: object) -> Html:
+    """Element of HTML.
+
+    Parameters
+    ----------
+    name : str
+    *children : object
+        Its contents: `Html` as it is, None for nothing, all else as escaped text.
+    **attributes : object
+        ``class_`` stands for ``class``, ``aria_label`` for ``aria-label``; True for a bare one,
+        None for none.
+
+    Returns
+    -------
+    Html
+    """
+    opened = name
+    for key, value in attributes.items():
+        if value is not None:
+            key = key.rstrip("_").replace("_", "-")
+            opened += f" {key}" if value is True else f' {key}="{html.escape(str(value))}"'
+    return Html(f"<{opened}>" if name in VOID else f"<{opened}>{joined(children)}</{name}>")
+
+
+def joined(children: Iterable[object]) -> Html:
+    """Pieces one after the other, escaped where they are text."""
+    return Html(
+        "".join(
+            child if isinstance(child, Html) else html.escape(str(child))
+            for child in children
+            if child is not None
+        )
+    )
+
+
+def png(data: bytes) -> str:
+    """A PNG as an address that holds it."""
+    return f"data:image/png;base64,{base64.b64encode(data).decode()}"
+
+
+class Column(NamedTuple):
+    """Head of a table's column; ``kind`` is "number" where figures stand under one another."""
+
+    head: str
+    kind: str | None = None
+
+
+def table(
+    caption: str,
+    columns: Sequence[Column],
+    rows: Iterable[Sequence[object]],
+    *,
+    styled: bool = False,
+) -> Html:
+    """A table, the first cell of each row its head.
+
+    Parameters
+    ----------
+    caption : str
+    columns : sequence of Column
+        Without any head, the table has no line of heads.
+    rows : iterable of sequence
+        As many cells as columns, as the contents of `tag`.
+    styled : bool
+        Whether elements bring their style, as where there is no style sheet.
+    """
+    cell = CELL if styled else None
+    heads = [
+        tag("th", column.head, scope="col", class_=column.kind, style=cell) for column in columns
+    ]
+    body = [
+        tag(
+            "tr",
+            tag("th", first, scope="row", style=cell),
+            *(
+                tag("td", told, class_=column.kind, style=cell)
+                for told, column in zip(rest, columns[1:], strict=True)
+            ),
+        )
+        for first, *rest in rows
+    ]
+    return tag(
+        "table",
+        tag("caption", caption, style=CAPTION if styled else None),
+        tag("thead", tag("tr", *heads)) if any(column.head for column in columns) else None,
+        tag("tbody", *body),
+    )
+
+
+def card(title: str, figures: Mapping[str, str], *, draw: Callable[[], Any], alt: str) -> Html:
+    """Picture and figures of a noun.
 
     Parameters
     ----------
@@ -35,39 +133,22 @@ def card(title: str, figures: Mapping[str, str], *, draw: Callable[[], Any], alt
         What the picture shows, in words.
     """
     try:
-        source = _picture(draw())
+        source = png(_picture(draw()))
     except NlosError as error:
         width = max(map(len, figures), default=0)
         lines = [title, *(f"{name:<{width}}  {value}" for name, value in figures.items())]
-        return f"<pre>{escape(chr(10).join([*lines, str(error)]))}</pre>"
-    rows = "".join(
-        f'<tr><th scope="row"{CELL}>{escape(name)}</th><td{CELL}>{escape(value)}</td></tr>'
-        for name, value in figures.items()
-    )
-    beside = f"<table>{_caption(title)}<tbody>{rows}</tbody></table>"
-    return (
-        '<div style="display:flex;flex-wrap:wrap;gap:1em;align-items:flex-start">'
-        f'<img alt="{escape(alt)}" src="{source}" style="max-width:100%;height:auto">'
-        f'<div style="flex:1 1 22em">{beside}</div></div>'
+        return tag("pre", "\n".join([*lines, str(error)]))
+    told = table(title, (Column(""), Column("")), figures.items(), styled=True)
+    return tag(
+        "div",
+        tag("img", alt=alt, src=source, style="max-width:100%;height:auto"),
+        tag("div", told, style="flex:1 1 22em"),
+        style="display:flex;flex-wrap:wrap;gap:1em;align-items:flex-start",
     )
 
 
-def table(title: str, header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Rows of text under a header, as HTML."""
-    head = "".join(f'<th scope="col"{CELL}>{escape(name)}</th>' for name in header)
-    body = "".join(
-        f"<tr>{''.join(f'<td{CELL}>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows
-    )
-    return f"<table>{_caption(title)}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
-
-
-def _caption(title: str) -> str:
-    style = "caption-side:top;text-align:left;color:inherit;font-weight:bold"
-    return f'<caption style="{style}">{escape(title)}</caption>'
-
-
-def _picture(axes: Any) -> str:
-    """The figure of axes as a small PNG in a data URI."""
+def _picture(axes: Any) -> bytes:
+    """The figure of axes as a small PNG."""
     from PIL import Image
 
     first = axes if hasattr(axes, "get_figure") else next(iter(axes))
@@ -79,4 +160,4 @@ def _picture(axes: Any) -> str:
         drawn = BytesIO()
         covered = picture.quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE)
         covered.save(drawn, format="png", optimize=True)
-    return f"data:image/png;base64,{base64.b64encode(drawn.getvalue()).decode()}"
+    return drawn.getvalue()

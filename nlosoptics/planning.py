@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from ._checks import fits_memory, in_range
-from ._html import table
+from ._html import Column, table
 from .errors import NotWaveGradeError, SamplingError, SceneError
 from .psf.aberration import check_wave_grade
 from .psf.estimates import rounded_up
@@ -113,8 +113,9 @@ class Plan:
         skipped = [(s.name, "skipped", "", s.reason) for s in self.skipped]
         return table(
             f"Plan: {self.seconds:.2g} s predicted, to {self.tol:g} of the peak",
-            ("stage", "seconds", "error", "why"),
+            [Column(head) for head in ("stage", "seconds", "error", "why")],
             [*runs, *skipped],
+            styled=True,
         )
 
 

@@ -6,7 +6,6 @@ import datetime
 import importlib.metadata
 import sys
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from . import __version__
@@ -41,18 +40,15 @@ def arrays(noun: Any) -> dict[str, Any]:
 
 
 def scene_hash(scene: Scene) -> str:
-    """SHA-256 of the scene's own text and of the pictures and meshes that it names."""
+    """SHA-256 of the scene's own text and of all files that it names, wherever they lie."""
     import hashlib
 
-    from .scene.file import format_scene
+    from .scene.file import scene_files
 
-    parts = (scene.hidden, scene.wall)
-    named = [getattr(part, key, None) for part in parts for key in ("image", "mesh")]
-    files = [path for path in named if isinstance(path, Path)]
-    # named relative to one of them, the text does not depend on where the scene lies
-    digest = hashlib.sha256(format_scene(scene, files[0].parent if files else ".").encode())
-    for path in files:
-        digest.update(path.read_bytes())
+    digest = hashlib.sha256()
+    for name, content in scene_files(scene).items():
+        digest.update(f"{name} {len(content)} ".encode())
+        digest.update(content)
     return digest.hexdigest()
 
 

@@ -125,11 +125,12 @@ def test_figures_of_the_tables_are_those_of_the_files(
     extension: Callable[[str], ModuleType],
 ) -> None:
     page, tables = extension("performance_page"), extension("tables")
-    assert [tables.seconds(value) for value in (2e-6, 0.0034, 12.34, 1234.5)] == [
-        "2 µs",
-        "3.4 ms",
-        "12.3 s",
-        "1234 s",
+    assert [tables.seconds(value).split() for value in (2e-6, 0.0034, 12.34, 1234.5, None)] == [
+        ["2", "µs"],
+        ["3.4", "ms"],
+        ["12.3", "s"],
+        ["1230", "s"],
+        [],
     ]
     assert [tables.number(value) for value in (0.12345, 1e-7, 0, None)] == [
         "0.123",
@@ -149,7 +150,7 @@ def test_figures_of_the_tables_are_those_of_the_files(
         {"rms": 1, "correlation": 0.85, "status": "converged", "seconds": 3.0},
         {"rms": 1, "correlation": 0.10, "status": "trivial", "seconds": 2.0},
     ]
-    assert page.fits(fits, "rms") == [["1", 3, 1, 1, "0.85", "2 s"]]
+    assert page.fits(fits, "rms") == [["1", 3, 1, 1, "0.85", "2\N{NARROW NO-BREAK SPACE}s"]]
 
 
 def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf
+from nlosoptics.imaging import SpeckleImage
 from nlosoptics.planning import Plan, Stage, plan
 from nlosoptics.transient import TransientCapture, Volume, VolumeImage, wall_grid
 
@@ -46,10 +47,14 @@ class Page(HTMLParser):
 
 
 @pytest.fixture
-def spread():
-    wave = psf.Wavefront.from_zernike(
+def wave():
+    return psf.Wavefront.from_zernike(
         {4: 1e-7}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05
     )
+
+
+@pytest.fixture
+def spread(wave):
     return psf.point_spread(wave, shape=32)
 
 
@@ -84,6 +89,37 @@ def test_scene_shows_its_sketch_and_figures(flat_scene):
     page = checked(flat_scene)
     assert {"Scene", "632.8 nm, 5 mW", "FlatWall", "picture, 0.3 x 0.3 m"} <= set(page.cells)
     assert {"64 x 64 pixels of 576 µm", "50.6 mm at F/2.03"} <= set(page.cells)
+
+
+def test_wavefront_shows_aberration_pupil_light_and_nodes(wave):
+    pytest.importorskip("matplotlib")
+    page = checked(wave)
+    # defocus' coefficient is its rms
+    assert {"0.167 waves rms, 100 nm, without tilt", "5 mm radius, F/5"} <= set(page.cells)
+    assert {"600 nm, 100 % of a clear disc's", "24 x 96, polar"} <= set(page.cells)
+
+
+def test_image_shows_electrons_noise_and_exposure():
+    pytest.importorskip("matplotlib")
+    light = 100.0 + np.eye(8)
+    image = SpeckleImage(
+        electrons=3.0 * light,
+        expected=light,
+        signal=np.eye(8),
+        ideal=np.eye(8),
+        background=np.full((8, 8), 100.0),
+        noise_sigma=np.full((8, 8), 10.0),
+        saturated_fraction=0.25,
+        pitch=1e-5,
+        exposure=0.04,
+        speckle_contrast=0.02,
+        seed=7,
+        ledger={},
+    )
+    page = checked(image)
+    assert {"303 at most, mean 300", "1 at most, mean 0.125"} <= set(page.cells)
+    assert {"10 electrons rms, on average", "25 %", "40 ms, seed 7"} <= set(page.cells)
+    assert {"0.02", "8 x 8 pixels of 10 µm"} <= set(page.cells)
 
 
 def test_point_spread_shows_method_regime_error_and_pitch(spread):

@@ -20,11 +20,12 @@ import pytest
 from PIL import Image
 
 from nlosoptics import cli, report, views
+from nlosoptics._html import tag
 from nlosoptics.errors import MissingExtraError
-from nlosoptics.report.elements import number, quantity, tag
+from nlosoptics.report.elements import number, quantity
 from nlosoptics.scene import Scene
 
-VOID = {"meta", "img", "br"}
+VOID = {"meta", "img", "source", "br"}
 SECTIONS = ["scene", "plan", "spread", "image", "reconstruction", "times", "provenance"]
 
 
@@ -51,8 +52,7 @@ def run(examples: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def copy(run: Path, tmp_path: Path) -> Path:
-    """Such a folder, beside the scene's picture, to be changed."""
-    shutil.copy(run.parent / "F.png", tmp_path)
+    """Such a folder, away from what the scene was made of, to be changed."""
     return Path(shutil.copytree(run, tmp_path / "copy"))
 
 
@@ -393,7 +393,7 @@ def test_page_is_written_whole_or_not_at_all(copy, monkeypatch, capsys):
     assert call("report", copy, "--no-3d") == 2
     assert sorted(copy.iterdir()) == before
     assert (copy / "report.html").read_text() == "old"
-    assert sorted(p.name for p in copy.parent.iterdir()) == ["F.png", "copy"]
+    assert sorted(p.name for p in copy.parent.iterdir()) == ["copy"]
 
 
 def refusing(reason: str) -> Any:
@@ -403,6 +403,14 @@ def refusing(reason: str) -> Any:
         raise MissingExtraError(reason)
 
     return refuse
+
+
+def test_a_moved_folder_keeps_its_view(run, copy):
+    page = report.page(copy)
+    assert len(Outline(page).named("iframe")) == 1
+    assert "left out:" not in page
+    held, moved = (Scene.load(folder / "scene.toml") for folder in (run, copy))
+    np.testing.assert_array_equal(moved.hidden.reflectance, held.hidden.reflectance)
 
 
 def test_what_cannot_be_drawn_is_told(copy, monkeypatch):
@@ -415,9 +423,9 @@ def test_what_cannot_be_drawn_is_told(copy, monkeypatch):
     page = report.page(copy)
     assert "left out: pyvista is not installed &lt;here&gt;." in page
     assert "<iframe" not in page
-    (copy.parent / "F.png").unlink()
+    (copy / "hidden_image.png").unlink()
     words = told(report.page(copy))
-    assert "F.png" in words.split("left out:")[1].split("From above")[0]
+    assert "hidden_image.png" in words.split("left out:")[1].split("From above")[0]
 
 
 @pytest.mark.parametrize(
@@ -531,6 +539,21 @@ def test_page_is_no_wider_than_its_window(width, looked_at):
     # what is wider scrolls by itself, and a keyboard reaches it
     for box in looked_at.driver.find_elements("css selector", ".wide, pre"):
         assert box.get_attribute("tabindex") == "0"
+
+
+@pytest.mark.parametrize(("width", "inches"), [(320, 3.2), (830, 3.2), (850, 10.5), (1600, 10.5)])
+def test_sketch_fits_its_window_and_can_be_read(width, inches, looked_at):
+    emulate(looked_at, width, 844, "light")
+    # narrow windows have the views one above the other
+    way = "<" if inches == 3.2 else ">"
+    sketch = "document.querySelector('.sketch img')"
+    looked_at.wait(f"{sketch}.naturalWidth {way} {sketch}.naturalHeight")
+    drawn, room = looked_at.driver.execute_script(
+        f"return [{sketch}.clientWidth, {sketch}.closest('figure').clientWidth]"
+    )
+    assert drawn <= room
+    # labels of 10 points, a point being 1/72 of the picture's inch
+    assert 10.0 / 72.0 * drawn / inches >= 9.9
 
 
 def test_dark_is_dark(looked_at):

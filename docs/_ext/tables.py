@@ -8,6 +8,8 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from nlosoptics.report import elements
+
 ROOT = Path(__file__).parents[2]
 RESULTS = ROOT / "benchmarks" / "results"
 
@@ -39,13 +41,8 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def seconds(value: float | None) -> str:
-    """A time in the unit that suits it."""
-    if value is None:
-        return ""
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if value >= size:
-            return f"{value / size:.3g} {unit}" if value < 1e3 else f"{value:.0f} {unit}"
-    return f"{value / 1e-6:.3g} µs"
+    """A time as reports have it; nothing where none was taken."""
+    return "" if value is None else elements.seconds(value)
 
 
 def table(head: Sequence[str], body: Iterable[Sequence[object]]) -> str:

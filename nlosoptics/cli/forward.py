@@ -61,7 +61,7 @@ def run_command(
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
         from ..planning import plan
-        from ..scene.file import format_scene
+        from ..scene.file import scene_files
         from ..simulation import simulate
 
         scene = load(scene_file, size)
@@ -78,7 +78,8 @@ def run_command(
                 began = time.perf_counter()
                 _write_arrays(result, new)
                 _write_pictures(result, new)
-                (new / "scene.toml").write_text(format_scene(scene, folder), encoding="utf-8")
+                for name, content in scene_files(scene).items():
+                    (new / name).write_bytes(content)
                 report["seconds"]["writing"] = time.perf_counter() - began
                 report["seconds"]["total"] = time.perf_counter() - start
                 report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
@@ -190,6 +191,7 @@ def _write_pictures(result: Result, folder: Path) -> None:
     from .. import views
 
     views.save(views.scene_sketch(result.scene), folder / "scene.png")
+    views.save(views.scene_sketch(result.scene, stacked=True), folder / "scene_narrow.png")
     views.save(views.wavefront(result.wavefront), folder / "wavefront.png")
     views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
     views.save(views.image(result.image), folder / "image.png")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, positive
+from .._html import card
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField
@@ -108,6 +109,23 @@ class SpeckleImage:
         for name in ("electrons", "expected", "signal", "ideal", "background", "noise_sigma"):
             getattr(self, name).flags.writeable = False
         object.__setattr__(self, "ledger", MappingProxyType(dict(self.ledger)))
+
+    def _repr_html_(self) -> str:
+        """Small picture with electrons, noise, exposure and pixels."""
+        from .. import views
+
+        ny, nx = self.electrons.shape
+        figures = {
+            "electrons": f"{self.electrons.max():.3g} at most, mean {self.electrons.mean():.3g}",
+            "of the object": f"{self.signal.max():.3g} at most, mean {self.signal.mean():.3g}",
+            "noise": f"{self.noise_sigma.mean():.3g} electrons rms, on average",
+            "speckle contrast": f"{self.speckle_contrast:.3g}",
+            "full pixels": f"{100 * self.saturated_fraction:.3g} %",
+            "exposure": f"{1e3 * self.exposure:.3g} ms, seed {self.seed}",
+            "image": f"{nx} x {ny} pixels of {1e6 * self.pitch:.3g} µm",
+        }
+        alt = f"What the camera reads, {nx} x {ny} pixels, brighter where there are more electrons"
+        return card("Speckle image", figures, draw=lambda: views.image(self), alt=alt)
 
 
 def form_image(

@@ -116,7 +116,7 @@ def tv_deconvolve(
     pixels along its outline, outlines being what total variation pays for (rms 0.984 of the
     noise at 128 x 128; without it weak images come out over-smoothed). Runs in
     float32 unless the noise is under 1e-4 of the image's range. ``objective`` is taken at the
-    weight of its iteration, so it need not fall while that is sought.
+    weight that was settled, so it need not fall while that is sought.
 
     References
     ----------
@@ -161,7 +161,7 @@ def tv_deconvolve(
         background=splitting.background(),
         gain=gain,
         status="converged" if converged else "unconverged",
-        history=splitting.history,
+        history=splitting.history(),
         started=started,
         tv_weight=splitting.tv_weight(),
     )
@@ -217,7 +217,9 @@ class _Splitting:
             self._multiplier = self._response / (self._sigma * tv_weight)
             self._data_penalty = _DATA_SHARE * self._multiplier
         self._factorise()
-        self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
+        self._residuals: list[float] = []
+        self._variations: list[float] = []
+        self._changes: list[float] = []
 
     def _start(self, level: Tensor | None) -> None:
         """First object: a mild inverse filter, without what is negative or outside the frame.
@@ -259,17 +261,13 @@ class _Splitting:
         pull += self._sign_penalty * (self._signed - self._sign_dual)
         free, predicted = self._object_step(wanted, pull)
         self._data_step(predicted)
-        variation = self._edge_step(_gradient(free))
+        self._variations.append(self._edge_step(_gradient(free)))
         change, distance = self._sign_step(free)
-        chi_square = self.history["residual"][-1] ** 2 * self._count
-        self.history["objective"].append(
-            0.5 * chi_square + self.tv_weight() * variation / (self._response * self._sigma)
-        )
-        self.history["change"].append(change)
+        self._changes.append(change)
         if not self._sought:
             return max(change, distance)
         expected = self._target / (self._sigma * math.sqrt(self._count))
-        return max(change, distance, _RESIDUAL_SHARE * abs(self.history["residual"][-1] - expected))
+        return max(change, distance, _RESIDUAL_SHARE * abs(self._residuals[-1] - expected))
 
     def _object_step(self, wanted: Tensor, pull: Tensor) -> tuple[Tensor, Tensor]:
         """Object whose image and slopes are nearest to the wanted ones, and its image."""
@@ -284,7 +282,7 @@ class _Splitting:
         """Move the prediction toward the image until the residual is the noise."""
         residual = predicted[self._frame] - self._image + self._shaped(self._background)
         squared = total(self._weighted(residual * residual))
-        self.history["residual"].append(math.sqrt(squared / self._count) / self._sigma)
+        self._residuals.append(math.sqrt(squared / self._count) / self._sigma)
         relaxed = _relaxed(predicted, self._predicted)
         relaxed[self._frame] += self._data_dual
         misfit = relaxed[self._frame] - self._image
@@ -359,8 +357,8 @@ class _Splitting:
         """Tell a callback where the fit stands; False where it asks to stop."""
         return goes_on(
             progress,
-            f"total variation: residual {self.history['residual'][-1]:.3f}, change "
-            f"{self.history['change'][-1]:.1e} after {count} iterations",
+            f"total variation: residual {self._residuals[-1]:.3f}, change "
+            f"{self._changes[-1]:.1e} after {count} iterations",
             done,
             lambda: self._state(count),
         )
@@ -409,6 +407,15 @@ class _Splitting:
     def tv_weight(self) -> float:
         """Dimensionless weight that the multiplier stands for."""
         return self._response / (self._sigma * max(self._multiplier, 1e-30))
+
+    def history(self) -> dict[str, list[float]]:
+        """Records by iteration; the objective at the weight now, for some steps have none."""
+        price = self.tv_weight() / (self._response * self._sigma)
+        objective = [
+            0.5 * self._count * residual**2 + price * variation
+            for residual, variation in zip(self._residuals, self._variations, strict=True)
+        ]
+        return {"objective": objective, "residual": self._residuals, "change": self._changes}
 
     def _allowed(self, picture: Tensor) -> Tensor:
         allowed = torch.zeros_like(picture)

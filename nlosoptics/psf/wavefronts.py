@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, one_of, positive, real, whole
+from .._html import card
 from ..errors import SamplingError, SceneError
 from .apertures import Aperture
 from .cell_spectra import CellSpectrum
@@ -33,7 +34,7 @@ from .nodes import (
     shared_polar_nodes,
 )
 from .spectra import PolarSpectrum
-from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike, zernike_order
+from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
 Layout = Literal["polar", "cells", "grid", "scattered"]
@@ -144,6 +145,22 @@ class Wavefront:
             raise SceneError("wavefront.amplitude is 0 everywhere; no light passes the pupil")
         self._check_nodes()
 
+    def _repr_html_(self) -> str:
+        """Small map with aberration, pupil, light and nodes."""
+        from .. import views
+        from .metrics import rms_aberration
+
+        rms = rms_aberration(self)
+        waves = f"{rms / self.wavelength:.3g} waves rms"
+        figures = {
+            "aberration": f"{waves}, {1e9 * rms:.3g} nm, without tilt",
+            "pupil": f"{1e3 * self.pupil_radius:.4g} mm radius, F/{self.f_number:.3g}",
+            "light": f"{1e9 * self.wavelength:.4g} nm, {100 * self.flux:.4g} % of a clear disc's",
+            "nodes": f"{' x '.join(map(str, self.u.shape))}, {self.layout}",
+        }
+        alt = f"Map of the wave aberration over the pupil, {waves}"
+        return card("Wavefront", figures, draw=lambda: views.wavefront(self), alt=alt)
+
     @classmethod
     def from_zernike(
         cls,
@@ -189,7 +206,7 @@ class Wavefront:
         positive("pupil_radius", pupil_radius, unit="m")
         if aperture is not None:
             return cls.from_function(
-                lambda u, v: _zernike_sum(coefficients, u, v, pupil_radius, ordering),
+                lambda u, v: zernike_sum(coefficients, u, v, pupil_radius, ordering),
                 wavelength=wavelength,
                 image_distance=image_distance,
                 pupil_radius=pupil_radius,
@@ -226,7 +243,7 @@ class Wavefront:
                 aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
         else:
             amplitude = np.ones_like(u)
-            aberration = _zernike_sum(coefficients, u, v, pupil_radius, ordering)
+            aberration = zernike_sum(coefficients, u, v, pupil_radius, ordering)
         return cls(
             u=u,
             v=v,
@@ -551,18 +568,6 @@ class Wavefront:
                 f"wavefront.u, v are {error:.3g} m off the nodes of layout 'cells', limit "
                 f"{limit:.1g} m; take them from aperture.nodes"
             )
-
-
-def _zernike_sum(
-    coefficients: Mapping[int, float], u: Array, v: Array, radius: float, ordering: Ordering
-) -> Array:
-    """Sum of Zernike polynomials of the unit disc of a radius, m, at (u, v), m."""
-    rho, theta = np.hypot(u, v) / radius, np.arctan2(v, u)
-    total = np.zeros_like(u)
-    for index, value in coefficients.items():
-        height = real(f"coefficients[{index}]", value)
-        total += height * zernike(index, rho, theta, ordering=ordering)
-    return total
 
 
 def _owned(name: str, values: Any, layout: Layout) -> Array:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import one_of, whole
+from .._checks import one_of, real, whole
 from ..errors import SceneError
 from .nodes import frozen, kept_polar_nodes
 
@@ -123,3 +123,15 @@ def kept_zernikes(
     for mode, index in zip(modes, indices, strict=True):
         mode[...] = zernike(index, rho, theta, ordering=ordering)
     return frozen(modes)
+
+
+def zernike_sum(
+    coefficients: Mapping[int, float], u: Array, v: Array, radius: float, ordering: Ordering
+) -> Array:
+    """Sum of Zernike polynomials of the unit disc of a radius, m, at (u, v), m."""
+    rho, theta = np.hypot(u, v) / radius, np.arctan2(v, u)
+    total = np.zeros_like(u)
+    for index, value in coefficients.items():
+        height = real(f"coefficients[{index}]", value)
+        total += height * zernike(index, rho, theta, ordering=ordering)
+    return total

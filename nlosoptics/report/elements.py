@@ -1,58 +1,15 @@
-"""Pieces of HTML: text that is escaped once, numbers with their units, figures and tables."""
+"""Pieces of the page: numbers with their units, figures, facts and sections."""
 
 from __future__ import annotations
 
-import base64
-import html
 import math
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Iterable
 
-VOID = ("img", "meta", "br")
+from .._html import Html, tag
+
 PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 NARROW = "\N{NARROW NO-BREAK SPACE}"
-
-
-class Html(str):
-    """Text that is HTML already; `tag` escapes every other."""
-
-    __slots__ = ()
-
-
-def tag(name: str, *children: object, **attributes: object) -> Html:
-    """Element of HTML.
-
-    Parameters
-    ----------
-    name : str
-    *children : object
-        Its contents: `Html` as it is, None for nothing, all else as escaped text.
-    **attributes : object
-        ``class_`` stands for ``class``, ``aria_label`` for ``aria-label``; True for a bare one,
-        None for none.
-
-    Returns
-    -------
-    Html
-    """
-    opened = name
-    for key, value in attributes.items():
-        if value is not None:
-            key = key.rstrip("_").replace("_", "-")
-            opened += f" {key}" if value is True else f' {key}="{html.escape(str(value))}"'
-    return Html(f"<{opened}>" if name in VOID else f"<{opened}>{joined(children)}</{name}>")
-
-
-def joined(children: Iterable[object]) -> Html:
-    """Pieces one after the other, escaped where they are text."""
-    return Html(
-        "".join(
-            child if isinstance(child, Html) else html.escape(str(child))
-            for child in children
-            if child is not None
-        )
-    )
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -76,8 +33,8 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def seconds(value: float) -> str:
-    """Time that something took."""
-    return f"{number(value)}{NARROW}s" if value >= 0.01 else f"< 0.01{NARROW}s"
+    """Time in the unit that suits it; long ones stay seconds."""
+    return f"{number(value)}{NARROW}s" if value >= 1.0 else quantity(value, "s")
 
 
 def date(iso: str) -> str:
@@ -90,11 +47,6 @@ def percent(share: float) -> str:
     return f"{number(100.0 * share)}{NARROW}%"
 
 
-def png(data: bytes) -> str:
-    """A PNG as an address that holds it."""
-    return f"data:image/png;base64,{base64.b64encode(data).decode()}"
-
-
 def figure(picture: object, *caption: object, class_: str | None = None) -> Html:
     """A picture with what it shows."""
     return tag("figure", picture, tag("figcaption", *caption), class_=class_)
@@ -104,32 +56,6 @@ def facts(rows: Iterable[tuple[object, object]], class_: str = "facts") -> Html:
     """Names and what they are; rows of None are left out."""
     held = [tag("div", tag("dt", name), tag("dd", told)) for name, told in rows if told is not None]
     return tag("dl", *held, class_=class_)
-
-
-class Column(NamedTuple):
-    """Head of a table's column; ``kind`` is "number" where figures stand under one another."""
-
-    head: str
-    kind: str | None = None
-
-
-def table(caption: str, columns: Sequence[Column], rows: Iterable[Sequence[object]]) -> Html:
-    """A table, the first cell of each row its head."""
-    heads = [tag("th", column.head, scope="col", class_=column.kind) for column in columns]
-    body = [
-        tag(
-            "tr",
-            tag("th", first, scope="row"),
-            *(
-                tag("td", cell, class_=column.kind)
-                for cell, column in zip(rest, columns[1:], strict=True)
-            ),
-        )
-        for first, *rest in rows
-    ]
-    return tag(
-        "table", tag("caption", caption), tag("thead", tag("tr", *heads)), tag("tbody", *body)
-    )
 
 
 def section(anchor: str, title: str, *parts: object) -> Html:

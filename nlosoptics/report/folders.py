@@ -185,7 +185,7 @@ class Folder:
         Raises
         ------
         SceneError
-            If it cannot be read, as where a picture that it names has moved.
+            If it cannot be read, as where a picture that it names is gone.
         """
         if self.text("scene.toml") is None:
             return None

@@ -6,9 +6,9 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
+from .._html import Html, joined, tag
 from ..errors import NlosError
 from . import sections
-from .elements import Html, joined, tag
 from .folders import Folder
 from .rooms import Room, room
 

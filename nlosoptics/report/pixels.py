@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .elements import Html, figure, number, png, tag
+from .._html import Html, png, tag
+from .elements import figure, number
 
 MOST = 1024  # pixels a side that are drawn
 COARSE = 256  # up to which a page shows single pixels

@@ -7,30 +7,17 @@ from collections.abc import Iterator
 from typing import Any
 
 from .. import __version__
+from .._html import Column, Html, joined, png, table, tag
 from ..planning import FIELD
 from . import words
-from .elements import (
-    Column,
-    Html,
-    date,
-    facts,
-    figure,
-    joined,
-    number,
-    percent,
-    png,
-    quantity,
-    seconds,
-    section,
-    table,
-    tag,
-)
+from .elements import date, facts, figure, number, percent, quantity, seconds, section
 from .folders import Folder
 from .pixels import pixels
 from .rooms import Room
 
 Part = tuple[str, str, Html]
 SHARES_OF_ROUNDING = 1e-12  # of a sum: smaller terms of it are rounding
+NARROW = "52rem"  # of a window in which the sketch's two views stand one above the other
 
 
 def head(held: Folder) -> Html:
@@ -196,9 +183,11 @@ def _scene(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
             src=png(sketch),
             alt="Plan and side view of relay wall, laser beam, hidden object and camera.",
         )
-        scroller = tag("div", picture, class_="wide", tabindex=0, role="group", aria_label="Sketch")
+        if narrow := held.picture("scene_narrow.png"):
+            stacked = tag("source", media=f"screen and (max-width: {NARROW})", srcset=png(narrow))
+            picture = tag("picture", stacked, picture)
         yield figure(
-            scroller,
+            picture,
             tag("b", "From above and from the side"),
             ", metres. The chief path is that of the light from the laser's spot by way of the "
             "object to the lens, as a flat wall would send it.",

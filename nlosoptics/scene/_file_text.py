@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +21,9 @@ from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 if TYPE_CHECKING:
     from .scene import Scene
 
+#: Name in the text of a file that a key of the scene names.
+Naming = Callable[[str, Path], str]
+
 
 def format_scene(scene: Scene, folder: str | Path) -> str:
     """Text of the scene file of ``scene``, SI units, paths relative to ``folder``.
@@ -29,16 +34,49 @@ def format_scene(scene: Scene, folder: str | Path) -> str:
         If a picture or mesh is an array that no file holds.
     """
     base = Path(folder).resolve()
+    return _text(scene, lambda key, path: _relative(path, base))
+
+
+def scene_files(scene: Scene) -> dict[str, bytes]:
+    """Files of a folder that holds all of ``scene``, wherever it is moved.
+
+    Returns
+    -------
+    dict of str to bytes
+        ``scene.toml``, and copies of the pictures, meshes and heights that it names, which are
+        called by their keys, such as ``hidden_image.png``.
+
+    Raises
+    ------
+    SceneError
+        If a picture or mesh is an array that no file holds, or its file cannot be read.
+    """
+    copies: dict[str, bytes] = {}
+
+    def copied(key: str, path: Path) -> str:
+        name = "_".join(re.findall(r"\w+", key)) + path.suffix
+        try:
+            copies[name] = path.read_bytes()
+        except OSError as error:
+            raise SceneError(
+                f"{key}: {path} cannot be read ({error.strerror}); put it back"
+            ) from None
+        return name
+
+    return {"scene.toml": _text(scene, copied).encode(), **copies}
+
+
+def _text(scene: Scene, named: Naming) -> str:
     laser, camera = scene.laser, scene.camera
     tables = _file_tables.SceneFile.model_construct(
         laser=_file_tables.LaserTable.model_construct(**vars(laser)),
-        wall=_wall_table(scene.wall, base, _material_table(scene.wall_material)),
-        hidden=_hidden_table(scene.hidden, base),
+        wall=_wall_table("wall", scene.wall, named, _material_table(scene.wall_material)),
+        hidden=_hidden_table(scene.hidden, named),
         camera=_file_tables.CameraTable.model_construct(
             **vars(camera) | {"pixels": list(camera.pixels)}
         ),
         occluder=[
-            _occluder_table(f"occluder[{index}].mesh", occluder, base)
+            _occluder_table(f"occluder[{index}].mesh", occluder, named)
             for index, occluder in enumerate(scene.occluders)
         ]
         or None,
@@ -71,12 +109,12 @@ def _material_table(material: Material) -> Any:
     raise SceneError(f"{type(material).__name__} has no form in a scene file; write a sum of lobes")
 
 
-def _wall_table(wall: Wall, base: Path, material: Any = None) -> Any:
+def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> Any:
     common = {"size": wall.size, "material": material}
     if isinstance(wall, MeshWall):
         return _file_tables.MeshWallTable.model_construct(
             shape="mesh",
-            mesh=_relative("wall.mesh", wall.mesh, base),
+            mesh=_file(f"{key}.mesh", wall.mesh, named),
             scale=wall.scale,
             material=material,
         )
@@ -87,7 +125,7 @@ def _wall_table(wall: Wall, base: Path, material: Any = None) -> Any:
     if isinstance(wall, HeightMapWall):
         return _file_tables.HeightMapTable.model_construct(
             shape="height_map",
-            heights=_relative("wall.heights", wall.heights, base),
+            heights=_file(f"{key}.heights", wall.heights, named),
             pitch=wall.pitch,
             **common,
         )
@@ -96,7 +134,10 @@ def _wall_table(wall: Wall, base: Path, material: Any = None) -> Any:
     if isinstance(wall, WavyWall):
         return _file_tables.WavyTable.model_construct(shape="wavy", **{**vars(wall), **common})
     if isinstance(wall, SumWall):
-        terms = [_wall_table(term, base) for term in wall.terms]
+        terms = [
+            _wall_table(f"{key}.terms[{index}]", term, named)
+            for index, term in enumerate(wall.terms)
+        ]
         return _file_tables.SumTable.model_construct(shape="sum", terms=terms, **common)
     if isinstance(wall, (ConcaveWall, ConvexWall)):
         shape = f"{'concave' if isinstance(wall, ConcaveWall) else 'convex'}_{wall.shape}"
@@ -113,34 +154,38 @@ def _wall_table(wall: Wall, base: Path, material: Any = None) -> Any:
     )
 
 
-def _hidden_table(hidden: PlanarObject | MeshObject, base: Path) -> Any:
+def _hidden_table(hidden: PlanarObject | MeshObject, named: Naming) -> Any:
     common = {name: getattr(hidden, name) for name in ("position", "yaw", "pitch", "roll")}
     common["material"] = _material_table(hidden.material)
     if isinstance(hidden, PlanarObject):
-        image = _relative("hidden.image", hidden.image, base)
+        image = _file("hidden.image", hidden.image, named)
         return _file_tables.PictureTable.model_construct(image=image, size=hidden.size, **common)
-    mesh = _relative("hidden.mesh", hidden.mesh, base)
+    mesh = _file("hidden.mesh", hidden.mesh, named)
     return _file_tables.MeshObjectTable.model_construct(mesh=mesh, scale=hidden.scale, **common)
 
 
-def _occluder_table(name: str, occluder: Any, base: Path) -> Any:
+def _occluder_table(key: str, occluder: Any, named: Naming) -> Any:
     if not isinstance(occluder, Occluder):
         occluder = Occluder(occluder)
     places = {key: getattr(occluder, key) for key in ("scale", "position", "yaw", "pitch", "roll")}
-    mesh = _relative(name, occluder.mesh, base)
+    mesh = _file(key, occluder.mesh, named)
     return _file_tables.OccluderTable.model_construct(mesh=mesh, **places)
 
 
-def _relative(name: str, source: Any, base: Path) -> str:
+def _file(key: str, source: Any, named: Naming) -> str:
     if not isinstance(source, (str, Path)):
         raise SceneError(
-            f"{name} is {type(source).__name__} in memory and a scene file holds paths; write it "
+            f"{key} is {type(source).__name__} in memory and a scene file holds paths; write it "
             "to a file and give its path"
         )
+    return named(key, Path(source).resolve())
+
+
+def _relative(path: Path, base: Path) -> str:
     try:
-        return Path(os.path.relpath(Path(source).resolve(), base)).as_posix()
+        return Path(os.path.relpath(path, base)).as_posix()
     except ValueError:  # another drive
-        return Path(source).resolve().as_posix()
+        return path.as_posix()
 
 
 def _toml(document: dict[str, Any]) -> str:

@@ -9,19 +9,18 @@ table, whose keys it may override. Paths are relative to the file that they stan
 from __future__ import annotations
 
 import math
-import os
 import tomllib
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from .._checks import in_range, positive
+from .._whole_files import write_whole
 from ..errors import SceneError
 from . import _file_tables
 from ._file_errors import located, missing_key, validated
 from ._file_schema import scene_schema
-from ._file_text import format_scene
+from ._file_text import format_scene, scene_files
 from .camera import Camera
 from .height_maps import HeightMapWall
 from .hidden import MeshObject, PlanarObject
@@ -33,7 +32,7 @@ from .scene import Scene
 from .transient_scan import TransientScan
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
-__all__ = ["format_scene", "load_scene", "save_scene", "scene_schema"]
+__all__ = ["format_scene", "load_scene", "save_scene", "scene_files", "scene_schema"]
 
 #: Either key of a pair determines the other; an override replaces both.
 _ALTERNATIVES = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
@@ -100,19 +99,9 @@ def save_scene(scene: Scene, path: str | Path) -> None:
         If the folder does not exist, or a picture or mesh is an array that no file holds.
     """
     path = Path(path)
-    if not path.parent.is_dir():
-        raise SceneError(f"{path}: there is no folder {path.parent}; make it first")
     with located(f"{path}: "):
         text = format_scene(scene, path.parent)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be written ({error.strerror}); choose another") from None
-    finally:
-        with suppress(OSError):
-            draft.unlink()
+    write_whole({path: text.encode()})
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -19,8 +19,13 @@ if TYPE_CHECKING:
 DOTS_PER_INCH = 120
 
 
-def new_axes(columns: int, *, width: float, height: float) -> tuple[Axes, ...]:
-    """Axes side by side on a new figure of ``width`` by ``height`` inches."""
+def new_axes(
+    count: int, *, width: float, height: float, stacked: bool = False, dots: int = DOTS_PER_INCH
+) -> tuple[Axes, ...]:
+    """Axes side by side, or one above the other, on a new figure of ``width`` by ``height`` inches.
+
+    ``dots`` are those of an inch where the figure is written as pixels.
+    """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -28,9 +33,10 @@ def new_axes(columns: int, *, width: float, height: float) -> tuple[Axes, ...]:
         raise MissingExtraError(
             "matplotlib is not installed; run pip install 'nlosoptics[views]' for pictures"
         ) from None
-    figure = Figure(figsize=(width, height), dpi=DOTS_PER_INCH, layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=dots, layout="constrained")
     FigureCanvasAgg(figure)
-    return tuple(figure.subplots(1, columns, squeeze=False)[0])
+    shape = (count, 1) if stacked else (1, count)
+    return tuple(figure.subplots(*shape, squeeze=False).flat)
 
 
 def save(

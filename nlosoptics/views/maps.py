@@ -220,7 +220,7 @@ def reconstruction(
     reconstruction : Reconstruction
         What to draw.
     truth : array_like (ny, nx), optional
-        The object in the frame of the reconstruction, its largest value 1 as there.
+        The object in the frame of the reconstruction, in the same units.
     axes : sequence of matplotlib Axes, optional
         Where to draw, one axes or, with a truth, two; a new figure by default.
 
@@ -228,7 +228,8 @@ def reconstruction(
     -------
     tuple of Axes
         Truth, where it is given, and reconstruction. The mirror is undone: columns count from right
-        to left, so that letters read.
+        to left, so that letters read. Colours are relative brightness where the largest value is
+        1, and else in the units that the given gain refers to.
     """
     pictures = [] if truth is None else [("ground truth", np.asarray(truth))]
     found = reconstruction.object
@@ -241,7 +242,8 @@ def reconstruction(
     for where, (title, picture) in zip(axes, pictures, strict=True):
         drawn = where.imshow(picture, cmap="gray", interpolation="nearest")
         where.invert_xaxis()
-        colour_bar(where, drawn, "relative brightness")
+        relative = np.isclose(picture.max(), 1.0)
+        colour_bar(where, drawn, "relative brightness" if relative else "object units")
         where.set(xlabel="column (pixels)", ylabel="row (pixels)", title=title)
     return tuple(axes)
 

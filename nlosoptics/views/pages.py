@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import html
 import json
 import re
 from importlib.resources import files
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._html import joined, tag
 from ..errors import MissingExtraError
 from .gltf import glb
 from .probing import pyvista
@@ -63,9 +63,9 @@ def html_page(plotter: Plotter) -> str:
     names = ", ".join(name for name in legend)
     about = [f"{bar['title']}: {bar['ticks'][0]} to {bar['ticks'][-1]}" for bar in bars]
     filled = {
-        "TITLE": html.escape(title),
+        "TITLE": joined([title]),
         "BACKGROUND": plotter.background_color.hex_rgb,
-        "DESCRIPTION": html.escape("; ".join(filter(None, [title, names, *about])), quote=True),
+        "DESCRIPTION": joined(["; ".join(filter(None, [title, names, *about]))]),
         "CAPTION": "\n".join([_legend(legend), *(_bar_html(bar) for bar in bars)]),
         "VIEWER": f"<script>{_three()}</script>",
         # no text of a name can end the script
@@ -127,17 +127,19 @@ def _number(value: float) -> str:
 
 def _legend(entries: dict[str, Any]) -> str:
     rows = [
-        f'<li><span style="background: {colour}"></span>{html.escape(name)}</li>'
+        tag("li", tag("span", style=f"background: {colour}"), name)
         for name, colour in entries.items()
     ]
-    return f"<ul>{''.join(rows)}</ul>" if rows else ""
+    return tag("ul", *rows) if rows else ""
 
 
 def _bar_html(bar: dict[str, Any]) -> str:
-    cells = "".join(f'<i style="background: {colour}"></i>' for colour in bar["colours"])
-    ticks = "".join(f"<span>{html.escape(tick)}</span>" for tick in bar["ticks"])
-    middle = " middle" if bar["steps"] else ""
-    return (
-        f'<div class="bar">{html.escape(bar["title"])}<div class="colours">{cells}</div>'
-        f'<div class="ticks{middle}">{ticks}</div></div>'
+    cells = [tag("i", style=f"background: {colour}") for colour in bar["colours"]]
+    ticks = [tag("span", tick) for tick in bar["ticks"]]
+    return tag(
+        "div",
+        bar["title"],
+        tag("div", *cells, class_="colours"),
+        tag("div", *ticks, class_="ticks middle" if bar["steps"] else "ticks"),
+        class_="bar",
     )

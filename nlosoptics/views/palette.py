@@ -10,6 +10,8 @@ GREEN: Final = "#009E73"
 PURPLE: Final = "#CC79A7"
 ORANGE: Final = "#E69F00"
 SKY: Final = "#56B4E9"
+BLACK: Final = "#000000"
+BROWN: Final = "#7A3E00"  # as far from these, to every kind of vision, as they are from each other
 GREY: Final = "#767676"  # of what is beside the matter, readable on white
 
 SERIES: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from .._checks import one_of, whole
 from ..errors import SceneError
 from ..raytrace.paths import DETECTED
+from .palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from .probing import pyvista
 
 if TYPE_CHECKING:
@@ -25,8 +26,7 @@ COLOURS: Final = {
     "weight": ("power", "power of the path (W)"),
     "aberration": ("aberration", "wave aberration (waves)"),
 }
-# Okabe and Ito's colours, distinct to every kind of colour vision
-LEGS: Final = ("#D55E00", "#E69F00", "#56B4E9", "#CC79A7", "#009E73", "#0072B2", "#000000")
+LEGS: Final = (VERMILION, ORANGE, SKY, PURPLE, GREEN, BLUE, BLACK)
 DARK: Final = 0.86  # of a colour map is used: what is lighter is lost on white
 DECADES: Final = 6.0  # of power that are told apart
 

@@ -10,24 +10,21 @@ import numpy as np
 from ..errors import SceneError
 from ..scene import Occluder, PlanarObject, Scene
 from .canvas import new_axes
+from .palette import BLACK, BLUE, BROWN, GREEN, ORANGE, VERMILION
 
 if TYPE_CHECKING:
     import trimesh
     from matplotlib.axes import Axes
 
-# Okabe and Ito's colours, distinct to every kind of colour vision
-WALL, LASER, OBJECT, MIRRORED, CAMERA, CHIEF, OCCLUDER = (
-    "#000000",
-    "#D55E00",
-    "#009E73",
-    "#8FCFBA",
-    "#0072B2",
-    "#E69F00",
-    "#CC79A7",
-)
+WALL, LASER, OBJECT, CAMERA, CHIEF = BLACK, VERMILION, GREEN, BLUE, ORANGE
+MIRRORED = "#8FCFBA"  # the object's, paler
+FINE = 240  # dots per inch, for phones
+OCCLUDER = BROWN  # no reflection's in `rays`, which crosses the same room
 
 
-def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[Axes, Axes]:
+def scene_sketch(
+    scene: Scene, *, stacked: bool = False, axes: Sequence[Axes] | None = None
+) -> tuple[Axes, Axes]:
     """Draw the scene from above (x, z) and from the side (z, y).
 
     Parameters
@@ -37,6 +34,8 @@ def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[A
         its mirror image in the mean wall, the camera with its axis, the chief path of the light
         from the laser by way of the object to the camera, as a flat wall would send it, and boxes
         around occluders.
+    stacked : bool
+        One view above the other on a new figure, to be read on a phone.
     axes : sequence of two matplotlib Axes, optional
         Where to draw; a new figure by default.
 
@@ -45,7 +44,12 @@ def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[A
     (Axes, Axes)
         Top view and side view, m.
     """
-    top, side = axes if axes is not None else new_axes(2, width=10.5, height=5.4)
+    if axes is not None:
+        top, side = axes
+    elif stacked:
+        top, side = new_axes(2, width=3.2, height=7.6, stacked=True, dots=FINE)
+    else:
+        top, side = new_axes(2, width=10.5, height=5.4)
     outlines = _outlines(scene)
     reach = 1.1 * max(np.abs(points[:, :2]).max() for _, points, _ in outlines)
     for view, (across, up) in ((top, (0, 2)), (side, (2, 1))):
@@ -60,7 +64,9 @@ def scene_sketch(scene: Scene, *, axes: Sequence[Axes] | None = None) -> tuple[A
     side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="from the side")
     if axes is None:
         figure: Any = top.get_figure(root=True)
-        figure.legend(*side.get_legend_handles_labels(), loc="outside lower center", ncols=4)
+        figure.legend(
+            *side.get_legend_handles_labels(), loc="outside lower center", ncols=2 if stacked else 4
+        )
     else:
         side.legend()
     return top, side

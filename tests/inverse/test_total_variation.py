@@ -45,6 +45,28 @@ def test_object_is_never_negative():
     assert found.object.min() == 0.0
 
 
+def test_objective_is_what_is_minimised_from_the_first_step_on():
+    """Without a kernel the first steps explain more than the noise, and their weight is infinite.
+
+    The record is taken at the weight that was settled, and ends at the formula of the docstring.
+    """
+    truth = np.zeros((64, 64))
+    truth[20:40, 25:45] = 100.0
+    image = truth + 20.0 * np.random.default_rng(0).standard_normal(truth.shape)
+    model = ForwardModel(np.ones((1, 1)), shape=truth.shape, boundary="circular")
+    found = inverse.tv_deconvolve(
+        image, model, noise_sigma=20.0, tolerance=1e-6, max_iterations=3000
+    )
+    level = found.object * found.physical_parameters["gain"]
+    slopes = [np.roll(level, -1, axis) - level for axis in (0, 1)]
+    variation = found.physical_parameters["tv_weight"] * np.hypot(*slopes).sum() / 20.0
+    objective = found.history["objective"]
+    # edges and object are two copies, which the last steps bring together
+    assert objective[-1] == pytest.approx(0.5 * image.size * found.score**2 + variation, rel=1e-3)
+    # measured 1.44; the start is the image itself, with all its noise
+    assert objective.max() < 2.0 * objective[-1]
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("name", ["F", "cartoon_smile", "hanzi_zhong"])
 @pytest.mark.parametrize(("wall", "limit"), [("smooth", 0.95), ("speckle", 0.99)])

@@ -35,7 +35,7 @@ from nlosoptics.scene import (
     TransientScan,
     WavyWall,
 )
-from nlosoptics.scene.file import format_scene, scene_schema
+from nlosoptics.scene.file import format_scene, scene_files, scene_schema
 
 FOLDER = Path(__file__).parents[2] / "examples" / "scenes"
 SCENES = sorted(path for path in FOLDER.glob("*.toml") if not path.name.startswith("camera"))
@@ -213,6 +213,37 @@ def test_paths_are_relative_to_the_file(flat: Scene, tmp_path: Path) -> None:
     assert np.array_equal(moved.hidden.reflectance, np.eye(8))
 
 
+def test_a_folder_holds_all_of_a_scene(flat: Scene, tmp_path: Path) -> None:
+    """Whatever its files were called: two of one name, and one with the name of a run's own."""
+    (tmp_path / "other").mkdir()
+    for height, folder in ((0.1, tmp_path), (0.2, tmp_path / "other")):
+        trimesh.creation.box((0.1, 0.1, height)).export(folder / "image.ply")
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "scene.npy", rng.random((8, 8)))
+    np.save(tmp_path / "heights.npy", 1e-6 * rng.random((16, 16)))
+    scene = replace(
+        flat,
+        wall=SumWall(FlatWall(), HeightMapWall(tmp_path / "heights.npy", pitch=0.1)),
+        hidden=PlanarObject(tmp_path / "scene.npy", 0.3, position=(0.5, 0.0, 1.0)),
+        occluders=tuple(
+            Occluder(folder / "image.ply", position=(0.0, 0.0, 1.0))
+            for folder in (tmp_path, tmp_path / "other")
+        ),
+    )
+    (tmp_path / "carried").mkdir()
+    for name, content in scene_files(scene).items():
+        (tmp_path / "carried" / name).write_bytes(content)
+    moved = Scene.load(tmp_path / "carried" / "scene.toml")
+    assert scene_files(moved) == scene_files(scene)
+    assert np.array_equal(moved.hidden.reflectance, scene.hidden.reflectance)
+    x, y = np.array([0.01, 0.2]), np.array([0.0, -0.3])
+    assert np.array_equal(moved.wall.height(x, y), scene.wall.height(x, y))
+    assert [np.ptp(o.surface.bounds[:, 2]) for o in moved.occluders] == pytest.approx([0.1, 0.2])
+    (tmp_path / "other" / "image.ply").unlink()
+    with pytest.raises(SceneError, match=r"occluder\[1\].mesh: .* cannot be read .*put it back"):
+        scene_files(scene)
+
+
 def test_odd_file_names_survive(flat: Scene, tmp_path: Path) -> None:
     """Quotes, backslashes and control characters of a path are escaped as TOML wants."""
     path = tmp_path / 'a "b" \\ \u4e2d \x7f.npy'
@@ -229,7 +260,7 @@ def test_a_failed_save_leaves_the_old_file(flat: Scene, tmp_path: Path, monkeypa
     def full(self, *args, **kwargs):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(SceneError, match="cannot be written"):
         replace(flat, wall=FlatWall()).save(path)
     assert path.read_text() == before

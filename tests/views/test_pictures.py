@@ -159,6 +159,14 @@ def test_reconstruction_reads() -> None:
         np.testing.assert_array_equal(shown(axes), letter())
 
 
+def test_reconstruction_names_its_scale() -> None:
+    """Each picture its own: only what has the largest value 1 is relative."""
+    found = SimpleNamespace(object=np.diag([3.0, 0.5]), status="converged")
+    axes = views.reconstruction(found, np.eye(2))  # type: ignore[arg-type]
+    told = [axis.child_axes[0].get_ylabel() for axis in axes]
+    assert told == ["relative brightness", "object units"]
+
+
 def test_reconstruction_without_truth_is_one_picture() -> None:
     """One axes in, one out, and the same one."""
     (axes,) = views.reconstruction(SimpleNamespace(object=letter(), status="converged"))  # type: ignore[arg-type]
@@ -244,6 +252,20 @@ def test_pyplot_is_never_loaded(tmp_path: Path) -> None:
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     assert answer.stdout == "False\n"
+
+
+def test_sketch_for_phones_has_its_views_one_above_the_other(flat_scene):
+    top, side = views.scene_sketch(flat_scene, stacked=True)
+    figure = top.get_figure()
+    figure.draw_without_rendering()
+    above, below = top.get_position(), side.get_position()
+    assert above.y0 > below.y1
+    assert above.x0 == pytest.approx(below.x0)
+    # the legend is within the picture
+    (legend,) = figure.legends
+    box = legend.get_window_extent()
+    assert box.x0 >= 0
+    assert box.x1 <= figure.bbox.width
 
 
 def test_sketch_shows_every_occluder_and_names_one(flat_scene):

@@ -24,6 +24,7 @@ from nlosoptics.scene import (
     WavyWall,
 )
 from nlosoptics.transient import Volume, VolumeImage
+from nlosoptics.views.rays import LEGS
 
 pv = pytest.importorskip("pyvista")
 
@@ -292,6 +293,8 @@ def test_the_legend_names_what_is_there(flat_scene):
     # 2 pi amplitude / period
     assert "relay wall, slopes up to 2.5 mrad" in legend(plotter)
     assert "occluders" in legend(plotter)
+    # no leg of a path passes for one
+    assert plotter.actors["occluders"].prop.color.hex_rgb.upper() not in LEGS
     occluder = np.asarray(plotter.actors["occluders"].mapper.dataset.points)
     assert occluder.mean(axis=0) == pytest.approx((0.5, 0.1, 1.2), abs=1e-6)
     fine = replace(flat_scene, wall=WavyWall(1e-7, 2e-3, size=(1.4, 1.0)))
