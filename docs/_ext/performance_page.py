@@ -386,6 +386,19 @@ def peer_prior(found: Sequence[Row]) -> str:
     return table(["method", "correlation", "seconds"], body)
 
 
+def dense_meshes(found: Sequence[Row]) -> str:
+    """Return milliseconds a pair of points and error, by mesh."""
+    body = (
+        [
+            f"{row['pairing']}, {row['triangles']} triangles",
+            f"{row['milliseconds_a_pair']:.0f} ms",
+            number(row["l1_mean"], 2),
+        ]
+        for row in found
+    )
+    return table(["pairs, mesh", "one pair of points", "relative L1 error, mean"], body)
+
+
 def phasor(found: Sequence[Row]) -> str:
     """Return overlap with the letter and seconds."""
     body = (
@@ -594,6 +607,13 @@ SECTIONS = (
         "Random scenes; the fit is `tv_deconvolve` with the point spread known.",
         f"{RUN}/inverse/feasibility.py --json benchmarks/results/feasibility.jsonl",
         feasibility,
+    ),
+    Section(
+        "dense_meshes.jsonl",
+        "Three bounces off dense meshes",
+        "A dragon in a corridor, tolerance 1 %, one thread; error against a thirtieth of it.",
+        f"{RUN}/transient/dense_meshes.py --json benchmarks/results/dense_meshes.jsonl",
+        dense_meshes,
     ),
     Section(
         "bounces.jsonl",

@@ -65,7 +65,7 @@ def keys(setting: str) -> list[Key]:
         return [*letters, *diffuse, *glossy]
     fine = {"max_bounces": 5, "tol": 3e-3, "n_rays": 1 << 18}
     letters = _cases("letters", 64, (0.056, 0.112), **fine)
-    dragon = _cases("dragon", 128, (0.028, 0.056), cell=0.012, **fine)
+    dragon = _cases("dragon", 128, (0.028, 0.056), cell=0.02, **fine)
     return [*letters, *dragon]
 
 

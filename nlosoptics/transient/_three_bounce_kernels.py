@@ -430,8 +430,9 @@ def three_bounces(
     """Fill ``out`` (pairs, bins + 2) with G of each pair and ``report`` (pairs, REPORT).
 
     Block i of the pairs is from ``blocks[i]`` to ``blocks[i + 1]``; the bins before and after the
-    window are first and last. Row ``sight[i]`` of ``known`` is what the laser point sees; the
-    sensor point's shadows come first where ``turned[i]``. Pairs share no sum, so that threads
+    window are first and last. Row ``sight[i]`` of ``known`` is what the laser point sees, which
+    need not be asked again if its last says so; the sensor point's shadows come first where
+    ``turned[i]``. Pairs share no sum, so that threads
     change no bit.
     """
     for block in prange(blocks.size - 1):
@@ -448,9 +449,12 @@ def three_bounces(
             p, q = lasers[i], sensors[i]
             if turned[i]:
                 p, q = q, p
-            how, ends, kept, kept_sizes = known
+            how, ends, kept, kept_sizes, told = known
             seen = how[sight[i]], ends[sight[i]], kept, kept_sizes
-            first, second = outline(mesh, p, first), outline(mesh, q, second)
+            if turned[i] or not told:
+                first = outline(mesh, p, first)
+            if p[0] != q[0] or p[1] != q[1]:
+                second = outline(mesh, q, second)
             both = first, second
             pieces, count = _seen(mesh, clear, p, q, both, seen, turned[i], room, pieces)
             out[i, :] = 0.0

@@ -183,7 +183,10 @@ def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, 
 
 
 def _sights(mesh: Mesh, clear: NDArray[np.bool_], lights: Array, ask: bool) -> Any:
-    """What each of ``lights`` sees of each triangle, and the polygons of what it sees in part."""
+    """What each of ``lights`` sees of each triangle, and the polygons of what it sees in part.
+
+    Last whether that is all that need be known of these points.
+    """
     from . import _three_bounce_kernels as kernels
     from ._shadow_kernels import CORNERS
 
@@ -191,17 +194,20 @@ def _sights(mesh: Mesh, clear: NDArray[np.bool_], lights: Array, ask: bool) -> A
     known = np.full(shape, kernels.PART, dtype=np.int8)
     ends = np.zeros((shape[0], shape[1] + 1), dtype=np.int32)
     kept, sizes = np.empty((0, 2 * CORNERS)), np.empty(0, dtype=np.int64)
+    told = False
     if ask:
         world = mesh, clear, lights, known, ends
         kernels.sights(*world, kept, sizes)
         total = int(ends.sum(dtype=np.int64))
-        if 0 < total <= MOST_KEPT:
+        # in part, yet in no polygon: there were too many, which the pairs shall tell
+        told = total <= MOST_KEPT and not ((known == kernels.PART) & (ends[:, 1:] == 0)).any()
+        if told and total:
             ends = np.cumsum(ends.ravel(), dtype=np.int32).reshape(ends.shape)
             kept, sizes = np.empty((total, 2 * CORNERS)), np.empty(total, dtype=np.int64)
             kernels.sights(*world[:-1], ends, kept, sizes)
         else:
             ends[:] = 0
-    return known, ends, kept, sizes
+    return known, ends, kept, sizes, told
 
 
 def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> None:

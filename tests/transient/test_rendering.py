@@ -309,6 +309,25 @@ def test_pairs():
     assert not every.standard_error.any()
 
 
+@pytest.mark.parametrize("pairing", ["all", "confocal"])
+def test_what_a_point_sees_is_kept_for_all_that_see_by_it(pairing):
+    """Shadows of many pairs at once are those of each pair alone."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.25)
+    ball.apply_translation((0.1, 0.05, 0.9))
+    surfaces = [(ball, WHITE), (plate(1.6, 1.6, (0.0, 0.0, 1.6)), WHITE)]
+    lasers = wall_grid(1.2, 3)
+    sensors = lasers if pairing == "confocal" else SENSORS
+    every = light(surfaces, laser_points=lasers, sensor_points=sensors, pairing=pairing)
+    assert every.details["shadows"]
+    for i, j in np.ndindex(3, 3):
+        for k, sensor in enumerate([lasers[i, j]] if pairing == "confocal" else SENSORS):
+            one = light(surfaces, laser_points=lasers[i, j], sensor_points=sensor)
+            found = every.H[:, i, j] if pairing == "confocal" else every.H[:, i, j, k]
+            # the other point's shadows may be cut out first: two quadratures of tol = 1e-3
+            assert found.sum() == pytest.approx(one.H.sum(), rel=1e-5)
+            assert np.abs(found - one.H.ravel()).sum() < 2e-3 * found.sum()
+
+
 def test_both_sides_scatter_alike():
     one, other = plate(), plate()
     other.faces = other.faces[:, ::-1]
