@@ -21,12 +21,11 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 
 def rows(name: str) -> Any:
-    """Everything in a results file, of JSON or of a JSON line each."""
+    """Everything in a results file, of JSON or (``.jsonl``) of a JSON line each."""
     text = (RESULTS / name).read_text()
-    try:
-        return json.loads(text)
-    except json.JSONDecodeError:
+    if name.endswith(".jsonl"):
         return [json.loads(line) for line in text.splitlines() if line.strip()]
+    return json.loads(text)
 
 
 def number(value: float | None, digits: int = 3) -> str:
