@@ -118,7 +118,11 @@ class Measurement:
         return rms / self.sigma if self.sigma > 0.0 else rms
 
     def is_background(self) -> bool:
-        """Whether the background alone explains the data to within three standard errors.
+        """Whether the background alone explains the data to within three standard errors."""
+        return self.is_noise_about(self.background(self.background_strength(self.data)))
+
+    def is_noise_about(self, explained: Tensor | float) -> bool:
+        """Whether ``explained`` leaves of the data the noise, to within three standard errors.
 
         The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the
         measured spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
@@ -126,7 +130,6 @@ class Measurement:
         if self.sigma == 0.0:
             return True
         variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
-        explained = self.background(self.background_strength(self.data))
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
     def like_input(self, values: Tensor) -> Any:
