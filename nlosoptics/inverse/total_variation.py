@@ -146,10 +146,11 @@ def tv_deconvolve(
     for iteration in range(first, max_iterations):
         change = splitting.iterate()
         converged = change <= tolerance
-        told = converged or iteration % 10 == 9
+        last = converged or iteration + 1 == max_iterations
+        told = last or iteration % 10 == 9
         if iteration < _ADAPT_UNTIL and iteration % _ADAPT_EVERY == _ADAPT_EVERY - 1:
             splitting.adapt()
-        done = 1.0 if converged else (iteration + 1) / max_iterations
+        done = 1.0 if last else (iteration + 1) / max_iterations
         if told and not splitting.report(progress, done, iteration + 1):
             break
         if converged:
@@ -383,8 +384,11 @@ class _Splitting:
                     f"{tuple(mine.shape)}; it is of another model, leave it out"
                 )
             setattr(self, f"_{name}", kept)
+        given = self._multiplier
         for name, number in zip(_NUMBERS, numbers, strict=True):
             setattr(self, f"_{name}", number)
+        if not self._sought:
+            self._multiplier = given  # the state's may be of another weight
         self._factorise()
         return int(count)
 
