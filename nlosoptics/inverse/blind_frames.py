@@ -13,7 +13,7 @@ from torch import Tensor
 from .._checks import one_of
 from ..errors import SamplingError, SceneError
 from .measurements import Measurement, measurement, real_array, shape_of
-from .pupil_psf import PupilPSF
+from .pupil_psf import MOST_DEFOCUS, PupilPSF
 from .pupil_waves import ZernikeWaves
 
 #: Grid over frame, so that what leaves the frame over one edge does not come in at the other.
@@ -211,8 +211,10 @@ def known_defoci(defocus: Any, count: int) -> Tensor:
         raise SamplingError(
             f"defocus has shape {values.shape}, must be ({count},); give one value per image"
         )
-    if not np.isfinite(values).all() or np.abs(values).max() > 1e-3:
-        raise SceneError(f"defocus = {values.tolist()} m rms, limit 1e-3; give metres, not waves")
+    if not (np.abs(values) <= MOST_DEFOCUS).all():  # nor is NaN
+        raise SceneError(
+            f"defocus = {values.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
+        )
     return torch.from_numpy(values)
 
 
