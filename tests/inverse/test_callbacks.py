@@ -101,6 +101,14 @@ def test_an_object_alone_is_a_start_too() -> None:
     assert abs(other.object - cold.object).max() > 0.05
     watch = Watch()
     inverse.tv_deconvolve(image, model, **{**options, "tv_weight": 3.0}, progress=watch)
+    wrong_edges = np.full_like(watch.states[3]["edges"], np.nan)
+    for name, wrong, words in (
+        ("numbers", np.zeros(3), "start's numbers are .*, must be 6 finite ones"),
+        ("signed", "F.png", "start's signed of type str is not an array"),
+        ("edges", wrong_edges, "start's edges holds values that are not finite"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            inverse.tv_deconvolve(image, model, **options, start={**watch.states[3], name: wrong})
     again = inverse.tv_deconvolve(image, model, **options, start=watch.states[3])
     assert again.physical_parameters["tv_weight"] == approx(0.3, rel=1e-12)
     assert again.object == approx(cold.object, abs=1e-2)

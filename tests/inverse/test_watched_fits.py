@@ -214,6 +214,8 @@ def test_bad_starts_are_named(solver, start, named) -> None:
 def test_a_state_of_another_network_is_refused() -> None:
     watch = Watch(1)
     image_prior(progress=watch)
+    with pytest.raises(SceneError, match="start's numbers are"):
+        image_prior(start={**watch.states[0], "numbers": np.ones(5)})
     kept = {**watch.states[0], "network": np.ones(7)}
     with pytest.raises(SamplingError, match="7 network, this fit"):
         image_prior(start=kept)
