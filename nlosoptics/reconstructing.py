@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +95,7 @@ class Task:
         digest = hashlib.sha256(self.method.encode())
         for image in self.images:
             digest.update(image.values.tobytes() + image.masked.tobytes())
-        digest.update(repr((self.defocus, self.seed, self.iterations)).encode())
+        digest.update(repr((self.defocus, self.seed, self.iterations, self.tol)).encode())
         return digest.hexdigest()
 
 
@@ -118,7 +119,8 @@ def prepared(
     ----------
     scene : Scene
     paths : sequence of Path
-        Picture files; exposures of one scene are averaged, unless ``defocus`` tells them apart.
+        Picture files. Exposures of one scene are averaged, save by methods that fit the wall's
+        wave too: to them each is an image of its own, told apart by ``defocus``.
     method : str
         One of `METHODS`.
     dark, flat, full
@@ -505,22 +507,23 @@ def kept_state(folder: Path, identity: str) -> dict[str, Array]:
     Raises
     ------
     SceneError
-        If there is none, it cannot be read, or scene, pictures or method were others.
+        If there is none, it cannot be read, or scene, pictures or options were others.
     """
     path = folder / CHECKPOINT
     if not path.is_file():
         raise SceneError(f"there is no {path} to resume from; run without --resume")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             state = {name: file[name] for name in file.files}
         found = str(state.pop("identity"))
-    except (OSError, ValueError, KeyError, EOFError) as error:
+    except (OSError, ValueError, KeyError, EOFError, TypeError, BadZipFile) as error:
         raise SceneError(
             f"{path} cannot be read ({type(error).__name__}); run without --resume"
         ) from None
     if found != identity:
         raise SceneError(
-            f"{path} is of another scene, picture, method or seed; run without --resume"
+            f"{path} is of another scene, picture, method, defocus, seed, tolerance or number of "
+            "iterations; give those again, or run without --resume"
         )
     return state
 

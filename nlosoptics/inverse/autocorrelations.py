@@ -92,6 +92,11 @@ def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> Spectr
     SamplingError
         If no lags stand out, or those of the object do not fit the array.
     """
+    if min(lags.shape) < 3:
+        raise SamplingError(
+            f"the image holds {lags.shape[0]} x {lags.shape[1]} lags, limit 3 x 3; give one of at "
+            "least 3 x 3 pixels"
+        )
     centre = tuple(n // 2 for n in lags.shape)
     lags = lags.copy()
     # The zero lag holds the noise's variance, or nothing; its neighbours are the object's.

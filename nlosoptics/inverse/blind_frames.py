@@ -12,8 +12,8 @@ from torch import Tensor
 
 from .._checks import one_of
 from ..errors import SamplingError, SceneError
-from .measurements import Measurement, measurement
-from .pupil_psf import PupilPSF
+from .measurements import Measurement, measurement, real_array, shape_of
+from .pupil_psf import MOST_DEFOCUS, PupilPSF
 from .pupil_waves import ZernikeWaves
 
 #: Grid over frame, so that what leaves the frame over one edge does not come in at the other.
@@ -159,7 +159,7 @@ def frames_of(
         scale=scale,
         pupil=pupil,
         walls=_wall_numbers(walls, count).to(pupil.optics.device),
-        defocus=_defoci(defocus, count).to(like),
+        defocus=known_defoci(defocus, count).to(like),
     )
 
 
@@ -181,7 +181,7 @@ def _stack(images: Any) -> Any:
 
 def _per_image(name: str, value: Any, count: int, ndim: int) -> list[Any]:
     """One value for each image, of one for all, (K,), (H, W) or (K, H, W)."""
-    dimensions = np.ndim(value) if value is not None else 0
+    dimensions = len(shape_of(name, value))
     if dimensions in (0, ndim - 1):
         return [value] * count
     if len(value) != count:
@@ -192,6 +192,7 @@ def _per_image(name: str, value: Any, count: int, ndim: int) -> list[Any]:
 def _wall_numbers(walls: Any, count: int) -> Tensor:
     if walls is None:
         return torch.zeros(count, dtype=torch.int64)
+    shape_of("walls", walls)  # refuses rows of different length
     numbers = np.asarray(walls)
     if numbers.shape != (count,) or numbers.dtype.kind not in "iu":
         raise SamplingError(
@@ -203,14 +204,17 @@ def _wall_numbers(walls: Any, count: int) -> Tensor:
     return torch.from_numpy(numbers.astype(np.int64))
 
 
-def _defoci(defocus: Any, count: int) -> Tensor:
-    values = np.zeros(count) if defocus is None else np.asarray(defocus, dtype=np.float64)
+def known_defoci(defocus: Any, count: int) -> Tensor:
+    """Known further defocus of each image, (K,) float64, m rms; 0 where none is given."""
+    values = np.zeros(count) if defocus is None else real_array("defocus", defocus)
     if values.shape != (count,):
         raise SamplingError(
             f"defocus has shape {values.shape}, must be ({count},); give one value per image"
         )
-    if not np.isfinite(values).all() or np.abs(values).max() > 1e-3:
-        raise SceneError(f"defocus = {values.tolist()} m rms, limit 1e-3; give metres, not waves")
+    if not (np.abs(values) <= MOST_DEFOCUS).all():  # nor is NaN
+        raise SceneError(
+            f"defocus = {values.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
+        )
     return torch.from_numpy(values)
 
 

@@ -196,13 +196,14 @@ class _Maximisation:
             done = residual <= 1.0 or change <= tolerance
             if done:
                 self.best, self._best_strength = self._object, self._strength
+            last = done or iteration + 1 == max_iterations
             on = True
-            if done or iteration % 10 == 9:
+            if last or iteration % 10 == 9:
                 on = goes_on(
                     progress,
                     f"Richardson-Lucy: residual {residual:.3g} of the noise after "
                     f"{iteration + 1} iterations",
-                    1.0 if done else (iteration + 1) / max_iterations,
+                    1.0 if last else (iteration + 1) / max_iterations,
                     partial(state_of, self.best.double() * self.scale),
                 )
             if done or not on:

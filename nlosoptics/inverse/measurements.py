@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from .._checks import positive, real
@@ -118,7 +118,11 @@ class Measurement:
         return rms / self.sigma if self.sigma > 0.0 else rms
 
     def is_background(self) -> bool:
-        """Whether the background alone explains the data to within three standard errors.
+        """Whether the background alone explains the data to within three standard errors."""
+        return self.is_noise_about(self.background(self.background_strength(self.data)))
+
+    def is_noise_about(self, explained: Tensor | float) -> bool:
+        """Whether ``explained`` leaves of the data the noise, to within three standard errors.
 
         The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the
         measured spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
@@ -126,7 +130,6 @@ class Measurement:
         if self.sigma == 0.0:
             return True
         variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
-        explained = self.background(self.background_strength(self.data))
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
     def like_input(self, values: Tensor) -> Any:
@@ -155,7 +158,7 @@ def measurement(
     template = image if isinstance(image, Tensor) else None
     device = torch.device("cpu") if template is None else template.device
     data = _picture("image", image, shape, device)
-    if np.ndim(background) == 0:
+    if not shape_of("background", background):
         data = data - real("background", background)
     else:
         data = data - _picture("background", background, shape, device)
@@ -167,7 +170,7 @@ def measurement(
                 "image is without noise (noise_sigma None, estimated 0) though not uniform; "
                 "give noise_sigma"
             )
-    elif np.ndim(noise_sigma) == 0:
+    elif not shape_of("noise_sigma", noise_sigma):
         sigma = _positive_sigma(noise_sigma)
     else:
         sigmas = _picture("noise_sigma", noise_sigma, shape, device, infinite=True)
@@ -195,12 +198,52 @@ def measurement(
     )
 
 
+def real_array(name: str, value: Any) -> NDArray[np.float64]:
+    """Values of an array, a tensor or nested sequences as float64.
+
+    Raises
+    ------
+    SceneError
+        If they are no real numbers, or rows differ in length.
+    """
+    try:
+        if isinstance(value, Tensor):
+            if value.is_complex():
+                raise TypeError
+            return value.detach().to(device="cpu", dtype=torch.float64).numpy()
+        if np.iscomplexobj(value):
+            raise TypeError
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(
+            f"{name} of type {type(value).__name__} is not an array of real numbers; "
+            "give an array or a tensor"
+        ) from None
+
+
+def shape_of(name: str, value: Any) -> tuple[int, ...]:
+    """Shape of a number, an array, a tensor or nested sequences.
+
+    Raises
+    ------
+    SceneError
+        If rows differ in length.
+    """
+    try:
+        return tuple(np.shape(value))
+    except ValueError:
+        raise SceneError(
+            f"{name} of type {type(value).__name__} has rows that differ in shape; "
+            "give an array or a tensor"
+        ) from None
+
+
 def estimate_noise(image: ArrayLike) -> float:
     """Root-mean-square noise of an image, white within a dozen pixels.
 
     Parameters
     ----------
-    image : array_like
+    image : array_like or Tensor
         (H, W), at least 3 x 3 pixels.
 
     Returns
@@ -213,7 +256,7 @@ def estimate_noise(image: ArrayLike) -> float:
     SamplingError
         If the image is smaller, or not one image.
     SceneError
-        If a value is not finite.
+        If a value is not finite or no real number.
 
     Notes
     -----
@@ -228,7 +271,7 @@ def estimate_noise(image: ArrayLike) -> float:
     .. [1] Immerkaer, Computer Vision and Image Understanding 64 (1996) 300.
     .. [2] Donoho and Johnstone, Biometrika 81 (1994) 425.
     """
-    values = np.asarray(image, dtype=np.float64)
+    values = real_array("image", image)
     if values.ndim != 2 or min(values.shape) < 3:
         raise SamplingError(
             f"image has shape {values.shape}, noise needs at least 3 x 3 pixels; give noise_sigma"
@@ -276,18 +319,10 @@ def _positive_sigma(sigma: float) -> float:
 def _picture(
     name: str, value: Any, shape: tuple[int, int], device: torch.device, *, infinite: bool = False
 ) -> Tensor:
-    try:
-        if np.iscomplexobj(value) or (isinstance(value, Tensor) and value.is_complex()):
-            raise TypeError
-        if isinstance(value, Tensor):
-            picture = value.detach().to(device=device, dtype=torch.float64)
-        else:
-            picture = torch.tensor(np.asarray(value, dtype=np.float64), device=device)
-    except (TypeError, ValueError):
-        raise SceneError(
-            f"{name} of type {type(value).__name__} is not an array of real numbers; "
-            "give an array or a tensor"
-        ) from None
+    if isinstance(value, Tensor) and not value.is_complex():
+        picture = value.detach().to(device=device, dtype=torch.float64)
+    else:
+        picture = torch.tensor(real_array(name, value), device=device)
     if tuple(picture.shape) != shape:
         raise SamplingError(
             f"{name} has shape {tuple(picture.shape)}, must be {shape} like the model; "

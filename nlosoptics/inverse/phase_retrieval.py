@@ -20,7 +20,7 @@ from ._threads import single_thread
 from .alternating import alternating_minimisation, spectral_start
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
 from .callbacks import State, goes_on, state_of
-from .measurements import measurement
+from .measurements import measurement, shape_of
 from .projections import averaged, fourier_errors, projected
 from .reconstructions import Reconstruction, Status
 from .registration import registered_correlation
@@ -117,7 +117,7 @@ def phase_retrieval(
        (2013) 2796.
     """
     started = time.perf_counter()
-    shape = np.shape(image) if model is None else one_kernel_shape(model)
+    shape = shape_of("image", image) if model is None else one_kernel_shape(model)
     if len(shape) != 2:
         raise SamplingError(f"image has shape {shape}; give one image, (H, W)")
     data = measurement(

@@ -30,6 +30,9 @@ from .pupil_waves import (
     start_values,
 )
 
+#: Known defoci beyond this, m rms, are taken for waves.
+MOST_DEFOCUS = 1e-3
+
 
 class PupilPSF(nn.Module):
     """Point spread of a round pupil as a function of the wave's coefficients.
@@ -333,6 +336,13 @@ class PupilPSF(nn.Module):
         -------
         Tensor
             By "fft" it sums to 1, by "mdft" the whole plane does.
+
+        Raises
+        ------
+        SamplingError
+            If a shape or the coefficients' dtype does not fit.
+        SceneError
+            If the coefficients are no tensor, or a defocus is not finite or not in metres.
         """
         return self.optics.point_spread(self._turns(coefficients, defocus))
 
@@ -378,8 +388,15 @@ class PupilPSF(nn.Module):
         ------
         SamplingError
             If the object does not fit the frame.
+        SceneError
+            If it is no tensor; or as of `forward`.
         """
         one_of("boundary", boundary, ("padded", "circular"))
+        if not isinstance(object_image, Tensor):
+            raise SceneError(
+                f"object_image of type {type(object_image).__name__} is no tensor; give "
+                "torch.from_numpy(picture)"
+            )
         frame = tuple(object_image.shape[-2:])
         if object_image.ndim < 2 or 0 in frame:
             raise SamplingError(
@@ -454,10 +471,21 @@ class PupilPSF(nn.Module):
         turns: Tensor = self.waves(self._checked(coefficients))
         if defocus is None:
             return turns
-        extra = torch.as_tensor(defocus, dtype=turns.dtype, device=turns.device)
+        try:
+            extra = torch.as_tensor(defocus, dtype=turns.dtype, device=turns.device)
+        except (TypeError, ValueError):
+            raise SceneError(
+                f"defocus of type {type(defocus).__name__} holds no numbers; give metres, one "
+                "value per frame"
+            ) from None
         if extra.ndim != 1:
             raise SamplingError(
                 f"defocus has shape {tuple(extra.shape)}, must be (K,); give one value per frame"
+            )
+        told = extra.detach()
+        if not bool((told.abs() <= MOST_DEFOCUS).all()):  # nor is NaN
+            raise SceneError(
+                f"defocus = {told.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
             )
         return turns.unsqueeze(-3) + self.defocus_turns(extra)
 

@@ -12,6 +12,7 @@ from scipy import fft, ndimage
 
 from .._checks import positive, whole
 from ..errors import SamplingError, SceneError
+from .measurements import real_array
 from .reconstructions import Reconstruction
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ def registered_correlation(
     SamplingError
         If the shapes differ or are not two-dimensional.
     SceneError
-        If a value is not finite.
+        If a value is not finite or no real number.
 
     Notes
     -----
@@ -121,7 +122,7 @@ def registered_scores(
     SamplingError
         If the shapes differ, are not two-dimensional or too small.
     SceneError
-        If a value is not finite, or the truth is uniform and no range is given.
+        If a value is not finite or no real number, or the truth is uniform and no range is given.
 
     Notes
     -----
@@ -238,10 +239,8 @@ def _pair(reconstruction: Any, truth: Any) -> tuple[Array, Array]:
 
 
 def _values(name: str, image: Any) -> Array:
-    if hasattr(image, "detach"):
-        image = image.detach().cpu().numpy()
-    values = np.asarray(image, dtype=np.float64)
-    if values.ndim != 2:
+    values = real_array(name, image)
+    if values.ndim != 2 or not values.size:
         raise SamplingError(f"{name} has shape {values.shape}; give one image, (H, W)")
     if not np.isfinite(values).all():
         raise SceneError(

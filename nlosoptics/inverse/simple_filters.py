@@ -114,7 +114,7 @@ def inverse_filter(
         gain=gain,
         status="converged",
         history={
-            "objective": [0.5 * data.data.numel() * score**2],
+            "objective": [0.5 * data.counted * score**2],
             "residual": [score],
             "change": [1.0],
         },

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .._checks import one_of, positive, whole
+from .._checks import in_range, one_of, positive, whole
 from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SamplingError, SceneError
@@ -33,6 +33,7 @@ from .blind_stages import (
 )
 from .callbacks import started_from
 from .image_prior import deep_image_prior
+from .measurements import real_array
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, Status, frozen
 from .registration import registered_correlation
@@ -170,6 +171,7 @@ def staged_fit(
     """
     started = time.perf_counter()
     checked_seed(seed)
+    tolerance = in_range("tolerance", tolerance, 0.0, 0.5)
     gain = None if gain is None else positive("gain", gain)
     one_of("object_model", object_model, ("pixels", "unet"))
     frames = frames_of(
@@ -300,9 +302,7 @@ def _picture(name: str, value: Any, frames: Frames) -> Tensor | None:
     """A picture that came with the images, on their pixels."""
     if value is None:
         return None
-    if isinstance(value, Tensor):
-        value = value.detach().cpu().numpy()
-    picture = np.asarray(value, dtype=np.float64)
+    picture = real_array(name, value)
     shape = tuple(frames.images.shape[-2:])
     if picture.shape != shape:
         raise SamplingError(f"{name} has shape {picture.shape}, must be {shape} like the images")

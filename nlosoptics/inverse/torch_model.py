@@ -56,7 +56,13 @@ class TorchForwardModel(nn.Module):
         ------
         SamplingError
             If ``dtype`` is another.
+        SceneError
+            If ``model`` is none.
         """
+        if not isinstance(model, ForwardModel):
+            raise SceneError(
+                f"model of type {type(model).__name__} is not an imaging.ForwardModel; give one"
+            )
         if dtype not in (torch.float32, torch.float64):
             raise SamplingError(
                 f"dtype = {dtype} is not supported by the transform; "
@@ -95,6 +101,11 @@ class TorchForwardModel(nn.Module):
         return (parts * self.weights).sum(dim=-3)
 
     def _check(self, name: str, picture: Tensor) -> None:
+        if not isinstance(picture, Tensor):
+            raise SceneError(
+                f"{name} of type {type(picture).__name__} is no tensor; give "
+                "torch.from_numpy(picture)"
+            )
         if tuple(picture.shape[-2:]) != self.shape:
             raise SamplingError(
                 f"{name} has shape {tuple(picture.shape)}, must end in {self.shape}; "

@@ -14,12 +14,12 @@ from torch import Tensor
 from .._checks import in_range, positive, whole
 from .._progress import Progress
 from .._random import checked_seed
-from ..errors import SamplingError
+from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .callbacks import State, goes_on, started_from, state_of
 from .field_steps import FieldStep
-from .measurements import Measurement, measurement, total
+from .measurements import Measurement, measurement, real_array, total
 from .reconstructions import Reconstruction, assemble, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
 
@@ -145,11 +145,13 @@ def tv_deconvolve(
     converged = False
     for iteration in range(first, max_iterations):
         change = splitting.iterate()
-        converged = change <= tolerance
-        told = converged or iteration % 10 == 9
+        # The first step moves by the data alone, which a large weight leaves no say.
+        converged = change <= tolerance and iteration > 0
+        last = converged or iteration + 1 == max_iterations
+        told = last or iteration % 10 == 9
         if iteration < _ADAPT_UNTIL and iteration % _ADAPT_EVERY == _ADAPT_EVERY - 1:
             splitting.adapt()
-        done = 1.0 if converged else (iteration + 1) / max_iterations
+        done = 1.0 if last else (iteration + 1) / max_iterations
         if told and not splitting.report(progress, done, iteration + 1):
             break
         if converged:
@@ -373,20 +375,31 @@ class _Splitting:
         """Take up a state; the iterations behind it, 0 where it is an object alone."""
         if not {*_PICTURES, "numbers"} <= set(state):
             return 0
-        *numbers, count = (float(number) for number in state["numbers"])
+        numbers = real_array("start's numbers", state["numbers"]).ravel().tolist()
+        if len(numbers) != len(_NUMBERS) + 1 or not np.isfinite(numbers).all():
+            raise SceneError(
+                f"start's numbers are {numbers}, must be {len(_NUMBERS) + 1} finite ones; give a "
+                "state of tv_deconvolve, or leave it out"
+            )
+        count = int(numbers.pop())
         for name in _PICTURES:
             mine = getattr(self, f"_{name}")
-            kept = torch.as_tensor(np.asarray(state[name]), dtype=mine.dtype, device=mine.device)
+            kept = torch.tensor(real_array(f"start's {name}", state[name])).to(mine)
             if kept.shape != mine.shape:
                 raise SamplingError(
                     f"start's {name} has shape {tuple(kept.shape)}, this fit's has "
                     f"{tuple(mine.shape)}; it is of another model, leave it out"
                 )
+            if not bool(torch.isfinite(kept).all()):
+                raise SceneError(f"start's {name} holds values that are not finite; leave it out")
             setattr(self, f"_{name}", kept)
+        given = self._multiplier
         for name, number in zip(_NUMBERS, numbers, strict=True):
             setattr(self, f"_{name}", number)
+        if not self._sought:
+            self._multiplier = given  # the state's may be of another weight
         self._factorise()
-        return int(count)
+        return count
 
     def adapt(self) -> None:
         """Let the data penalty follow the multiplier."""

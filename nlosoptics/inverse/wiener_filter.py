@@ -20,6 +20,9 @@ from .measurements import Measurement, measurement, total
 from .reconstructions import Reconstruction, Status, assemble, beside, without_object
 from .torch_model import TorchForwardModel, model_shape, torch_model
 
+# Of what a kernel passes, the part that rounding leaves of zero.
+_ROUNDING = 1e-12
+
 
 @single_thread()
 def wiener(
@@ -83,7 +86,8 @@ def wiener(
     -----
     Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x``, S proportional to 1/(f^2 + f_0^2) with f_0
     one cycle per frame (the spectrum of natural scenes [1]_), its strength matched to the image's
-    variance in excess of the noise. A circular frame without weights is the classical filter,
+    variance in excess of the noise, or to its mean square where, without a background to fit, the
+    image is even to its noise. A circular frame without weights is the classical filter,
     solved in one step. A padded frame sees only part of the light, and a field has many spectra:
     the filter, by a field's mean point spread, is then the preconditioner of conjugate gradients
     over the objects that lie in the frame, so no edge is tapered and none rings.
@@ -156,11 +160,16 @@ class _NormalEquations:
         twice[0] = 1.0
         if columns % 2 == 0:
             twice[-1] = 1.0
-        passed = total(power * prior * twice) - float(power[0, 0] * prior[0, 0])
+        of_mean = float(power[0, 0] * prior[0, 0])
+        passed = total(power * prior * twice) - of_mean
         # The object's mean is no part of the prior's variance, whoever explains it.
         steady: Tensor | float = data.weighted_mean(data.data)
         if data.fit_background:
             steady = data.background(data.background_strength(data.data))
+        elif data.is_noise_about(steady):  # then there is nothing else to match the prior to
+            steady, passed = 0.0, passed + of_mean
+        if passed <= _ROUNDING * of_mean:  # an even kernel over a periodic frame, or one pixel
+            passed = of_mean
         excess = data.score(steady) ** 2 - 1.0
         # Parseval: sum |H|^2 S = samples * (summed variance of the image); S = strength * prior.
         samples = rows * columns

@@ -20,8 +20,9 @@ from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
 from .adam_states import adam_state, joined, spread, take_up_adam
+from .blind_frames import known_defoci
 from .callbacks import State, goes_on, state_of
-from .measurements import Measurement, measurement
+from .measurements import Measurement, measurement, real_array, shape_of
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction, assemble, without_object
 from .registration import registered_correlation
@@ -166,8 +167,8 @@ def wu2024_fit(
     data = measurement(
         _only(images, pupil_psf),
         pupil_psf.shape,
-        noise_sigma=_of_one(noise_sigma),
-        background=_of_one(background),
+        noise_sigma=_of_one("noise_sigma", noise_sigma),
+        background=_of_one("background", background),
         fit_background=fit_background,
         background_shape=background_shape,
     )
@@ -183,7 +184,7 @@ def wu2024_fit(
         angles = _random_angles(pupil_psf, start_waves, seed)
         network = UNetObject(image.image, base=base, depth=depth, seed=seed)
     fit = _Pcin(image, pupil_psf, extra, angles, network, learning_rate, tv_weight, data.sigma)
-    behind = fit.go_on(start) if isinstance(start, Mapping) else 0
+    behind = 0 if start is None or isinstance(start, Reconstruction) else fit.go_on(start)
     fit.run(behind, max_iterations, alternate, network_input, progress)
     return _result(fit, data, gain, started)
 
@@ -253,7 +254,7 @@ class _Pcin:
 
     def go_on(self, state: Mapping[str, Any]) -> int:
         """Take up a state; the iterations behind it."""
-        if not {"guide", "count"} <= set(state):
+        if not isinstance(state, Mapping) or not {"guide", "count"} <= set(state):
             raise SceneError("start holds no network; give a state of wu2024_fit, or leave it out")
         take_up_adam("angles", self._adams[0], state)
         take_up_adam("network", self._adams[1], state)
@@ -347,7 +348,7 @@ def _only(images: Any, pupil_psf: PupilPSF) -> Any:
             f"pupil_psf of type {type(pupil_psf).__name__} is not a PupilPSF; "
             "build one with PupilPSF.from_zernike"
         )
-    shape = tuple(np.shape(images))
+    shape = shape_of("images", images)
     if len(shape) != 3:
         return images
     if shape[0] != 1:
@@ -358,21 +359,16 @@ def _only(images: Any, pupil_psf: PupilPSF) -> Any:
     return images[0]
 
 
-def _of_one(value: Any) -> Any:
+def _of_one(name: str, value: Any) -> Any:
     """What holds of one image, of (1,) or (1, H, W) as of a list of images."""
-    shape = np.shape(value)
+    shape = shape_of(name, value)
     return value[0] if len(shape) in (1, 3) and shape[0] == 1 else value
 
 
 def _only_defocus(defocus: Any) -> list[float] | None:
     if defocus is None:
         return None
-    values = np.atleast_1d(np.asarray(defocus, dtype=np.float64))
-    if values.shape != (1,) or not np.isfinite(values).all():
-        raise SamplingError(
-            f"defocus has shape {values.shape}, must be one finite number for one image, in m rms"
-        )
-    return [float(values[0])]
+    return known_defoci(np.atleast_1d(real_array("defocus", defocus)), 1).tolist()
 
 
 def _random_angles(pupil_psf: PupilPSF, waves: float, seed: int) -> Tensor:

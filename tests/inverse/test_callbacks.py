@@ -99,6 +99,19 @@ def test_an_object_alone_is_a_start_too() -> None:
     # both end within the tolerance per iteration of the same minimum
     assert warm.object == approx(cold.object, abs=1e-2)
     assert abs(other.object - cold.object).max() > 0.05
+    watch = Watch()
+    inverse.tv_deconvolve(image, model, **{**options, "tv_weight": 3.0}, progress=watch)
+    wrong_edges = np.full_like(watch.states[3]["edges"], np.nan)
+    for name, wrong, words in (
+        ("numbers", np.zeros(3), "start's numbers are .*, must be 6 finite ones"),
+        ("signed", "F.png", "start's signed of type str is not an array"),
+        ("edges", wrong_edges, "start's edges holds values that are not finite"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            inverse.tv_deconvolve(image, model, **options, start={**watch.states[3], name: wrong})
+    again = inverse.tv_deconvolve(image, model, **options, start=watch.states[3])
+    assert again.physical_parameters["tv_weight"] == approx(0.3, rel=1e-12)
+    assert again.object == approx(cold.object, abs=1e-2)
     state = {"object": level, "numbers": np.zeros(6)}
     names = ("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual")
     state.update(dict.fromkeys(names, np.zeros((2, 2))))
@@ -117,19 +130,35 @@ def test_text_tells_the_residual() -> None:
 
 
 def test_stop_may_come_from_the_call_itself() -> None:
-    def ended(fraction: float, text: str) -> None:
+    def ended(text: str, fraction: float) -> None:
         raise inverse.Stop
 
     _, model, image = case()
     found = inverse.tv_deconvolve(image, model, noise_sigma=SIGMA, progress=ended)
     assert (found.status, len(found.history["residual"])) == ("unconverged", 10)
-    assert goes_on(None, 0.0, "", lambda: {})
+    assert goes_on(None, "", 0.0, lambda: {})
     with pytest.raises(KeyboardInterrupt):
-        goes_on(_interrupted, 0.0, "", lambda: {})
+        goes_on(_interrupted, "", 0.0, lambda: {})
 
 
-def _interrupted(fraction: float, text: str) -> None:
+def _interrupted(text: str, fraction: float) -> None:
     raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("count", [3, 12])
+@pytest.mark.parametrize(
+    "solver", [*SOLVERS, inverse.richardson_lucy, inverse.deep_image_prior, inverse.inverse_filter]
+)
+def test_the_last_report_tells_the_whole(solver, count: int) -> None:
+    """Also of a fit that ends before the next report would have come, or at its last iteration."""
+    _, model, image = case()
+    watch = Watch()
+    options = {} if solver is inverse.inverse_filter else {"max_iterations": count}
+    found = solver(image, model, noise_sigma=SIGMA, progress=watch, **options)
+    assert watch.told[-1][0] == 1.0
+    assert isinstance(watch.told[-1][1], str)
+    if options:
+        assert found.status == "unconverged"
 
 
 def test_states_are_copies_with_an_object() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
@@ -59,3 +60,14 @@ def test_a_picture_without_noise_is_not_taken_for_no_light():
     with pytest.raises(SceneError, match="estimated 0.*give noise_sigma"):
         wiener(stripes, model)
     assert wiener(np.ones((24, 24)), model).status == "too_few_photons"
+
+
+@pytest.mark.parametrize("image", ["F.png", [[1.0], [2.0, 3.0]], np.ones((9, 9)) + 1j])
+def test_what_is_no_image_is_named(image):
+    with pytest.raises(SceneError, match="is not an array of real numbers"):
+        estimate_noise(image)
+
+
+def test_a_tensor_that_records_gradients_is_an_image():
+    image = np.random.default_rng(0).normal(size=(24, 24))
+    assert estimate_noise(torch.tensor(image, requires_grad=True)) == estimate_noise(image)

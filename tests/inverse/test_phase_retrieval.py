@@ -205,6 +205,8 @@ def test_progress_ends_at_one(method):
     [
         ({"image": np.full((32, 32), np.nan)}, SceneError, "image has 1024 of 1024 values"),
         ({"image": np.ones((2, 32, 32))}, SamplingError, r"image has shape \(2, 32, 32\)"),
+        ({"image": [[1.0], [2.0, 3.0]]}, SceneError, "image of type list has rows"),
+        ({"image": np.eye(2), "noise_sigma": 0.01}, SamplingError, "holds 1 x 1 lags, limit 3 x 3"),
         ({"method": "er"}, SceneError, "method = 'er'"),
         ({"restarts": 1}, SceneError, "restarts = 1"),
         ({"object_size": (40, 8)}, SamplingError, "an object of 40 x 8 pixels has lags up to"),

@@ -305,3 +305,21 @@ def test_coefficients_of_another_kind_are_one_line(coefficients, kind, words):
     for call in (spread, spread.transfer, spread.aberration):
         with pytest.raises(kind, match=words):
             call(coefficients)
+
+
+@pytest.mark.parametrize(
+    ("defocus", "words"),
+    [
+        ([0.5], r"defocus = \[0.5\] m rms, limit 0.001; give metres, not waves"),
+        ([np.nan], "nan.* m rms, limit"),
+        ("far", "defocus of type str holds no numbers"),
+    ],
+)
+def test_defocus_in_waves_or_words_is_refused(defocus, words):
+    module = pupil()
+    for call in (module, module.transfer):
+        with pytest.raises(SceneError, match=words) as caught:
+            call(defocus=defocus)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(SceneError, match="object_image of type ndarray is no tensor"):
+        module.image(np.zeros((8, 8)))

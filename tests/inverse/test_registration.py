@@ -130,3 +130,17 @@ def test_scores_of_a_uniform_picture_are_none():
         registered_scores(truth, np.ones(truth.shape))
     with pytest.raises(SamplingError, match="too small"):
         registered_scores(truth[:8, :8], truth[:8, :8])
+
+
+@pytest.mark.parametrize(
+    ("picture", "kind"),
+    [
+        ("F.png", SceneError),
+        ([[1.0], [2.0, 3.0]], SceneError),
+        (np.ones((4, 4)) + 1j, SceneError),
+        (np.ones((0, 4)), SamplingError),
+    ],
+)
+def test_what_is_no_picture_is_named(picture, kind):
+    with pytest.raises(kind, match="truth"):
+        registered_correlation(np.ones((4, 4)), picture)

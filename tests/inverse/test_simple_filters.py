@@ -72,3 +72,16 @@ def test_guard_out_of_range_is_refused(sharp):
     for guard in (0.0, 2.0):
         with pytest.raises(SceneError, match=f"guard = {guard:g} is out of range"):
             inverse.inverse_filter(model.forward(truth), model, guard=guard)
+
+
+def test_objective_is_of_the_pixels_that_count():
+    image = np.random.default_rng(0).normal(size=(16, 16))
+    image[4:8, 4:8] += 50.0
+    sigma = np.ones((16, 16))
+    sigma[12:, :] = np.inf
+    model = ForwardModel(np.full((3, 3), 1 / 9), shape=(16, 16))
+    found = inverse.inverse_filter(image, model, noise_sigma=sigma, gain=1.0)
+    left = image - model.forward(found.object) - found.physical_parameters["background"]
+    # rounding
+    expected = 0.5 * (left[:12] ** 2).sum()
+    assert found.history["objective"][-1] == pytest.approx(expected, rel=1e-9)

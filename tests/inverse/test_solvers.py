@@ -134,6 +134,8 @@ def test_uniform_image_is_too_few_photons(solver, small, level, noise_sigma):
         ({"noise_sigma": np.ones((3, 3))}, SamplingError, r"noise_sigma has shape \(3, 3\)"),
         ({"noise_sigma": np.inf}, SceneError, "noise_sigma = inf is not finite"),
         ({"background": np.ones((3, 3))}, SamplingError, r"background has shape \(3, 3\)"),
+        ({"background": [[1.0], [2.0, 3.0]]}, SceneError, "background of type list has rows"),
+        ({"noise_sigma": [[1.0], [2.0, 3.0]]}, SceneError, "noise_sigma of type list has rows"),
         ({"background": np.nan}, SceneError, "background = nan is not finite"),
         ({"gain": 0.0}, SceneError, "gain = 0 is out of range"),
         ({"max_iterations": 0}, SceneError, "max_iterations = 0 is out of range"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from nlosoptics.errors import SamplingError
+from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 from nlosoptics.inverse import TorchForwardModel
 from nlosoptics.inverse.torch_model import torch_model
@@ -119,3 +119,12 @@ def test_bad_dtype_and_shape_are_refused():
         TorchForwardModel.from_numpy(model, "cpu", torch.float16)
     with pytest.raises(SamplingError, match=r"must end in \(16, 16\)"):
         twin(torch.from_numpy(stack[:, :5]))
+
+
+def test_what_is_no_model_and_no_tensor_is_named():
+    with pytest.raises(SceneError, match=r"model of type ndarray is not an imaging\.ForwardModel"):
+        TorchForwardModel.from_numpy(np.ones((3, 3)))
+    _, twin, stack = twins(*CASES[0], torch.float64)
+    for call, name in ((twin, "object_image"), (twin.adjoint, "image")):
+        with pytest.raises(SceneError, match=f"{name} of type ndarray is no tensor"):
+            call(stack)

@@ -67,6 +67,19 @@ def test_objective_is_what_is_minimised_from_the_first_step_on():
     assert objective.max() < 2.0 * objective[-1]
 
 
+@pytest.mark.parametrize("tv_weight", [1e4, 1e6])
+def test_a_weight_above_all_light_leaves_the_background_alone(tv_weight):
+    """Edges cost more than they explain, so the minimum is no object and the image's mean."""
+    truth = np.zeros((32, 40))
+    truth[8:20, 10:16] = 1.0
+    model = ForwardModel(np.full((3, 3), 1 / 9), shape=truth.shape)
+    image = model.forward(truth) + 0.02 * np.random.default_rng(0).normal(size=truth.shape)
+    found = inverse.tv_deconvolve(image, model, noise_sigma=0.02, tv_weight=tv_weight)
+    # of the image's brightest; single precision
+    np.testing.assert_allclose(found.object * found.physical_parameters["gain"], 0.0, atol=1e-5)
+    assert found.physical_parameters["background"] == pytest.approx(image.mean(), abs=1e-5)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("name", ["F", "cartoon_smile", "hanzi_zhong"])
 @pytest.mark.parametrize(("wall", "limit"), [("smooth", 0.95), ("speckle", 0.99)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from nlosoptics import inverse
+from nlosoptics import inverse, reconstructing
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
 
@@ -214,9 +214,36 @@ def test_bad_starts_are_named(solver, start, named) -> None:
 def test_a_state_of_another_network_is_refused() -> None:
     watch = Watch(1)
     image_prior(progress=watch)
+    with pytest.raises(SceneError, match="start's numbers are"):
+        image_prior(start={**watch.states[0], "numbers": np.ones(5)})
     kept = {**watch.states[0], "network": np.ones(7)}
     with pytest.raises(SamplingError, match="7 network, this fit"):
         image_prior(start=kept)
     del kept["network"]
     with pytest.raises(SceneError, match="no network"):
         image_prior(start=kept)
+
+
+def test_a_kept_state_that_is_cut_or_no_archive_is_named(tmp_path) -> None:
+    kept = tmp_path / reconstructing.CHECKPOINT
+    np.savez(kept, identity="mine", object=np.ones((4, 4)))
+    assert set(reconstructing.kept_state(tmp_path, "mine")) == {"object"}
+    with pytest.raises(SceneError, match="number of iterations"):
+        reconstructing.kept_state(tmp_path, "other")
+    whole = kept.read_bytes()
+    with (tmp_path / "object.npy").open("wb") as file:
+        np.save(file, np.ones(3))
+    spoilt = bytearray(whole)
+    spoilt[len(whole) // 4] ^= 0xFF
+    for content in (whole[:200], bytes(spoilt), (tmp_path / "object.npy").read_bytes(), b""):
+        kept.write_bytes(content)
+        with pytest.raises(SceneError, match="cannot be read .*; run without --resume"):
+            reconstructing.kept_state(tmp_path, "mine")
+
+
+def test_a_kept_state_is_of_one_tolerance() -> None:
+    """Of the point spread: another one is another model."""
+    tasks = [
+        reconstructing.Task(scene=None, images=(), method="tv", tol=tol) for tol in (1e-3, 1e-2)
+    ]
+    assert tasks[0].identity() != tasks[1].identity()

@@ -134,3 +134,26 @@ def test_same_as_scikit_images_with_our_prior(periodic):
     )
     # rounding of the transforms
     np.testing.assert_allclose(theirs, found.object, rtol=0, atol=1e-10 * found.object.max())
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (32, 32)])
+def test_even_light_without_a_background_is_the_object(shape):
+    """An image that is even to its noise leaves no variance to match the prior to."""
+    kernel = np.ones((3, 3)) / 9 if shape[0] > 1 else np.ones((1, 1))
+    model = ForwardModel(kernel, shape=shape, boundary="circular")
+    image = 100.0 + np.random.default_rng(0).normal(size=shape)
+    found = inverse.wiener(image, model, noise_sigma=1.05, fit_background=False, gain=1.0)
+    assert found.status == "converged"
+    # the residual is noise, and so is the mean's error, 1/32 of 100, shrunk by as little
+    assert found.score < 1.1
+    assert found.object.mean() == pytest.approx(image.mean(), rel=1e-3)
+
+
+@pytest.mark.parametrize("fit_background", [True, False])
+def test_kernel_that_passes_the_mean_alone_gives_an_even_object(fit_background):
+    """The image's structure is none of the object's; what is left of it is in the score."""
+    model = ForwardModel(np.ones((4, 4)) / 16, shape=(4, 4), boundary="circular")
+    image = 9.0 * np.random.default_rng(1).random((4, 4))
+    found = inverse.wiener(image, model, noise_sigma=0.1, fit_background=fit_background)
+    assert np.ptp(found.object) < 1e-9
+    assert found.score == pytest.approx(image.std() / 0.1, rel=1e-3)
