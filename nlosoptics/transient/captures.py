@@ -18,7 +18,6 @@ from .wall_points import checked_points, pair_shape
 
 Array = NDArray[np.floating]
 Pairing = Literal["all", "confocal"]
-#: Told the share done and what is being done.
 Quantity = Literal["irradiance", "radiance", "radiosity", "counts", "unknown"]
 
 QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
@@ -262,7 +261,10 @@ class TransientCapture:
         )
 
     def _bins(self, name: str, values: Any) -> Array:
-        array = np.asarray(values)
+        try:
+            array = np.asarray(values)
+        except ValueError:
+            raise SamplingError(f"{name} has rows of several lengths; give them all one") from None
         if array.dtype not in (np.float32, np.float64):
             if array.dtype.kind not in "iuf":
                 raise SceneError(f"{name} of type {array.dtype} is not an array of real numbers")

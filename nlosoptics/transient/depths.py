@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import in_range, whole
 from ..errors import SamplingError, SceneError
 from .volumes import Volume, VolumeImage
+from .wall_points import real_array
 
 if TYPE_CHECKING:
     import trimesh
@@ -149,7 +150,7 @@ def depth_error(
     """
     if isinstance(found, VolumeImage):
         found = depth_map(found)
-    true = np.asarray(truth.depth if isinstance(truth, DepthMap) else truth, dtype=np.float64)
+    true = real_array("true depths", truth.depth if isinstance(truth, DepthMap) else truth)
     if true.shape != found.depth.shape:
         raise SamplingError(
             f"true depths have shape {true.shape}, must be {found.depth.shape} like those found"
@@ -168,7 +169,8 @@ def depth_error(
     seen = np.isfinite(found.depth)
     both = there & seen
     wrong = np.abs(found.depth - true)
-    thresholds = np.arange(whole("n_thresholds", n_thresholds)) / n_thresholds
+    n_thresholds = whole("n_thresholds", n_thresholds)
+    thresholds = np.arange(n_thresholds) / n_thresholds
     curve = np.full((n_thresholds, 3), np.nan)
     curve[:, 0] = thresholds
     for i, share in enumerate(thresholds):
