@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import Vector, one_of, positive, real, vector
+from .._checks import Vector, one_of, positive, real, vector, whole
 from .._html import card
 from ..errors import SamplingError, SceneError
 from .wall_points import checked_points, pair_shape
@@ -105,8 +105,22 @@ class TransientCapture:
         put(self, "H", self._bins("H", self.H))
         if self.standard_error is not None:
             put(self, "standard_error", self._bins("standard_error", self.standard_error))
-        parts = {int(n): self._bins(f"by_bounce[{n}]", h) for n, h in self.by_bounce.items()}
+        if not isinstance(self.by_bounce, Mapping):
+            kind = type(self.by_bounce).__name__
+            raise SceneError(f"by_bounce is a {kind}; give bins by the number of reflections")
+        parts = {
+            whole("a key of by_bounce", n): self._bins(f"by_bounce[{n}]", h)
+            for n, h in self.by_bounce.items()
+        }
         put(self, "by_bounce", MappingProxyType(parts))
+        for name, values in [
+            ("standard_error", self.standard_error),
+            *((f"by_bounce[{n}]", h) for n, h in parts.items()),
+        ]:
+            if values is not None and len(values) != len(self.H):
+                raise SamplingError(
+                    f"{name} has {len(values)} bins, must be {len(self.H)} like H; cut both alike"
+                )
         put(self, "details", MappingProxyType(dict(self.details)))
 
     @property

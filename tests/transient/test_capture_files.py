@@ -85,6 +85,18 @@ def test_round_trip_is_exact(tmp_path, kind):
     assert np.array_equal(after.details["wall"], [1.0, 2.0])
 
 
+def test_gates_close_parts_and_errors_too(tmp_path):
+    H = np.random.default_rng(2).random((6, 2, 3))
+    made(H=H, by_bounce={3: 0.7 * H, 4: 0.3 * H}, standard_error=0.1 * H).save(tmp_path / "x.hdf5")
+    edges = made(H=H).edges
+    after = TransientCapture.load(tmp_path / "x.hdf5", gate_start=edges[2])
+    late = H * (np.arange(6) >= 2)[:, None, None]
+    assert np.array_equal(after.H, late)
+    assert np.array_equal(after.by_bounce[3], 0.7 * late)
+    assert np.array_equal(after.by_bounce[4], 0.3 * late)
+    assert np.array_equal(after.standard_error, 0.1 * late)
+
+
 def test_single_precision_is_kept_and_compression_packs(tmp_path):
     even = made(dtype=np.float32, H=np.zeros((500, 2, 3), np.float32))
     even.save(tmp_path / "plain.hdf5")
