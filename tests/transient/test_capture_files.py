@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from nlosoptics import cli
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import TransientCapture, wall_grid
 
@@ -358,3 +359,24 @@ def test_ytals_own_command_lays_x_first(data):
 
     # 0.987 with the noise of both, 0.82 transposed
     assert alike(ours) > 0.97 > 0.9 > alike(ours.swapaxes(1, 2))
+
+
+def test_pictures_stand_before_the_lasers_of_one_sensor_in_a_grid(tmp_path, monkeypatch):
+    """As files of others may lay it: a grid of lasers, all seen by a grid of one sensor."""
+    monkeypatch.chdir(tmp_path)
+    lasers = wall_grid(1.0, 4)
+    made(
+        H=np.random.default_rng(5).random((150, 4, 4, 1, 1)),
+        laser_points=lasers,
+        sensor_points=lasers[:1, :1],
+        t_start=0.5,
+        delta_t=0.02,
+        pairing="all",
+    ).save("one.hdf5")
+    planes = ("--wl-mean", "0.5", "--near", "0.5", "--far", "0.7", "--step", "0.1")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["phasor", "one.hdf5", *planes])
+    assert not ended.value.code
+    with np.load("one/volume.npz") as kept:
+        assert kept["intensity"].shape == (3, 4, 4)
+        assert kept["x"] == pytest.approx(lasers[0, :, 0])
