@@ -221,6 +221,11 @@ def _capture(found: Found, given: Mapping[str, Any]) -> TransientCapture:
         start = in_range("gate_start", given["gate_start"], unit="m")
         begins = values["t_start"] + values["delta_t"] * np.arange(H.shape[0])
         late = begins >= start - 1e-9 * values["delta_t"]
+        if not late.any():
+            raise SamplingError(
+                f"gate_start = {start:g} m is after the last bin, which begins at "
+                f"{begins[-1]:g} m; give an earlier one, m of optical path"
+            )
         H, parts = _opened(H, late), {n: _opened(part, late) for n, part in parts.items()}
         error = None if error is None else _opened(error, late)
     elif "gate_start" in found.needs:

@@ -105,12 +105,13 @@ class TransientCapture:
         put(self, "H", self._bins("H", self.H))
         if self.standard_error is not None:
             put(self, "standard_error", self._bins("standard_error", self.standard_error))
-        if not isinstance(self.by_bounce, Mapping):
-            kind = type(self.by_bounce).__name__
+        given: Any = self.by_bounce
+        if not isinstance(given, Mapping):
+            kind = type(given).__name__
             raise SceneError(f"by_bounce is a {kind}; give bins by the number of reflections")
         parts = {
             whole("a key of by_bounce", n): self._bins(f"by_bounce[{n}]", h)
-            for n, h in self.by_bounce.items()
+            for n, h in given.items()
         }
         put(self, "by_bounce", MappingProxyType(parts))
         for name, values in [

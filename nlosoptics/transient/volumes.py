@@ -77,7 +77,7 @@ class Volume:
         """
         width, height = pair("side", side)
         middles = (np.arange(whole("count", count)) + 0.5) / count - 0.5
-        return cls(middles * width, middles * height, depths)
+        return cls(middles * width, middles * height, real_array("depths", depths))
 
     @classmethod
     def facing(cls, points: ArrayLike, planes: tuple[float, float, float]) -> Volume:

@@ -96,6 +96,8 @@ def test_gates_close_parts_and_errors_too(tmp_path):
     assert np.array_equal(after.by_bounce[3], 0.7 * late)
     assert np.array_equal(after.by_bounce[4], 0.3 * late)
     assert np.array_equal(after.standard_error, 0.1 * late)
+    with pytest.raises(SamplingError, match=r"gate_start = 5000 m is after the last bin"):
+        TransientCapture.load(tmp_path / "x.hdf5", gate_start=5000)
 
 
 def test_single_precision_is_kept_and_compression_packs(tmp_path):

@@ -92,7 +92,7 @@ def test_bad_volumes():
         VolumeImage(intensity=np.zeros((1, 1)), volume=Volume([0.0], [0.0], [1.0]), method="none")
     with pytest.raises(SceneError, match=r"volume\.x of type <U1 are no real numbers"):
         Volume("x", [0.0], [1.0])
-    with pytest.raises(SamplingError, match=r"volume\.z have rows of several lengths"):
+    with pytest.raises(SamplingError, match="depths have rows of several lengths"):
         Volume.before(1.0, 4, [[1.0], [1.0, 2.0]])
     with pytest.raises(SceneError, match=r"\(0.5, 0.8\) must be \(near, far, step\)"):
         Volume.facing(GRID, (0.5, 0.8))
