@@ -319,7 +319,7 @@ def triple(variables: Mapping[str, Any], key: str) -> Any:
     value = variables.get(key)
     if value is None or np.size(value) == 0:
         return None
-    return vector(key, np.asarray(value, dtype=np.float64).ravel())
+    return vector(key, array(variables, key, 0, 1, 2, 3).ravel())
 
 
 def upright(found: Found) -> Found:

@@ -259,6 +259,12 @@ NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
         ({"sensor_grid_xyz": np.zeros((3, 2, 2))}, SamplingError, r"must be \(n, 3\)"),
         ({"sensor_grid_normals": np.ones((2, 2, 3))}, SamplingError, "like sensor_grid_xyz"),
         ({"laser_xyz": np.ones(2)}, SceneError, "laser_xyz has 2 components"),
+        ({"laser_xyz": "here"}, SceneError, "laser_xyz holds <U4 values, must be real"),
+        ({"t_accounts_first_and_last_bounces": "no"}, SceneError, "= no is neither 0 nor 1"),
+        ({"t_accounts_first_and_last_bounces": np.nan}, SceneError, "= nan is neither 0 nor 1"),
+        ({"t_accounts_first_and_last_bounces": np.ones(0)}, SceneError, "give outer_legs"),
+        ({"H_format": np.nan}, SceneError, "H_format = nan is not finite"),
+        ({"H_format": "T_Si"}, SceneError, "H_format = .* is not a number"),
         ({"H": None}, SceneError, "no known capture; known are y-tal"),
     ],
 )
