@@ -165,6 +165,8 @@ def test_walls_along_the_view_are_voxels_too():
             "limit 0.9",
         ),
         (lambda: true_depths([], VOLUME), SceneError, "no mesh"),
+        (lambda: true_depths(ball((0, 0, 1)), (X, Y, Z)), SceneError, r"nor \(x, y\)"),
+        (lambda: true_depths(ball((0, 0, 1)), (X[None], Y)), SamplingError, r"\(1, 6\) and"),
         (lambda: voxelised(ball((0, 0, 1)), Volume(X, Y, [1.0])), SamplingError, "at least 2"),
     ],
 )
