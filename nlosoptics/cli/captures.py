@@ -162,8 +162,7 @@ def phasor_command(
         )
         wanted = _picture(capture, {"wl_mean": wl_mean, "near": near, "far": far, "step": step})
         volume = transient.Volume.facing(
-            capture.sensor_points if capture.sensor_points.ndim == 3 else capture.laser_points,
-            (wanted["near"], wanted["far"], wanted["step"]),
+            _grid(capture), (wanted["near"], wanted["far"], wanted["step"])
         )
         with progress_bar(width=32) as progress, warnings.catch_warnings():
             warnings.simplefilter("ignore")  # they are in the image's notes
@@ -187,6 +186,14 @@ def phasor_command(
         for note in image.notes:
             typer.echo(f"nlosoptics: {note}", err=True)
         _print_picture(report, folder)
+
+
+def _grid(capture: TransientCapture) -> Any:
+    """Points before which the picture is taken: the sensors', or the lasers' before one sensor."""
+    sensors, lasers = capture.sensor_points, capture.laser_points
+    # files may lay one point as a grid
+    alone = sensors.ndim < 3 or (sensors.size == 3 and lasers.ndim == 3)
+    return lasers if alone else sensors
 
 
 def _picture(capture: TransientCapture, given: dict[str, float | None]) -> dict[str, float]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of, positive
 from .._progress import Progress
-from ..errors import SamplingError
+from ..errors import SamplingError, SceneError
 from .captures import TransientCapture
 from .confocal_grids import refuse_direct_light
 from .gating import outer_legs
@@ -48,7 +48,8 @@ def backprojection(
         Of the sums: ``-d^2/dz^2``, or minus the Laplacian of a Gaussian along all axes that have
         voxels.
     width : float, optional
-        The Gaussian's standard deviation, m, for both filters; None: the voxels' pitch along z.
+        The Gaussian's standard deviation, m, for both filters alone; None: the voxels' pitch along
+        z.
     falloff : {"none", "matched", "diffuse", "retroreflective"}
         Weight of each path: 1; ``1/(r1 r2)^2``, the falloff itself, which makes the sum the adjoint
         of light off points; ``(r1 r2)^2`` or ``r1 r2``, which undo it.
@@ -66,7 +67,7 @@ def backprojection(
     SamplingError
         If voxels are outside of what the window of time covers, or a filter has no three voxels.
     SceneError
-        If direct light is in, or the volume is not before the wall.
+        If direct light is in, the volume is not before the wall, or ``width`` has no filter.
     MemoryLimitError
         If light and picture would not fit.
 
@@ -86,6 +87,8 @@ def backprojection(
     begun = time.perf_counter()
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
     one_of("falloff", falloff, POWERS)
+    if filter == "none" and width is not None:
+        raise SceneError("width is for a filter, and filter = 'none'; leave it out or name one")
     volume = _own_volume(capture) if volume is None else volume
     volume.check_before_wall()
     if filter != "none":

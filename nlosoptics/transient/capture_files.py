@@ -216,12 +216,18 @@ def _capture(found: Found, given: Mapping[str, Any]) -> TransientCapture:
     named = "delta_t" if given["bin_width"] is None else "bin_width"
     values["delta_t"] = path_step(named, values["delta_t"])
     values["t_start"] = _path_start(values["t_start"], values["delta_t"])
-    H = found.H
+    H, parts, error = found.H, found.by_bounce, found.standard_error
     if given["gate_start"] is not None:
         start = in_range("gate_start", given["gate_start"], unit="m")
         begins = values["t_start"] + values["delta_t"] * np.arange(H.shape[0])
-        late = (begins >= start - 1e-9 * values["delta_t"]).reshape(-1, *[1] * (H.ndim - 1))
-        H = np.where(late, H, H.dtype.type(0))
+        late = begins >= start - 1e-9 * values["delta_t"]
+        if not late.any():
+            raise SamplingError(
+                f"gate_start = {start:g} m is after the last bin, which begins at "
+                f"{begins[-1]:g} m; give an earlier one, m of optical path"
+            )
+        H, parts = _opened(H, late), {n: _opened(part, late) for n, part in parts.items()}
+        error = None if error is None else _opened(error, late)
     elif "gate_start" in found.needs:
         raise SceneError(
             f"{found.needs['gate_start']}; give gate_start = optical path in m before which bins "
@@ -236,11 +242,18 @@ def _capture(found: Found, given: Mapping[str, Any]) -> TransientCapture:
         laser_origin=found.laser_origin,
         sensor_origin=found.sensor_origin,
         pairing=found.pairing,
-        by_bounce=found.by_bounce,
-        standard_error=found.standard_error,
+        by_bounce=parts,
+        standard_error=error,
         details=found.details,
         **values,
     )
+
+
+def _opened(values: Array, late: NDArray[np.bool_]) -> Array:
+    """Bins with those 0 that are not late."""
+    if len(values) != len(late):  # told apart by the capture
+        return values
+    return np.where(late.reshape(-1, *[1] * (values.ndim - 1)), values, values.dtype.type(0))
 
 
 def path_step(name: str, value: Any) -> float:
@@ -306,7 +319,7 @@ def triple(variables: Mapping[str, Any], key: str) -> Any:
     value = variables.get(key)
     if value is None or np.size(value) == 0:
         return None
-    return vector(key, np.asarray(value, dtype=np.float64).ravel())
+    return vector(key, array(variables, key, 0, 1, 2, 3).ravel())
 
 
 def upright(found: Found) -> Found:

@@ -11,14 +11,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import Vector, one_of, positive, real, vector
+from .._checks import Vector, one_of, positive, real, vector, whole
 from .._html import card
 from ..errors import SamplingError, SceneError
 from .wall_points import checked_points, pair_shape
 
 Array = NDArray[np.floating]
 Pairing = Literal["all", "confocal"]
-#: Told the share done and what is being done.
 Quantity = Literal["irradiance", "radiance", "radiosity", "counts", "unknown"]
 
 QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
@@ -106,8 +105,23 @@ class TransientCapture:
         put(self, "H", self._bins("H", self.H))
         if self.standard_error is not None:
             put(self, "standard_error", self._bins("standard_error", self.standard_error))
-        parts = {int(n): self._bins(f"by_bounce[{n}]", h) for n, h in self.by_bounce.items()}
+        given: Any = self.by_bounce
+        if not isinstance(given, Mapping):
+            kind = type(given).__name__
+            raise SceneError(f"by_bounce is a {kind}; give bins by the number of reflections")
+        parts = {
+            whole("a key of by_bounce", n): self._bins(f"by_bounce[{n}]", h)
+            for n, h in given.items()
+        }
         put(self, "by_bounce", MappingProxyType(parts))
+        for name, values in [
+            ("standard_error", self.standard_error),
+            *((f"by_bounce[{n}]", h) for n, h in parts.items()),
+        ]:
+            if values is not None and len(values) != len(self.H):
+                raise SamplingError(
+                    f"{name} has {len(values)} bins, must be {len(self.H)} like H; cut both alike"
+                )
         put(self, "details", MappingProxyType(dict(self.details)))
 
     @property
@@ -262,7 +276,10 @@ class TransientCapture:
         )
 
     def _bins(self, name: str, values: Any) -> Array:
-        array = np.asarray(values)
+        try:
+            array = np.asarray(values)
+        except ValueError:
+            raise SamplingError(f"{name} has rows of several lengths; give them all one") from None
         if array.dtype not in (np.float32, np.float64):
             if array.dtype.kind not in "iuf":
                 raise SceneError(f"{name} of type {array.dtype} is not an array of real numbers")

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import in_range, whole
+from .._checks import in_range, is_single, whole
 from ..errors import SamplingError, SceneError
 from .volumes import Volume, VolumeImage
+from .wall_points import real_array
 
 if TYPE_CHECKING:
     import trimesh
@@ -149,7 +150,7 @@ def depth_error(
     """
     if isinstance(found, VolumeImage):
         found = depth_map(found)
-    true = np.asarray(truth.depth if isinstance(truth, DepthMap) else truth, dtype=np.float64)
+    true = real_array("true depths", truth.depth if isinstance(truth, DepthMap) else truth)
     if true.shape != found.depth.shape:
         raise SamplingError(
             f"true depths have shape {true.shape}, must be {found.depth.shape} like those found"
@@ -168,7 +169,8 @@ def depth_error(
     seen = np.isfinite(found.depth)
     both = there & seen
     wrong = np.abs(found.depth - true)
-    thresholds = np.arange(whole("n_thresholds", n_thresholds)) / n_thresholds
+    n_thresholds = whole("n_thresholds", n_thresholds)
+    thresholds = np.arange(n_thresholds) / n_thresholds
     curve = np.full((n_thresholds, 3), np.nan)
     curve[:, 0] = thresholds
     for i, share in enumerate(thresholds):
@@ -215,11 +217,13 @@ def true_depths(
     Raises
     ------
     SceneError
-        If there is no mesh.
+        If there is no mesh, or the cells are neither of the two.
+    SamplingError
+        If an axis has more than one dimension.
     """
     from ..raytrace import intersect_mesh
 
-    x, y = (grid.x, grid.y) if isinstance(grid, Volume) else map(np.asarray, grid)
+    x, y = (grid.x, grid.y) if isinstance(grid, Volume) else _cells(grid)
     origins = np.zeros((len(y), len(x), 3))
     origins[..., 0], origins[..., 1] = x, y[:, None]
     nearest = np.full((len(y), len(x)), np.inf)
@@ -283,6 +287,16 @@ def _pierce(
     inside = level < len(axis)
     rows, columns = np.unravel_index(hits.ray[inside], full.shape[:2])
     full[rows, columns, level[inside]] = True
+
+
+def _cells(grid: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
+    """Axes (nx,) and (ny,)."""
+    if is_single(grid) or len(grid) != 2:
+        raise SceneError("grid is neither a Volume nor (x, y); give one of them")
+    x, y = (real_array(f"grid.{n}", v, ndmin=1) for n, v in zip("xy", grid, strict=True))
+    if x.ndim != 1 or y.ndim != 1:
+        raise SamplingError(f"grid has axes of shapes {x.shape} and {y.shape}, must be (n,), m")
+    return x, y
 
 
 def _several(meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh]) -> Sequence[trimesh.Trimesh]:

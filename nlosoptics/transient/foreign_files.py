@@ -216,8 +216,9 @@ def read_phasor_field_2020(variables: Mapping[str, Any]) -> Found:
 def _index_point(variables: Mapping[str, Any], points: Array) -> Array | None:
     if variables.get("SPAD_index") is None:
         return None
-    at = np.asarray(variables["SPAD_index"], dtype=np.float64).ravel()
-    if at.size != 2 or (at < 0).any() or at[0] >= points.shape[1] or at[1] >= points.shape[0]:
+    at = np.asarray(array(variables, "SPAD_index", 1, 2), dtype=np.float64).ravel()
+    counts = at.size == 2 and bool((at == np.floor(at)).all() and (at >= 0).all())
+    if not counts or at[0] >= points.shape[1] or at[1] >= points.shape[0]:
         raise SceneError(
             f"SPAD_index = {at.tolist()} is no point of the {points.shape[1]} x {points.shape[0]} "
             "grid"

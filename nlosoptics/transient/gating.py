@@ -242,8 +242,8 @@ def outer_legs(capture: TransientCapture) -> Array:
         sides.append(np.linalg.norm(points - np.asarray(origin), axis=-1))
     first, last = sides
     if capture.pairing == "confocal":
-        return first + last
-    return first.reshape(*first.shape, *[1] * last.ndim) + last
+        return np.asarray(first + last)
+    return np.asarray(np.add.outer(first, last))
 
 
 def _inner(capture: TransientCapture, what: str) -> None:

@@ -20,6 +20,7 @@ from .phasor_setups import Setup, apertures, camera_setup
 from .plane_convolutions import Lattice, lattice, plane_by_plane
 from .rayleigh_sommerfeld import direct_sum
 from .volumes import Volume
+from .wall_points import real_array
 
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
@@ -177,7 +178,7 @@ def _times(camera: str, times: Any) -> Array:
         raise SceneError(
             "camera = 'direct_light' is at t = 0; take 'confocal_time_gated' for times"
         )
-    moments = np.array(times, dtype=np.float64, ndmin=1)
+    moments = real_array("times", times, ndmin=1)
     if moments.ndim != 1 or not len(moments):
         raise SamplingError(f"times have shape {moments.shape}, must be (n,), m")
     for value in moments:

@@ -197,7 +197,10 @@ def apertures(
         if aperture_of in ("both", setup.sides[1]):
             far = _square(setup.far_points, side)
         return near, far
-    mask = np.asarray(aperture)
+    try:
+        mask = np.asarray(aperture)
+    except ValueError:
+        raise SamplingError("aperture has rows of several lengths; give a mask") from None
     if mask.dtype != bool:
         raise SceneError(f"aperture of type {mask.dtype} is no mask; give booleans, or a side in m")
     fits = [mask.shape == shape for shape in (near_shape, far_shape)]

@@ -150,7 +150,7 @@ def render(
         three bounces, where they are wanted, in arrays of the pairs' shape, ``"error_estimate"``
         (summed over the bins, what the last two passes differ by), ``"before"`` and ``"after"``
         (light outside the bins) and ``"parts"`` (of the surface), and ``"shadows"``, whether they
-        were needed. Of more bounces, ``"multiple_bounces"`` has the number of paths, the errors
+        were looked for. Of more bounces, ``"multiple_bounces"`` has the number of paths, the errors
         reached, and what ended them: "tol", "paths" where those ran out before, or "dark" where
         some number of reflections brought no light into the bins.
 

@@ -51,7 +51,7 @@ def render_scene(
         Told what is being done and the fraction done.
     **options
         Of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``, ``tol_multiple``,
-        ``n_rays``.
+        ``min_bounces``, ``n_rays``. The scene says the rest.
 
     Returns
     -------

@@ -184,7 +184,6 @@ def read(variables: Mapping[str, Any]) -> Found:
     lasers, sensors = (_grid_shape(points[name]) for name in ("laser", "sensor"))
     lasers, paired = _pairs(H, lasers, sensors)
     _check_format(variables, H.ndim, paired, lasers)
-    accounts = variables.get("t_accounts_first_and_last_bounces")
     found = Found(
         layout="tal",
         H=H,
@@ -197,11 +196,11 @@ def read(variables: Mapping[str, Any]) -> Found:
         delta_t=number(variables, "delta_t"),
         t_start=number(variables, "t_start"),
         pairing=paired,
-        outer_legs=None if accounts is None else bool(np.asarray(accounts).reshape(-1)[0]),
+        outer_legs=_flag(variables, "t_accounts_first_and_last_bounces"),
         by_bounce={
             int(key.removeprefix(f"H{AT}{PART}")): _at_length(value, H)
             for key, value in variables.items()
-            if key.startswith(f"H{AT}{PART}")
+            if key.startswith(f"H{AT}{PART}") and key.removeprefix(f"H{AT}{PART}").isdecimal()
         },
         standard_error=_at_length(variables[f"H{AT}{ERROR}"], H)
         if f"H{AT}{ERROR}" in variables
@@ -240,6 +239,16 @@ def _yaml(text: str) -> Any:
         return yaml.safe_load(text)
     except yaml.YAMLError:
         return None
+
+
+def _flag(variables: Mapping[str, Any], key: str) -> bool | None:
+    """Whether something holds; None where the file does not say it."""
+    values = np.asarray(variables.get(key, ()))
+    if values.size == 0 or values.ravel()[0] is None:
+        return None
+    if values.dtype.kind not in "biuf" or values.ravel()[0] not in (0, 1):
+        raise SceneError(f"{key} = {values.ravel()[0]} is neither 0 nor 1; write one of them")
+    return bool(values.ravel()[0])
 
 
 def _points(variables: Mapping[str, Any], key: str) -> Array | None:
@@ -304,7 +313,7 @@ def _check_format(
     form = variables.get("H_format")
     if form is None or np.size(form) != 1:
         return
-    value = int(np.asarray(form).reshape(-1)[0])
+    value = whole("H_format", np.asarray(form).reshape(-1)[0], 0)
     names = {code: name for name, code in H_FORMATS.items()}
     many = paired == "all" and bool(lasers)
     fits = {2: "T_Si", 5: "T_Lx_Ly_Sx_Sy", 3: "T_Li_Si" if many else "T_Sx_Sy"}[ndim]

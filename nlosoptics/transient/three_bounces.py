@@ -43,7 +43,8 @@ class ThreeBounces:
     parts : ndarray of int64
         (pairs,), parts of the surface in the last pass.
     shadows : bool
-        Whether any triangle can stand before another.
+        Whether they were looked for: not where no triangle can stand before another's plane, which
+        is told of up to `ASKED` triangles.
     """
 
     G: Array

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import one_of, pair, positive, vector, whole
+from .._checks import is_single, one_of, pair, positive, vector, whole
 from .._html import card
 from ..errors import SamplingError, SceneError
-from .wall_points import UNEVEN, even_axes
+from .wall_points import UNEVEN, even_axes, real_array
 
 Array = NDArray[np.floating]
 
@@ -77,7 +77,7 @@ class Volume:
         """
         width, height = pair("side", side)
         middles = (np.arange(whole("count", count)) + 0.5) / count - 0.5
-        return cls(middles * width, middles * height, np.asarray(depths, dtype=np.float64))
+        return cls(middles * width, middles * height, real_array("depths", depths))
 
     @classmethod
     def facing(cls, points: ArrayLike, planes: tuple[float, float, float]) -> Volume:
@@ -97,11 +97,12 @@ class Volume:
             If the points are no such grid.
         """
         x, y = axes_before(points)
-        near, far = (
+        if is_single(planes) or len(planes) != 3:
+            raise SceneError(f"planes = {planes!r} must be (near, far, step), m")
+        near, far, step = (
             positive(name, value, unit="m")
-            for name, value in zip(("near", "far"), planes[:2], strict=True)
+            for name, value in zip(("near", "far", "step"), planes, strict=True)
         )
-        step = positive("step", planes[2], unit="m")
         if far < near:
             raise SceneError(f"far = {far:g} m is before near = {near:g} m; change them about")
         count = int((far - near) / step * (1 + 1e-12) + 1e-9) + 1
@@ -212,8 +213,8 @@ class VolumeImage:
 
 def axes_before(points: ArrayLike) -> tuple[Array, Array]:
     """Axes x and y of the voxels before an even grid of wall points (ny, nx, 3), rising."""
-    grid = np.array(points, dtype=np.float64)
-    if grid.ndim != 3 or grid.shape[-1] != 3:
+    grid = real_array("wall points", points)
+    if grid.ndim != 3 or grid.shape[-1] != 3 or grid.size == 0:
         raise SamplingError(
             f"wall points of shape {grid.shape} are no grid (ny, nx, 3); give a Volume by its axes"
         )
@@ -227,7 +228,7 @@ def axes_before(points: ArrayLike) -> tuple[Array, Array]:
 
 
 def _axis(name: str, values: ArrayLike) -> Array:
-    axis = np.array(values, dtype=np.float64, ndmin=1)
+    axis = real_array(f"volume.{name}", values, ndmin=1)
     if axis.ndim != 1 or axis.size == 0:
         raise SamplingError(f"volume.{name} has shape {axis.shape}, must be (n,), m")
     if not np.isfinite(axis).all():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import one_of, positive, real, whole
+from .._checks import is_single, one_of, positive, real, whole
 from ..errors import SamplingError, SceneError
 
 Array = NDArray[np.floating]
@@ -40,6 +40,8 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
         If a value is not finite or out of range.
     """
     side, count = positive("side", side, unit="m"), whole("count", count)
+    if is_single(centre) or len(centre) != 2:
+        raise SceneError(f"centre = {centre!r} is no place on the wall; give (x, y) in m")
     x, y = (real("centre", value) for value in centre)
     along = (np.arange(count) + 0.5) * (side / count) - 0.5 * side
     points = np.zeros((count, count, 3))
@@ -48,9 +50,21 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
     return points
 
 
+def real_array(name: str, values: Any, *, ndmin: int = 0) -> NDArray[np.float64]:
+    """A copy of real numbers in double precision; they need not be finite."""
+    try:
+        array = np.array(values, ndmin=ndmin)
+    except ValueError:  # rows of several lengths
+        raise SamplingError(f"{name} have rows of several lengths; give them all one") from None
+    # an empty list has no type of its own
+    if array.dtype.kind not in "iuf" and array.size:
+        raise SceneError(f"{name} of type {array.dtype} are no real numbers; give floats in m")
+    return array.astype(np.float64, copy=False)
+
+
 def checked_points(name: str, values: ArrayLike) -> NDArray[np.float64]:
     """A copy of finite points (..., 3)."""
-    points = np.array(values, dtype=np.float64)
+    points = real_array(name, values)
     if points.ndim == 0 or points.shape[-1] != 3 or points.size == 0:
         raise SamplingError(f"{name} have shape {points.shape}, must be (..., 3), m")
     if not np.isfinite(points).all():

@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from nlosoptics import cli
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.transient import TransientCapture, wall_grid
 
@@ -83,6 +84,20 @@ def test_round_trip_is_exact(tmp_path, kind):
     assert after.laser_normals is None
     assert after.details["seed"] == 3
     assert np.array_equal(after.details["wall"], [1.0, 2.0])
+
+
+def test_gates_close_parts_and_errors_too(tmp_path):
+    H = np.random.default_rng(2).random((6, 2, 3))
+    made(H=H, by_bounce={3: 0.7 * H, 4: 0.3 * H}, standard_error=0.1 * H).save(tmp_path / "x.hdf5")
+    edges = made(H=H).edges
+    after = TransientCapture.load(tmp_path / "x.hdf5", gate_start=edges[2])
+    late = H * (np.arange(6) >= 2)[:, None, None]
+    assert np.array_equal(after.H, late)
+    assert np.array_equal(after.by_bounce[3], 0.7 * late)
+    assert np.array_equal(after.by_bounce[4], 0.3 * late)
+    assert np.array_equal(after.standard_error, 0.1 * late)
+    with pytest.raises(SamplingError, match=r"gate_start = 5000 m is after the last bin"):
+        TransientCapture.load(tmp_path / "x.hdf5", gate_start=5000)
 
 
 def test_single_precision_is_kept_and_compression_packs(tmp_path):
@@ -244,6 +259,12 @@ NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
         ({"sensor_grid_xyz": np.zeros((3, 2, 2))}, SamplingError, r"must be \(n, 3\)"),
         ({"sensor_grid_normals": np.ones((2, 2, 3))}, SamplingError, "like sensor_grid_xyz"),
         ({"laser_xyz": np.ones(2)}, SceneError, "laser_xyz has 2 components"),
+        ({"laser_xyz": "here"}, SceneError, "laser_xyz holds <U4 values, must be real"),
+        ({"t_accounts_first_and_last_bounces": "no"}, SceneError, "= no is neither 0 nor 1"),
+        ({"t_accounts_first_and_last_bounces": np.nan}, SceneError, "= nan is neither 0 nor 1"),
+        ({"t_accounts_first_and_last_bounces": np.ones(0)}, SceneError, "give outer_legs"),
+        ({"H_format": np.nan}, SceneError, "H_format = nan is not finite"),
+        ({"H_format": "T_Si"}, SceneError, "H_format = .* is not a number"),
         ({"H": None}, SceneError, "no known capture; known are y-tal"),
     ],
 )
@@ -346,3 +367,24 @@ def test_ytals_own_command_lays_x_first(data):
 
     # 0.987 with the noise of both, 0.82 transposed
     assert alike(ours) > 0.97 > 0.9 > alike(ours.swapaxes(1, 2))
+
+
+def test_pictures_stand_before_the_lasers_of_one_sensor_in_a_grid(tmp_path, monkeypatch):
+    """As files of others may lay it: a grid of lasers, all seen by a grid of one sensor."""
+    monkeypatch.chdir(tmp_path)
+    lasers = wall_grid(1.0, 4)
+    made(
+        H=np.random.default_rng(5).random((150, 4, 4, 1, 1)),
+        laser_points=lasers,
+        sensor_points=lasers[:1, :1],
+        t_start=0.5,
+        delta_t=0.02,
+        pairing="all",
+    ).save("one.hdf5")
+    planes = ("--wl-mean", "0.5", "--near", "0.5", "--far", "0.7", "--step", "0.1")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["phasor", "one.hdf5", *planes])
+    assert not ended.value.code
+    with np.load("one/volume.npz") as kept:
+        assert kept["intensity"].shape == (3, 4, 4)
+        assert kept["x"] == pytest.approx(lasers[0, :, 0])

@@ -445,6 +445,8 @@ def test_what_backprojection_refuses():
         backprojection(light, Volume([0.0], [0.0], [1.0]), filter="laplacian")
     with pytest.raises(SceneError, match="sharpen"):
         backprojection(light, filter="sharpen")
+    with pytest.raises(SceneError, match="width is for a filter"):
+        backprojection(light, width=0.02)
     with pytest.raises(SceneError, match=r"volume\.z begins at 0 m, must be above 0"):
         backprojection(light, Volume([0.0], [0.0], [0.0, 1.0]), falloff="matched")
     with pytest.raises(SamplingError, match="tell no volume"):

@@ -80,6 +80,11 @@ def test_the_best_threshold_leaves_out_what_is_wrong():
     assert error.curve[:, 0] == pytest.approx(np.arange(20) / 20)
 
 
+def test_counts_of_thresholds_may_be_whole_floats():
+    found = depth_error(picture(SLOPE), SLOPE, n_thresholds=10.0)
+    assert found.curve[:, 0] == pytest.approx(np.arange(10) / 10)
+
+
 def test_a_threshold_may_not_leave_too_few():
     seen, height = np.full((5, 6), Z[21]), np.full((5, 6), 0.5)
     seen[2, 2], height[2, 2] = Z[20], 1.0
@@ -144,6 +149,7 @@ def test_walls_along_the_view_are_voxels_too():
         (lambda: depth_map(picture(SLOPE * np.nan)), SceneError, "finite"),
         (lambda: depth_error(picture(SLOPE), SLOPE.T), SamplingError, r"\(6, 5\)"),
         (lambda: depth_error(picture(SLOPE), SLOPE * np.nan), SceneError, "all NaN"),
+        (lambda: depth_error(picture(SLOPE), "near"), SceneError, "no real numbers"),
         (
             lambda: depth_error(
                 picture(SLOPE), replace(depth_map(picture(SLOPE)), x=VOLUME.x + 0.1)
@@ -159,6 +165,8 @@ def test_walls_along_the_view_are_voxels_too():
             "limit 0.9",
         ),
         (lambda: true_depths([], VOLUME), SceneError, "no mesh"),
+        (lambda: true_depths(ball((0, 0, 1)), (X, Y, Z)), SceneError, r"nor \(x, y\)"),
+        (lambda: true_depths(ball((0, 0, 1)), (X[None], Y)), SamplingError, r"\(1, 6\) and"),
         (lambda: voxelised(ball((0, 0, 1)), Volume(X, Y, [1.0])), SamplingError, "at least 2"),
     ],
 )

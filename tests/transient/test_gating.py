@@ -174,3 +174,12 @@ def test_nothing_is_changed_in_place():
     for other in (gated(whole), downsampled(whole), distance_weighted(whole, 2)):
         assert other is not whole
     assert np.array_equal(replace(whole).H, before)
+
+
+def test_one_laser_and_one_sensor_point_have_outer_legs_too():
+    H = RNG.uniform(size=12)
+    places = {"laser_points": (0.0, 0.0, 0.0), "sensor_points": (0.4, 0.0, 0.0), "pairing": "all"}
+    origins = {"laser_origin": (0.0, 0.0, 0.5), "sensor_origin": (0.4, 0.3, 0.4)}
+    inner = without_outer_legs(capture(H=H, outer_legs=True, **places, **origins))
+    assert np.array_equal(inner.H, H)
+    assert inner.t_start == pytest.approx(1.0 - 0.5 - 0.5)

@@ -54,7 +54,15 @@ def test_confocal_pairs():
         ({"quantity": "lumen"}, SceneError, "lumen"),
         ({"standard_error": np.zeros(3)}, SamplingError, "standard_error"),
         ({"by_bounce": {3: np.zeros(3)}}, SamplingError, r"by_bounce\[3\]"),
+        ({"by_bounce": {3: np.zeros((5, 4, 4))}}, SamplingError, r"by_bounce\[3\] has 5 bins"),
+        ({"by_bounce": {3.5: np.zeros((6, 4, 4))}}, SceneError, "key of by_bounce = 3.5 is not"),
+        ({"by_bounce": [np.zeros((6, 4, 4))]}, SceneError, "by_bounce is a list"),
+        ({"standard_error": np.zeros((1, 4, 4))}, SamplingError, "standard_error has 1 bins"),
         ({"sensor_normals": np.zeros(3)}, SamplingError, "sensor_normals"),
+        ({"H": [[1.0, 2.0], [1.0]]}, SamplingError, "H has rows of several lengths"),
+        ({"laser_points": [[0, 0, 0], [1]]}, SamplingError, "laser_points have rows of several"),
+        ({"laser_points": "centre"}, SceneError, "laser_points of type <U6 are no real numbers"),
+        ({"laser_points": (1j, 0, 0)}, SceneError, "laser_points of type complex128"),
     ],
 )
 def test_bad_captures(changes, kind, words):
@@ -82,6 +90,16 @@ def test_bad_volumes():
         Volume([0.0], [np.inf], [1.0])
     with pytest.raises(SamplingError, match="like the volume"):
         VolumeImage(intensity=np.zeros((1, 1)), volume=Volume([0.0], [0.0], [1.0]), method="none")
+    with pytest.raises(SceneError, match=r"volume\.x of type <U1 are no real numbers"):
+        Volume("x", [0.0], [1.0])
+    with pytest.raises(SamplingError, match="depths have rows of several lengths"):
+        Volume.before(1.0, 4, [[1.0], [1.0, 2.0]])
+    with pytest.raises(SceneError, match=r"\(0.5, 0.8\) must be \(near, far, step\)"):
+        Volume.facing(GRID, (0.5, 0.8))
+    with pytest.raises(SceneError, match="0.5 must be"):
+        Volume.facing(GRID, 0.5)
+    with pytest.raises(SamplingError, match=r"\(0, 4, 3\) are no grid"):
+        Volume.facing(GRID[:0], (0.5, 0.8, 0.1))
 
 
 def test_projection_takes_the_brightest():
@@ -97,7 +115,14 @@ def test_projection_takes_the_brightest():
 
 
 @pytest.mark.parametrize(
-    ("side", "count", "centre"), [(1.0, 2.5, (0, 0)), (1.0, 0, (0, 0)), (1.0, 2, (np.nan, 0))]
+    ("side", "count", "centre"),
+    [
+        (1.0, 2.5, (0, 0)),
+        (1.0, 0, (0, 0)),
+        (1.0, 2, (np.nan, 0)),
+        (1.0, 2, (0, 0, 0)),
+        (1.0, 2, 0.0),
+    ],
 )
 def test_wall_grids_have_cells_and_places(side, count, centre):
     with pytest.raises(SceneError):
