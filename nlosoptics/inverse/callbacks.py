@@ -22,6 +22,7 @@ from torch import Tensor
 
 from .._progress import Progress
 from ..errors import SamplingError, SceneError
+from .measurements import real_array
 
 State = dict[str, NDArray[Any]]
 Snapshot = Callable[[], State]
@@ -66,6 +67,17 @@ def state_of(level: Tensor, **more: Any) -> State:
             value = value.detach().cpu().numpy()
         arrays[name] = np.array(value)
     return arrays
+
+
+def kept_numbers(state: Mapping[str, Any], count: int, solver: str) -> list[float]:
+    """The numbers of a state of a solver, finite and as many as it keeps."""
+    numbers: list[float] = real_array("start's numbers", state["numbers"]).ravel().tolist()
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise SceneError(
+            f"start's numbers are {numbers}, must be {count} finite ones; give a state of "
+            f"{solver}, or leave it out"
+        )
+    return numbers
 
 
 def started_from(start: Any, shape: tuple[int, int], device: torch.device) -> Tensor | None:

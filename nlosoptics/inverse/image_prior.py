@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -19,8 +18,8 @@ from ..errors import SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import gradients, single_thread
 from .adam_states import adam_state, take_up_adam
-from .callbacks import State, goes_on, started_from, state_of
-from .measurements import Measurement, measurement, real_array
+from .callbacks import State, goes_on, kept_numbers, started_from, state_of
+from .measurements import Measurement, measurement
 from .reconstructions import Reconstruction, assemble, beside, without_object
 from .scaled_images import ScaledImage, total_variation
 from .torch_model import TorchForwardModel, model_shape, torch_model
@@ -291,13 +290,7 @@ class _Fit:
                 "start holds no network; give a state of deep_image_prior, or leave it out"
             )
         take_up_adam("network", self._adam, state)
-        numbers = real_array("start's numbers", state["numbers"]).ravel()
-        if numbers.size != 2 or not np.isfinite(numbers).all():
-            raise SceneError(
-                f"start's numbers are {numbers.tolist()}, must be 2 finite ones; give a state of "
-                "deep_image_prior, or leave it out"
-            )
-        objective, count = numbers.tolist()
+        objective, count = kept_numbers(state, 2, "deep_image_prior")
         self._best = (objective, self._picture(state["best"]))
         self._average = self._picture(state["average"]) if "average" in state else None
         return int(count)

@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +16,7 @@ from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
-from .callbacks import State, goes_on, started_from, state_of
+from .callbacks import State, goes_on, kept_numbers, started_from, state_of
 from .field_steps import FieldStep
 from .measurements import Measurement, measurement, real_array, total
 from .reconstructions import Reconstruction, assemble, without_object
@@ -375,13 +374,7 @@ class _Splitting:
         """Take up a state; the iterations behind it, 0 where it is an object alone."""
         if not {*_PICTURES, "numbers"} <= set(state):
             return 0
-        numbers = real_array("start's numbers", state["numbers"]).ravel().tolist()
-        if len(numbers) != len(_NUMBERS) + 1 or not np.isfinite(numbers).all():
-            raise SceneError(
-                f"start's numbers are {numbers}, must be {len(_NUMBERS) + 1} finite ones; give a "
-                "state of tv_deconvolve, or leave it out"
-            )
-        count = int(numbers.pop())
+        *numbers, count = kept_numbers(state, len(_NUMBERS) + 1, "tv_deconvolve")
         for name in _PICTURES:
             mine = getattr(self, f"_{name}")
             kept = torch.tensor(real_array(f"start's {name}", state[name])).to(mine)
@@ -399,7 +392,7 @@ class _Splitting:
         if not self._sought:
             self._multiplier = given  # the state's may be of another weight
         self._factorise()
-        return count
+        return int(count)
 
     def adapt(self) -> None:
         """Let the data penalty follow the multiplier."""

@@ -18,7 +18,7 @@ from numba import njit
 from ._sight_kernels import blocked, sight_room
 
 CORNERS = 16  # most corners of a polygon; it is parted before it would have more
-PIECES = 4096  # most polygons of one triangle, and most lines across it
+PIECES = 4096  # most polygons of one triangle
 OVERFLOW = -1
 ROUNDING = 1e-12  # in (u, v), and of the scene's extent for heights
 # neighbours of a side of a triangle: a triangle that goes around the other way, as it should, has

@@ -114,13 +114,13 @@ def three_bounces(
         40.0 * count * (n_bins + 2),  # with the copies that become a capture
         "take fewer points or bins",
     )
-    reach = float(np.abs(surfaces.corners).max())
-    _check_apart(surfaces.corners, np.concatenate([lasers, sensors]), reach)
     mesh, names = occluders(surfaces)
+    rows, reach = mesh[0], mesh[2]
+    _check_apart(surfaces.corners, np.concatenate([lasers, sensors]), reach)
     n_triangles = len(names)
     clear = np.zeros((n_triangles, 2), dtype=np.bool_)
     if n_triangles <= ASKED:
-        clear = _shadow_kernels.clear_sides(mesh[0], reach)
+        clear = _shadow_kernels.clear_sides(rows, reach)
     world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
     out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
     lasers, sensors, lights, sight, turned = _shared(lasers, sensors)
