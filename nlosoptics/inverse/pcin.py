@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
-import importlib
 from collections.abc import Callable
 from typing import Any
 
 from .._checks import one_of
 from .._progress import Progress
+from .evidence_fit import evidence_fit
 from .pupil_psf import PupilPSF
 from .reconstructions import Reconstruction
+from .staged_fit import staged_fit
+from .wu2024_fit import wu2024_fit
 
-RECIPES = ("staged", "evidence", "wu2024")
+#: Solver of each recipe.
+RECIPES: dict[str, Callable[..., Reconstruction]] = {
+    "staged": staged_fit,
+    "evidence": evidence_fit,
+    "wu2024": wu2024_fit,
+}
 
 
 def pcin(
@@ -69,7 +76,7 @@ def pcin(
     TypeError
         If an option is not the recipe's.
     """
-    solver = _solver(one_of("recipe", recipe, RECIPES))
+    solver = RECIPES[one_of("recipe", recipe, RECIPES)]
     if max_iterations is not None:
         options["max_iterations"] = max_iterations
     return solver(
@@ -82,10 +89,3 @@ def pcin(
         progress=progress,
         **options,
     )
-
-
-def _solver(recipe: str) -> Callable[..., Reconstruction]:
-    """The recipe, from its module."""
-    module = importlib.import_module(f".{recipe}_fit", __package__)
-    solver: Callable[..., Reconstruction] = getattr(module, f"{recipe}_fit")
-    return solver

@@ -1,5 +1,6 @@
 """What is there: laser, wall, hidden object, occluders, camera, materials; the scene file."""
 
+from ._material import MirrorLobe
 from .camera import Camera, pupil_frame
 from .height_maps import CallableWall, HeightMapWall
 from .hidden import MeshObject, PlanarObject
@@ -7,7 +8,6 @@ from .laser import Laser
 from .materials import (
     Lambert,
     Material,
-    MirrorLobe,
     OrenNayar,
     SpecularMicrofacet,
     SumMaterial,

@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..errors import SceneError
 from . import _file_tables
@@ -18,14 +18,11 @@ from .mesh import MeshWall
 from .occluders import Occluder
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
-if TYPE_CHECKING:
-    from .scene import Scene
-
 #: Name in the text of a file that a key of the scene names.
 Naming = Callable[[str, Path], str]
 
 
-def format_scene(scene: Scene, folder: str | Path) -> str:
+def format_scene(scene: Any, folder: str | Path) -> str:
     """Text of the scene file of ``scene``, SI units, paths relative to ``folder``.
 
     Raises
@@ -37,7 +34,7 @@ def format_scene(scene: Scene, folder: str | Path) -> str:
     return _text(scene, lambda key, path: _relative(path, base))
 
 
-def scene_files(scene: Scene) -> dict[str, bytes]:
+def scene_files(scene: Any) -> dict[str, bytes]:
     """Files of a folder that holds all of ``scene``, wherever it is moved.
 
     Returns
@@ -66,7 +63,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     return {"scene.toml": _text(scene, copied).encode(), **copies}
 
 
-def _text(scene: Scene, named: Naming) -> str:
+def _text(scene: Any, named: Naming) -> str:
     laser, camera = scene.laser, scene.camera
     tables = _file_tables.SceneFile.model_construct(
         laser=_file_tables.LaserTable.model_construct(**vars(laser)),

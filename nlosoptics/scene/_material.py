@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import SceneError
-
-if TYPE_CHECKING:
-    from .materials import MirrorLobe
 
 Array = NDArray[np.float64]
 # kinds of lobe
@@ -142,6 +139,28 @@ class Material:
             slope rms s: 1e-16/(s cos theta)^2 where that is more).
         """
         raise NotImplementedError
+
+
+class MirrorLobe(Material):
+    """Base of lobes about the mirror direction: mirror-like up to a slope rms of 0.1 rad.
+
+    Attributes
+    ----------
+    slope_rms : float
+        Standard deviation of the facet slope per axis, rad.
+    """
+
+    slope_rms: float
+
+    @property
+    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
+        """The lobe itself where it is mirror-like and reflects something."""
+        return (self,) if self.specular_reflectance > 0.0 else ()
+
+    @property
+    def diffuse(self) -> Material | None:
+        """None for a mirror-like lobe, which is the whole material; else the material."""
+        return None if self.slope_rms <= MIRROR_SLOPE else self
 
 
 def _by_cosines(

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from .._checks import in_range, positive
 from .._whole_files import write_whole
@@ -28,27 +28,32 @@ from .laser import Laser
 from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .mesh import MeshWall
 from .occluders import Occluder
-from .scene import Scene
 from .transient_scan import TransientScan
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
-__all__ = ["format_scene", "load_scene", "save_scene", "scene_files", "scene_schema"]
+__all__ = ["format_scene", "read_scene", "save_scene", "scene_files", "scene_schema"]
+
+T = TypeVar("T")
 
 #: Either key of a pair determines the other; an override replaces both.
 _ALTERNATIVES = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
 
 
-def load_scene(path: str | Path) -> Scene:
+def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
     """Read a scene file, and open the pictures and meshes that it names.
 
     Parameters
     ----------
     path : str or Path
         TOML file.
+    scene : callable
+        Called with laser, wall, hidden object, camera and occluders, and the optional keywords
+        ``wall_material`` and ``transient``; `Scene`, which is above this file in the import order.
 
     Returns
     -------
     Scene
+        Whatever ``scene`` returns.
 
     Raises
     ------
@@ -69,7 +74,7 @@ def load_scene(path: str | Path) -> Scene:
             optional["wall_material"] = _material("wall.material", tables.wall.material)
         if tables.transient is not None:
             optional["transient"] = TransientScan(**_given(tables.transient))
-        scene = Scene(
+        made = scene(
             _laser(tables.laser),
             _wall(tables.wall, folder),
             _hidden(tables.hidden, folder),
@@ -77,12 +82,12 @@ def load_scene(path: str | Path) -> Scene:
             tuple(_occluders(tables.occluder or [], folder)),
             **optional,
         )
-        _open_files(scene)
-    return scene
+        _open_files(made)
+    return made
 
 
-def save_scene(scene: Scene, path: str | Path) -> None:
-    """Write a scene file that `load_scene` reads back to an equal scene.
+def save_scene(scene: Any, path: str | Path) -> None:
+    """Write a scene file that `Scene.load` reads back to an equal scene.
 
     The file appears complete or not at all. Pictures and meshes stay where they are; the file
     names them relative to its own folder.
@@ -286,7 +291,7 @@ def _camera(values: dict[str, Any]) -> Camera:
     return Camera(**values)
 
 
-def _open_files(scene: Scene) -> None:
+def _open_files(scene: Any) -> None:
     """Meet missing and broken files now, before anything is computed."""
     hidden, wall = scene.hidden, scene.wall
     _ = hidden.surface if isinstance(hidden, MeshObject) else hidden.reflectance

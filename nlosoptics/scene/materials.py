@@ -28,6 +28,7 @@ from ._material import (
     WARD_DUER,
     Array,
     Material,
+    MirrorLobe,
     check_angle,
 )
 
@@ -141,7 +142,7 @@ class OrenNayar(Material):
 
 
 @dataclass(frozen=True)
-class SpecularMicrofacet(Material):
+class SpecularMicrofacet(MirrorLobe):
     """Mirror-like lobe of microfacets with separable Smith shadowing.
 
     Parameters
@@ -185,16 +186,6 @@ class SpecularMicrofacet(Material):
         """The reflectance of a mirror-like lobe, of slope rms up to 0.1 rad; else 0."""
         return self.reflectance if self.slope_rms <= MIRROR_SLOPE else 0.0
 
-    @property
-    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """The lobe itself where it is mirror-like."""
-        return (self,) if self.specular_reflectance > 0.0 else ()
-
-    @property
-    def diffuse(self) -> Material | None:
-        """None for a mirror-like lobe, which is the whole material; else the material."""
-        return None if self.slope_rms <= MIRROR_SLOPE else self
-
     def albedo(self, theta: ArrayLike) -> Array:
         """Directional albedo at ``theta``, rad; a smooth mirror returns its reflectance."""
         t = check_angle(theta)
@@ -205,7 +196,7 @@ class SpecularMicrofacet(Material):
 
 
 @dataclass(frozen=True, init=False)
-class Ward(Material):
+class Ward(MirrorLobe):
     """Isotropic Ward lobe about the mirror direction.
 
     Parameters
@@ -245,7 +236,7 @@ class Ward(Material):
         object.__setattr__(self, "variant", one_of("variant", variant, _WARDS))
 
     @property
-    def slope_rms(self) -> float:
+    def slope_rms(self) -> float:  # type: ignore[override]  # frozen: neither can be written
         """Standard deviation of the facet slope per axis, alpha/sqrt(2)."""
         return self.alpha / math.sqrt(2.0)
 
@@ -257,24 +248,10 @@ class Ward(Material):
         """``rho`` of a mirror-like lobe, of slope rms up to 0.1 rad; else 0."""
         return self.rho if self.slope_rms <= MIRROR_SLOPE else 0.0
 
-    @property
-    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """The lobe itself where it is mirror-like."""
-        return (self,) if self.specular_reflectance > 0.0 else ()
-
-    @property
-    def diffuse(self) -> Material | None:
-        """None for a mirror-like lobe, which is the whole material; else the material."""
-        return None if self.slope_rms <= MIRROR_SLOPE else self
-
     def albedo(self, theta: ArrayLike) -> Array:
         """Directional albedo at ``theta``, rad, by quadrature."""
         t = check_angle(theta)
         return directional_albedo(t, lambda a: over_slopes(self, a, self.slope_rms, smooth=False))
-
-
-#: Materials that may be mirror-like.
-MirrorLobe = SpecularMicrofacet | Ward
 
 
 @dataclass(frozen=True, init=False)

@@ -92,9 +92,9 @@ class Scene:
         SceneError
             Naming file, key, value, limit and remedy.
         """
-        from .file import load_scene
+        from .file import read_scene
 
-        return load_scene(Path(path))
+        return read_scene(Path(path), cls)
 
     def save(self, path: str | Path) -> None:
         """Write a scene file that `load` reads back to an equal scene."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from .._checks import fits_memory, in_range, one_of, positive, real, vector
 from ..errors import NlosError, SamplingError, SceneError
 
-if TYPE_CHECKING:
-    from .captures import TransientCapture
-
+T = TypeVar("T")
 Array = NDArray[Any]
 
 LIGHT = 299792458.0  # m/s
@@ -66,6 +64,7 @@ def in_file(path: Path) -> Iterator[None]:
 
 
 def load_capture(
+    capture: Callable[..., T],
     path: str | Path,
     *,
     format: str | None = None,
@@ -77,8 +76,8 @@ def load_capture(
     outer_legs: bool | None = None,
     quantity: str | None = None,
     gate_start: float | None = None,
-) -> TransientCapture:
-    """Read a capture; see `TransientCapture.load`."""
+) -> T:
+    """Read a file and call ``capture``, a `TransientCapture`, with its values; see its `load`."""
     path = Path(path)
     if format is not None:
         one_of("format", format, LAYOUTS)
@@ -103,7 +102,7 @@ def load_capture(
                 f"{' and '.join(found.instead)}"
             )
         _fill(found, pairing, laser_point, side)
-        return _capture(found, given)
+        return capture(**_values(found, given))
 
 
 def _read(path: Path, format: str | None) -> Found:
@@ -190,9 +189,8 @@ def _lay_grid(found: Found, side: float) -> None:
     found.sensor_points, found.sensor_normals = wall_grid(side, shape[0]), None
 
 
-def _capture(found: Found, given: Mapping[str, Any]) -> TransientCapture:
-    from .captures import TransientCapture
-
+def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of a capture, from a file and from the caller."""
     values = {
         name: getattr(found, name) if given[argument] is None else given[argument]
         for name, argument in (
@@ -233,7 +231,7 @@ def _capture(found: Found, given: Mapping[str, Any]) -> TransientCapture:
             f"{found.needs['gate_start']}; give gate_start = optical path in m before which bins "
             "become 0, or 0 to keep all"
         )
-    return TransientCapture(
+    return dict(
         H=np.ascontiguousarray(H),
         laser_points=found.laser_points,
         sensor_points=found.sensor_points,

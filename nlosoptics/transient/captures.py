@@ -263,6 +263,7 @@ class TransientCapture:
         from .capture_files import load_capture
 
         return load_capture(
+            cls,
             path,
             format=format,
             bin_width=bin_width,

@@ -12,7 +12,7 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from .._checks import whole
 from ..errors import SamplingError, SceneError
 from .capture_files import Found, array, bins, number, triple, upright
 from .mat_files import AT
-
-if TYPE_CHECKING:
-    from .captures import TransientCapture
 
 Array = NDArray[Any]
 
@@ -36,7 +33,7 @@ PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
 SAME = "H"
 
 
-def save(capture: TransientCapture, path: str | Path, *, compression: int = 0) -> None:
+def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
     """Write a capture; see `TransientCapture.save`."""
     import h5py
 
@@ -59,7 +56,7 @@ def save(capture: TransientCapture, path: str | Path, *, compression: int = 0) -
             draft.unlink()
 
 
-def _write(file: Any, capture: TransientCapture, level: int) -> None:
+def _write(file: Any, capture: Any, level: int) -> None:
     import h5py
 
     laser, sensor, form = _axes(capture)
@@ -97,7 +94,7 @@ def _write(file: Any, capture: TransientCapture, level: int) -> None:
     file["scene_info"] = json.dumps(_scene_info(capture), ensure_ascii=False, default=_plain)
 
 
-def _axes(capture: TransientCapture) -> tuple[tuple[int, ...], tuple[int, ...], str]:
+def _axes(capture: Any) -> tuple[tuple[int, ...], tuple[int, ...], str]:
     """Axes of laser and sensor points that y-tal has a format for, and its name."""
     laser, sensor = capture.laser_shape, capture.sensor_shape
     if capture.pairing == "confocal":
@@ -148,7 +145,7 @@ def _write_enum(file: Any, key: str, name: str, members: dict[str, int]) -> None
     item[0] = members[name]
 
 
-def _scene_info(capture: TransientCapture) -> dict[str, Any]:
+def _scene_info(capture: Any) -> dict[str, Any]:
     from .. import __version__
 
     return {

@@ -5,7 +5,6 @@ that needs them. Figures are made without pyplot, so they need no display and ke
 plotters draw off the screen. `save` writes either.
 """
 
-from .canvas import save
 from .comparisons import compare_methods
 from .curves import encircled_energy, history, mtf
 from .films import transient, transient_film
@@ -17,6 +16,7 @@ from .phasor_volumes import phasor_volume
 from .plans import plan
 from .probing import rendering_works, window
 from .rooms import ray_paths, scene_3d
+from .saving import save
 from .sketch import scene_sketch
 from .spots import spot_diagram
 from .volumes import volume

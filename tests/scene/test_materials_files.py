@@ -8,7 +8,7 @@ import pytest
 
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import Lambert, Scene, SpecularMicrofacet, SumMaterial, Ward
-from nlosoptics.scene.file import load_scene, save_scene
+from nlosoptics.scene.file import save_scene
 
 LOBES = {
     'lobe = "ward"\nalbedo = 0.2\nalpha = 0.4': Ward(0.2, 0.4),
@@ -42,7 +42,7 @@ def with_hidden_material(examples: Path, folder: Path, lobe: str) -> Path:
 
 @pytest.mark.parametrize("lobe", LOBES)
 def test_lobes_are_read(lobe: str, examples: Path, tmp_path: Path) -> None:
-    assert load_scene(with_hidden_material(examples, tmp_path, lobe)).hidden.material == LOBES[lobe]
+    assert Scene.load(with_hidden_material(examples, tmp_path, lobe)).hidden.material == LOBES[lobe]
 
 
 @pytest.mark.parametrize(
@@ -54,10 +54,10 @@ def test_lobes_are_read(lobe: str, examples: Path, tmp_path: Path) -> None:
     ids=repr,
 )
 def test_lobes_round_trip_exactly(material, examples: Path, tmp_path: Path) -> None:
-    scene = load_scene(examples / "scenes" / "letter_flat.toml")
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml")
     scene = Scene(scene.laser, scene.wall, scene.hidden, scene.camera, wall_material=material)
     save_scene(scene, tmp_path / "again.toml")
-    assert load_scene(tmp_path / "again.toml") == scene
+    assert Scene.load(tmp_path / "again.toml") == scene
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_lobes_round_trip_exactly(material, examples: Path, tmp_path: Path) -> N
 )
 def test_wrong_lobes(lobe: str, words, examples: Path, tmp_path: Path) -> None:
     with pytest.raises(SceneError) as caught:
-        load_scene(with_hidden_material(examples, tmp_path, lobe))
+        Scene.load(with_hidden_material(examples, tmp_path, lobe))
     line = str(caught.value)
     assert "\n" not in line
     for word in words:
