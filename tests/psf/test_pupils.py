@@ -221,16 +221,11 @@ def test_amplitude_carries_the_energy_of_ray_tubes(flat_scene):
     assert flux == approx(solid, rel=5e-5)
 
 
-def test_same_bits_for_any_number_of_threads(flat_scene):
-    import numba
-
+def test_same_bits_for_any_number_of_threads(flat_scene, on_threads):
     scene = replace(flat_scene, wall=ConcaveWall(5.0))
-    numba.set_num_threads(1)
-    one = psf.wavefront(scene)
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-    all_threads = psf.wavefront(scene)
-    assert np.array_equal(one.aberration, all_threads.aberration)
-    assert np.array_equal(one.amplitude, all_threads.amplitude)
+    one, two = (on_threads(n, lambda: psf.wavefront(scene)) for n in (1, 2))
+    assert np.array_equal(one.aberration, two.aberration)
+    assert np.array_equal(one.amplitude, two.amplitude)
 
 
 def test_cells_follow_the_edge_of_a_flat_wall():
