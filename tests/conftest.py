@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,7 +16,35 @@ from .chromium import page
 __all__ = ["page"]
 
 ROOT = Path(__file__).parents[1]
+# Workers share the cores: libraries compute on one thread each. Compiled code may have two, for the
+# tests that compare thread counts; must be said before numpy, numba and torch are imported.
+os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+os.environ["NUMBA_NUM_THREADS"] = "2"
+
 FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> None:
+    """Compiled code runs on one thread, but where a test asks for more by `on_threads`."""
+    import numba
+
+    numba.set_num_threads(1)
+
+
+@pytest.fixture
+def on_threads() -> Callable[[int, Callable[[], Any]], Any]:
+    """``on_threads(count, call)``: what a call gives on so many threads of compiled code."""
+    import numba
+
+    def run(count: int, call: Callable[[], Any]) -> Any:
+        numba.set_num_threads(count)
+        try:
+            return call()
+        finally:
+            numba.set_num_threads(1)
+
+    return run
 
 
 @pytest.fixture(scope="session")
@@ -48,6 +78,14 @@ def code_blocks() -> Callable[[Path, str], list[str]]:
         return [code for name, code in FENCE.findall(page.read_text()) if name == language]
 
     return found
+
+
+@pytest.fixture
+def interruptible() -> Iterator[None]:
+    """Ctrl-C raises KeyboardInterrupt, also where the shell that starts the tests ignores it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture

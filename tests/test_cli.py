@@ -332,6 +332,7 @@ def interrupt(*_: object, **__: object) -> None:
     signal.raise_signal(signal.SIGINT)
 
 
+@pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("step", ["load", "_write_arrays", "_write_pictures"])
 @pytest.mark.parametrize(
     ("break_it", "said"),

@@ -251,7 +251,7 @@ def _corners(scene: Scene, o: Array) -> tuple[Array, Array]:
     half_x, half_y = (side / 2 for side in scene.wall.size or (math.inf, math.inf))
     corners = np.array([[1, 1, 0.0], [-1, 1, 0.0], [-1, -1, 0.0], [1, -1, 0.0]])
     centre, axis = np.array(scene.camera.position), scene.camera.axis
-    mirrored = o * (1.0, 1.0, -1.0)
+    mirrored = np.array([o[0], o[1], -o[2]])
     lines = corners * (half_x, half_y, 1.0) - mirrored
     share = (centre - mirrored) @ axis / (lines @ axis)
     e1, e2, _ = scene.camera.frame

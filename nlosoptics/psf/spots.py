@@ -226,12 +226,11 @@ def peak_strehl(wavefront: Wavefront) -> float:
         best = max(best, abs(field) ** 2)
         slope = 2 * (np.conj(field) * first).real
         bend = 2 * (np.conj(field) * second + np.outer(np.conj(first), first)).real
-        if np.linalg.eigvalsh(bend).max() >= 0.0:
-            move = step * slope / max(float(np.hypot(*slope)), 1e-300)  # uphill, outside the cap
-        else:
-            move = -np.linalg.solve(bend, slope)
+        # Newton's step to the top of the cap; where it bends upward, as far the other way, uphill
+        bends, axes = np.linalg.eigh(bend)
+        move = axes @ (axes.T @ slope / np.abs(bends))
         length = float(np.hypot(*move))
-        place = place + move * min(1.0, step / max(length, 1e-300))
         if length < 1e-9 * unit:
             break
+        place = place + move * min(1.0, step / length)
     return best / residual.amplitude_sum**2

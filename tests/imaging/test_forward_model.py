@@ -10,6 +10,7 @@ from scipy import fft, signal
 
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.psf import PointSpreadField
 
 # Double-precision transforms of unit-size data err by a few 1e-16 per pass.
 ROUNDING = 1e-13
@@ -165,3 +166,42 @@ def test_bad_picture_is_refused(arrow):
         getattr(model, arrow)(np.ones((9, 8)))
     with pytest.raises(SamplingError, match="1 values that are not finite"):
         getattr(model, arrow)(np.where(np.arange(9) + 9 * np.arange(8)[:, None] == 3, np.inf, 1.0))
+
+
+def field_of_three():
+    """Kernels of 5 x 3 that mix differently at every point: three modes on 3 x 4 nodes."""
+    across, up = (np.cos(np.pi * (2 * np.arange(n) + 1) / (2 * n))[::-1].copy() for n in (4, 3))
+    return PointSpreadField(
+        modes=drawn((3, 5, 3), 5),
+        weights=drawn((3, 3, 4), 6),
+        across=across,
+        up=up,
+        pitch=1e-5,
+        truncation_error=0.0,
+        error_estimate=0.0,
+    )
+
+
+@pytest.mark.parametrize("boundary", ["padded", "circular"])
+def test_each_point_of_a_field_has_its_own_kernel(boundary):
+    """The image of a point is the sum of the modes about it, times their weights there."""
+    field, shape = field_of_three(), (11, 13)
+    model = ForwardModel(field, shape=shape, boundary=boundary)
+    y, x = (2 * np.arange(n) + 1 - n for n in shape)
+    weights = field.at(x / shape[1], y[:, None] / shape[0])
+    other = drawn(shape, 7)
+    # a corner, where circular frames wrap around, and a point within
+    for row, column in ((0, 12), (4, 7)):
+        kernel = np.einsum("k,kyx->yx", weights[:, row, column], field.modes)
+        expected = np.zeros(shape)
+        for i, j in np.ndindex(*kernel.shape):
+            to = row + i - 2, column + j - 1
+            if boundary == "circular":
+                to = to[0] % shape[0], to[1] % shape[1]
+            if 0 <= to[0] < shape[0] and 0 <= to[1] < shape[1]:
+                expected[to] += kernel[i, j]
+        point = np.zeros(shape)
+        point[row, column] = 3.0
+        # rounding of transforms
+        assert model.forward(point) == pytest.approx(3.0 * expected, abs=1e-13)
+        assert model.adjoint(other)[row, column] == pytest.approx((expected * other).sum())

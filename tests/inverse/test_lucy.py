@@ -192,3 +192,31 @@ def test_a_start_of_no_numbers_is_one_line(periodic, start):
     model, _, image = periodic
     with pytest.raises(SceneError, match="no array of numbers; give"):
         inverse.richardson_lucy(image, model, noise_sigma=0.01, start=start)
+
+
+def test_steps_with_weights_are_the_formula(periodic):
+    """x <- x A'(w y/(A x))/A'w, w = 1/sigma^2; the pedestal is one noise of the mean weight.
+
+    Half of the pixels have three times the noise; a few are of infinite noise.
+    """
+    model, _, image = periodic
+    noise = np.full(image.shape, 1e-2)
+    noise[:, ::2] *= 3.0
+    noise[5:9, 30:40] = np.inf
+    weights, steps = noise**-2.0, 6
+    sigma = weights.mean() ** -0.5
+    found = inverse.richardson_lucy(
+        image,
+        model,
+        accelerated=False,
+        noise_sigma=noise,
+        fit_background=False,
+        max_iterations=steps,
+        gain=1.0,
+    )
+    expected = np.full(image.shape, image.mean())
+    for _ in range(steps - 1):
+        ratio = weights * (image + sigma) / (model.forward(expected) + sigma)
+        expected = expected * model.adjoint(ratio) / model.adjoint(weights)
+    # single precision inside
+    np.testing.assert_allclose(found.object, expected, rtol=0, atol=2e-6)

@@ -9,6 +9,9 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError
+from nlosoptics.psf import geometric
+from nlosoptics.psf.residuals import split
+from nlosoptics.psf.windows import Window
 
 WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": RADIUS, "image_distance": 50e-3}
@@ -246,3 +249,19 @@ def test_same_bits_twice():
     wave = zernike_wave({4: 20.0, 8: 5.0})
     first, second = (rays(wave, 50 * UNIT).intensity.tobytes() for _ in range(2))
     assert first == second
+
+
+def test_doubt_of_slopes_widens_the_blur():
+    """By 4 d t n_r/a, t what the nodes may miss of the aberration; the floor is 2 lambda N."""
+    sampled = zernike_wave({4: 20.0}, samples=(16, 64))
+    ripple = 0.05 * WAVELENGTH * np.random.default_rng(2).normal(size=sampled.u.shape)
+    residual = split(replace(sampled, aberration=sampled.aberration + ripple))
+    window = Window.centred(80 * UNIT, (9, 9))
+    (boxes,) = geometric._boxes(residual, window, 1.0)
+    missed, _ = residual.wavefront.truncation()
+    doubt = abs(residual.wavefront.image_distance) * missed * 16 / RADIUS
+    floor = np.hypot(2 * residual.airy_unit, 4 * doubt)
+    assert doubt > 5 * residual.airy_unit
+    # the least of all widths is where the wave bends least: there is a place without a bend
+    least = np.hypot(boxes.blur[:, 0], boxes.blur[:, 1]).min()
+    assert floor <= least < 1.05 * floor

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from mpmath import mp, mpf
@@ -285,17 +284,11 @@ def test_error_of_other_layouts_is_bounded():
         assert 1e-6 < error <= found.error_estimate < 0.05
 
 
-def test_same_bits_for_any_thread_count():
-    wave, results = wave_at(3, {7: 0.3}), []
+def test_same_bits_for_any_thread_count(on_threads):
+    wave = wave_at(3, {7: 0.3})
     points = plane(wave, 5, 17, slope=0.2)
-    threads = numba.get_num_threads()
-    try:
-        for count in (1, threads):
-            numba.set_num_threads(count)
-            results.append(psf.huygens_point_spread(wave, points).intensity.tobytes())
-    finally:
-        numba.set_num_threads(threads)
-    assert results[0] == results[1]
+    one, two = (on_threads(n, lambda: psf.huygens_point_spread(wave, points)) for n in (1, 2))
+    assert one.intensity.tobytes() == two.intensity.tobytes()
 
 
 def test_what_is_refused():

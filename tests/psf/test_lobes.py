@@ -132,3 +132,17 @@ def test_a_mesh_has_one_view(flat_scene):
     wave = psf.wavefront(scene)
     with pytest.raises(SceneError, match="object_point with a mesh"):
         psf.lobe_point_spread(scene, wave, object_point=(0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize("tol", [1e-4, 0.3])
+@pytest.mark.parametrize("distribution", ["beckmann", "ggx"])
+def test_halo_ends_where_the_slopes_density_is_tol(flat_scene, distribution, tol):
+    """Along the widest axis, where the blur's covariance is largest."""
+    scene = rough(flat_scene, SpecularMicrofacet(0.05, 0.003, distribution=distribution))
+    wave = psf.wavefront(scene)
+    lobe = scene.wall_material.mirror_lobes[0]
+    far = halo_radius(lobe, psf.wall_view(scene), wave, tol)
+    variance = np.linalg.eigvalsh(blur(scene, wave, lobe.slope_rms)).max()
+    square = far**2 / (2 * variance)  # of slopes, in units of alpha^2 = 2 sigma^2
+    density = np.exp(-square) if distribution == "beckmann" else (1 + square) ** -2.0
+    assert density == approx(tol, rel=1e-9)

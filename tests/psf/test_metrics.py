@@ -1,6 +1,7 @@
 """Strehl ratio, rms, encircled energy, MTF and widths against closed forms."""
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.psf.metrics import _width
 
 WAVELENGTH, RADIUS = 632.8e-9, 12.5e-3
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": RADIUS, "image_distance": 50e-3}
@@ -183,3 +185,11 @@ def test_width_refuses_a_window_without_edges():
     spread = psf.point_spread(psf.Wavefront.from_zernike({}, **SYSTEM), pitch=UNIT / 40, shape=20)
     with pytest.raises(SamplingError, match="above half its peak"):
         psf.fwhm(spread)
+
+
+@pytest.mark.parametrize("middle", [0.0, 0.123, 0.25 + 1 / 96, -0.49])
+def test_width_of_a_parabola_is_exact(middle):
+    """1 - (x/4)^2 halves at 4/sqrt2; the interpolant and its fine parabola are the curve itself."""
+    cut = 1 - ((np.arange(25) - 12 - middle) / 4) ** 2
+    # bisection ends at rounding
+    assert _width(cut, 3.0) == approx(3.0 * 2 * 4 / math.sqrt(2), rel=1e-13)

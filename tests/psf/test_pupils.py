@@ -221,16 +221,11 @@ def test_amplitude_carries_the_energy_of_ray_tubes(flat_scene):
     assert flux == approx(solid, rel=5e-5)
 
 
-def test_same_bits_for_any_number_of_threads(flat_scene):
-    import numba
-
+def test_same_bits_for_any_number_of_threads(flat_scene, on_threads):
     scene = replace(flat_scene, wall=ConcaveWall(5.0))
-    numba.set_num_threads(1)
-    one = psf.wavefront(scene)
-    numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
-    all_threads = psf.wavefront(scene)
-    assert np.array_equal(one.aberration, all_threads.aberration)
-    assert np.array_equal(one.amplitude, all_threads.amplitude)
+    one, two = (on_threads(n, lambda: psf.wavefront(scene)) for n in (1, 2))
+    assert np.array_equal(one.aberration, two.aberration)
+    assert np.array_equal(one.amplitude, two.amplitude)
 
 
 def test_cells_follow_the_edge_of_a_flat_wall():
@@ -274,3 +269,53 @@ def test_cells_of_an_uncut_cone_are_the_disc(flat_scene):
 def test_cells_of_a_curved_wall_are_refused(flat_scene):
     with pytest.raises(SamplingError, match="this one is curved"):
         psf.wavefront(replace(flat_scene, wall=ConcaveWall(5.0, size=1.0)), nodes="cells")
+
+
+def edge_on_lens(scene, o):
+    """Where rays that the corners reflect meet the lens's plane, along the camera's axes."""
+    half = np.array(scene.wall.size) / 2
+    corners = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half
+    corners = np.append(corners, np.zeros((4, 1)), axis=1)
+    outward = corners - o
+    outward[:, 2] *= -1
+    centre, axis = np.array(scene.camera.position), scene.camera.axis
+    met = corners + ((centre - corners) @ axis / (outward @ axis))[:, None] * outward - centre
+    return met @ np.stack(scene.camera.frame[:2], axis=1)
+
+
+def test_a_wall_as_stop_is_its_outline_projected_from_the_object(flat_scene):
+    """Area and centroid of the cells are those of the quadrangle on the lens, by the shoelace."""
+    camera = replace(flat_scene.camera, stop_diameter=0.9, aim=(0.004, -0.003, 0.0))
+    scene = replace(flat_scene, wall=FlatWall(size=(0.03, 0.05)), camera=camera)
+    o = np.array([0.85, 0.12, 1.0])
+    wave = psf.wavefront(scene, o, nodes="cells")
+    zoom = wave.image_distance / scene.image_distance
+    corners = edge_on_lens(scene, o) * zoom
+    x, y = corners.T
+    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    area = cross.sum() / 2
+    middle = [((a + np.roll(a, -1)) * cross).sum() / (6 * area) for a in (x, y)]
+    # Gauss's rule on quadrangles is exact for both
+    assert wave.weights.sum() == approx(abs(area), rel=1e-10)
+    found = [(wave.weights * a).sum() / wave.weights.sum() for a in (wave.u, wave.v)]
+    assert found == approx(middle, abs=1e-10 * wave.pupil_radius)
+
+
+@pytest.mark.parametrize("more", [(1e-3, 5e-3), (2e-3, 3e-4), (1.3e-3, 3.7e-3)])
+@pytest.mark.parametrize("y", [0.0, 0.3])
+def test_squares_that_an_edge_cuts_count_by_their_part(flat_scene, y, more):
+    """The area of a grid is that of the cells, wherever two edges fall among the squares."""
+    x, z = -0.6, 0.8
+    # where the chief ray meets the wall
+    hit = np.array([x, y]) + 0.8 / 1.8 * (np.array(flat_scene.hidden.position[:2]) - (x, y))
+    size = tuple((2 * abs(hit) + more).tolist()) if y else (2 * abs(hit[0]) + more[0], 0.008)
+    camera = replace(flat_scene.camera, position=(x, y, z), aim=(*hit, 0.0))
+    scene = replace(flat_scene, wall=FlatWall(size=size), camera=camera)
+    exact = psf.wavefront(scene, nodes="cells").weights.sum()
+    grid = psf.wavefront(scene, nodes="grid", samples=128)
+    disc = math.pi * grid.pupil_radius**2
+    assert 0.1 < exact / disc < 0.9
+    # a footprint as at the pupil's centre, and the corner of two edges as a product
+    assert grid.weights.sum() == approx(exact, abs=5e-4 * disc)
+    assert grid.weights.min() >= 0.0
+    assert grid.weights.max() <= (grid.u[0, 1] - grid.u[0, 0]) ** 2 * (1 + 1e-12)

@@ -11,6 +11,7 @@ from scipy import fft, ndimage
 from nlosoptics import psf, raytrace
 from nlosoptics.errors import CausticError, SamplingError, SceneError
 from nlosoptics.psf import facet_waves
+from nlosoptics.psf.slopes import slope_filter
 from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
@@ -452,3 +453,15 @@ def test_bad_facets_are_refused(flat_scene, change, message):
     assert not psf.pupil_slopes(flat_scene, **arguments).any()
     with pytest.raises(ValueError, match=message):
         psf.pupil_slopes(flat_scene, **(arguments | change))
+
+
+@pytest.mark.parametrize("shape", [(6, 9), (9, 6), (2, 5)])
+def test_filter_of_a_rectangle_is_the_least_squares_surface(shape):
+    slopes = np.random.default_rng(4).normal(size=(*shape, 2))
+    solve = slope_filter(shape)
+    (cos_y, cos_x), (source_y, source_x) = solve.cosines, solve.sources
+    along = cos_y @ slopes[..., 0] @ source_x.T + source_y @ slopes[..., 1] @ cos_x.T
+    surface = 0.3 * cos_y.T @ (along * solve.inverse) @ cos_x
+    expected, _ = psf.integrated_slopes(slopes, 0.3, np.ones(shape, dtype=bool))
+    # rounding
+    assert surface == approx(expected, abs=1e-13)

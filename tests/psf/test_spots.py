@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 from pytest import approx
-from scipy.special import sici
+from scipy.optimize import minimize_scalar
+from scipy.special import j0, sici
 
 from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
@@ -156,3 +157,23 @@ def test_spot_diagram_moves_with_the_tilt(nodes):
     np.testing.assert_allclose(spots.y, 0.0, atol=1e-9 * expected)
     assert spots.centroid == pytest.approx((expected, 0.0), rel=1e-9, abs=1e-9 * expected)
     assert spots.energy.min() > 0.0
+
+
+@pytest.mark.parametrize("waves", [0.9, 1.0, 1.3, 2.1])
+def test_peak_of_a_defocused_disc_may_be_a_ring(waves):
+    """|2 int_0^1 J0(v rho) e^(2 pi i w rho^2) rho drho|^2, largest over v; dark middle at w = 1."""
+    rho, share = np.polynomial.legendre.leggauss(200)
+    rho, share = (rho + 1) / 2, share / 2
+
+    def intensity(v):
+        field = (share * rho * j0(v * rho) * np.exp(2j * math.pi * waves * rho**2)).sum()
+        return abs(2 * field) ** 2
+
+    coarse = np.linspace(0.0, 20.0, 2001)
+    v = coarse[np.argmax([intensity(v) for v in coarse])]
+    best = minimize_scalar(
+        lambda v: -intensity(v), bounds=(max(v - 0.01, 0.0), v + 0.01), options={"xatol": 1e-10}
+    )
+    found = psf.peak_strehl(wave({4: waves / (2 * math.sqrt(3))}))
+    # Newton's steps end at rounding; the search over v at the square root of it
+    assert found == approx(-best.fun, rel=1e-12)

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import numba
 import numpy as np
 import pytest
 from pytest import approx
@@ -274,17 +273,12 @@ def test_launch_is_uniform_in_solid_angle(flat_scene):
     assert rays.weight[cone].sum() == approx(2 * math.pi * (1 - math.cos(4e-3)), rel=2e-2)
 
 
-def test_rays_depend_on_their_seed_alone(flat_scene):
+def test_rays_depend_on_their_seed_alone(flat_scene, on_threads):
     wall = HeightMapWall.random(
         height_rms=1e-6, correlation_length=0.01, size=0.6, pitch=2e-3, seed=1
     )
     scene = replace(flat_scene, wall=wall)
-    before = numba.get_num_threads()
-    found = []
-    for threads in (1, min(2, before)):
-        numba.set_num_threads(threads)
-        found.append(raytrace.pupil_rays(scene, n_rays=500, seed=5))
-    numba.set_num_threads(before)
+    found = [on_threads(n, lambda: raytrace.pupil_rays(scene, n_rays=500, seed=5)) for n in (1, 2)]
     assert np.array_equal(found[0].points, found[1].points)
     assert not np.array_equal(
         found[0].points, raytrace.pupil_rays(scene, n_rays=500, seed=6).points

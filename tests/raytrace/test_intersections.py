@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import subprocess
 import sys
@@ -13,7 +14,15 @@ import pytest
 from nlosoptics import raytrace
 from nlosoptics.errors import SceneError
 from nlosoptics.raytrace import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED
-from nlosoptics.scene import ConcaveWall, ConvexWall, FlatWall, MeshWall, SumWall, WavyWall
+from nlosoptics.scene import (
+    CallableWall,
+    ConcaveWall,
+    ConvexWall,
+    FlatWall,
+    MeshWall,
+    SumWall,
+    WavyWall,
+)
 
 mpmath.mp.dps = 50
 
@@ -313,3 +322,30 @@ def test_one_ray_from_a_shared_origin():
     one = raytrace.intersect(ConcaveWall(3.0), np.array([0.1, 0.0, 1.0]), [[[0.0, 0.1, -1.0]]])
     many = raytrace.intersect(ConcaveWall(3.0), [[0.1, 0.0, 1.0]] * 2, [[0.0, 0.1, -1.0]] * 2)
     assert one.distance[0, 0] == many.distance[0]
+
+
+@pytest.mark.parametrize("slope", [0.3, 1.0, 5.0])
+def test_a_paraboloid_is_met_in_one_step(slope):
+    """The march bounds the height by its greatest curvature, which here it has everywhere."""
+    bend, seen = 2.0, []
+
+    def height(x, y):
+        seen.append(x.size)
+        return bend / 2 * (x * x + y * y)
+
+    wall = CallableWall(
+        height,
+        lambda x, y: (bend * x, bend * y),
+        hessian=lambda x, y: (bend + 0 * x, 0 * x, bend + 0 * x),
+        max_height=10.0,
+        max_curvature=bend,
+    )
+    start, way = np.array([-0.5, 0.0, 1.0]), np.array([1.0, 0.0, -slope])
+    hits = raytrace.intersect(wall, start, way)
+    length = math.hypot(1.0, slope)
+    # bend/2 (x0 + t)^2 = z0 - slope t
+    a, b, c = bend / 2, bend * start[0] + slope, bend / 2 * start[0] ** 2 - start[2]
+    t = (-b + math.sqrt(b * b - 4 * a * c)) / (2 * a)
+    assert hits.distance == pytest.approx(t * length, rel=1e-14)
+    # at the start, at the first step, perhaps at one more for rounding
+    assert len(seen) <= 3

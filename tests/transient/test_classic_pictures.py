@@ -327,23 +327,12 @@ def test_backprojection_takes_outer_legs_with_it():
         fk_migration(outer)
 
 
-def test_blocks_and_threads_change_no_bit():
-    import numba
-
+def test_blocks_and_threads_change_no_bit(on_threads):
     light = capture(point_light(POINT))
     volume = Volume.before(SIDE, 11, np.arange(0.6, 0.8, 0.02))
-    before = numba.get_num_threads()
-    pictures = []
-    try:
-        for n in (1, before):
-            numba.set_num_threads(n)
-            pictures.append(
-                [f(light, volume).intensity for f in (fk_migration, lct, backprojection)]
-            )
-    finally:
-        numba.set_num_threads(before)
-    for one, more in zip(*pictures, strict=True):
-        assert np.array_equal(one, more)
+    for method in (fk_migration, lct, backprojection):
+        one, two = (on_threads(n, lambda f=method: f(light, volume).intensity) for n in (1, 2))
+        assert np.array_equal(one, two)
 
 
 def test_progress_is_told_up_to_the_end():

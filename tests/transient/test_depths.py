@@ -174,3 +174,11 @@ def test_bad_input_is_one_clear_line(call, kind, words):
     with pytest.raises(kind, match=words) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+def test_confidence_is_a_share_of_the_brightest_whatever_the_unit():
+    height = np.linspace(0.1, 1.0, 30).reshape(5, 6)
+    for unit in (1e-6, 7.0):
+        found = depth_map(picture(np.ones((5, 6)), unit * height), threshold=0.5)
+        assert found.confidence == pytest.approx(height, rel=1e-12)
+        assert np.array_equal(np.isnan(found.depth), height < 0.5)

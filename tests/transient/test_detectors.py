@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
 from scipy import stats
@@ -120,7 +119,7 @@ def test_counts_are_poissons(mean):
     assert counts.mean() == pytest.approx(mean, abs=5 * np.sqrt(mean / n))
 
 
-def test_draws_have_their_own_addresses():
+def test_draws_have_their_own_addresses(on_threads):
     """No thread, and no other bin, changes a bin's count; seeds do."""
     light = TransientCapture(
         H=np.random.default_rng(0).random((50, 4, 4)) * 30,
@@ -130,13 +129,7 @@ def test_draws_have_their_own_addresses():
         by_bounce={3: np.zeros((50, 4, 4))},
         details={"seed": 7},
     )
-    threads = numba.get_num_threads()
-    try:
-        numba.set_num_threads(1)
-        first = Detector().measure(light, seed=3)
-    finally:
-        numba.set_num_threads(threads)
-    again = Detector().measure(light, seed=3)
+    first, again = (on_threads(n, lambda: Detector().measure(light, seed=3)) for n in (1, 2))
     assert np.array_equal(first.H, again.H)
     assert not np.array_equal(first.H, Detector().measure(light, seed=4).H)
     H = light.H.copy()

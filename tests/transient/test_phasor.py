@@ -408,21 +408,14 @@ def test_torch_sums_alike(capture, method):
 
 
 @pytest.mark.parametrize("method", ["fft", "direct"])
-def test_threads_and_blocks_of_planes_change_no_bit(monkeypatch, method):
-    import numba
-
+def test_threads_and_blocks_of_planes_change_no_bit(monkeypatch, on_threads, method):
     from nlosoptics.transient import plane_convolutions
 
     volume = Volume.before(1.0, 6, 0.5 + 0.05 * np.arange(12))
     whole = quiet(EXHAUSTIVE, volume, wl_mean=0.3, method=method)
     monkeypatch.setattr(plane_convolutions, "FEW", 1)
     monkeypatch.setattr(plane_convolutions, "PLANES", 2**16)
-    threads = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        parts = quiet(EXHAUSTIVE, volume, wl_mean=0.3, method=method)
-    finally:
-        numba.set_num_threads(threads)
+    parts = on_threads(2, lambda: quiet(EXHAUSTIVE, volume, wl_mean=0.3, method=method))
     assert (parts.field == whole.field).all()
 
 

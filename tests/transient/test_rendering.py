@@ -7,7 +7,6 @@ import math
 import os
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 import trimesh
@@ -233,17 +232,11 @@ def test_reciprocity():
     assert there.H == pytest.approx(back.H, rel=1e-14, abs=1e-16 * back.H.max())
 
 
-def test_threads_change_no_bit():
+def test_threads_change_no_bit(on_threads):
     surfaces = [(letter(), WHITE), (plate(1.5, 1.5, (0, 0, 1.5)), WHITE)]
     grid = wall_grid(1.0, 3)
-    many = light(surfaces, sensor_points=grid)
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        one = light(surfaces, sensor_points=grid)
-    finally:
-        numba.set_num_threads(before)
-    assert np.array_equal(many.H, one.H)
+    one, two = (on_threads(n, lambda: light(surfaces, sensor_points=grid)) for n in (1, 2))
+    assert np.array_equal(one.H, two.H)
 
 
 def test_error_falls_faster_than_the_parts_rise():
