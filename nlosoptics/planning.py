@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from .psf.estimates import rounded_up
 from .psf.obstruction import check_cone
 from .psf.paraxial import change_over_object
 from .psf.pupils import ExitPupil, exit_pupil
+from .psf.scene_psf import MOST_SAMPLES
 from .raytrace import ray_plan
 from .scene import (
     ConvexWall,
@@ -27,7 +28,6 @@ from .scene import (
 
 FIELD = "field of point spreads"  # the name of that stage
 BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
-MOST_SAMPLES = 8192  # across a point spread at Nyquist's pitch: 10 s and 2 GiB
 MOST_NODES = 27  # along each side of a field of point spreads
 MOST_SECONDS = 900  # of a field
 LARGEST_TOL = 0.1
@@ -72,15 +72,20 @@ class Plan:
         stages state their own.
     waves : float
         Estimated peak-to-valley aberration left after tilt, waves.
-    layout : {"polar", "grid"}
-        Pupil nodes: a grid where the wall's edge cuts the cone of light.
+    exit_pupil : ExitPupil
+        Exit pupil of the scene, which `simulate` goes on with.
     """
 
     stages: tuple[Stage, ...]
     skipped: tuple[Stage, ...]
     tol: float
     waves: float
-    layout: Literal["polar", "grid"]
+    exit_pupil: ExitPupil = field(compare=False, repr=False)
+
+    @property
+    def layout(self) -> Literal["polar", "grid"]:
+        """Layout of the pupil nodes: a grid where the wall's edge cuts the cone of light."""
+        return self.exit_pupil.layout
 
     @property
     def seconds(self) -> float:
@@ -159,9 +164,6 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     pupil = exit_pupil(scene)
     _check_sight(scene, pupil)
     waves = _estimated_waves(scene, pupil)
-    layout: Literal["polar", "grid"] = "polar"
-    if pupil.stop == "wall" or pupil.vignetting > 0:
-        layout = "grid"
     refusal = wave_refusal(scene)
     stages = [
         _mesh_stage(scene),
@@ -173,9 +175,9 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
             seconds=0.001,
             error="exact for a thin lens",
         ),
-        *_wave_stages(scene, pupil, waves, layout),
+        *_wave_stages(scene, pupil, waves),
         _point_spread_stage(scene, pupil, waves, tol),
-        _field_stage(scene, pupil, waves, layout, tol),
+        _field_stage(scene, pupil, waves, tol),
         *_left_out(scene),
         _shadow_stage(scene, sampled=not refusal),
         _image_stage(scene),
@@ -192,7 +194,7 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
         skipped=tuple(s for s in stages if not s.runs),
         tol=tol,
         waves=waves,
-        layout=layout,
+        exit_pupil=pupil,
     )
 
 
@@ -213,12 +215,12 @@ def _mesh_stage(scene: Scene) -> Stage:
     )
 
 
-def _wave_stages(scene: Scene, pupil: ExitPupil, waves: float, layout: str) -> Iterator[Stage]:
+def _wave_stages(scene: Scene, pupil: ExitPupil, waves: float) -> Iterator[Stage]:
     flat = scene.wall.is_flat
     if flat:
         yield _skipped("aiming", "flat wall: hits in closed form")
     reason = "zero but for focus" if flat else f"rays aimed by Newton; about {waves:.2g} waves"
-    if layout == "grid":
+    if pupil.layout == "grid":
         cut = "the wall's outline is the stop"
         if pupil.stop == "lens":
             cut = f"the wall's edge cuts {100 * pupil.vignetting:.2g} % of the cone"
@@ -227,7 +229,7 @@ def _wave_stages(scene: Scene, pupil: ExitPupil, waves: float, layout: str) -> I
         name="wave aberration",
         runs=True,
         reason=reason,
-        seconds=(0.005 if flat else 0.02) if layout == "polar" else 0.5,
+        seconds=(0.005 if flat else 0.02) if pupil.layout == "polar" else 0.5,
         error="the mesh surface's" if isinstance(scene.wall, MeshWall) else "1e-9 wave",
     )
 
@@ -267,13 +269,13 @@ def _spread_seconds(core: float, pitch: float, waves: float, tol: float) -> floa
     return 0.02 + 1.6e-7 * (4 * reach / core) ** 2
 
 
-def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, layout: str, tol: float) -> Stage:
+def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float) -> Stage:
     """Whether point spreads at several object points are needed, and about how many."""
     if not isinstance(scene.hidden, PlanarObject):
         return _skipped(FIELD, "one point spread stands for the mesh; positions are exact")
     if not scene.wall_material.mirror_lobes:
         return _skipped(FIELD, "a wall without a mirror-like lobe shows no picture")
-    if layout == "grid":
+    if pupil.layout == "grid":
         return _skipped(
             FIELD, "one point spread on a grid stands for the object; positions are exact"
         )

@@ -24,8 +24,8 @@ from ._progress import Progress
 from ._random import checked_seed
 from .errors import SamplingError, SceneError
 from .imaging import CameraImage, ForwardModel, camera_image, image_field
-from .limits.modulation import scene_point_spread
 from .planning import FIELD, MOST_NODES, plan
+from .psf import SceneOptics, scene_point_spread
 from .records import PAGE, arrays, now, scene_hash, versions
 from .scene import Scene
 from .simulation import veil_shape
@@ -304,10 +304,12 @@ def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
     NlosError
         As of `plan`.
     """
-    if plan(scene, tol, reconstruct=True).runs(FIELD):
-        spread = image_field(scene, tol=tol, most_nodes=MOST_NODES)[0].mean()
+    todo = plan(scene, tol, reconstruct=True)
+    optics = SceneOptics(scene, todo.exit_pupil)
+    if todo.runs(FIELD):
+        spread = image_field(optics, tol=tol, most_nodes=MOST_NODES)[0].mean()
     else:
-        spread = scene_point_spread(scene, tol=tol)[1].intensity
+        spread = scene_point_spread(optics, tol).point_spread.intensity
     shape = scene.camera.shape
     middle = tuple(
         slice(max(0, n // 2 - m // 2), n // 2 - m // 2 + m)

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,18 +11,16 @@ from numpy.typing import NDArray
 
 from ._progress import Progress
 from ._random import checked_seed
-from .errors import NotWaveGradeError, SamplingError
-from .planning import FIELD, MOST_NODES, MOST_SAMPLES, Plan, plan, wave_refusal
-from .psf.pupils import ExitPupil, exit_pupil
+from .errors import NotWaveGradeError
+from .planning import FIELD, MOST_NODES, Plan, plan, wave_refusal
 from .scene import MeshWall, PlanarObject, Scene
 
 if TYPE_CHECKING:
     from .imaging import SpeckleImage
     from .inverse import Reconstruction
-    from .psf import PointSpread, PointSpreadField, Wavefront
+    from .psf import ExitPupil, PointSpread, PointSpreadField, Wavefront
 
 Array = NDArray[np.float64]
-GRID_STEPS = (512, 1024, 2048)  # cells across a pupil that the wall's edge cuts
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -95,96 +90,73 @@ def simulate(
     Raises
     ------
     NlosError
-        Of the kind that fits; see `plan`, `psf.wavefront`, `psf.point_spread` and
-        `imaging.form_image`.
+        Of the kind that fits; see `plan`, `psf.scene_point_spread` and `imaging.form_image`.
     """
     seed = checked_seed(seed)
     todo = plan(scene, tol, reconstruct=reconstruct)
     if not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))
-    timings: dict[str, float] = {}
+    from . import imaging, psf
+
+    begun: dict[str, float] = {}  # start of each stage, s
     total = todo.seconds
 
     def within(name: str, share: float) -> None:
-        """Tell of a share of one stage."""
+        """Report a share of one stage."""
         if progress is not None:
-            done = sum(s.seconds for s in todo.stages if s.name in timings)
+            done = sum(s.seconds for s in todo.stages if s.name in begun and s.name != name)
             done += share * sum(s.seconds for s in todo.stages if s.name == name)
             progress(name, min(1.0, done / total))
 
-    @contextmanager
-    def stage(name: str) -> Iterator[None]:
-        within(name, 0.0)
-        start = time.perf_counter()
-        yield
-        timings[name] = timings.get(name, 0.0) + time.perf_counter() - start
+    def begin(name: str, share: float = 0.0) -> None:
+        """Start a stage, which ends the one before."""
+        begun[name] = time.perf_counter()
+        within(name, share)
 
     if isinstance(scene.wall, MeshWall):
-        with stage("mesh surface"):
-            scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
-    with stage("exit pupil"):
-        pupil = exit_pupil(scene)
-    wave, spread = _wave_and_spread(scene, todo, stage)
-    from . import imaging, psf
-
+        begin("mesh surface")
+        scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
+    begin("exit pupil")
+    optics = psf.SceneOptics(scene, todo.exit_pupil)
+    found = psf.scene_point_spread(optics, tol, progress=begin)
+    spread = found.point_spread
     errors = {"point spread": spread.error_estimate}
     field = None
     if todo.runs(FIELD):
-        with stage(FIELD):
-            field, errors[FIELD] = imaging.image_field(
-                scene,
-                tol=tol,
-                most_nodes=MOST_NODES,
-                progress=lambda _, share: within(FIELD, share),
-            )
+        begin(FIELD)
+        field, errors[FIELD] = imaging.image_field(
+            optics,
+            tol=tol,
+            most_nodes=MOST_NODES,
+            progress=lambda _, share: within(FIELD, share),
+        )
     shadows = None
     if todo.runs("shadow rays"):
-        with stage("shadow rays"):
-            shadows = imaging.cast_shadows(scene)
-    with stage("image"):
-        wide = psf.widened(field or spread, tol=tol / 4, shape=scene.camera.shape)
-        image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
+        begin("shadow rays")
+        shadows = imaging.cast_shadows(scene)
+    begin("image")
+    wide = psf.widened(field or spread, tol=tol / 4, shape=scene.camera.shape)
+    image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
     reconstruction = None
     if todo.runs("reconstruction"):
-        with stage("reconstruction"):
-            reconstruction = _reconstruct(scene, image, field.mean() if field else spread.intensity)
+        begin("reconstruction")
+        reconstruction = _reconstruct(scene, image, field.mean() if field else spread.intensity)
+    ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)
     return Result(
         scene=scene,
         plan=todo,
-        exit_pupil=pupil,
-        wavefront=wave,
+        exit_pupil=found.exit_pupil,
+        wavefront=found.wavefront,
         point_spread=spread,
         field=field,
         image=image,
         reconstruction=reconstruction,
         errors=errors,
-        timings=timings,
+        timings={name: end - begun[name] for name, end in zip(begun, ends, strict=True)},
         seed=seed,
     )
-
-
-def _wave_and_spread(
-    scene: Scene, todo: Plan, stage: Callable[[str], AbstractContextManager[None]]
-) -> tuple[Wavefront, PointSpread]:
-    """Wave and point spread; a grid is refined until it carries the wanted error."""
-    from . import psf
-
-    pitch = scene.camera.image_pitch
-    steps = GRID_STEPS if todo.layout == "grid" else (None,)
-    for samples in steps:
-        with stage("wave aberration"):
-            wave = psf.wavefront(scene, nodes=todo.layout, samples=samples)
-        with stage("point spread"):
-            shape = psf.window_shape(wave, pitch=pitch, tol=todo.tol)
-            _check_samples(wave, shape, pitch, todo.tol)
-            try:
-                return wave, psf.lobe_point_spread(scene, wave, pitch=pitch, tol=todo.tol)
-            except SamplingError:
-                if samples == steps[-1]:
-                    raise
-    raise AssertionError("unreachable: the last step returns or raises")
 
 
 def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruction:
@@ -214,24 +186,3 @@ def veil_shape(scene: Scene) -> Array:
         if scene.occluders:  # whose shadows need all of it
             stand_in = np.ones((7, 7))
     return diffuse_background(scene, stand_in)
-
-
-def _check_samples(wave: Wavefront, shape: int, pitch: float, tol: float) -> None:
-    """Refuse a point spread whose window holds too many samples, saying why it does."""
-    from . import psf
-
-    nyquist = wave.wavelength * wave.f_number / 2
-    needed = math.ceil(shape * pitch / nyquist)
-    if needed <= MOST_SAMPLES:
-        return
-    message = (
-        f"the point spread needs {shape} pixels, {needed} samples across, limit {MOST_SAMPLES}"
-    )
-    if psf.window_shape(wave, pitch=pitch, tol=1e-2) * pitch <= MOST_SAMPLES * nyquist:
-        raise SamplingError(f"{message}: its tail above tol = {tol:g}; use a larger tol")
-    # spot and sampling both grow with the stop
-    down = math.ceil(13 * math.sqrt(needed / MOST_SAMPLES)) / 10
-    raise SamplingError(
-        f"{message}: the wall is near its caustic or far out of focus; stop the lens down "
-        f"{down:g} times, use a flatter wall, or focus on its image"
-    )

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from .._checks import in_range, whole
 from .._progress import Progress
 from ..errors import SamplingError, SceneError
-from ..psf import PointSpreadField, point_spread_field
+from ..psf import PointSpreadField, SceneOptics, point_spread_field
+from ..psf.scene_optics import optics_of
 from ..scene import PlanarObject, Scene
 from .forward_model import ForwardModel
 
@@ -25,7 +26,7 @@ WIDEST = 512
 
 
 def image_field(
-    scene: Scene,
+    scene: Scene | SceneOptics,
     *,
     tol: float = 1e-3,
     most_nodes: int = COUNTS[-1],
@@ -35,7 +36,7 @@ def image_field(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene or SceneOptics
         With a `PlanarObject`.
     tol : float
         Wanted rms error of the picture's image, relative to its rms; also the wanted error of
@@ -63,7 +64,8 @@ def image_field(
         As of `psf.point_spread_field`.
     """
     in_range("tol", tol, 1e-9, 0.1)
-    picture = picture_frame(scene)
+    optics = optics_of(scene)
+    picture = picture_frame(optics.scene)
     most_nodes = whole("most_nodes", most_nodes, COUNTS[2])
     counts = [n for n in COUNTS if n <= most_nodes]
     before: Array | None = None
@@ -75,7 +77,7 @@ def image_field(
             if progress is not None:
                 progress(name, base + share * done)
 
-        field = point_spread_field(scene, count, tol=tol, checks=0, progress=told)
+        field = point_spread_field(optics, count, tol=tol, checks=0, progress=told)
         image = ForwardModel(field, shape=picture.shape).forward(picture)
         if before is not None:
             errors = [errors[1], rms_difference(before, image)]

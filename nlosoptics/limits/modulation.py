@@ -9,16 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..errors import SamplingError
 from ..imaging import ForwardModel, SpeckleImage
 from ..imaging.geometry import chief_rays, picture_coordinates
-from ..psf import PointSpread, Wavefront, exit_pupil, lobe_point_spread, wavefront
+from ..psf import PointSpread
 from ..scene import PlanarObject, Scene
 from .relay import CELLS, CONTRAST
 
 Array = NDArray[np.float64]
 
-GRID_STEPS = (512, 1024, 2048)  # cells across a pupil that the wall's edge cuts
 RINGS = 64  # of the object's power spectrum
 #: Noise that a total-variation fit overcomes as a Wiener filter would overcome this share of it.
 #: From fits of other scenes than those that `benchmarks/inverse/feasibility.py` reports.
@@ -134,20 +132,6 @@ class Picture:
         """
         lobe = np.exp(-2.0 * (math.pi * blur * self.frequency) ** 2)
         return replace(self, transfer=instead * lobe)
-
-
-def scene_point_spread(scene: Scene, *, tol: float = 1e-2) -> tuple[Wavefront, PointSpread]:
-    """Wave and point spread of the object's reference point; a cut pupil's grid is refined."""
-    pupil = exit_pupil(scene)
-    cut = pupil.stop == "wall" or pupil.vignetting > 0
-    for samples in GRID_STEPS if cut else (None,):
-        wave = wavefront(scene, nodes="grid" if cut else "polar", samples=samples)
-        try:
-            return wave, lobe_point_spread(scene, wave, tol=tol)
-        except SamplingError:
-            if samples in (None, GRID_STEPS[-1]):
-                raise
-    raise AssertionError("unreachable: the last step returns or raises")
 
 
 def object_scale(scene: Scene) -> float:

@@ -17,13 +17,19 @@ from ..errors import SceneError
 from ..imaging import SpeckleImage, form_image
 from ..imaging.detector import noise_variance
 from ..imaging.geometry import chief_rays, picture_coordinates, pixel_centres
-from ..psf import PointSpread, Wavefront, mtf, wall_view, wide_point_spread
+from ..psf import (
+    PointSpread,
+    SceneOptics,
+    Wavefront,
+    mtf,
+    scene_point_spread,
+    wide_point_spread,
+)
 from ..scene import PlanarObject, Scene
 from .modulation import (
     Noise,
     object_scale,
     picture_modes,
-    scene_point_spread,
     spectra,
     stroke_width,
     transfer_on,
@@ -35,6 +41,7 @@ from .wave_bounds import DEFOCUS, wave_bounds
 Array = NDArray[np.float64]
 
 POINTS = 33  # of the frequency table
+TOL = 1e-2  # of the point spread, relative to its peak
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -206,7 +213,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     Raises
     ------
     NlosError
-        As of `psf.wavefront`, `psf.lobe_point_spread` and `imaging.form_image`.
+        As of `psf.scene_point_spread` and `imaging.form_image`.
 
     Notes
     -----
@@ -220,9 +227,10 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     if exposure is not None:
         camera = replace(scene.camera, exposure=positive("exposure", exposure, unit="s"))
         scene = replace(scene, camera=camera)
-    wave, spread = scene_point_spread(scene)
-    image = form_image(scene, spread)
-    view = _View(scene, wave, spread, image)
+    optics = SceneOptics(scene)
+    found = scene_point_spread(optics, tol=TOL)
+    image = form_image(scene, found.point_spread)
+    view = _View(optics, found.wavefront, found.point_spread, image)
     modulation, strength = view.modulation(), view.strength()
     relay, diffuse = view.relay_modulation(), view.diffuse_strength()
     picture = view.picture
@@ -270,9 +278,10 @@ class _View:
     """A scene with its expected image, and what follows from both."""
 
     def __init__(
-        self, scene: Scene, wave: Wavefront, spread: PointSpread, image: SpeckleImage
+        self, optics: SceneOptics, wave: Wavefront, spread: PointSpread, image: SpeckleImage
     ) -> None:
-        self._scene, self._wave, self._spread, self._image = scene, wave, spread, image
+        self._optics, self._wave, self._spread, self._image = optics, wave, spread, image
+        self._scene = scene = optics.scene
         self._scale = object_scale(scene)
         camera, dark = scene.camera, image.ledger["dark"] / image.ideal.size
         # a dark current's noise is photons'; the background holds it
@@ -303,7 +312,7 @@ class _View:
 
     def _reach(self) -> float:
         """Blur on the object per slope of a lobe, m/rad, rms of both axes."""
-        seen = wall_view(self._scene)
+        seen = self._optics.reference.view
         turn = seen.cos_sum * float(np.linalg.norm(seen.footprint)) / math.sqrt(2.0)
         return turn * abs(self._wave.image_distance) * self._scale
 
@@ -372,7 +381,7 @@ class _View:
         if self.slope == 0.0:
             return self.picture.transfer
         spread = wide_point_spread(
-            self._wave, pitch=self._image.pitch, shape=self._spread.shape, tol=1e-2
+            self._wave, pitch=self._image.pitch, shape=self._spread.shape, tol=TOL
         )
         return transfer_on(spread, self.picture.grid)
 

@@ -20,6 +20,8 @@
 - `transfers`, `halos`, `rough_means`: the mean point spread over all such walls; `screens`,
   `rough_samples`: that of one drawn at random; `correlations`, `rough_scales`: long waves drawn,
   short ones as their mean.
+- `scene_optics`: exit pupil, rays, wall view and wave of a scene, computed once; `scene_psf`: the
+  one door from a scene to its point spread, which decides how its pupil is sampled.
 - `lobes`: the point spread of a wall's mirror-like lobes; `hybrids`, `hybrid_waves`: with the light
   of all other lobes by rays.
 - `metrics`, `spots`: Strehl ratio, energy in circles and squares, MTF and PTF, widths, centroid,
@@ -51,6 +53,8 @@ from .rough_means import RoughPointSpread, mean_point_spread
 from .rough_samples import sample_point_spread
 from .rough_scales import split_scale, two_scale_point_spread
 from .roughness import Roughness
+from .scene_optics import SceneOptics
+from .scene_psf import ScenePointSpread, scene_point_spread
 from .slopes import integrated_slopes, wavefront_from_slopes
 from .spots import (
     SpotDiagram,
@@ -81,6 +85,8 @@ __all__ = [
     "Removed",
     "RoughPointSpread",
     "Roughness",
+    "SceneOptics",
+    "ScenePointSpread",
     "SpotDiagram",
     "SurfacePointSpread",
     "WallView",
@@ -120,6 +126,7 @@ __all__ = [
     "read_zernikes",
     "rms_aberration",
     "sample_point_spread",
+    "scene_point_spread",
     "split_scale",
     "spot_diagram",
     "spot_radius",

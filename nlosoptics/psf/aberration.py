@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,18 +13,20 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import one_of, real, vector
 from ..errors import CausticError, NotWaveGradeError, SamplingError, SceneError
 from ..scene import MeshWall, Scene, Wall
-from .aiming import aim, pupil_points, stationary_points
+from .aiming import AimedRays, aim, pupil_points, stationary_points
 from .apertures import Aperture
 from .fits import fitted_terms
 from .nodes import grid_nodes, polar_nodes
 from .obstruction import hides
 from .pupils import ExitPupil, exit_pupil
+from .residuals import Residual, split
 from .wavefronts import Layout, Removed, Wavefront
 
 Array = NDArray[np.float64]
 POLAR_SAMPLES = (24, 96)
 CELL_SAMPLES = (24, 24)
 GRID_SAMPLES = 256
+AUTO_GRID_SAMPLES = 512  # the error of a cut rim falls with the cells, and 512 take 0.3 s
 
 
 def _check_nodes(nodes: Array) -> None:
@@ -141,7 +145,7 @@ def path_difference(
 def wavefront(
     scene: Scene,
     object_point: ArrayLike | None = None,
-    nodes: str | ArrayLike = "polar",
+    nodes: str | ArrayLike = "auto",
     *,
     samples: int | tuple[int, int] | None = None,
     reference: str = "mirror_image",
@@ -153,12 +157,14 @@ def wavefront(
     scene : Scene
     object_point : array_like, (3,), optional
         World, m; by default the hidden object's reference point.
-    nodes : {"polar", "cells", "grid"} or array_like (n, 2)
-        Pupil nodes; an array holds (u, v) in the exit pupil, m. Cells follow the edge of a flat
-        wall that cuts the cone, a grid that of any.
+    nodes : {"auto", "polar", "cells", "grid"} or array_like (n, 2)
+        Pupil nodes; an array holds (u, v) in the exit pupil, m. Polar nodes know a round rim. Cells
+        follow the edge of a flat wall that cuts the cone of light, a grid that of any wall.
+        ``auto`` takes polar nodes, or a grid where the wall's edge cuts the cone or is the stop.
     samples : int or (int, int), optional
         Polar: radii, with four times as many angles, or (radii, angles), default (24, 96). Cells:
         nodes of each patch along both sides, default (24, 24). Grid: cells per side, default 256.
+        Auto: those of the layout that it takes, default (24, 96) or 512.
     reference : {"mirror_image", "best_focus"}
         Remove the chief ray's piston and tilt, which shift the image exactly; or fit and remove
         defocus as well. ``removed`` reports them.
@@ -187,12 +193,75 @@ def wavefront(
     grid that the wall's edge cuts count with the part that lies inside.
     """
     one_of("reference", reference, ("mirror_image", "best_focus"))
-    check_wave_grade(scene.wall, scene.laser.wavelength)
     if object_point is None:
         o = scene.object_point
     else:
         o = np.array(vector("object_point", object_point))
-    pupil = exit_pupil(scene)
+    wave = aimed_wave(scene, exit_pupil(scene), o, nodes, samples).wave
+    return _best_focus(wave) if reference == "best_focus" else wave
+
+
+@dataclass(frozen=True, eq=False)
+class AimedWave:
+    """Wave of an object point by the wall, with the rays that it was computed from.
+
+    Parameters
+    ----------
+    wave : Wavefront
+    rays : AimedRays
+        The chief ray first, then one ray for each node that lies in the lens.
+    on_lens : ndarray, (1 + n, 3)
+        Where these rays meet the lens, world, m.
+    in_lens : ndarray of bool
+        Which of the wave's nodes lie in the lens, with the shape of the nodes.
+    hidden : bool
+        Whether the occluders cut all of the rays.
+    """
+
+    wave: Wavefront
+    rays: AimedRays
+    on_lens: Array
+    in_lens: NDArray[np.bool_]
+    hidden: bool
+
+    @cached_property
+    def residual(self) -> Residual:
+        """The wave with piston and tilt separated."""
+        return split(self.wave)
+
+
+def aimed_wave(
+    scene: Scene,
+    pupil: ExitPupil,
+    o: Array,
+    nodes: str | ArrayLike = "auto",
+    samples: int | tuple[int, int] | None = None,
+) -> AimedWave:
+    """Wave from an object point by the wall, at the nodes of a known exit pupil.
+
+    Parameters
+    ----------
+    scene : Scene
+    pupil : ExitPupil
+        Exit pupil of the scene.
+    o : ndarray, (3,)
+        Object point, world, m.
+    nodes, samples
+        Pupil nodes, see `wavefront`.
+
+    Returns
+    -------
+    AimedWave
+    """
+    if isinstance(nodes, str) and nodes == "auto":
+        if pupil.layout == "polar":
+            # an edge may cut the rays of this point, or of a curved wall, and not the exit pupil's
+            with suppress(SamplingError):
+                return aimed_wave(scene, pupil, o, "polar", samples)
+        return aimed_wave(
+            scene, pupil, o, "grid", AUTO_GRID_SAMPLES if samples is None else samples
+        )
+    check_wave_grade(scene.wall, scene.laser.wavelength)
     # the lens is the exit pupil, or the cone from the image through it, inverted if behind
     zoom = pupil.image_distance / scene.image_distance
     radius = _reach(scene, pupil, o) * abs(zoom)
@@ -209,15 +278,16 @@ def wavefront(
     on_lens = np.stack([u[lit], v[lit]], axis=1) / zoom
     centre, axis = np.array(scene.camera.position), scene.camera.axis
     with_centre = np.concatenate([np.zeros((1, 2)), on_lens])
-    rays = aim(scene.wall, o, pupil_points(centre, axis, with_centre), axis)
-    hides(scene, o, rays.points, pupil_points(centre, axis, with_centre))  # or refuses
+    lens = pupil_points(centre, axis, with_centre)
+    rays = aim(scene.wall, o, lens, axis)
+    hidden = hides(scene, o, rays.points, lens)
     tilt = _chief_tilt(scene, o, rays.points[0])
     aberration, amplitude = np.zeros(u.shape), np.zeros(u.shape)
     aberration[lit] = rays.excess[1:] - rays.excess[0] + _defocus(scene, o, on_lens)
     aberration[lit] -= on_lens @ np.array(tilt)
     amplitude[lit] = np.sqrt(rays.spreading[1:] / rays.spreading[0])
     weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
-    result = Wavefront(
+    wave = Wavefront(
         u=u,
         v=v,
         aberration=aberration,
@@ -230,7 +300,7 @@ def wavefront(
         aperture=aperture,
         removed=Removed(piston=float(rays.excess[0]), tilt=(tilt[0] / zoom, tilt[1] / zoom)),
     )
-    return _best_focus(result) if reference == "best_focus" else result
+    return AimedWave(wave, rays, lens, lit, hidden)
 
 
 def _reach(scene: Scene, pupil: ExitPupil, o: Array) -> float:
@@ -293,7 +363,7 @@ def _pupil_nodes(
         u, v = points[:, 0].copy(), points[:, 1].copy()
         area = math.pi * radius**2 / len(u)
         return "scattered", u, v, np.where(np.hypot(u, v) <= radius * (1 + 1e-9), area, 0.0)
-    one_of("nodes", nodes, ("polar", "cells", "grid"))
+    one_of("nodes", nodes, ("auto", "polar", "cells", "grid"))
     if aperture is not None:
         samples = CELL_SAMPLES if samples is None else samples
         n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)

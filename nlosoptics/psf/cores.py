@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import in_range, positive
-from .point_spreads import PointSpread, point_spread
-from .residuals import split
+from .point_spreads import PointSpread, detilted_point_spread
+from .residuals import Residual, split
 from .wavefronts import Wavefront
 from .windows import peak_pixel, ray_reach, shape_of
 
@@ -54,17 +54,27 @@ def wide_point_spread(
     """
     pitch, shape = positive("pitch", pitch, unit="m"), shape_of(shape)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
-    residual = split(wave)
-    whole = partial(point_spread, wave, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol)
+    return detilted_wide_spread(split(wave), pitch, shape, tol)
+
+
+def detilted_wide_spread(
+    residual: Residual, pitch: float, shape: tuple[int, int], tol: float
+) -> PointSpread:
+    """`wide_point_spread` of a wave whose piston and tilt are already separated."""
+    whole = partial(
+        detilted_point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
+    )
     unit, reach = residual.airy_unit, ray_reach(residual)
-    if wave.layout != "polar" or pitch < WIDE * unit:
+    if residual.wavefront.layout != "polar" or pitch < WIDE * unit:
         return whole()
     half = _inner_half(reach / unit, tol / 2 * peak_pixel(residual, pitch)) * unit
     if 2 * half > WORTH * pitch * min(shape):
         return whole()
     parts = math.ceil(pitch / (FINE * unit)) | 1
     n = 2 * math.ceil(half * parts / pitch) + 1
-    fine = point_spread(wave, pitch=pitch / parts, shape=n, pixel_integrated=True, tol=tol / 30)
+    fine = detilted_point_spread(
+        residual, pitch=pitch / parts, shape=n, pixel_integrated=True, tol=tol / 30
+    )
     missing = max(1.0 - fine.enclosed_energy, 0.0)
     half = n * pitch / parts / 2
     intensity = _binned(fine.intensity, parts, shape)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._checks import vector
 from ..errors import CausticError, SamplingError, SceneError
 from ..raytrace import facet_angles
 from ..raytrace.facets import material_slope
@@ -164,12 +165,14 @@ def facet_reach(scene: Scene, *, slope_rms: float) -> tuple[float, float]:
     return float(slope_rms * throw), float(narrow * exit_pupil(scene).entrance_radius)
 
 
-def wall_view(scene: Scene) -> WallView:
+def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     """How the exit pupil of a scene sees the wall about the chief ray.
 
     Parameters
     ----------
     scene : Scene
+    object_point : array_like, (3,), optional
+        Where the chief ray starts, world, m; by default the hidden object's reference point.
 
     Returns
     -------
@@ -184,9 +187,33 @@ def wall_view(scene: Scene) -> WallView:
     -----
     M is that of `pupil_slopes`, with the exit pupil's magnification taken out.
     """
-    chief = _optics(scene, np.zeros((1, 2)))
+    o = None if object_point is None else np.array(vector("object_point", object_point))
+    return _view_of(_optics(scene, np.zeros((1, 2)), o), _zoom(scene))
+
+
+def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> WallView:
+    """`wall_view` along a chief ray that is already aimed.
+
+    Parameters
+    ----------
+    scene : Scene
+    zoom : float
+        Size of the exit pupil over that of the lens.
+    object_point : ndarray, (3,)
+        World, m.
+    hit : ndarray, (3,)
+        Where the chief ray meets the wall, world, m.
+
+    Returns
+    -------
+    WallView
+    """
+    return _view_of(_optics(scene, np.zeros((1, 2)), object_point, hit[None]), zoom)
+
+
+def _view_of(chief: _Chief, zoom: float) -> WallView:
     return WallView(
-        footprint=chief.footprint[0] / _zoom(scene),
+        footprint=chief.footprint[0] / zoom,
         cos_sum=float(chief.cosines[0]),
         effective_distance=np.linalg.inv(chief.bend[0]),
     )
@@ -280,11 +307,18 @@ def _cell_index(centres: Array, at: Array) -> NDArray[np.int64]:
     return np.asarray(np.floor((at - centres[0]) / step + 0.5), dtype=np.int64)
 
 
-def _optics(scene: Scene, on_lens: Array) -> _Chief:
-    """First-order optics of the mean wall for points (n, 2) of the lens."""
-    o, axes = scene.object_point, scene.camera.frame
+def _optics(
+    scene: Scene, on_lens: Array, o: Array | None = None, points: Array | None = None
+) -> _Chief:
+    """First-order optics of the mean wall for points (n, 2) of the lens.
+
+    ``o`` is the object point, by default the reference point, and ``points`` (n, 3) is where its
+    rays meet the wall, if that is already known.
+    """
+    o, axes = scene.object_point if o is None else o, scene.camera.frame
     ends = pupil_points(scene.camera.position, axes[2], on_lens)
-    points = aim(scene.wall, o, ends, axes[2]).points
+    if points is None:
+        points = aim(scene.wall, o, ends, axes[2]).points
     tangents, normal, bend = _wall_frames(scene.wall, points)
     legs = [o - points, ends - points]
     lengths = [np.linalg.norm(leg, axis=1) for leg in legs]

@@ -14,9 +14,9 @@ from .._random import generator
 from ..errors import SamplingError, SceneError
 from ..raytrace.meshes import worker_pool
 from ..scene import PlanarObject, Scene
-from .aberration import wavefront
-from .lobes import lobe_point_spread, lobe_window
 from .point_spreads import PointSpread
+from .scene_optics import SceneOptics, optics_of
+from .scene_psf import point_image, point_window
 
 Array = NDArray[np.float64]
 HELD_OUT = 501  # stream of the points that check a field
@@ -96,7 +96,7 @@ class PointSpreadField:
 
 
 def point_spread_field(
-    scene: Scene,
+    scene: Scene | SceneOptics,
     grid: int | tuple[int, int] = 5,
     *,
     tol: float = 1e-3,
@@ -109,7 +109,7 @@ def point_spread_field(
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene or SceneOptics
         With a `PlanarObject`.
     grid : int or (int, int)
         Nodes over the picture, (ny, nx); one number for both, 1 to 64.
@@ -145,14 +145,18 @@ def point_spread_field(
     ``tol`` takes; the weights are interpolated by Chebyshev polynomials over the picture. Point
     spreads are computed on as many threads as there are cores, with the same bits on any number.
     """
+    optics = optics_of(scene)
+    scene = optics.scene
     hidden = _picture(scene)
     ny, nx = _grid_counts(grid)
     in_range("tol", tol, 1e-9, 0.1)
     checks = whole("checks", checks, 0)
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     up, across = _nodes(ny), _nodes(nx)
-    corners = [(x, y) for y in (up[0], up[-1]) for x in (across[0], across[-1])] + [(0.0, 0.0)]
-    side = _side(scene, corners, pitch, tol / 2)
+    corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
+    # what is seen from these is kept for the point spreads of the nodes among them
+    seen = {place: optics.at(_place(hidden, *place)) for place in sorted(corners | {(0.0, 0.0)})}
+    side = max(point_window(one, pitch, tol / 2) for one in seen.values())
     fits_memory(
         f"{ny} x {nx} point spreads of {side} x {side} pixels",
         40.0 * ny * nx * side * side,
@@ -162,11 +166,8 @@ def point_spread_field(
     held_out = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
 
     def spread(place: tuple[float, float]) -> PointSpread:
-        point = _place(hidden, *place)
-        wave = wavefront(scene, point)
-        return lobe_point_spread(
-            scene, wave, object_point=point, pitch=pitch, shape=side, tol=tol / 2
-        )
+        one = seen.get(place) or optics.at(_place(hidden, *place))
+        return point_image(one, pitch, (side, side), tol / 2)[1]
 
     found = []
     for one in worker_pool().map(spread, [*points, *map(tuple, held_out)]):
@@ -190,12 +191,12 @@ def point_spread_field(
     return replace(field, error_estimate=max(error, lost) + worst)
 
 
-def isoplanatic_radius(scene: Scene, *, tol: float = 0.05) -> float:
+def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> float:
     """Distance on the object within which one point spread stands for all, m.
 
     Parameters
     ----------
-    scene : Scene
+    scene : Scene or SceneOptics
         With a `PlanarObject`.
     tol : float
         Largest max |dI|/max I between the point spread there and at the centre.
@@ -207,16 +208,15 @@ def isoplanatic_radius(scene: Scene, *, tol: float = 0.05) -> float:
         within the picture; inf where the point spread stays within ``tol`` all over it, and 0 where
         it does so for less than 1e-3 of the picture.
     """
-    hidden, pitch = _picture(scene), scene.camera.image_pitch
+    optics = optics_of(scene)
+    hidden, pitch = _picture(optics.scene), optics.scene.camera.image_pitch
     in_range("tol", tol, 1e-6, 1.0)
-    side = _side(scene, [(0, 0), (1, 1), (-1, -1)], pitch, tol / 10)
+    ends = [optics.at(_place(hidden, x, x)) for x in (0.0, 1.0, -1.0)]
+    side = max(point_window(one, pitch, tol / 10) for one in ends)
 
     def spread(x: float, y: float) -> Array:
-        point = _place(hidden, x, y)
-        wave = wavefront(scene, point)
-        return lobe_point_spread(
-            scene, wave, object_point=point, pitch=pitch, shape=side, tol=tol / 10
-        ).intensity
+        one = optics.at(_place(hidden, x, y))
+        return point_image(one, pitch, (side, side), tol / 10)[1].intensity
 
     centre, radius = spread(0.0, 0.0), math.inf
     for k in range(8):
@@ -241,16 +241,6 @@ def _picture(scene: Scene) -> PlanarObject:
     return scene.hidden
 
 
-def _side(scene: Scene, places: list[tuple[float, float]], pitch: float, tol: float) -> int:
-    """Pixels a side that the point spreads at some places need."""
-    hidden = _picture(scene)
-    points = [_place(hidden, *place) for place in places]
-    return max(
-        lobe_window(scene, wavefront(scene, point), object_point=point, tol=tol, pitch=pitch)
-        for point in points
-    )
-
-
 def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
     counts = (grid, grid) if isinstance(grid, int) or is_single(grid) else grid
     if not hasattr(counts, "__len__") or len(counts) != 2:
@@ -260,8 +250,11 @@ def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
 
 
 def _nodes(count: int) -> Array:
-    """Chebyshev points of the first kind, rising."""
-    return -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    """Chebyshev points of the first kind, rising; the middle one of an odd count is exactly 0."""
+    nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    if count % 2:
+        nodes[count // 2] = 0.0
+    return nodes
 
 
 def _chebyshev(count: int, at: Array) -> Array:

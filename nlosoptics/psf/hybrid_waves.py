@@ -11,18 +11,14 @@ from numpy.typing import NDArray
 
 from ..errors import SamplingError, SceneError
 from ..scene import MirrorLobe, Scene
-from .aberration import wavefront
-from .aiming import aim, pupil_points
+from .aberration import AimedWave
 from .estimates import rounded_up
-from .facet_waves import wall_view
 from .halos import Halo
 from .lobes import ROUGH, lobe_roughness, split_lobes
-from .obstruction import hides
-from .point_spreads import point_spread
-from .pupils import exit_pupil
-from .residuals import split
-from .rough_views import RoughView
+from .point_spreads import detilted_point_spread
+from .rough_views import RoughView, rough_view
 from .roughness import Roughness
+from .scene_optics import PointOptics
 from .transfers import transfer
 from .wavefronts import Wavefront
 from .windows import Window, check_rays, middle, window_side
@@ -35,10 +31,19 @@ WIDE: Final = 6.0  # the same of any other C
 
 @dataclass(frozen=True, eq=False)
 class MirrorImage:
-    """The wall as a mirror: its wave, and W through the lens from 1 W by reflectance 1."""
+    """The wall as a mirror of reflectance 1, seen from one object point.
 
-    scene: Scene
-    wave: Wavefront
+    Parameters
+    ----------
+    aimed : AimedWave
+        Wave and rays of the object point.
+    flux : float
+        Power through the lens from a point of 1 W, W.
+    image : (float, float)
+        Where the chief ray meets the detector, from the camera's axis, m.
+    """
+
+    aimed: AimedWave
     flux: float
     image: tuple[float, float]
 
@@ -66,34 +71,36 @@ def image_lobes(
     return smooth, [(lobe.specular_reflectance, lobe) for lobe in rough]
 
 
-def mirror_image(scene: Scene, normal: Array | None) -> MirrorImage:
-    """Wave and flux of the wall as a mirror of reflectance 1, seen from the scene's one point."""
-    pupil = exit_pupil(scene)
-    layout = "polar" if pupil.stop == "lens" and pupil.vignetting == 0.0 else "grid"
-    try:
-        wave = wavefront(scene, nodes=layout)
-    except SamplingError:  # an edge that only the curved wall's rays meet
-        if layout == "grid":
-            raise
-        wave = wavefront(scene, nodes="grid")
-    o, centre, axis = scene.object_point, np.array(scene.camera.position), scene.camera.axis
-    zoom = pupil.image_distance / scene.image_distance
+def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
+    """Flux and place of the mirror image of an object point.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    aimed : AimedWave
+        Its wave.
+    normal : ndarray, (3,), or None
+        Direction about which the point shines as a Lambert emitter; None for even light.
+
+    Returns
+    -------
+    MirrorImage
+    """
+    scene, wave, rays = seen.scene, aimed.wave, aimed.rays
     lit = wave.weights > 0.0
-    on_lens = np.stack([wave.u[lit], wave.v[lit]], axis=1) / zoom
-    lens = pupil_points(centre, axis, np.concatenate([np.zeros((1, 2)), on_lens]))
-    rays = aim(scene.wall, o, lens, axis)
-    if hides(scene, o, rays.points, lens):
-        light = np.zeros(len(on_lens))
-    else:
-        light = _intensity(rays.points[1:] - o, normal) * rays.spreading[1:]
-        light *= _past_the_field_stop(scene, rays.points[1:], lens[1:])
-    area = wave.weights[lit] / zoom**2
-    toward = rays.points[0] - centre
-    e1, e2, _ = scene.camera.frame
+    light = np.zeros(int(lit.sum()))
+    if not aimed.hidden:
+        mine = lit[aimed.in_lens]
+        hits, lens = rays.points[1:][mine], aimed.on_lens[1:][mine]
+        light = _intensity(hits - seen.object_point, normal) * rays.spreading[1:][mine]
+        light *= _past_the_field_stop(scene, hits, lens)
+    area = wave.weights[lit] / seen.zoom**2
+    toward = rays.points[0] - np.array(scene.camera.position)
+    e1, e2, axis = scene.camera.frame
     scale = -scene.image_distance / float(toward @ axis)
     return MirrorImage(
-        scene,
-        wave,
+        aimed,
         scene.camera.transmission * float(np.sum(area * light)),
         (scale * float(toward @ e1), scale * float(toward @ e2)),
     )
@@ -124,6 +131,7 @@ def _past_the_field_stop(scene: Scene, on_wall: Array, on_lens: Array) -> float:
 
 
 def wave_parts(
+    seen: PointOptics,
     mirror: MirrorImage,
     smooth: float,
     rough: list[tuple[float, Roughness | MirrorLobe]],
@@ -131,21 +139,43 @@ def wave_parts(
     shape: tuple[int, int],
     tol: float,
 ) -> WaveParts:
-    """Coherent part and halo, W."""
+    """Coherent part and halo of a mirror image.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    mirror : MirrorImage
+    smooth, rough
+        Lobes, from `image_lobes`.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Largest error relative to the peak.
+
+    Returns
+    -------
+    WaveParts
+    """
     coherent, halo, error = np.zeros(shape), np.zeros(shape), 0.0
     fluxes = [0.0, 0.0]
     if mirror.flux == 0.0 or (smooth == 0.0 and not rough):
         return WaveParts(coherent, halo, error, 0.0, 0.0, "no mirror image reaches the lens")
-    residual = split(mirror.wave)
+    residual = mirror.aimed.residual
     check_rays(residual, pitch, shape)
     side = window_side(residual, pitch, tol)
     core = None
-    views = [(r * mirror.flux, _view(mirror, given)) for r, given in rough]
+    wave = residual.wavefront
+    views = [(r * mirror.flux, _view(seen, wave, given)) for r, given in rough]
     bright = smooth * mirror.flux
     bright += sum(w * math.exp(-(v.rayleigh_parameter**2)) for w, v in views)
     if bright > 0.0:
         inner = (min(side, shape[0]), min(side, shape[1]))
-        core = point_spread(mirror.wave, tol=tol, pitch=pitch, shape=inner, pixel_integrated=True)
+        core = detilted_point_spread(
+            residual, tol=tol, pitch=pitch, shape=inner, pixel_integrated=True
+        )
         coherent[middle(shape, inner)] = bright * core.intensity
         fluxes[0], error = bright, core.error_estimate * float(coherent.max())
     smooth_transfer = transfer(residual)
@@ -154,7 +184,7 @@ def wave_parts(
             continue
         named = isinstance(view.roughness.autocorrelation, str)
         gaussian = named and view.roughness.autocorrelation == "gaussian"
-        half = math.ceil((REACH if gaussian else WIDE) * view.halo(mirror.wave) / pitch)
+        half = math.ceil((REACH if gaussian else WIDE) * view.halo(wave) / pitch)
         inner = (min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1]))
         window = Window.centred(pitch, inner)
         sum_over = Halo(residual, view, window, True, smooth_transfer.reach)
@@ -175,10 +205,9 @@ def wave_parts(
     return WaveParts(coherent, halo, error, fluxes[0], fluxes[1], reason)
 
 
-def _view(mirror: MirrorImage, given: Roughness | MirrorLobe) -> RoughView:
+def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:
     """Roughness, or that of a lobe's slopes alone, as the pupil sees it."""
-    seen = wall_view(mirror.scene)
-    per_metre = 2 * math.pi / mirror.wave.wavelength * seen.cos_sum
     if not isinstance(given, Roughness):
+        per_metre = 2 * math.pi / wave.wavelength * seen.view.cos_sum
         given = lobe_roughness(given, ROUGH, ROUGH / per_metre)
-    return RoughView(given, seen.footprint, per_metre * given.height_rms)
+    return rough_view(wave, seen.view, given)

@@ -18,11 +18,12 @@ from ..raytrace import PointTrace, ray_plan, trace_point
 from ..raytrace.points import EMISSIONS, Emission, point_normal, point_scene
 from ..raytrace.tracing import MOST, MOST_BOUNCES
 from ..scene import Scene
+from .aberration import AimedWave
 from .hybrid_waves import MirrorImage, WaveParts, image_lobes, mirror_image, wave_parts
 from .point_spreads import PointSpread
 from .regimes import regime
-from .residuals import split
 from .roughness import Roughness
+from .scene_optics import SceneOptics
 from .windows import shape_of
 
 Array = NDArray[np.float64]
@@ -158,8 +159,13 @@ def hybrid_point_spread(
     fits_memory(f"parts of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
     smooth, rough = image_lobes(alone, roughness)
     normal = point_normal(scene) if emission == "lambertian" else None
-    mirror = mirror_image(alone, normal)
-    waves = wave_parts(mirror, smooth, rough, pitch, size, tol)
+    seen = SceneOptics(alone).reference
+
+    def parts(aimed: AimedWave) -> tuple[MirrorImage, WaveParts]:
+        mirror = mirror_image(seen, aimed, normal)
+        return mirror, wave_parts(seen, mirror, smooth, rough, pitch, size, tol)
+
+    mirror, waves = seen.refined(parts)[1]
     run = partial(
         trace_point,
         scene,
@@ -212,8 +218,8 @@ def _assembled(
         method="hybrid",
         error_estimate=waves.error / float(total.max()) if waves.error > 0.0 else 0.0,
         normalisation=normalisation,
-        wavelength=mirror.wave.wavelength,
-        f_number=mirror.wave.f_number,
+        wavelength=mirror.aimed.wave.wavelength,
+        f_number=mirror.aimed.wave.f_number,
         pixel_integrated=True,
         enclosed_energy=float(total.sum()) / flux,
         coherent=waves.coherent / unit,
@@ -227,6 +233,6 @@ def _assembled(
         traced_flux=found[0] / unit,
         traced_flux_error=found[1] / unit,
         flux=flux,
-        regime=regime(split(mirror.wave), pitch),
+        regime=regime(mirror.aimed.residual, pitch),
         reason=waves.reason,
     )

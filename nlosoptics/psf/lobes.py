@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 import scipy  # loads scipy.special on first use
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import in_range, positive, vector
-from ..errors import SceneError
-from ..scene import MirrorLobe, PlanarObject, Scene
-from .cores import wide_point_spread
+from .._checks import in_range, positive
+from ..scene import MirrorLobe, Scene
+from .cores import detilted_wide_spread
 from .facet_waves import WallView, wall_view
 from .point_spreads import PointSpread
-from .residuals import split
-from .rough_means import mean_point_spread
+from .residuals import Residual, split
+from .rough_means import detilted_mean
+from .rough_views import rough_view
 from .roughness import Roughness
 from .wavefronts import Wavefront
-from .windows import middle, shape_of, window_side
+from .windows import check_rays, middle, shape_of, window_side
 
 Array = NDArray[np.float64]
 #: Phase rms of a lobe's heights, rad: its point spread is that of its slopes to 1/s^2.
@@ -71,6 +73,70 @@ def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -
     return far * turn * abs(wave.image_distance)
 
 
+@dataclass(frozen=True, eq=False)
+class MirrorLobes:
+    """Mirror-like lobes of a wall, as the pupil sees them.
+
+    Parameters
+    ----------
+    rough : list of MirrorLobe
+        Those with a slope.
+    smooth : float
+        Reflectance of those without.
+    view : WallView or None
+        How the pupil sees the wall; None where no lobe has a slope.
+    """
+
+    rough: list[MirrorLobe]
+    smooth: float
+    view: WallView | None
+
+    def window(self, residual: Residual, pitch: float, tol: float) -> int:
+        """Odd side of a window outside which `point_spread` stays below ``tol``, pixels."""
+        side = window_side(residual, pitch, tol)
+        if self.view is None:
+            return side
+        wave = residual.wavefront
+        halo = max(halo_radius(lobe, self.view, wave, tol) for lobe in self.rough)
+        return side + 2 * math.ceil(halo / pitch)
+
+    def point_spread(
+        self, residual: Residual, pitch: float, shape: tuple[int, int], tol: float
+    ) -> PointSpread:
+        """Point spread by all lobes, integrated over pixels; see `lobe_point_spread`."""
+        if self.view is None:
+            return detilted_wide_spread(residual, pitch, shape, tol)
+        check_rays(residual, pitch, shape)
+        wave = residual.wavefront
+        height = ROUGH * wave.wavelength / (2 * math.pi * self.view.cos_sum)
+        parts: list[tuple[float, PointSpread]] = []
+        for lobe in self.rough:
+            seen = rough_view(wave, self.view, lobe_roughness(lobe, ROUGH, height))
+            mean = detilted_mean(residual, seen, tol, pitch, shape, pixel_integrated=True)
+            parts.append((lobe.specular_reflectance, mean))
+        if self.smooth > 0:
+            parts.append((self.smooth, _within(residual, pitch, shape, tol)))
+        return _together(parts)
+
+
+def lobes_of(scene: Scene, view: Callable[[], WallView]) -> MirrorLobes:
+    """Mirror-like lobes of a scene's wall.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the wall's material.
+    view : callable
+        Returns the `WallView`; called where a lobe has a slope.
+
+    Returns
+    -------
+    MirrorLobes
+    """
+    rough, smooth = split_lobes(scene)
+    return MirrorLobes(rough, smooth, view() if rough else None)
+
+
 def lobe_window(
     scene: Scene,
     wave: Wavefront,
@@ -93,13 +159,8 @@ def lobe_window(
     """
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
-    side = window_side(split(wave), pitch, tol)
-    rough, _ = split_lobes(scene)
-    if not rough:
-        return side
-    view = wall_view(_seen_from(scene, object_point))
-    halo = max(halo_radius(lobe, view, wave, tol) for lobe in rough)
-    return side + 2 * math.ceil(halo / pitch)
+    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
+    return lobes.window(split(wave), pitch, tol)
 
 
 def lobe_point_spread(
@@ -111,7 +172,9 @@ def lobe_point_spread(
     pitch: float | None = None,
     shape: int | tuple[int, int] | None = None,
 ) -> PointSpread:
-    """Point spread by all mirror-like lobes of the wall.
+    """Point spread of a given wave by all mirror-like lobes of the wall.
+
+    `scene_point_spread` takes the wave from the scene itself, at as many nodes as it needs.
 
     Parameters
     ----------
@@ -145,40 +208,18 @@ def lobe_point_spread(
     smooth one is the wave's alone.
     """
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    rough, smooth = split_lobes(scene)
-    if shape is None:
-        shape = lobe_window(scene, wave, object_point=object_point, tol=tol, pitch=pitch)
-    if not rough:
-        return wide_point_spread(wave, pitch=pitch, shape=shape_of(shape), tol=tol)
-    view = wall_view(_seen_from(scene, object_point))
-    height = ROUGH * wave.wavelength / (2 * math.pi * view.cos_sum)
-    statistics = [lobe_roughness(lobe, ROUGH, height) for lobe in rough]
-    parts: list[tuple[float, PointSpread]] = [
-        (
-            lobe.specular_reflectance,
-            mean_point_spread(
-                wave,
-                one,
-                footprint=view.footprint,
-                cos_sum=view.cos_sum,
-                pitch=pitch,
-                shape=shape,
-                pixel_integrated=True,
-                tol=tol,
-            ),
-        )
-        for lobe, one in zip(rough, statistics, strict=True)
-    ]
-    if smooth > 0:
-        parts.append((smooth, _within(wave, pitch, shape_of(shape), tol)))
-    return _together(parts)
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
+    residual = split(wave)
+    size = shape_of(lobes.window(residual, pitch, tol) if shape is None else shape)
+    return lobes.point_spread(residual, pitch, size, tol)
 
 
-def _within(wave: Wavefront, pitch: float, shape: tuple[int, int], tol: float) -> PointSpread:
+def _within(residual: Residual, pitch: float, shape: tuple[int, int], tol: float) -> PointSpread:
     """Smooth wall's point spread, 0 beyond the window outside which it is below ``tol``."""
-    side = window_side(split(wave), pitch, tol)
+    side = window_side(residual, pitch, tol)
     ny, nx = (min(n, side + (n - side) % 2) for n in shape)
-    core = wide_point_spread(wave, pitch=pitch, shape=(ny, nx), tol=tol)
+    core = detilted_wide_spread(residual, pitch, (ny, nx), tol)
     intensity = np.zeros(shape)
     intensity[middle(shape, core.shape)] = core.intensity
     return replace(core, intensity=intensity)
@@ -210,13 +251,3 @@ def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
         regime=first.regime,
         reason="; ".join(dict.fromkeys(part.reason for _, part in parts)),
     )
-
-
-def _seen_from(scene: Scene, object_point: ArrayLike | None) -> Scene:
-    """The scene with the picture at a point, whose chief ray then is the wall's view."""
-    if object_point is None:
-        return scene
-    if not isinstance(scene.hidden, PlanarObject):
-        raise SceneError("object_point with a mesh, which has one reference point; leave it out")
-    x, y, z = vector("object_point", object_point)
-    return replace(scene, hidden=replace(scene.hidden, position=(x, y, z)))

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .._checks import fits_memory, in_range, one_of, positive
 from .._html import card
@@ -20,13 +20,8 @@ from .residuals import Residual, split
 from .wavefronts import Wavefront
 from .windows import Window, check_rays, default_shape, shape_of, window_side
 
-if TYPE_CHECKING:
-    from .roughness import Roughness
-
 Array = NDArray[np.float64]
-Method = Literal[
-    "auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric", "huygens", "hybrid"
-]
+Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric", "huygens"]
 Normalisation = Literal["unit-sum", "ideal-peak", "flux"]
 METHODS = ("auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric", "huygens")
 NORMALISATIONS = ("unit-sum", "ideal-peak", "flux")
@@ -137,9 +132,6 @@ def point_spread(
     pixel_integrated: bool = False,
     image_surface: Surface | None = None,
     max_seconds: float = 60.0,
-    roughness: Roughness | None = None,
-    footprint: ArrayLike | None = None,
-    cos_sum: float | None = None,
 ) -> PointSpread:
     """Point spread of an exit-pupil wave.
 
@@ -160,8 +152,6 @@ def point_spread(
           with ``pixel_integrated``.
         - ``huygens`` sends spherical waves to ``image_surface``; it is slow and ``auto`` leaves it
           out. See `huygens_point_spread`.
-        - ``hybrid`` adds to the waves' core what a rough wall scatters, `mean_point_spread`; for a
-          wall of several lobes see `hybrid_point_spread`.
     tol : float
         Largest max |dI|/max I that ``auto`` accepts, and that others aim at where it saves time.
     pitch : float, optional
@@ -183,13 +173,10 @@ def point_spread(
     max_seconds : float
         Predicted seconds on one core beyond which ``auto`` refuses before it computes anything; a
         named method is run whatever it takes.
-    roughness, footprint, cos_sum
-        As of `mean_point_spread`; for ``hybrid`` only, which needs all three.
 
     Returns
     -------
     PointSpread
-        A `RoughPointSpread` from ``hybrid``.
 
     Raises
     ------
@@ -213,28 +200,50 @@ def point_spread(
     ----------
     .. [1] Goodman, Introduction to Fourier Optics, 3rd ed., sec. 4.3.
     """
-    one_of("method", method, (*METHODS, "hybrid"))
+    one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     positive("max_seconds", max_seconds, unit="s")
     _check_surface(method, shape, image_surface)
-    _check_rough(wavefront, method, roughness, footprint, cos_sum)
-    if roughness is not None:
-        from .rough_means import mean_point_spread
+    return detilted_point_spread(
+        split(wavefront),
+        method=method,
+        tol=tol,
+        pitch=pitch,
+        shape=shape,
+        normalisation=normalisation,
+        pixel_integrated=pixel_integrated,
+        image_surface=image_surface,
+        max_seconds=max_seconds,
+    )
 
-        mean = mean_point_spread(
-            wavefront,
-            roughness,
-            footprint=footprint,
-            cos_sum=cos_sum,
-            tol=tol,
-            pitch=pitch,
-            shape=shape,
-            normalisation=normalisation,
-            pixel_integrated=pixel_integrated,
-        )
-        return replace(mean, method="hybrid")
-    residual = split(wavefront)
+
+def detilted_point_spread(
+    residual: Residual,
+    *,
+    method: Method = "auto",
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+    normalisation: Normalisation = "unit-sum",
+    pixel_integrated: bool = False,
+    image_surface: Surface | None = None,
+    max_seconds: float = 60.0,
+) -> PointSpread:
+    """Point spread of a wave whose piston and tilt are already separated.
+
+    Parameters
+    ----------
+    residual : Residual
+        From `split`; several point spreads of one wave share it.
+    method, tol, pitch, shape, normalisation, pixel_integrated, image_surface, max_seconds
+        The options of `point_spread`, already checked.
+
+    Returns
+    -------
+    PointSpread
+    """
+    wavefront = residual.wavefront
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
         _check_nyquist(residual, pitch, normalisation)
@@ -285,29 +294,6 @@ def _check_surface(method: str, shape: object, surface: Surface | None) -> None:
     if shape is None:
         raise SceneError(
             "image_surface without a shape: where rays land on it is not known here; give a shape"
-        )
-
-
-def _check_rough(
-    wavefront: object,
-    method: str,
-    roughness: Roughness | None,
-    footprint: ArrayLike | None,
-    cos_sum: float | None,
-) -> None:
-    """Refuse roughness without ``hybrid``, and ``hybrid`` without roughness or of a scene."""
-    if method != "hybrid":
-        given = {"roughness": roughness, "footprint": footprint, "cos_sum": cos_sum}
-        for name, value in given.items():
-            if value is not None:
-                raise SceneError(
-                    f"{name} is given with method = '{method}', which takes the wall as smooth; "
-                    "use method='hybrid'"
-                )
-    elif roughness is None or not isinstance(wavefront, Wavefront):
-        raise SceneError(
-            "method = 'hybrid' needs a wavefront with roughness, footprint and cos_sum (the latter "
-            "from psf.wall_view); a scene goes to psf.hybrid_point_spread"
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,15 @@ class ExitPupil:
     stop: str
     entrance_radius: float
     vignetting: float
+
+    @property
+    def layout(self) -> Literal["polar", "grid"]:
+        """Layout of the pupil nodes that follow the rim of the light.
+
+        ``polar`` where the rim is the lens stop's circle; ``grid`` where the wall's edge is the
+        stop or vignettes a part of the cone.
+        """
+        return "polar" if self.stop == "lens" and self.vignetting == 0.0 else "grid"
 
 
 def exit_pupil(scene: Scene) -> ExitPupil:

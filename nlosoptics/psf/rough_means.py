@@ -14,11 +14,12 @@ from ..errors import SamplingError
 from ..scene import Scene
 from .estimates import rounded_up
 from .halos import EPSILON, Halo, Separations
-from .point_spreads import NORMALISATIONS, Normalisation, PointSpread, point_spread
+from .point_spreads import NORMALISATIONS, Normalisation, PointSpread, detilted_point_spread
 from .regimes import regime
-from .residuals import Residual, split
-from .rough_views import RoughView, rough_view
+from .residuals import Residual
+from .rough_views import RoughView, rough_source
 from .roughness import Roughness
+from .scene_optics import SceneOptics
 from .transfers import Transfer, transfer
 from .wavefronts import Wavefront
 from .windows import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
@@ -68,7 +69,7 @@ class RoughPointSpread(PointSpread):
 
 
 def mean_point_spread(
-    source: Wavefront | Scene,
+    source: Wavefront | Scene | SceneOptics,
     roughness: Roughness,
     *,
     footprint: ArrayLike | None = None,
@@ -83,8 +84,9 @@ def mean_point_spread(
 
     Parameters
     ----------
-    source : Wavefront or Scene
+    source : Wavefront, Scene or SceneOptics
         The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
+        The pupil of a scene is sampled as finely as ``tol`` takes.
     roughness : Roughness
     footprint : float or array_like (2, 2), optional
         M, from a step in the exit pupil to the step seen in the wall; ``d1/(d1 + d2)`` at normal
@@ -127,14 +129,51 @@ def mean_point_spread(
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
-    wave, view = rough_view(source, roughness, footprint, cos_sum)
-    residual = split(wave)
-    pitch, shape = image_sampling(residual, view, pitch, shape)
-    check_rays(residual, pitch, shape)
+    smooth = rough_source(source, roughness, footprint, cos_sum)
+    step, size = image_sampling(smooth.residual, smooth.view, pitch, shape)
+    return smooth.refined(
+        lambda residual: detilted_mean(
+            residual,
+            smooth.view,
+            tol,
+            step,
+            size,
+            normalisation=normalisation,
+            pixel_integrated=pixel_integrated,
+        )
+    )
+
+
+def detilted_mean(
+    residual: Residual,
+    view: RoughView,
+    tol: float,
+    pitch: float,
+    shape: tuple[int, int],
+    *,
+    normalisation: Normalisation = "unit-sum",
+    pixel_integrated: bool = False,
+) -> RoughPointSpread:
+    """`mean_point_spread` of a wave whose piston and tilt are already separated.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall.
+    view : RoughView
+        Roughness as the wave's pupil sees it.
+    tol, pitch, shape, normalisation, pixel_integrated
+        The options of `mean_point_spread`, already checked; the window holds the rays.
+
+    Returns
+    -------
+    RoughPointSpread
+    """
+    wave = residual.wavefront
     core = None
     if view.rayleigh_parameter < ALL_DIFFUSE:
-        core = point_spread(
-            wave, tol=tol, pitch=pitch, shape=shape, pixel_integrated=pixel_integrated
+        core = detilted_point_spread(
+            residual, tol=tol, pitch=pitch, shape=shape, pixel_integrated=pixel_integrated
         )
     share = math.exp(-(view.rayleigh_parameter**2))
     coherent = np.zeros(shape) if core is None else share * core.intensity
@@ -153,7 +192,7 @@ def mean_point_spread(
     if error > tol:
         raise SamplingError(
             f"the mean of the rough wall reaches an error of {error:.2g}, limit tol = {tol:g}; use "
-            f"tol = {rounded_up(1.5 * error)}, or more pupil nodes"
+            f"tol = {rounded_up(1.5 * error)}, or a wavefront of more pupil nodes"
         )
     scale = {
         "unit-sum": 1.0,
@@ -211,12 +250,14 @@ def image_sampling(
     pitch: float | None,
     shape: int | tuple[int, int] | None,
 ) -> tuple[float, tuple[int, int]]:
-    """Pitch and shape, given or by default."""
+    """Pitch and shape, given or by default; a given window must hold the rays."""
     if pitch is None:
         pitch = min(residual.airy_unit / 4, residual.nyquist_pitch / 2)
     pitch = positive("pitch", pitch, unit="m")
     if shape is not None:
-        return pitch, shape_of(shape)
+        shape = shape_of(shape)
+        check_rays(residual, pitch, shape)
+        return pitch, shape
     n = default_shape(residual, pitch)[0]
     halo = view.halo(residual.wavefront)
     n = max(n, n - 256 + 2 * math.ceil(halo / pitch))

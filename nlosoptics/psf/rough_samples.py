@@ -18,13 +18,14 @@ from .pixels import PixelRule, pixel_rule
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread
 from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from .regimes import regime
-from .residuals import Residual, split
+from .residuals import Residual
 from .rough_means import image_sampling
-from .rough_views import RoughView, rough_view
+from .rough_views import RoughView, rough_source
 from .roughness import Roughness
+from .scene_optics import SceneOptics
 from .screens import Between, screens, stride, throw, widest_pitch
 from .wavefronts import Wavefront
-from .windows import Window, check_rays
+from .windows import Window
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -37,7 +38,7 @@ LEAST_CELLS: Final = 256
 
 
 def sample_point_spread(
-    source: Wavefront | Scene,
+    source: Wavefront | Scene | SceneOptics,
     roughness: Roughness,
     *,
     seed: int,
@@ -55,8 +56,9 @@ def sample_point_spread(
 
     Parameters
     ----------
-    source : Wavefront or Scene
+    source : Wavefront, Scene or SceneOptics
         The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
+        The pupil of a scene is sampled as finely as the screen and its halo take.
     roughness : Roughness
     seed : int
         The same seed and sampling give the same wall.
@@ -105,12 +107,13 @@ def sample_point_spread(
     one_of("propagation", propagation, ("fresnel", "geometric"))
     patterns = whole("independent_patterns", independent_patterns)
     seed = whole("seed", seed, 0, 2**64 - 1)
-    wave, view = rough_view(source, roughness, footprint, cos_sum, effective_distance)
-    residual = split(wave)
-    pitch, shape = image_sampling(residual, view, pitch, shape)
+    smooth = rough_source(source, roughness, footprint, cos_sum, effective_distance)
+    view = smooth.view
+    pitch, shape = image_sampling(smooth.residual, view, pitch, shape)
     window = Window.centred(pitch, shape)
-    samples, rule = speckle_samples(residual, window, pixel_integrated)
-    grid = speckle_pupil(residual, view, samples)
+    samples, rule = speckle_samples(smooth.residual, window, pixel_integrated)
+    residual, grid = smooth.refined(lambda found: (found, speckle_pupil(found, view, samples)))
+    wave = residual.wavefront
     mean, spill = _patterns(
         residual, view, grid, samples, rule, seed=seed, patterns=patterns, propagation=propagation
     )
@@ -141,7 +144,6 @@ def speckle_samples(
             f"pitch = {pitch:.3g} m is wider than Nyquist's {residual.nyquist_pitch:.3g} m, which "
             "loses speckles; use pixel_integrated=True"
         )
-    check_rays(residual, pitch, shape)
     if not pixel_integrated:
         return window, None
     rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
@@ -163,16 +165,16 @@ def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> Pupil
     if wave.pupil_pitch > finest * (1 + 1e-9):
         raise SamplingError(
             f"the pupil's pitch is {wave.pupil_pitch:.3g} m, limit {finest:.3g} m for a wall of "
-            f"Rayleigh parameter {view.rayleigh_parameter:.3g}; use "
+            f"Rayleigh parameter {view.rayleigh_parameter:.3g}; use a wavefront of "
             f"{math.ceil(n * wave.pupil_pitch / finest) + 1} or more pupil samples (now {n}), or "
-            "polar nodes"
+            "of polar nodes"
         )
     if far > scale / wave.pupil_pitch:
         need = math.ceil(n * far * wave.pupil_pitch / scale) + 1
         raise SamplingError(
             f"the pupil samples repeat the image every {scale / wave.pupil_pitch:.3g} m, and "
-            f"window and halo need {far:.3g} m; use {need} or more pupil samples (now {n}), a "
-            "smaller shape, or polar nodes"
+            f"window and halo need {far:.3g} m; use a smaller shape, or a wavefront of {need} or "
+            f"more pupil samples (now {n}) or of polar nodes"
         )
     return pupil_grid(residual)
 

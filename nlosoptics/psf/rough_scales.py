@@ -20,7 +20,7 @@ from .point_spreads import NORMALISATIONS, Normalisation
 from .pupil_grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from .regimes import regime
 from .residuals import Residual, split
-from .rough_means import ALL_DIFFUSE, RoughPointSpread, image_sampling, mean_point_spread
+from .rough_means import ALL_DIFFUSE, RoughPointSpread, detilted_mean, image_sampling
 from .rough_samples import (
     Propagation,
     seen_through,
@@ -30,8 +30,9 @@ from .rough_samples import (
     spilled,
     wall_fields,
 )
-from .rough_views import RoughView, rough_view
+from .rough_views import RoughView, rough_source
 from .roughness import Roughness
+from .scene_optics import SceneOptics
 from .transfers import ORDER, LatticeRatio, transfer
 from .wavefronts import Wavefront
 from .windows import Window
@@ -80,7 +81,7 @@ def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 
 
 
 def two_scale_point_spread(
-    source: Wavefront | Scene,
+    source: Wavefront | Scene | SceneOptics,
     roughness: Roughness,
     *,
     seed: int,
@@ -100,8 +101,9 @@ def two_scale_point_spread(
 
     Parameters
     ----------
-    source : Wavefront or Scene
+    source : Wavefront, Scene or SceneOptics
         The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
+        The pupil of a scene is sampled as finely as the screen, its halo and ``tol`` take.
     roughness : Roughness
     seed : int
         The same seed and sampling give the same long waves.
@@ -149,7 +151,8 @@ def two_scale_point_spread(
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     count = whole("independent_patterns", independent_patterns)
     seed = whole("seed", seed, 0, 2**64 - 1)
-    wave, view = rough_view(source, roughness, footprint, cos_sum, effective_distance)
+    smooth = rough_source(source, roughness, footprint, cos_sum, effective_distance)
+    view, wave = smooth.view, smooth.residual.wavefront
     if cutoff is None:
         if view.effective_distance is None:
             raise SceneError(
@@ -157,28 +160,32 @@ def two_scale_point_spread(
             )
         cutoff = split_scale(wave.wavelength, view.effective_distance)
     long, short = (view.of(part) for part in roughness.split(cutoff))
-    residual = split(wave)
-    pitch, shape = image_sampling(residual, view, pitch, shape)
+    step, size = image_sampling(smooth.residual, view, pitch, shape)
     if long.rayleigh_parameter == 0:
-        return mean_point_spread(
-            source,
-            roughness,
-            footprint=footprint,
-            cos_sum=cos_sum,
-            tol=tol,
-            pitch=pitch,
-            shape=shape,
-            normalisation=normalisation,
-            pixel_integrated=pixel_integrated,
+        return smooth.refined(
+            lambda residual: detilted_mean(
+                residual,
+                view,
+                tol,
+                step,
+                size,
+                normalisation=normalisation,
+                pixel_integrated=pixel_integrated,
+            )
         )
-    walls = _Walls(residual, long, short, Window.centred(pitch, shape), pixel_integrated, tol)
-    coherent, diffuse, error = walls.mean(seed, count, propagation)
-    level = residual.pixel_share(pitch)
+    window = Window.centred(step, size)
+
+    def drawn(residual: Residual) -> tuple[Residual, Array, Array, float]:
+        walls = _Walls(residual, long, short, window, pixel_integrated, tol)
+        return residual, *walls.mean(seed, count, propagation)
+
+    residual, coherent, diffuse, error = smooth.refined(drawn)
+    wave, level = residual.wavefront, residual.pixel_share(step)
     scale = {"unit-sum": 1.0, "flux": wave.flux, "ideal-peak": 1 / level}[normalisation]
     return RoughPointSpread(
         intensity=(coherent + diffuse) * scale,
         coherent=coherent * scale,
-        pitch=pitch,
+        pitch=step,
         method=f"{propagation} screen + mdft + separations",
         error_estimate=error,
         normalisation=normalisation,
@@ -187,7 +194,7 @@ def two_scale_point_spread(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float((coherent + diffuse).sum()),
         rayleigh_parameter=short.rayleigh_parameter,
-        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
+        regime=regime(residual, step, rayleigh_parameter=view.rayleigh_parameter),
         reason=f"two scales were asked for: {propagation} screens of the long waves, "
         "separations of the short",
     )
@@ -265,7 +272,8 @@ class _Walls:
         if error > self.tol * peak:
             raise SamplingError(
                 f"the mean over the short waves reaches an error of {error / peak:.2g}, limit tol "
-                f"= {self.tol:g}; use tol = {rounded_up(1.5 * error / peak)}, or more pupil nodes"
+                f"= {self.tol:g}; use tol = {rounded_up(1.5 * error / peak)}, or a wavefront of more "
+                "pupil nodes"
             )
         return _Scattering(halo, nodes, clear.at(nodes.du, nodes.dv), ratios, error)
 

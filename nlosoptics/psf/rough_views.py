@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,13 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from .._checks import in_range
 from ..errors import SceneError
 from ..scene import Scene
-from .aberration import wavefront
-from .facet_waves import wall_view
-from .pupils import exit_pupil
+from .facet_waves import WallView
+from .residuals import Residual, split
 from .roughness import Roughness
+from .scene_optics import PointOptics, SceneOptics, optics_of
 from .wavefronts import Wavefront
 
 Array = NDArray[np.float64]
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,46 +87,111 @@ class RoughView:
         return 3 * math.sqrt(2) * wave.wavelength * abs(wave.image_distance) / (2 * math.pi * step)
 
 
-def rough_view(
-    source: Wavefront | Scene,
+@dataclass(frozen=True, eq=False)
+class RoughSource:
+    """Smooth wave of a rough wall, and how the pupil sees the roughness.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall; of a scene, at the nodes that are tried first.
+    view : RoughView
+    seen : PointOptics or None
+        Optics of the scene's reference point; None where a wavefront was given.
+    """
+
+    residual: Residual
+    view: RoughView
+    seen: PointOptics | None = None
+
+    def refined(self, use: Callable[[Residual], Found]) -> Found:
+        """Apply a function to the wave, of a scene with more pupil nodes where they are too few."""
+        if self.seen is None:
+            return use(self.residual)
+        return self.seen.refined(lambda aimed: use(aimed.residual))[1]
+
+
+def rough_source(
+    source: Wavefront | Scene | SceneOptics,
     roughness: Roughness,
     footprint: ArrayLike | None,
     cos_sum: float | None,
     effective_distance: ArrayLike | None = None,
-) -> tuple[Wavefront, RoughView]:
-    """Wave of the smooth wall and the rough wall's view, from a scene or from what is given."""
+) -> RoughSource:
+    """Wave of the smooth wall and the rough wall's view, from a scene or from what is given.
+
+    Parameters
+    ----------
+    source : Wavefront, Scene or SceneOptics
+    roughness : Roughness
+    footprint, cos_sum, effective_distance
+        How the pupil sees the wall, see `WallView`; with a wavefront only.
+
+    Returns
+    -------
+    RoughSource
+
+    Raises
+    ------
+    SceneError
+        If geometry is missing, given with a scene, or not a matrix that can be inverted.
+    """
     given = {
         "footprint": footprint,
         "cos_sum": cos_sum,
         "effective_distance": effective_distance,
     }
-    if isinstance(source, Scene):
+    if isinstance(source, Scene | SceneOptics):
         for name, value in given.items():
             if value is not None:
                 raise SceneError(f"{name} is given with a scene, which has its own; leave it out")
-        nodes = "polar" if exit_pupil(source).stop == "lens" else "grid"
-        wave, view = wavefront(source, nodes=nodes), wall_view(source)
-        m, cosines, distance = view.footprint, view.cos_sum, view.effective_distance
-    else:
-        for name in ("footprint", "cos_sum"):
-            if given[name] is None:
-                raise SceneError(
-                    f"{name} is missing; a wavefront does not say how it sees the wall, take it "
-                    "from psf.wall_view"
-                )
-        wave = source
-        m = _matrix("footprint", footprint)
-        cosines = in_range("cos_sum", cos_sum, 0.0, 2.0, open_low=True)
-        distance = None
-        if effective_distance is not None:
-            distance = _matrix("effective_distance", effective_distance)
-            if abs(distance[0, 1] - distance[1, 0]) > 1e-9 * np.abs(distance).max():
-                raise SceneError(
-                    f"effective_distance = {distance.tolist()} m is not symmetric; take it from "
-                    "psf.wall_view"
-                )
-    s = 2 * math.pi / wave.wavelength * cosines * roughness.height_rms
-    return wave, RoughView(roughness, m, s, distance)
+        seen = optics_of(source).reference
+        return RoughSource(
+            seen.first.residual, rough_view(seen.first.wave, seen.view, roughness), seen
+        )
+    if not isinstance(source, Wavefront):
+        raise SceneError(
+            f"source is a {type(source).__name__}; give a Scene, or a Wavefront with its footprint "
+            "and cos_sum"
+        )
+    for name in ("footprint", "cos_sum"):
+        if given[name] is None:
+            raise SceneError(
+                f"{name} is missing; a wavefront does not say how it sees the wall, take it "
+                "from psf.wall_view"
+            )
+    m = _matrix("footprint", footprint)
+    cosines = in_range("cos_sum", cos_sum, 0.0, 2.0, open_low=True)
+    distance = None
+    if effective_distance is not None:
+        distance = _matrix("effective_distance", effective_distance)
+        if abs(distance[0, 1] - distance[1, 0]) > 1e-9 * np.abs(distance).max():
+            raise SceneError(
+                f"effective_distance = {distance.tolist()} m is not symmetric; take it from "
+                "psf.wall_view"
+            )
+    s = 2 * math.pi / source.wavelength * cosines * roughness.height_rms
+    return RoughSource(split(source), RoughView(roughness, m, s, distance))
+
+
+def rough_view(wave: Wavefront, seen: WallView, roughness: Roughness) -> RoughView:
+    """View of roughness on a wall.
+
+    Parameters
+    ----------
+    wave : Wavefront
+        Wave of the smooth wall.
+    seen : WallView
+        How its pupil sees the wall.
+    roughness : Roughness
+        Statistics of the heights.
+
+    Returns
+    -------
+    RoughView
+    """
+    s = 2 * math.pi / wave.wavelength * seen.cos_sum * roughness.height_rms
+    return RoughView(roughness, seen.footprint, s, seen.effective_distance)
 
 
 def _matrix(name: str, value: ArrayLike | None) -> Array:

@@ -14,9 +14,9 @@ import pytest
 from pytest import approx
 
 import nlosoptics
-from nlosoptics import limits
+from nlosoptics import limits, psf
 from nlosoptics.errors import SceneError
-from nlosoptics.limits.modulation import Noise, scene_point_spread, spectra, stroke_width
+from nlosoptics.limits.modulation import Noise, spectra, stroke_width
 from nlosoptics.scene import (
     FlatWall,
     Lambert,
@@ -195,7 +195,7 @@ def test_noise_falls_as_exposure_rises() -> None:
 def test_score_does_not_fall_with_light(scene: Scene) -> None:
     from nlosoptics.imaging import form_image
 
-    _, spread = scene_point_spread(scene)
+    spread = psf.scene_point_spread(scene, tol=1e-2).point_spread
     picture = spectra(
         form_image(scene, spread), spread, 1.0, Noise(photons=1e6, readout=0.0, speckle=0.0)
     )

@@ -53,6 +53,12 @@ def wall_scene(material, wall=None, **camera):
     )
 
 
+def mirror(scene, normal):
+    """Mirror image of the scene's reference point."""
+    seen = psf.SceneOptics(scene).reference
+    return psf.hybrid_waves.mirror_image(seen, seen.first, normal)
+
+
 def screen():
     """A black plate between wall and object that leaves the mirror image free."""
     return trimesh.creation.box(
@@ -138,7 +144,7 @@ def test_halo_of_a_slope_is_where_the_rays_land(lobe):
     """The closed form of Gaussian slopes against rays that the microfacets scatter."""
     scene = wall_scene(lobe)
     found = psf.hybrid_point_spread(scene, pitch=2e-4, shape=41, check=False)
-    image = psf.hybrid_waves.mirror_image(scene, np.array([0.0, 0.0, -1.0])).image
+    image = mirror(scene, np.array([0.0, 0.0, -1.0])).image
     first = tuple(np.subtract(image, 20 * 2e-4))
     rays = trace_point(scene, n_rays=1 << 18, pitch=2e-4, shape=(41, 41), first=first)
     assert found.halo_flux == approx(1.0, rel=1e-12)
@@ -165,7 +171,7 @@ def test_rays_land_where_the_wave_does(name):
     scene = SCENES[name](MIRROR)
     camera = replace(scene.camera, focus_distance=FOCUS[name], stop_diameter=0.015)
     scene = replace(scene, camera=camera)
-    image = psf.hybrid_waves.mirror_image(scene, None).image
+    image = mirror(scene, None).image
     first = tuple(np.subtract(image, 20 * 18e-6))
     rays = trace_point(scene, pitch=18e-6, shape=(41, 41), first=first)
     axis = 18e-6 * (np.arange(41) - 20)
@@ -196,7 +202,7 @@ def test_matt_wall_needs_no_wave_part():
 def test_occluded_image_leaves_the_rest():
     """A plate close to where the wall shows the point takes the image and a little more."""
     scene = wall_scene(PAINT)
-    hit = psf.hybrid_waves.mirror_image(scene, None)
+    hit = mirror(scene, None)
     assert hit.flux > 0.0
     line = np.subtract(scene.camera.position, POINT)
     spot = np.add(POINT, line * 1.0 / 1.8)
@@ -295,29 +301,6 @@ def test_limits_are_told():
         psf.hybrid_point_spread(wall_scene(Lambert(0.0)), **WINDOW)
     with pytest.raises(SceneError, match="give a Scene"):
         psf.hybrid_point_spread(psf.wavefront(wall_scene(PAINT)))
-
-
-def test_point_spread_knows_the_hybrid_of_a_wavefront():
-    """Roughness makes it the mean over rough walls."""
-    scene = wall_scene(MIRROR)
-    wave, view = psf.wavefront(scene), psf.wall_view(scene)
-    given = {"footprint": view.footprint, "cos_sum": view.cos_sum}
-    roughness = psf.Roughness(60e-9, 6e-6)
-    options = {"pixel_integrated": True, "normalisation": "flux", **WINDOW}
-    found = psf.point_spread(wave, method="hybrid", roughness=roughness, **given, **options)
-    mean = psf.mean_point_spread(wave, roughness, **given, **options)
-    assert found.method == "hybrid"
-    assert isinstance(found, psf.RoughPointSpread)
-    assert (found.intensity == mean.intensity).all()
-    assert (found.diffuse == mean.diffuse).all()
-    for source, options in ((wave, {}), (scene, {"roughness": roughness})):
-        with pytest.raises(SceneError, match=r"psf\.hybrid_point_spread"):
-            psf.point_spread(source, method="hybrid", **options)
-    with pytest.raises(SceneError, match="footprint is missing"):
-        psf.point_spread(wave, method="hybrid", roughness=roughness)
-    for name, value in {"roughness": roughness, **given}.items():
-        with pytest.raises(SceneError, match=f"{name} is given with method = 'auto'"):
-            psf.point_spread(wave, **{name: value})
 
 
 def test_tol_that_a_refusal_names_is_enough():

@@ -11,7 +11,6 @@ from pytest import approx
 from scipy.special import ndtr
 
 from nlosoptics import psf
-from nlosoptics.errors import SceneError
 from nlosoptics.psf.lobes import halo_radius
 from nlosoptics.scene import ConvexWall, Lambert, MeshObject, SpecularMicrofacet, SumMaterial, Ward
 
@@ -125,13 +124,23 @@ def test_other_points_have_their_own_view(flat_scene):
     assert np.abs(here.intensity - exact.intensity).max() > 1e-3 * exact.intensity.max()
 
 
-def test_a_mesh_has_one_view(flat_scene):
+def test_a_point_beside_a_mesh_has_its_own_view(flat_scene):
+    """The view is that of a picture at the same point, with the focus on the mesh."""
     solid = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
     hidden = MeshObject(solid, position=flat_scene.hidden.position)
-    scene = rough(replace(flat_scene, hidden=hidden), SpecularMicrofacet(0.05, 0.01))
-    wave = psf.wavefront(scene)
-    with pytest.raises(SceneError, match="object_point with a mesh"):
-        psf.lobe_point_spread(scene, wave, object_point=(0.0, 0.0, 1.0))
+    scene = replace(rough(flat_scene, SpecularMicrofacet(0.05, 0.01)), wall=ConvexWall(2.0))
+    mesh = replace(scene, hidden=hidden)
+    x, y, z = flat_scene.hidden.position
+    point = (x + 0.1, y, z)
+    wave = psf.wavefront(mesh, point)
+    found, picture = (
+        psf.lobe_point_spread(s, wave, object_point=point, shape=31).intensity
+        for s in (mesh, scene)
+    )
+    # the mesh's centroid is that of the picture to rounding, and so is the focus
+    assert found == approx(picture, abs=1e-9 * picture.max())
+    other = psf.lobe_point_spread(mesh, wave, shape=31).intensity
+    assert np.abs(other - picture).max() > 1e-3 * picture.max()
 
 
 @pytest.mark.parametrize("tol", [1e-4, 0.3])

@@ -129,7 +129,8 @@ def test_vignetting_counts_what_misses_the_wall(flat_scene):
     # 2048 sample points of the disc, 64 along the edge's chord
     assert lost == approx(pupil.vignetting, abs=0.02)
     with pytest.raises(SamplingError, match="nodes='grid'"):
-        psf.wavefront(narrow)
+        psf.wavefront(narrow, nodes="polar")
+    assert psf.wavefront(narrow).layout == pupil.layout == "grid"
 
 
 def test_axis_that_misses_the_wall_is_refused(flat_scene):

@@ -12,7 +12,7 @@ from scipy import fft, stats
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.psf import rough_samples
-from nlosoptics.psf.rough_views import rough_view
+from nlosoptics.psf.rough_views import rough_source
 from nlosoptics.psf.screens import screens, throw
 
 WAVELENGTH, RADIUS, DISTANCE = 632.8e-9, 12.5e-3, 50e-3
@@ -170,7 +170,7 @@ def test_light_scintillates_on_its_way(distance):
     two dimensions, 2 sin^2(q) = 1 - cos(2 q) has the mean x^2/(1 + x^2).
     """
     length, s = 0.5e-3, 0.05
-    _, view = rough_view(grid_wave(), wall(s, length), 0.55, 2.0, distance)
+    view = rough_source(grid_wave(), wall(s, length), 0.55, 2.0, distance).view
     walls = screens(view, 200, 2e-4, WAVELENGTH, throw(view, view.halo(grid_wave()) / DISTANCE))
     light = np.stack([np.abs(f[:200, :200]) ** 2 for f in islice(walls.draw(1), 8)])
     x = 2 * WAVELENGTH * distance / (math.pi * length**2)
@@ -183,7 +183,9 @@ def test_ripple_comes_as_talbot_has_it():
     """One wave of the screen along an oblique direction, by its Bessel series on the wall."""
     from scipy.special import jv
 
-    _, view = rough_view(grid_wave(), wall(1.2, 2e-3), [[0.7, 0.2], [-0.1, 0.5]], 2.0, ASKEW_D_EFF)
+    view = rough_source(
+        grid_wave(), wall(1.2, 2e-3), [[0.7, 0.2], [-0.1, 0.5]], 2.0, ASKEW_D_EFF
+    ).view
     walls = screens(view, 100, 2e-4, WAVELENGTH, 5e-3)
     n = walls.spreading.shape[0]
     j = np.arange(n)
@@ -202,7 +204,7 @@ def test_ripple_comes_as_talbot_has_it():
 def test_drawn_heights_have_their_correlation():
     roughness = wall(1.0, 2e-3, autocorrelation="exponential")
     footprint = np.array([[0.6, 0.5], [-0.1, 0.4]])
-    _, view = rough_view(grid_wave(), roughness, footprint, 2.0, D_EFF)
+    view = rough_source(grid_wave(), roughness, footprint, 2.0, D_EFF).view
     walls = replace(screens(view, 64, 2e-4, WAVELENGTH, 0.0), phase_rms=1e-6)
     size = walls.heights.shape[0]
     heights = np.stack([-f.imag * 1e6 for f in islice(walls.draw(2), 40)])
@@ -223,7 +225,7 @@ def test_error_estimate_bounds_that_of_the_grid(samples):
     # short enough that every pupil point is one of the screen's lattice
     roughness = wall(1.0, 1.8e-3)
     spread = psf.sample_point_spread(coarse, roughness, **kwargs)
-    _, view = rough_view(coarse, roughness, 0.55, 2.0, D_EFF)
+    view = rough_source(coarse, roughness, 0.55, 2.0, D_EFF).view
     reach = throw(view, view.halo(coarse) / DISTANCE)
     walls = screens(view, samples + 1, coarse.pupil_pitch, WAVELENGTH, reach)
     field = next(walls.draw(4))

@@ -11,7 +11,7 @@ from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.psf.residuals import split
 from nlosoptics.psf.rough_samples import seen_through, speckle_pupil, wall_fields
-from nlosoptics.psf.rough_views import rough_view
+from nlosoptics.psf.rough_views import rough_source
 from nlosoptics.psf.screens import screens
 from nlosoptics.psf.windows import Window
 
@@ -91,7 +91,7 @@ def test_one_wall_is_the_sum_over_pairs_of_its_pupil_points(s, view, pixels):
         **kwargs,
     )
     long, short = roughness.split(cutoff)
-    _, seen = rough_view(wave, roughness, view["footprint"], view["cos_sum"], D_EFF)
+    seen = rough_source(wave, roughness, view["footprint"], view["cos_sum"], D_EFF).view
     residual = split(wave)
     samples = Window.centred(pitch, (21, 21))
     grid = speckle_pupil(residual, seen.of(long), samples)
@@ -239,7 +239,7 @@ def test_scene_has_its_own_scale(flat_scene):
 def test_both_parts_can_be_drawn(autocorrelation):
     """Their spectra on a torus: what the filter passes of the whole's, and none below 0."""
     roughness = wall(1.0, 2e-3, autocorrelation=autocorrelation)
-    _, view = rough_view(wave_of(), roughness, 0.5, 2.0, D_EFF)
+    view = rough_source(wave_of(), roughness, 0.5, 2.0, D_EFF).view
     parts = [view.of(part) for part in roughness.split(2e-3)]
     n, pitch = 240, 4e-4
     steps = (np.arange(n) + n // 2) % n - n // 2
