@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ._nouns import Noun
 from ._progress import Progress
 from ._random import checked_seed
 from .errors import NotWaveGradeError, SamplingError
@@ -29,7 +30,7 @@ GRID_STEPS = (512, 1024, 2048)  # cells across a pupil that the wall's edge cuts
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Result:
+class Result(Noun):
     """What a simulation found.
 
     Parameters

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, positive
 from .._html import card
+from .._nouns import Noun
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField
@@ -56,7 +57,7 @@ MESH_SAMPLES = 2  # chief rays along each side of a pixel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SpeckleImage:
+class SpeckleImage(Noun):
     """What the camera records, and what it is made of; arrays (ny, nx), read-only.
 
     Rows run along the camera's e2 and columns along e1, row 0 at the lowest y of the detector;

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from .._html import card
+from .._nouns import Noun
 from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement
 from .torch_model import TorchForwardModel, torch_model
@@ -21,7 +22,7 @@ Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Reconstruction:
+class Reconstruction(Noun):
     """An object recovered from an image.
 
     The image is explained as ``gain * model.forward(object) + background``.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from .._checks import positive
 from .._html import card
+from .._nouns import Noun
 from ..errors import SceneError
 from ..imaging import SpeckleImage, form_image
 from ..imaging.detector import noise_variance
@@ -38,7 +39,7 @@ POINTS = 33  # of the frequency table
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Feasibility:
+class Feasibility(Noun):
     """What a scene's image holds of the hidden object and of the wall's wave.
 
     Parameters

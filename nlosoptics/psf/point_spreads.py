@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, one_of, positive
 from .._html import card
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from . import fft
 from .choices import automatic
@@ -33,7 +34,7 @@ NORMALISATIONS = ("unit-sum", "ideal-peak", "flux")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PointSpread:
+class PointSpread(Noun):
     """Image of a point.
 
     Parameters

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, one_of, positive, real, whole
 from .._html import card
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .apertures import Aperture
 from .cell_spectra import CellSpectrum
@@ -61,7 +62,7 @@ class Removed:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Wavefront:
+class Wavefront(Noun):
     """Samples of the wave in the exit pupil.
 
     Parameters

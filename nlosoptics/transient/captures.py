@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import Vector, one_of, positive, real, vector, whole
 from .._html import card
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .wall_points import checked_points, pair_shape
 
@@ -24,7 +25,7 @@ QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TransientCapture:
+class TransientCapture(Noun):
     """Light at points of the relay wall in bins of optical path.
 
     The wall is the plane z = 0 with its normal +z, unless normals say otherwise. Grids of points

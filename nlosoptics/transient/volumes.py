@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import is_single, one_of, pair, positive, vector, whole
 from .._html import card
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .wall_points import UNEVEN, even_axes, real_array
 
@@ -19,7 +20,7 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
-class Volume:
+class Volume(Noun):
     """A grid of points along x, y and z: voxel centres, evenly spaced and rising.
 
     Parameters
@@ -129,7 +130,7 @@ class Volume:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class VolumeImage:
+class VolumeImage(Noun):
     """Brightness of a hidden scene on a volume.
 
     Parameters
