@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._html import card
+from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
 from ._sources import bare_mesh
@@ -31,7 +31,7 @@ PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
 
 
 @dataclass(frozen=True)
-class Scene(Noun):
+class Scene(Noun, Shown):
     """Laser, relay wall, hidden object and camera in one world frame.
 
     The origin is the wall's centre, the mean wall plane is z = 0 with its normal +z into the room,
@@ -111,10 +111,7 @@ class Scene(Noun):
 
         save_scene(self, Path(path))
 
-    def _repr_html_(self) -> str:
-        """Small sketch with the figures of laser, wall, object and camera."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         laser, camera = self.laser, self.camera
         size = self.wall.size
         ny, nx = camera.shape
@@ -136,7 +133,7 @@ class Scene(Noun):
             scan = self.transient
             figures["scan"] = f"{scan.scan}, {scan.count} x {scan.count} points, {scan.n_bins} bins"
         alt = "Sketch of the scene from above and from the side: wall, laser, hidden object, camera"
-        return card("Scene", figures, draw=lambda: views.scene_sketch(self), alt=alt)
+        return Figures("Scene", figures, alt)
 
     def resized(self, size: int) -> Scene:
         """The same scene with an image of ``size`` pixels across the same field."""
