@@ -6,65 +6,26 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ._nouns import Noun
 from ._progress import Progress
 from ._random import checked_seed
 from .errors import NotWaveGradeError, SamplingError
 from .planning import FIELD, MOST_NODES, MOST_SAMPLES, Plan, plan, wave_refusal
-from .psf.pupils import ExitPupil, exit_pupil
+from .psf.pupils import exit_pupil
+from .results import Result
 from .scene import MeshWall, PlanarObject, Scene
 
 if TYPE_CHECKING:
     from .imaging import SpeckleImage
     from .inverse import Reconstruction
-    from .psf import PointSpread, PointSpreadField, Wavefront
+    from .psf import PointSpread, Wavefront
 
 Array = NDArray[np.float64]
 GRID_STEPS = (512, 1024, 2048)  # cells across a pupil that the wall's edge cuts
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Result(Noun):
-    """What a simulation found.
-
-    Parameters
-    ----------
-    scene : Scene
-    plan : Plan
-    exit_pupil : ExitPupil
-    wavefront : Wavefront
-    point_spread : PointSpread
-        Of the object's reference point.
-    field : PointSpreadField or None
-        Over the object, where one point spread does not stand for all of it.
-    image : SpeckleImage
-    reconstruction : Reconstruction or None
-        None unless it was asked for.
-    errors : dict of str to float
-        Estimated errors, relative: of ``point spread``, max |dI|/max I; of ``field of point
-        spreads``, rms of the image.
-    timings : dict of str to float
-        Seconds of each stage that ran.
-    seed : int
-    """
-
-    scene: Scene
-    plan: Plan
-    exit_pupil: ExitPupil
-    wavefront: Wavefront
-    point_spread: PointSpread
-    field: PointSpreadField | None
-    image: SpeckleImage
-    reconstruction: Reconstruction | None
-    errors: dict[str, float]
-    timings: dict[str, float]
-    seed: int
 
 
 def simulate(
