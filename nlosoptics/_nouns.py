@@ -77,7 +77,7 @@ def _opened(value: Any) -> Any:
 def _closed(value: Any) -> Any:
     # numpy is not imported for this: only its arrays have such flags
     flags: Any = getattr(value, "flags", None)
-    if hasattr(flags, "writeable"):
+    if getattr(flags, "writeable", False):
         flags.writeable = False
     if isinstance(value, _Sealed):
         return MappingProxyType({key: _closed(inner) for key, inner in value.items()})
