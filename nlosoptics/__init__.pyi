@@ -11,6 +11,7 @@ from . import transient as transient
 from . import views as views
 from .planning import Plan as Plan
 from .planning import plan as plan
+from .results import Result as Result
+from .results import load_result as load_result
 from .scene import Scene as Scene
-from .simulation import Result as Result
 from .simulation import simulate as simulate

@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import importlib
+from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
 from typing import Any, NamedTuple
 
 from .errors import NlosError
 
+#: The registry of pictures. It stands above all nouns, so that it is looked up by name, when a card
+#: is shown and not before: the only look from a lower part of the package into a higher one.
+CARDS = f"{__package__}.cards"
 VOID = ("img", "source", "meta", "br")
 HEIGHT = 330  # pixels of a picture
 MOST_BYTES = 40_000  # of a picture, beyond which it is given a palette
@@ -117,28 +121,44 @@ def table(
     )
 
 
-def card(title: str, figures: Mapping[str, str], *, draw: Callable[[], Any], alt: str) -> Html:
-    """Picture and figures of a noun.
+class Figures(NamedTuple):
+    """What a noun tells of itself in a notebook.
 
     Parameters
     ----------
     title : str
         What it is.
-    figures : mapping of str to str
+    rows : mapping of str to str
         Names and values of the table.
-    draw : callable
-        Returns the matplotlib axes, or several of one figure, that show it. Where it raises an
-        error of nlosoptics, as without matplotlib, all is told as text.
     alt : str
-        What the picture shows, in words.
+        What the picture beside it shows, in words.
     """
+
+    title: str
+    rows: Mapping[str, str]
+    alt: str
+
+
+class Shown:
+    """Base of nouns that show themselves in notebooks: figures here, the picture by `CARDS`."""
+
+    def _figures(self) -> Figures:
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return card(self)
+
+
+def card(noun: Shown) -> Html:
+    """Picture and figures of a noun; as text where it cannot be drawn, as without matplotlib."""
+    title, rows, alt = noun._figures()
     try:
-        source = png(_picture(draw()))
+        source = png(_picture(importlib.import_module(CARDS).axes(noun)))
     except NlosError as error:
-        width = max(map(len, figures), default=0)
-        lines = [title, *(f"{name:<{width}}  {value}" for name, value in figures.items())]
+        width = max(map(len, rows), default=0)
+        lines = [title, *(f"{name:<{width}}  {value}" for name, value in rows.items())]
         return tag("pre", "\n".join([*lines, str(error)]))
-    told = table(title, (Column(""), Column("")), figures.items(), styled=True)
+    told = table(title, (Column(""), Column("")), rows.items(), styled=True)
     return tag(
         "div",
         tag("img", alt=alt, src=source, style="max-width:100%;height:auto"),

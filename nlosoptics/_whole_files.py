@@ -1,13 +1,18 @@
-"""Files that appear whole or not at all."""
+"""Files and folders that appear whole or not at all."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Mapping
-from contextlib import suppress
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .errors import SceneError
+
+#: What a folder holds, and which of its files are the package's own.
+RECORD = "result.json"
 
 
 def write_whole(contents: Mapping[Path, bytes]) -> None:
@@ -35,3 +40,47 @@ def write_whole(contents: Mapping[Path, bytes]) -> None:
         for draft in drafts.values():
             with suppress(OSError):
                 draft.unlink()
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse an output folder that could not be written, or whose contents are not ours.
+
+    Raises
+    ------
+    SceneError
+    """
+    if folder.exists():
+        if not folder.is_dir():
+            raise SceneError(f"{folder} is a file; name a folder")
+        found = {p.name for p in folder.iterdir()}
+        try:
+            ours = set(json.loads((folder / RECORD).read_text())["files"])
+        except (OSError, ValueError, KeyError, TypeError):
+            ours = set()
+        if found - ours:
+            raise SceneError(
+                f"{folder} holds {min(found - ours)}, which nlosoptics did not write; name another"
+            )
+    parent = folder.absolute().parent
+    if not parent.is_dir():
+        raise SceneError(f"{folder} is in {parent}, which is no folder; create it first")
+    if not os.access(parent, os.W_OK):
+        raise SceneError(f"{folder} is in {parent}, which cannot be written; name another place")
+
+
+@contextmanager
+def whole_folder(target: Path) -> Iterator[Path]:
+    """Yield a folder that takes the place of ``target`` once the block has ended well."""
+    target = target.absolute()
+    with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as beside:
+        new, old = Path(beside) / "new", Path(beside) / "old"
+        new.mkdir()
+        yield new
+        try:
+            if target.exists():
+                target.rename(old)
+            new.rename(target)
+        except BaseException:
+            if old.exists() and not target.exists():
+                old.rename(target)
+            raise

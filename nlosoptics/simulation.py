@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,53 +11,15 @@ from numpy.typing import NDArray
 from ._progress import Progress
 from ._random import checked_seed
 from .errors import NotWaveGradeError
-from .planning import FIELD, MOST_NODES, Plan, plan, wave_refusal
+from .planning import FIELD, MOST_NODES, plan, wave_refusal
+from .results import Result
 from .scene import MeshWall, PlanarObject, Scene
 
 if TYPE_CHECKING:
     from .imaging import SpeckleImage
     from .inverse import Reconstruction
-    from .psf import ExitPupil, PointSpread, PointSpreadField, Wavefront
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Result:
-    """What a simulation found.
-
-    Parameters
-    ----------
-    scene : Scene
-    plan : Plan
-    exit_pupil : ExitPupil
-    wavefront : Wavefront
-    point_spread : PointSpread
-        Of the object's reference point.
-    field : PointSpreadField or None
-        Over the object, where one point spread does not stand for all of it.
-    image : SpeckleImage
-    reconstruction : Reconstruction or None
-        None unless it was asked for.
-    errors : dict of str to float
-        Estimated errors, relative: of ``point spread``, max |dI|/max I; of ``field of point
-        spreads``, rms of the image.
-    timings : dict of str to float
-        Seconds of each stage that ran.
-    seed : int
-    """
-
-    scene: Scene
-    plan: Plan
-    exit_pupil: ExitPupil
-    wavefront: Wavefront
-    point_spread: PointSpread
-    field: PointSpreadField | None
-    image: SpeckleImage
-    reconstruction: Reconstruction | None
-    errors: dict[str, float]
-    timings: dict[str, float]
-    seed: int
 
 
 def simulate(

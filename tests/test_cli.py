@@ -18,6 +18,7 @@ from PIL import Image
 
 import nlosoptics
 from nlosoptics import _random, cli, records
+from nlosoptics._whole_files import whole_folder
 from nlosoptics.cli import forward, shell
 from nlosoptics.scene import Scene
 
@@ -373,7 +374,7 @@ def test_renaming_that_fails_puts_the_old_folder_back(
         return rename(self, to)
 
     monkeypatch.setattr(Path, "rename", break_second)
-    with pytest.raises(OSError, match="no"), shell.whole_folder(target) as new:
+    with pytest.raises(OSError, match="no"), whole_folder(target) as new:
         (new / "new.txt").write_text("new")
     assert contents(tmp_path) == {"result/old.txt": b"old"}
 

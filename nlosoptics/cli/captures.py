@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._whole_files import whole_folder
 from ..records import arrays, now, peak_memory, scene_hash, versions
 from .shell import (
     Debug,
@@ -24,7 +25,6 @@ from .shell import (
     progress_bar,
     require,
     typed,
-    whole_folder,
 )
 
 if TYPE_CHECKING:

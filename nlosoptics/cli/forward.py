@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..records import arrays, now, peak_memory, scene_hash, versions
+from .._whole_files import whole_folder
 from .shell import (
     Debug,
     SceneFile,
@@ -23,11 +23,10 @@ from .shell import (
     progress_bar,
     require,
     typed,
-    whole_folder,
 )
 
 if TYPE_CHECKING:
-    from ..simulation import Result
+    from ..results import Result
 
 
 @app.command("plan")
@@ -61,7 +60,7 @@ def run_command(
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
         from ..planning import plan
-        from ..scene.file import scene_files
+        from ..results import write_record, write_result
         from ..simulation import simulate
 
         scene = load(scene_file, size)
@@ -73,18 +72,13 @@ def run_command(
         with progress_bar() as progress:
             result = simulate(scene, tol, seed, reconstruct, progress=progress)
             progress("writing", 1.0)
-            report = _report(result) | {"command_line": typed(context)}
             with whole_folder(folder) as new:
                 began = time.perf_counter()
-                _write_arrays(result, new)
+                report = write_result(result, new) | {"command_line": typed(context)}
                 _write_pictures(result, new)
-                for name, content in scene_files(scene).items():
-                    (new / name).write_bytes(content)
                 report["seconds"]["writing"] = time.perf_counter() - began
                 report["seconds"]["total"] = time.perf_counter() - start
-                report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
-                text = json.dumps(report, indent=2, allow_nan=False)
-                (new / "result.json").write_text(text + "\n")
+                write_record(report, new)
         _print_summary(report, folder)
 
 
@@ -95,95 +89,6 @@ def schema_command(debug: Debug = False) -> None:
         from ..scene.file import scene_schema
 
         typer.echo(json.dumps(scene_schema(), indent=2))
-
-
-def _report(result: Result) -> dict[str, Any]:
-    """Machine-readable account of a run: the contents of result.json."""
-    from dataclasses import asdict
-
-    return {
-        "program": "nlosoptics",
-        "command": "run",
-        "status": "done",
-        "finished": now(),
-        "figures": _figures(result),
-        "seed": result.seed,
-        "tol": result.plan.tol,
-        "scene_sha256": scene_hash(result.scene),
-        "seconds": dict(result.timings),
-        "plan": {
-            "stages": [asdict(stage) for stage in result.plan.stages],
-            "skipped": [asdict(stage) for stage in result.plan.skipped],
-        },
-        "versions": versions(),
-    }
-
-
-def _figures(result: Result) -> dict[str, Any]:
-    """Numbers that sum up a run, SI units."""
-    from dataclasses import asdict
-
-    from .. import psf
-
-    pupil, wave, spread, image = (
-        result.exit_pupil,
-        result.wavefront,
-        result.point_spread,
-        result.image,
-    )
-    found: dict[str, Any] = {
-        "exit_pupil_radius": pupil.radius,
-        "image_distance": pupil.image_distance,
-        "f_number": pupil.f_number,
-        "stop": pupil.stop,
-        "vignetting": pupil.vignetting,
-        "aberration_rms": psf.rms_aberration(wave),
-        "aberration_rms_waves": psf.rms_aberration(wave) / wave.wavelength,
-        "point_spread_method": spread.method,
-        "point_spread_error": spread.error_estimate,
-        "point_spread_reason": spread.reason,
-        "point_spread_regime": {
-            **asdict(spread.regime),
-            "coherent_fraction": spread.regime.coherent_fraction,
-        },
-        "wavelength": spread.wavelength,
-        "errors": dict(result.errors),
-        "field_nodes": 1 if result.field is None else result.field.weights[0].size,
-        "field_modes": 1 if result.field is None else len(result.field.modes),
-        "image_shape": list(image.electrons.shape),
-        "electrons_peak": float(image.electrons.max()),
-        "electrons_mean": float(image.electrons.mean()),
-        "signal_electrons_peak": float(image.signal.max()),
-        "noise_sigma_mean": float(image.noise_sigma.mean()),
-        "saturated_fraction": image.saturated_fraction,
-        "electrons_in_total": dict(image.ledger),
-    }
-    if result.reconstruction is not None:
-        from ..inverse import registered_correlation
-
-        found["reconstruction_status"] = result.reconstruction.status
-        found["reconstruction_score"] = result.reconstruction.score
-        if image.ideal.any():
-            correlation = registered_correlation(result.reconstruction, image.ideal)
-            found["correlation_with_truth"] = correlation
-    found["peak_memory_bytes"] = peak_memory()
-    return found
-
-
-def _write_arrays(result: Result, folder: Path) -> None:
-    """Write every noun's arrays and numbers, one ``.npz`` each."""
-    import numpy as np
-
-    nouns = {
-        "wavefront": result.wavefront,
-        "point_spread": result.point_spread,
-        "field": result.field,
-        "image": result.image,
-        "reconstruction": result.reconstruction,
-    }
-    for name, noun in nouns.items():
-        if noun is not None:
-            np.savez(folder / f"{name}.npz", **arrays(noun))
 
 
 def _write_pictures(result: Result, folder: Path) -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
 import shlex
 import signal
-import tempfile
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import MissingExtraError, NlosError
+from .._whole_files import check_folder
+from ..errors import MissingExtraError, NlosError, SceneError
 
 if TYPE_CHECKING:
     from ..scene import Scene
@@ -158,40 +157,7 @@ def check_file(path: Path) -> None:
 
 def check_target(folder: Path) -> None:
     """Refuse an output folder that could not be written, or whose contents are not ours."""
-
-    def bad(what: str) -> Exception:
-        return typer.BadParameter(f"{folder} {what}", param_hint="--out")
-
-    if folder.exists():
-        if not folder.is_dir():
-            raise bad("is a file; name a folder")
-        found = {p.name for p in folder.iterdir()}
-        try:
-            ours = set(json.loads((folder / "result.json").read_text())["files"])
-        except (OSError, ValueError, KeyError, TypeError):
-            ours = set()
-        if found - ours:
-            raise bad(f"holds {min(found - ours)}, which nlosoptics did not write; name another")
-    parent = folder.absolute().parent
-    if not parent.is_dir():
-        raise bad(f"is in {parent}, which is no folder; create it first")
-    if not os.access(parent, os.W_OK):
-        raise bad(f"is in {parent}, which cannot be written; name another place")
-
-
-@contextmanager
-def whole_folder(target: Path) -> Iterator[Path]:
-    """Yield a folder that takes the place of ``target`` once the block has ended well."""
-    target = target.absolute()
-    with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as beside:
-        new, old = Path(beside) / "new", Path(beside) / "old"
-        new.mkdir()
-        yield new
-        try:
-            if target.exists():
-                target.rename(old)
-            new.rename(target)
-        except BaseException:
-            if old.exists() and not target.exists():
-                old.rename(target)
-            raise
+    try:
+        check_folder(folder)
+    except SceneError as error:
+        raise typer.BadParameter(str(error), param_hint="--out") from None

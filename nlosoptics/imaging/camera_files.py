@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import positive, whole
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 
 Array = NDArray[np.float64]
@@ -24,7 +25,7 @@ FORMATS = "grey PNG or TIFF of 8 or 16 bits, or .npy"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class CameraImage:
+class CameraImage(Noun):
     """A picture that a camera took, ready for a solver.
 
     Parameters

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from .._checks import fits_memory, one_of, positive, whole
+from .._nouns import Noun
 from ..errors import SamplingError
 from ..psf import PointSpreadField
 
@@ -19,7 +20,7 @@ Boundary = Literal["padded", "circular"]
 
 
 @dataclass(frozen=True, eq=False)
-class ForwardModel:
+class ForwardModel(Noun):
     """Convolution of an object image with a point spread function, and its adjoint.
 
     Object and image live on the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``;

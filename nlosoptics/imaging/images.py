@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, positive
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField
@@ -56,7 +57,7 @@ MESH_SAMPLES = 2  # chief rays along each side of a pixel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SpeckleImage:
+class SpeckleImage(Noun, Shown):
     """What the camera records, and what it is made of; arrays (ny, nx), read-only.
 
     Rows run along the camera's e2 and columns along e1, row 0 at the lowest y of the detector;
@@ -110,10 +111,7 @@ class SpeckleImage:
             getattr(self, name).flags.writeable = False
         object.__setattr__(self, "ledger", MappingProxyType(dict(self.ledger)))
 
-    def _repr_html_(self) -> str:
-        """Small picture with electrons, noise, exposure and pixels."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         ny, nx = self.electrons.shape
         figures = {
             "electrons": f"{self.electrons.max():.3g} at most, mean {self.electrons.mean():.3g}",
@@ -125,7 +123,7 @@ class SpeckleImage:
             "image": f"{nx} x {ny} pixels of {1e6 * self.pitch:.3g} µm",
         }
         alt = f"What the camera reads, {nx} x {ny} pixels, brighter where there are more electrons"
-        return card("Speckle image", figures, draw=lambda: views.image(self), alt=alt)
+        return Figures("Speckle image", figures, alt)
 
 
 def form_image(

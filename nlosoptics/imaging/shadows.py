@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory
+from .._nouns import Noun
 from ..errors import SceneError
 from ..raytrace import intersect_mesh, occluded
 from ..scene import PlanarObject, Scene
@@ -45,7 +46,7 @@ SHADOW_BYTES = 450  # of memory per pixel, measured
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Shadows:
+class Shadows(Noun):
     """What occluders leave of the light; arrays (ny, nx), read-only, 1 where they hide nothing.
 
     Parameters

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from .._checks import in_range, positive, whole
+from .._nouns import Noun
 from .._progress import Progress
 from .._random import checked_seed, generator
 from .._whole_files import write_whole
@@ -180,7 +181,7 @@ class CnnBaseline(nn.Module):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Training:
+class Training(Noun):
     """What a training came to.
 
     Parameters

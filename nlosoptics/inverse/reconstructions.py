@@ -12,7 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from ..imaging.forward_model import ForwardModel
 from .measurements import Measurement
 from .torch_model import TorchForwardModel, torch_model
@@ -21,7 +22,7 @@ Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Reconstruction:
+class Reconstruction(Noun, Shown):
     """An object recovered from an image.
 
     The image is explained as ``gain * model.forward(object) + background``.
@@ -57,10 +58,7 @@ class Reconstruction:
     history: Mapping[str, NDArray[np.float64]]
     seconds: float
 
-    def _repr_html_(self) -> str:
-        """Small picture with status, score, seconds and what else was settled."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         rows, columns = self.object.shape
         retrieved = "fourier_error" in self.history
         meaning = "agreement of halves" if retrieved else "residual, rms of the noise"
@@ -78,7 +76,7 @@ class Reconstruction:
                     f"{value:.4g}" if isinstance(value, float) else str(value)
                 )
         alt = f"Reconstructed object, {rows} x {columns} pixels, {figures['status']}"
-        return card("Reconstruction", figures, draw=lambda: views.reconstruction(self), alt=alt)
+        return Figures("Reconstruction", figures, alt)
 
 
 def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float64]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .. import psf
 from .._checks import positive, whole
+from .._nouns import Noun
 from .._progress import Progress
 from .._random import checked_seed, generator
 from ..errors import SceneError
@@ -25,7 +26,7 @@ _TOL = 1e-2  # of a point spread's peak: the noise is of that size
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TrainingPairs:
+class TrainingPairs(Noun):
     """Images with what they are images of.
 
     Parameters

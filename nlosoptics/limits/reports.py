@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import positive
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from ..errors import SceneError
 from ..imaging import SpeckleImage, form_image
 from ..imaging.detector import noise_variance
@@ -45,7 +46,7 @@ TOL = 1e-2  # of the point spread, relative to its peak
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Feasibility:
+class Feasibility(Noun, Shown):
     """What a scene's image holds of the hidden object and of the wall's wave.
 
     Parameters
@@ -165,10 +166,7 @@ class Feasibility:
         )
         return "\n".join(lines)
 
-    def _repr_html_(self) -> str:
-        """Small picture of modulation and noise with the verdict."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         e = self.electrons
         figures = {
             "verdict": self.verdict,
@@ -181,7 +179,7 @@ class Feasibility:
             "resolution": f"{self.limit:.3g} cycles/m, strokes {1e3 * self.stroke:.3g} mm wide",
         }
         alt = "Modulation against frequency on the object, with what noise hides"
-        return card("Feasibility", figures, draw=lambda: views.feasibility(self), alt=alt)
+        return Figures("Feasibility", figures, alt)
 
     def figures(self) -> dict[str, Any]:
         """Everything as plain numbers, lists and text for JSON; infinity becomes None."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, positive, real, whole
+from .._nouns import Noun
 from ..errors import SceneError
 from . import aperture_parts as parts
 from .nodes import fitting_pitch, gauss_legendre
@@ -30,7 +31,7 @@ TOUCH: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Cell:
+class Cell(Noun):
     """Connected part of a pupil, over which a wave is smooth.
 
     Parameters
@@ -53,7 +54,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Aperture:
+class Aperture(Noun):
     """Outline of a pupil: disjoint cells, each of segments and elliptic arcs.
 
     Made by `ellipse`, `round`, `polygon`, `regular`, `hexagons`, `discs` and `union`. All

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import vector
+from .._nouns import Noun
 from ..errors import CausticError, SamplingError, SceneError
 from ..raytrace import facet_angles
 from ..raytrace.facets import material_slope
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WallView:
+class WallView(Noun):
     """How the exit pupil sees the wall about the chief ray, in first order.
 
     Parameters

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, in_range, is_single, positive, whole
+from .._nouns import Noun
 from .._progress import Progress
 from .._random import generator
 from ..errors import SamplingError, SceneError
@@ -25,7 +26,7 @@ FINEST = 1e-3  # of the object's size, the smallest radius that `isoplanatic_rad
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PointSpreadField:
+class PointSpreadField(Noun):
     """Point spreads over a picture: ``sum_k weights[k] modes[k]`` at every point.
 
     Parameters

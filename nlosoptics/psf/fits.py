@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from .wavefronts import Wavefront
+if TYPE_CHECKING:
+    from .wavefronts import Wavefront
 
 Array = NDArray[np.float64]
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, one_of
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from . import quadrature
 from .residuals import Residual, split
@@ -27,7 +28,7 @@ ROUNDING: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SurfacePointSpread:
+class SurfacePointSpread(Noun):
     """Image of a point on any points in space.
 
     Parameters

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .point_spreads import PointSpread
 
@@ -17,7 +18,7 @@ ALIKE = ("shape", "pitch", "normalisation", "wavelength", "f_number", "pixel_int
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class MetricEstimate:
+class MetricEstimate(Noun):
     """A metric of a mean point spread, known from so many patterns.
 
     Parameters

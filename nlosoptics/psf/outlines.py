@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._nouns import Noun
 from .nodes import gauss_legendre
 
 Array = NDArray[np.float64]
@@ -21,7 +22,7 @@ SLIVER = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class Curve(Noun):
     """Segment, arc of an ellipse or point; with leading dimensions many at once.
 
     ``base + step t + cosine cos(a) + sine sin(a)`` with ``a = phase + turn t``, 0 <= t <= 1.

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, in_range, one_of, positive
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from . import fft
 from .choices import automatic
@@ -28,7 +29,7 @@ NORMALISATIONS = ("unit-sum", "ideal-peak", "flux")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PointSpread:
+class PointSpread(Noun, Shown):
     """Image of a point.
 
     Parameters
@@ -95,10 +96,7 @@ class PointSpread:
         """Coordinates along a column, m."""
         return Window.centred(self.pitch, self.shape).y
 
-    def _repr_html_(self) -> str:
-        """Small picture with method, regime, error and pitch."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         ny, nx = self.shape
         kind = self.regime
         waves = f"{kind.peak_to_valley:.3g} waves peak to valley, {kind.rms:.3g} rms"
@@ -118,7 +116,7 @@ class PointSpread:
             "light": f"{1e9 * self.wavelength:.4g} nm at F/{self.f_number:.3g}",
         }
         alt = f"Point spread function, {ny} x {nx} {samples}, logarithmic colours"
-        return card("Point spread", figures, draw=lambda: views.point_spread(self), alt=alt)
+        return Figures("Point spread", figures, alt)
 
 
 def point_spread(

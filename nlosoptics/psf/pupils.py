@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from .._nouns import Noun
 from ..errors import SceneError
 from ..scene import Scene
 
@@ -16,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ExitPupil:
+class ExitPupil(Noun):
     """Image of the aperture stop by all that follows it toward the detector.
 
     Parameters

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, one_of, positive
+from .._nouns import Noun, check_pickles
 from ..errors import SceneError
 from .correlations import GaussianRemainder, Remainder, fall_length, smoothed
 
@@ -22,7 +23,7 @@ LAST: Final = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Roughness:
+class Roughness(Noun):
     """Stationary Gaussian random heights on top of a wall's mean shape.
 
     Parameters
@@ -66,6 +67,10 @@ class Roughness:
                 f"roughness.autocorrelation is {found[0]:.6g} at lag 0 and reaches "
                 f"{np.abs(found).max():.6g}, must be 1 and at most 1; divide it by its value at 0"
             )
+
+    def __getstate__(self) -> dict[str, Any]:
+        check_pickles("roughness.autocorrelation", self.autocorrelation)
+        return super().__getstate__()
 
     @property
     def slope_rms(self) -> float:

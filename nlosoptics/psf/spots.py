@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import whole
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from . import quadrature
 from .metrics import pupil_function, spectrum_along
@@ -25,7 +26,7 @@ DARK_RING: Final = 1.2196698912665045
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SpotDiagram:
+class SpotDiagram(Noun):
     """Where the rays of a wave land in the image plane, diffraction left out.
 
     Parameters

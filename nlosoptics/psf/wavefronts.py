@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, one_of, positive, real, whole
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .apertures import Aperture
 from .cell_spectra import CellSpectrum
+from .fits import fitted_terms
 from .function_waves import (
     Nodes,
     PupilFunction,
@@ -61,7 +63,7 @@ class Removed:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Wavefront:
+class Wavefront(Noun, Shown):
     """Samples of the wave in the exit pupil.
 
     Parameters
@@ -145,12 +147,11 @@ class Wavefront:
             raise SceneError("wavefront.amplitude is 0 everywhere; no light passes the pupil")
         self._check_nodes()
 
-    def _repr_html_(self) -> str:
-        """Small map with aberration, pupil, light and nodes."""
-        from .. import views
-        from .metrics import rms_aberration
-
-        rms = rms_aberration(self)
+    def _figures(self) -> Figures:
+        plane = np.stack([np.ones_like(self.u), self.u, self.v])
+        rest = self.aberration - np.tensordot(fitted_terms(self, plane), plane, 1)
+        weights = self.amplitude * self.weights
+        rms = float(np.sqrt(np.sum(weights * rest**2) / np.sum(weights)))
         waves = f"{rms / self.wavelength:.3g} waves rms"
         figures = {
             "aberration": f"{waves}, {1e9 * rms:.3g} nm, without tilt",
@@ -159,7 +160,7 @@ class Wavefront:
             "nodes": f"{' x '.join(map(str, self.u.shape))}, {self.layout}",
         }
         alt = f"Map of the wave aberration over the pupil, {waves}"
-        return card("Wavefront", figures, draw=lambda: views.wavefront(self), alt=alt)
+        return Figures("Wavefront", figures, alt)
 
     @classmethod
     def from_zernike(

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .._nouns import Noun
 from ..errors import SceneError
 from ..scene.height_maps import CallableWall, grid_limits
 from ..scene.walls import CYLINDER, GRID, SPHERE, WAVE, Wall
@@ -23,7 +24,7 @@ BEHIND: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Hits:
+class Hits(Noun):
     """Where rays meet a wall; read-only arrays of the rays' shape.
 
     Parameters

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import fits_memory, one_of, pair, whole
+from .._nouns import Noun
 from ..errors import SceneError
 from ..scene import Lambert, Scene
 from .surroundings import GROUPS
@@ -22,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class WallIrradiance:
+class WallIrradiance(Noun):
     """Irradiance of the wall's cells.
 
     Parameters

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range
+from .._nouns import Noun
 from ..errors import SceneError
 from .intersections import Hits, _rays, flat_rays
 from .triangles import Facets, NoRayError
@@ -108,7 +109,7 @@ def intersect_mesh(
 
 
 @dataclass(frozen=True, eq=False)
-class AllHits:
+class AllHits(Noun):
     """Every hit of rays on a mesh; read-only arrays, sorted by ray, then by distance.
 
     Parameters

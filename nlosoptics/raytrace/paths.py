@@ -10,6 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from .._nouns import Noun
+
 Array = NDArray[np.float64]
 
 DETECTED: Final = 0
@@ -26,7 +28,7 @@ def _nothing() -> Mapping[str, float]:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RayPaths:
+class RayPaths(Noun):
     """Light paths through a scene, and where the light went.
 
     Parameters

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import fits_memory, one_of, positive, vector, whole
+from .._nouns import Noun
 from .._progress import Progress
 from ..errors import SceneError
 from ..scene import Lambert, PlanarObject, Scene
@@ -36,7 +37,7 @@ SPECK = 1e-9  # m, the size of what is left of the object
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class PointTrace:
+class PointTrace(Noun):
     """Where the light of one object point lands, the point shining with 1 W.
 
     Parameters

@@ -9,8 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ..errors import SceneError
 from . import _file_tables
+from ._sources import SourceFile, array_file, mesh_file, picture_file
 from .height_maps import HeightMapWall
 from .hidden import MeshObject, PlanarObject
 from .materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
@@ -18,20 +21,36 @@ from .mesh import MeshWall
 from .occluders import Occluder
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
-#: Name in the text of a file that a key of the scene names.
-Naming = Callable[[str, Path], str]
+#: Name in the text of the file of a key; what is in memory is given as suffix and bytes.
+Naming = Callable[[str, SourceFile | tuple[str, bytes]], str]
 
 
-def format_scene(scene: Any, folder: str | Path) -> str:
-    """Text of the scene file of ``scene``, SI units, paths relative to ``folder``.
+def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
+    """Scene file of ``scene`` at ``path``, SI units, and files beside it for what is in memory.
+
+    Returns
+    -------
+    dict of Path to bytes
+        Files stay where they are and are named relative to the folder. Pictures, heights and meshes
+        in memory are called by the file's stem and their keys: ``room_hidden_image.png``.
 
     Raises
     ------
     SceneError
-        If a picture or mesh is an array that no file holds.
+        If a wall or material has no form in a scene file.
     """
-    base = Path(folder).resolve()
-    return _text(scene, lambda key, path: _relative(path, base))
+    base = path.parent.resolve()
+    made: dict[Path, bytes] = {}
+
+    def placed(key: str, held: SourceFile | tuple[str, bytes]) -> str:
+        if isinstance(held, SourceFile):
+            return _relative(held, base)
+        name = f"{path.stem}_{_name(key)}{held[0]}"
+        made[path.with_name(name)] = held[1]
+        return name
+
+    text = _text(scene, placed)
+    return {**made, path: text.encode()}
 
 
 def scene_files(scene: Any) -> dict[str, bytes]:
@@ -46,19 +65,17 @@ def scene_files(scene: Any) -> dict[str, bytes]:
     Raises
     ------
     SceneError
-        If a picture or mesh is an array that no file holds, or its file cannot be read.
+        If a file cannot be read, or a wall or material has no form in a scene file.
     """
     copies: dict[str, bytes] = {}
 
-    def copied(key: str, path: Path) -> str:
-        name = "_".join(re.findall(r"\w+", key)) + path.suffix
+    def copied(key: str, held: SourceFile | tuple[str, bytes]) -> str:
         try:
-            copies[name] = path.read_bytes()
-        except OSError as error:
-            raise SceneError(
-                f"{key}: {path} cannot be read ({error.strerror}); put it back"
-            ) from None
-        return name
+            suffix, content = (held.suffix, held.content) if isinstance(held, SourceFile) else held
+        except SceneError as error:
+            raise SceneError(f"{key}: {error}") from None
+        copies[_name(key) + suffix] = content
+        return _name(key) + suffix
 
     return {"scene.toml": _text(scene, copied).encode(), **copies}
 
@@ -169,13 +186,18 @@ def _occluder_table(key: str, occluder: Any, named: Naming) -> Any:
     return _file_tables.OccluderTable.model_construct(mesh=mesh, **places)
 
 
-def _file(key: str, source: Any, named: Naming) -> str:
-    if not isinstance(source, (str, Path)):
-        raise SceneError(
-            f"{key} is {type(source).__name__} in memory and a scene file holds paths; write it "
-            "to a file and give its path"
-        )
-    return named(key, Path(source).resolve())
+def _file(key: str, held: Any, named: Naming) -> str:
+    if isinstance(held, SourceFile):
+        return named(key, held)
+    if key == "hidden.image":
+        return named(key, picture_file(held))
+    if isinstance(held, np.ndarray):
+        return named(key, (".npy", array_file(held)))
+    return named(key, (".ply", mesh_file(held)))
+
+
+def _name(key: str) -> str:
+    return "_".join(re.findall(r"\w+", key))
 
 
 def _relative(path: Path, base: Path) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .._checks import Vector, positive, real, vector
+from .._nouns import Noun
+from ._sources import bare_mesh, equal_sources, source
 
 if TYPE_CHECKING:
     import trimesh
@@ -28,10 +29,12 @@ def rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
+class Posed(Noun):
     """Position and rotation; ``table`` names the table of scene files in errors."""
 
     table: ClassVar[str]
+    #: Field that holds a file, or its contents.
+    source: ClassVar[str]
     _: KW_ONLY
     position: Vector
     yaw: float = 0.0
@@ -52,11 +55,13 @@ class Posed:
     def __eq__(self, other: object) -> bool:
         if type(self) is not type(other):
             return NotImplemented
-        pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
-        return all(
-            np.array_equal(a, b) if isinstance(a, np.ndarray) else type(a) is type(b) and a == b
-            for a, b in pairs
+        names = [field.name for field in fields(self) if field.name != self.source]
+        return self._same_source(other) and all(
+            getattr(self, name) == getattr(other, name) for name in names
         )
+
+    def _same_source(self, other: Any) -> bool:
+        return equal_sources(getattr(self, self.source), getattr(other, self.source))
 
     __hash__ = None  # type: ignore[assignment]
 
@@ -65,15 +70,18 @@ class Posed:
 class PosedMesh(Posed):
     """A triangle mesh, or the path of one, with its place."""
 
+    source: ClassVar[str] = "mesh"
     mesh: Any
     _: KW_ONLY
     scale: float = 1.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if isinstance(self.mesh, (str, Path)):
-            object.__setattr__(self, "mesh", Path(self.mesh).resolve())
+        object.__setattr__(self, "mesh", source(self.mesh))
         object.__setattr__(self, "scale", positive(f"{self.table}.scale", self.scale))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return super().__getstate__() | {"mesh": bare_mesh(self.mesh)}
 
     def _placed(self) -> trimesh.Trimesh:
         """Mesh in the world frame."""

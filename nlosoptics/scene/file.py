@@ -20,7 +20,7 @@ from ..errors import SceneError
 from . import _file_tables
 from ._file_errors import located, missing_key, validated
 from ._file_schema import scene_schema
-from ._file_text import format_scene, scene_files
+from ._file_text import saved_files, scene_files
 from .camera import Camera
 from .height_maps import HeightMapWall
 from .hidden import MeshObject, PlanarObject
@@ -31,7 +31,7 @@ from .occluders import Occluder
 from .transient_scan import TransientScan
 from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 
-__all__ = ["format_scene", "read_scene", "save_scene", "scene_files", "scene_schema"]
+__all__ = ["read_scene", "save_scene", "scene_files", "scene_schema"]
 
 T = TypeVar("T")
 
@@ -87,26 +87,29 @@ def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
 
 
 def save_scene(scene: Any, path: str | Path) -> None:
-    """Write a scene file that `Scene.load` reads back to an equal scene.
+    """Write a scene file that `Scene.load` reads back to a scene of the same numbers.
 
-    The file appears complete or not at all. Pictures and meshes stay where they are; the file
-    names them relative to its own folder.
+    Pictures, heights and meshes that came from files stay where they are; the scene file names them
+    relative to its own folder. Those in memory are written beside it without loss, under its name
+    and their key, such as ``room_hidden_image.png`` (``.npy`` where a picture's values are no 8- or
+    16-bit levels), ``room_wall_heights.npy`` and ``room_wall_mesh.ply``. All files appear complete
+    or not at all.
 
     Parameters
     ----------
     scene : Scene
     path : str or Path
-        Where to write; an existing file is replaced.
+        Where to write; existing files of these names are replaced.
 
     Raises
     ------
     SceneError
-        If the folder does not exist, or a picture or mesh is an array that no file holds.
+        If the folder does not exist, or a wall or material has no form in a scene file.
     """
     path = Path(path)
     with located(f"{path}: "):
-        text = format_scene(scene, path.parent)
-    write_whole({path: text.encode()})
+        files = saved_files(scene, path)
+    write_whole(files)
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from .._checks import in_range, one_of, pair, positive, whole
+from .._nouns import check_pickles
 from .._random import generator
 from ..errors import SamplingError, SceneError
+from ._sources import SourceFile, source
 from .walls import GRID, Array, Wall, _term
 
 HEIGHTS: Final = 301  # stream of the random generator
@@ -51,9 +53,8 @@ class HeightMapWall(Wall):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pitch", positive("wall.pitch", self.pitch, unit="m"))
-        if isinstance(self.heights, (str, Path)):
-            object.__setattr__(self, "heights", Path(self.heights).resolve())
-        else:
+        object.__setattr__(self, "heights", source(self.heights))
+        if not isinstance(self.heights, SourceFile):
             own = np.array(self.heights, dtype=np.float64)
             own.flags.writeable = False
             object.__setattr__(self, "heights", own)
@@ -84,7 +85,7 @@ class HeightMapWall(Wall):
 
     @cached_property
     def _samples(self) -> Array:
-        return _read(self.heights) if isinstance(self.heights, Path) else self.heights
+        return _read(self.heights) if isinstance(self.heights, SourceFile) else self.heights
 
     @classmethod
     def random(
@@ -203,11 +204,12 @@ class HeightMapWall(Wall):
         return not self._samples.any()
 
 
-def _read(path: Path) -> Array:
-    if not path.is_file():
+def _read(path: SourceFile) -> Array:
+    if not path.is_held and not path.is_file():
         raise SceneError(f"wall.heights: there is no file {path}; give the path of an .npy file")
+    file = io.BytesIO(path.content)
     try:
-        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+        return np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
     except (OSError, ValueError, TypeError, EOFError) as error:
         raise SceneError(
             f"wall.heights: {path} holds no array of numbers ({type(error).__name__}); "
@@ -300,6 +302,11 @@ class CallableWall(Wall):
         if self.finest_period != math.inf:
             positive("wall.finest_period", self.finest_period, unit="m")
         self._check_size()
+
+    def __getstate__(self) -> dict[str, Any]:
+        for name in ("height", "gradient", "hessian"):
+            check_pickles(f"wall.{name}", getattr(self, name))
+        return super().__getstate__()
 
     def _terms(self) -> tuple[Array, Array]:
         raise SceneError(

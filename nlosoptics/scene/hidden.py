@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 from .._checks import is_single, pair, real
 from ..errors import SceneError
 from ._posed import Posed, PosedMesh
+from ._sources import SourceFile, picture_file, source
 from .materials import Lambert, Material
 
 if TYPE_CHECKING:
@@ -57,6 +60,7 @@ class PlanarObject(Posed):
     """
 
     table: ClassVar[str] = "hidden"
+    source: ClassVar[str] = "image"
     image: Any
     size: Any
     _: KW_ONLY
@@ -66,9 +70,8 @@ class PlanarObject(Posed):
         super().__post_init__()
         _check_hidden(self)
         put = object.__setattr__
-        if isinstance(self.image, (str, Path)):
-            put(self, "image", Path(self.image).resolve())
-        else:
+        put(self, "image", source(self.image))
+        if not isinstance(self.image, SourceFile):
             put(self, "image", checked_picture("hidden.image", self.image))
         if is_single(self.size):
             ny, nx = self.reflectance.shape
@@ -84,10 +87,27 @@ class PlanarObject(Posed):
                 "room, turn it less or make hidden.size smaller"
             )
 
+    def __getstate__(self) -> dict[str, Any]:
+        state = super().__getstate__()
+        if not isinstance(self.image, SourceFile):
+            state["image"] = picture_file(self.image)
+        return state
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        super().__setstate__(state)
+        if isinstance(self.image, tuple):
+            picture = checked_picture("hidden.image", _decoded(*self.image))
+            object.__setattr__(self, "image", picture)
+
+    def _same_source(self, other: Any) -> bool:
+        if isinstance(self.image, SourceFile) == isinstance(other.image, SourceFile):
+            return super()._same_source(other)
+        return np.array_equal(self.reflectance, other.reflectance)
+
     @cached_property
     def reflectance(self) -> Array:
         """Picture as relative reflectance, (ny, nx) float64, 0 to 1, row 0 on top."""
-        if isinstance(self.image, Path):
+        if isinstance(self.image, SourceFile):
             return read_picture(self.image)
         return np.asarray(self.image)
 
@@ -137,10 +157,12 @@ def read_picture(path: Path) -> Array:
     SceneError
         If the file is missing, is not a picture, or is empty.
     """
-    if not path.is_file():
+    file = SourceFile.at(path)
+    if not file.is_held and not file.is_file():
         raise SceneError(f"hidden.image: there is no file {path}; give the path of a picture")
+    content = file.content
     try:
-        raw = np.load(path, allow_pickle=False) if path.suffix == ".npy" else _decoded(path)
+        raw = _decoded(path.suffix, content)
     # Pillow's decoders raise SyntaxError, and its guard against bombs an Exception of its own
     except Exception as error:
         raise SceneError(
@@ -152,10 +174,15 @@ def read_picture(path: Path) -> Array:
     return checked_picture(f"hidden.image ({path})", raw)
 
 
-def _decoded(path: Path) -> NDArray[Any]:
+def _decoded(suffix: str, content: bytes) -> NDArray[Any]:
+    """Values of a picture file as they stand there."""
+    file = io.BytesIO(content)
+    if suffix == ".npy":
+        held: NDArray[Any] = np.load(file, allow_pickle=False)
+        return held
     from PIL import Image
 
-    with Image.open(path) as picture:
+    with Image.open(file) as picture:
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
             return np.asarray(picture.convert("L"))
         return np.asarray(picture)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 
 from .._checks import positive
 from ..errors import SceneError
+from ._sources import SourceFile, bare_mesh, equal_sources, source
 from .walls import GRID, Array, Wall, _term
 
 if TYPE_CHECKING:
     import trimesh
 
 
-def load_mesh(name: str, source: Any) -> trimesh.Trimesh:
+def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
     """Load and check a triangle mesh; ``name`` is the key named in errors.
 
     Raises
@@ -29,23 +31,25 @@ def load_mesh(name: str, source: Any) -> trimesh.Trimesh:
     """
     import trimesh
 
-    mesh: Any = source
-    if isinstance(source, (str, Path)):
-        path = Path(source)
-        if not path.is_file():
+    mesh: Any = given
+    if isinstance(given, (str, Path)):
+        path = SourceFile.at(given)
+        if not path.is_held and not path.is_file():
             raise SceneError(f"{name}: there is no file {path}; give the path of a mesh")
+        # from its place where it can be: a mesh may name further files beside it
+        file: Any = io.BytesIO(path.content) if path.is_held else str(path)
         try:
-            mesh = trimesh.load(path, force="mesh", process=False)
+            mesh = trimesh.load(file, file_type=path.suffix[1:], force="mesh", process=False)
         except Exception as error:  # trimesh's loaders raise whatever their format raises
             raise SceneError(
                 f"{name}: {path} is not a mesh ({type(error).__name__}); give STL, OBJ or PLY"
             ) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise SceneError(f"{name}: {source} holds no triangles; give a surface mesh")
+        raise SceneError(f"{name}: {given} holds no triangles; give a surface mesh")
     if not np.isfinite(mesh.vertices).all():
-        raise SceneError(f"{name}: {source} has NaN or infinite vertices; mend the mesh")
+        raise SceneError(f"{name}: {given} has NaN or infinite vertices; mend the mesh")
     if not mesh.area > 0:
-        raise SceneError(f"{name}: {source} has no area; give a surface mesh")
+        raise SceneError(f"{name}: {given} has no area; give a surface mesh")
     return mesh
 
 
@@ -70,16 +74,18 @@ class MeshWall(Wall):
     scale: float = 1.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.mesh, (str, Path)):
-            object.__setattr__(self, "mesh", Path(self.mesh).resolve())
+        object.__setattr__(self, "mesh", source(self.mesh))
         positive("wall.scale", self.scale)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, MeshWall):
             return NotImplemented
-        return self.mesh == other.mesh and self.scale == other.scale
+        return self.scale == other.scale and equal_sources(self.mesh, other.mesh)
 
     __hash__ = None  # type: ignore[assignment]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return super().__getstate__() | {"mesh": bare_mesh(self.mesh)}
 
     @cached_property
     def triangles(self) -> trimesh.Trimesh:

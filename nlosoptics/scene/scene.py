@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from ..errors import SceneError
+from ._sources import bare_mesh
 from .camera import Camera
 from .hidden import HiddenObject, MeshObject, PlanarObject
 from .laser import Laser
@@ -29,7 +31,7 @@ PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(Noun, Shown):
     """Laser, relay wall, hidden object and camera in one world frame.
 
     The origin is the wall's centre, the mean wall plane is z = 0 with its normal +z into the room,
@@ -83,6 +85,9 @@ class Scene:
         if not _holds_mesh(self.wall):
             self._check_in_front(meshes=False)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return super().__getstate__() | {"occluders": tuple(map(bare_mesh, self.occluders))}
+
     @classmethod
     def load(cls, path: str | Path) -> Scene:
         """Read a scene file (TOML); see `scene.file` for its keys.
@@ -97,15 +102,16 @@ class Scene:
         return read_scene(Path(path), cls)
 
     def save(self, path: str | Path) -> None:
-        """Write a scene file that `load` reads back to an equal scene."""
+        """Write a scene file that `load` reads back to a scene of the same numbers.
+
+        A picture, heights or meshes in memory are written beside it, without loss; see
+        `scene.file.save_scene`.
+        """
         from .file import save_scene
 
         save_scene(self, Path(path))
 
-    def _repr_html_(self) -> str:
-        """Small sketch with the figures of laser, wall, object and camera."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         laser, camera = self.laser, self.camera
         size = self.wall.size
         ny, nx = camera.shape
@@ -127,7 +133,7 @@ class Scene:
             scan = self.transient
             figures["scan"] = f"{scan.scan}, {scan.count} x {scan.count} points, {scan.n_bins} bins"
         alt = "Sketch of the scene from above and from the side: wall, laser, hidden object, camera"
-        return card("Scene", figures, draw=lambda: views.scene_sketch(self), alt=alt)
+        return Figures("Scene", figures, alt)
 
     def resized(self, size: int) -> Scene:
         """The same scene with an image of ``size`` pixels across the same field."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, pair, positive, real
+from .._nouns import Noun
 from ..errors import SceneError
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def _term(kind: int, *parameters: float) -> Array:
     return row
 
 
-class Wall:
+class Wall(Noun):
     """Base of all relay walls.
 
     Attributes

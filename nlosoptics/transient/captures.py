@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import Vector, one_of, positive, real, vector, whole
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .wall_points import checked_points, pair_shape
 
@@ -24,7 +25,7 @@ QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TransientCapture:
+class TransientCapture(Noun, Shown):
     """Light at points of the relay wall in bins of optical path.
 
     The wall is the plane z = 0 with its normal +z, unless normals say otherwise. Grids of points
@@ -156,10 +157,7 @@ class TransientCapture:
             np.allclose(self.laser_points, self.sensor_points, rtol=0.0, atol=1e-9)
         )
 
-    def _repr_html_(self) -> str:
-        """Small streak with the sizes of the capture."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         def told(shape: tuple[int, ...]) -> str:
             return " x ".join(map(str, shape)) or "one point"
 
@@ -173,7 +171,7 @@ class TransientCapture:
             "outer legs": "in the times" if self.outer_legs else "not in the times",
         }
         alt = "Light on the relay wall: optical path against sensor position"
-        return card("Transient", figures, draw=lambda: views.transient(self, at=()), alt=alt)
+        return Figures("Transient", figures, alt)
 
     def with_details(self, **more: Any) -> TransientCapture:
         """Return the same capture with more ``details``."""

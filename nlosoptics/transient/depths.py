@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, is_single, whole
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .volumes import Volume, VolumeImage
 from .wall_points import real_array
@@ -21,7 +22,7 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DepthMap:
+class DepthMap(Noun):
     """Distance from the wall of what is seen along z.
 
     Parameters
@@ -49,7 +50,7 @@ class DepthMap:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class DepthError:
+class DepthError(Noun):
     """Mean absolute error of a depth map at its best threshold.
 
     Parameters

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import is_single, one_of, pair, positive, vector, whole
-from .._html import card
+from .._html import Figures, Shown
+from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 from .wall_points import UNEVEN, even_axes, real_array
 
@@ -19,7 +20,7 @@ Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True, eq=False)
-class Volume:
+class Volume(Noun):
     """A grid of points along x, y and z: voxel centres, evenly spaced and rising.
 
     Parameters
@@ -129,7 +130,7 @@ class Volume:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class VolumeImage:
+class VolumeImage(Noun, Shown):
     """Brightness of a hidden scene on a volume.
 
     Parameters
@@ -159,10 +160,7 @@ class VolumeImage:
             )
         object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
 
-    def _repr_html_(self) -> str:
-        """Small picture as seen from the wall, with method and volume."""
-        from .. import views
-
+    def _figures(self) -> Figures:
         volume = self.volume
         ends = {
             f"{name} (m)": f"{axis[0]:.4g} to {axis[-1]:.4g}, {len(axis)} planes"
@@ -170,7 +168,7 @@ class VolumeImage:
         }
         figures = {"method": self.method, "seconds": f"{self.seconds:.3g}", **ends}
         alt = "Brightest voxels of the hidden scene as seen from the relay wall"
-        return card("Volume", figures, draw=lambda: views.volume(self), alt=alt)
+        return Figures("Volume", figures, alt)
 
     def projection(self, axis: str = "z") -> Array:
         """Brightest voxel along an axis: (ny, nx) along z, (nz, nx) along y, (nz, ny) along x."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 import trimesh
 
@@ -483,16 +482,6 @@ def test_random_wall_on_a_coarse_grid_names_the_file_too(folder: Path) -> None:
     with pytest.raises(SamplingError) as caught:
         Scene.load(path)
     expect(str(caught.value), f"{path}: wall.correlation_length = 0.09 m", "at most 0.045 m")
-
-
-def test_saving_an_array_says_what_to_do(examples: Path, tmp_path: Path) -> None:
-    from dataclasses import replace
-
-    scene = Scene.load(examples / "scenes" / "letter_flat.toml")
-    scene = replace(scene, hidden=replace(scene.hidden, image=np.ones((4, 4))))
-    with pytest.raises(SceneError, match=r"hidden\.image is ndarray in memory .* give its path"):
-        scene.save(tmp_path / "scene.toml")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_saving_nowhere(examples: Path, tmp_path: Path) -> None:

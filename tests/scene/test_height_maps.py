@@ -141,8 +141,10 @@ def test_scene_file_holds_the_path_of_a_map(tmp_path):
     replace(scene, wall=wall).save(tmp_path / "scene.toml")
     assert 'heights = "heights.npy"' in (tmp_path / "scene.toml").read_text()
     assert Scene.load(tmp_path / "scene.toml").wall == wall
-    with pytest.raises(SceneError, match="wall.heights is ndarray in memory"):
-        replace(scene, wall=HeightMapWall(heights, 0.02)).save(tmp_path / "other.toml")
+    in_memory = HeightMapWall(heights, 0.02)
+    replace(scene, wall=in_memory).save(tmp_path / "other.toml")
+    assert 'heights = "other_wall_heights.npy"' in (tmp_path / "other.toml").read_text()
+    assert Scene.load(tmp_path / "other.toml").wall == in_memory
 
 
 def test_object_behind_a_height_map_is_refused():
