@@ -8,7 +8,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
-from nlosoptics.psf.tails import tail_pixels
+from nlosoptics.psf.tails import field_with_tail, tail_pixels, with_tail
 
 WAVELENGTH, UNIT = 632.8e-9, 2 * 632.8e-9  # lambda N
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": 12.5e-3, "image_distance": 50e-3}
@@ -39,7 +39,7 @@ def test_tail_carries_all_that_lies_beyond(shape):
 @pytest.mark.parametrize("waves", [{}, {4: 0.15, 8: 0.08}], ids=["flat", "bent"])
 def test_rings_of_the_tail_are_those_of_a_wide_window(waves, pitch):
     narrow, wide = (spread(waves, pitch, n) for n in (21, 201))
-    found = psf.with_tail(narrow, 201)
+    found = with_tail(narrow, 201)
     assert found.intensity[90:111, 90:111] == approx(narrow.intensity, abs=0)
     y, x = np.indices(wide.shape) - 100
     rings = np.maximum(np.abs(x), np.abs(y))
@@ -57,7 +57,7 @@ def test_rings_of_the_tail_are_those_of_a_wide_window(waves, pitch):
 def test_field_carries_the_tails_of_its_points(flat_scene):
     field = psf.point_spread_field(flat_scene, 3, pitch=20e-6, checks=0)
     side = field.modes.shape[1] + 40
-    wide = psf.field_with_tail(field, side)
+    wide = field_with_tail(field, side)
     for across, up in ((0.0, 0.0), (0.7, -0.4)):
         narrow = field.point_spread(across, up)
         found = wide.point_spread(across, up)
@@ -82,11 +82,11 @@ def test_window_is_as_wide_as_tol_and_image_ask():
 def test_refuses():
     narrow = spread({}, 2, 21)
     with pytest.raises(SamplingError, match="narrower"):
-        psf.with_tail(narrow, 11)
+        with_tail(narrow, 11)
     with pytest.raises(SamplingError, match="unit-sum"):
-        psf.with_tail(spread({}, 2, 21, normalisation="ideal-peak"), 31)
+        with_tail(spread({}, 2, 21, normalisation="ideal-peak"), 31)
     with pytest.raises(MemoryLimitError, match="smaller side"):
-        psf.with_tail(narrow, 10**8)
+        with_tail(narrow, 10**8)
     rough = psf.mean_point_spread(
         psf.Wavefront.from_zernike({}, **SYSTEM),
         psf.Roughness(50e-9, 1e-3),
@@ -97,11 +97,11 @@ def test_refuses():
         pixel_integrated=True,
     )
     with pytest.raises(SceneError, match="RoughPointSpread.* shape = 31"):
-        psf.with_tail(rough, 31)
+        with_tail(rough, 31)
 
 
 def test_side_may_be_any_whole_number():
     narrow = spread({}, 2, 21)
-    exact = psf.with_tail(narrow, 31)
+    exact = with_tail(narrow, 31)
     for side in (31.0, np.int64(31)):
-        assert np.array_equal(psf.with_tail(narrow, side).intensity, exact.intensity)
+        assert np.array_equal(with_tail(narrow, side).intensity, exact.intensity)
