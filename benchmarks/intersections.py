@@ -79,7 +79,7 @@ def wall_rows(count, draw):
         cosine = np.abs((hits.normals * directions).sum(axis=1)[hits.hit])
         yield name, "nlosoptics", seconds, float((gap / cosine / hits.distance[hits.hit]).max())
     distance = np.empty(count)
-    row = wavy._terms()[0][0, 1:5]
+    row = wavy.compiled()[0][0, 1:5]
     seconds, _ = best(lambda: plain_newton(*row, origins, directions, distance))
     exact = raytrace.intersect(wavy, origins, directions).distance
     yield "wavy", "plain Newton", seconds, float(np.abs(distance / exact - 1).max())

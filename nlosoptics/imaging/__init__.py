@@ -1,11 +1,9 @@
 """Object and point spread to electrons: fields, chief rays, radiance chain, camera noise."""
 
 from .camera_files import CameraImage, camera_image, read_camera_file
-from .detector import speckles_per_pixel
 from .forward_model import ForwardModel
 from .image_fields import image_field
 from .images import SpeckleImage, diffuse_background, form_image
-from .radiometry import photon_rate
 from .shadows import Shadows, cast_shadows
 
 __all__ = [
@@ -18,7 +16,5 @@ __all__ = [
     "diffuse_background",
     "form_image",
     "image_field",
-    "photon_rate",
     "read_camera_file",
-    "speckles_per_pixel",
 ]

@@ -289,7 +289,7 @@ def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, A
         (BYTES_PER_PIXEL + (SHADOW_BYTES if scene.occluders else 0)) * nx * ny,
         "read fewer pixels or bin more",
     )
-    scene._check_in_front()
+    scene.check_in_front()
     spot = laser_spot(scene)
     rays = chief_rays(scene, *pixel_centres(scene.camera))
     visible = wall_visibility(scene, rays)

@@ -316,11 +316,11 @@ def _grouped_flux(
 ) -> Iterator[Array]:
     """Vector irradiance (n_nodes, 3) from each group of neighbouring patches."""
     cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
-    if (diffuse._lobes()[:, 0] == LAMBERT).all():
+    if (diffuse.lobe_table()[:, 0] == LAMBERT).all():
         cell = math.inf  # the lobe does not depend on where the light comes from
     else:
         # gloss varies over half its slope
-        glossy = diffuse._lobes()
+        glossy = diffuse.lobe_table()
         slopes = glossy[glossy[:, 0] >= BECKMANN, 2]
         cell *= min(1.0, 0.5 * float(slopes.min(initial=1.0)))
     cells = np.floor((patches.points - patches.points.min(axis=0)) / cell).astype(np.intp)

@@ -31,7 +31,7 @@ from .staged_fit import staged_fit
 from .torch_model import TorchForwardModel
 from .total_variation import tv_deconvolve
 from .training_pairs import TrainingPairs, training_pairs
-from .unets import UNet, UNetObject
+from .unets import UNet
 from .wiener_filter import wiener
 from .wu2024_fit import wu2024_fit
 
@@ -47,7 +47,6 @@ __all__ = [
     "Training",
     "TrainingPairs",
     "UNet",
-    "UNetObject",
     "deep_image_prior",
     "estimate_noise",
     "evidence_fit",

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from .._progress import Progress
-from .._random import checked_seed
 from ..errors import SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
@@ -36,7 +35,6 @@ def richardson_lucy(
     gain: float | None = None,
     max_iterations: int = 1000,
     tolerance: float = 1e-5,
-    seed: int = 0,
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
@@ -64,8 +62,6 @@ def richardson_lucy(
     max_iterations : int
     tolerance : float
         Relative change of the object per iteration at which to stop as well.
-    seed : int
-        Part of every solver's signature; this one draws nothing, any seed gives the same bits.
     start : array_like, mapping or None
         Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
         Where it is dark it stays dark.
@@ -105,7 +101,6 @@ def richardson_lucy(
     .. [4] Biggs and Andrews, Applied Optics 36 (1997) 1766.
     """
     started = time.perf_counter()
-    checked_seed(seed)
     max_iterations = whole("max_iterations", max_iterations)
     tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
     gain = None if gain is None else positive("gain", gain)

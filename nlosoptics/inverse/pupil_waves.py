@@ -70,11 +70,6 @@ class ZernikeWaves(nn.Module):
         self.register_buffer("rest", None if turns is None else like(optics, turns))
         self.register_buffer("_phase", None if phase is None else like(optics, phase))
 
-    @property
-    def has_rest(self) -> bool:
-        """Whether an aberration is added."""
-        return self._rest is not None
-
     def forward(self, coefficients: Tensor) -> Tensor:
         """Aberration over wavelength, (..., n_v, n_u), up to whole turns, 0 outside the pupil."""
         turns = self._sum(coefficients)

@@ -10,7 +10,6 @@ from torch import Tensor
 
 from .._checks import in_range, positive
 from .._progress import Progress
-from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .measurements import Measurement, measurement
@@ -32,7 +31,6 @@ def inverse_filter(
     fit_background: bool = True,
     background_shape: Any = None,
     gain: float | None = None,
-    seed: int = 0,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Object by dividing the image's spectrum by the transfer function, guarded near its zeros.
@@ -58,8 +56,6 @@ def inverse_filter(
         (H, W), non-negative, shape of that further background; None: uniform.
     gain : float or None
         Known image units per object unit; None: the object's largest value becomes 1.
-    seed : int
-        Part of every solver's signature; this one draws nothing, any seed gives the same bits.
     progress : callable or None
         Called once, when done, with a line of text and 1.
 
@@ -88,7 +84,6 @@ def inverse_filter(
     .. [2] Hansen, Discrete Inverse Problems, SIAM (2010), sec. 5.2.
     """
     started = time.perf_counter()
-    checked_seed(seed)
     guard = None if guard is None else in_range("guard", guard, _ROUNDING, 1.0)
     gain = None if gain is None else positive("gain", gain)
     data = measurement(

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from .._progress import Progress
-from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
@@ -53,7 +52,6 @@ def tv_deconvolve(
     gain: float | None = None,
     max_iterations: int = 700,
     tolerance: float = 5e-4,
-    seed: int = 0,
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
@@ -84,8 +82,6 @@ def tv_deconvolve(
         Relative change of the object per iteration, relative distance between the object and
         its non-negative copy, and 0.05 of the residual's distance from its target (in units of
         the noise), at which to stop.
-    seed : int
-        Part of every solver's signature; this one draws nothing, any seed gives the same bits.
     start : array_like, mapping or None
         Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
     progress : callable or None
@@ -123,7 +119,6 @@ def tv_deconvolve(
     .. [2] Wen and Chan, IEEE Trans. Image Process. 21 (2012) 1770.
     """
     started = time.perf_counter()
-    checked_seed(seed)
     max_iterations = whole("max_iterations", max_iterations)
     tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)

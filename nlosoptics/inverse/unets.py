@@ -139,11 +139,6 @@ class UNetObject(nn.Module):
         return torch.sigmoid(cast(Tensor, self.network(self.guide))[0, 0])
 
 
-def n_weights(network: nn.Module) -> int:
-    """Number of fitted values of a network."""
-    return sum(parameter.numel() for parameter in network.parameters())
-
-
 def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
     layers: list[nn.Module] = []
     for channels in (entering, leaving)[:convolutions]:

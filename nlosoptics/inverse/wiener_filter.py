@@ -12,7 +12,6 @@ from torch import Tensor
 
 from .._checks import in_range, positive, whole
 from .._progress import Progress
-from .._random import checked_seed
 from ..imaging.forward_model import ForwardModel
 from ._threads import single_thread
 from .callbacks import goes_on, started_from, state_of
@@ -36,7 +35,6 @@ def wiener(
     gain: float | None = None,
     max_iterations: int = 300,
     tolerance: float = 1e-6,
-    seed: int = 0,
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
@@ -62,8 +60,6 @@ def wiener(
     max_iterations : int
     tolerance : float
         Residual of the normal equations over their right-hand side at which to stop.
-    seed : int
-        Part of every solver's signature; this one draws nothing, any seed gives the same bits.
     start : array_like, mapping or None
         Object to begin with, (H, W) in image units, or a state that holds one; see `callbacks`.
     progress : callable or None
@@ -97,7 +93,6 @@ def wiener(
     .. [1] Field, J. Opt. Soc. Am. A 4 (1987) 2379.
     """
     started = time.perf_counter()
-    checked_seed(seed)
     max_iterations = whole("max_iterations", max_iterations)
     tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
     gain = None if gain is None else positive("gain", gain)

@@ -6,12 +6,7 @@
 - `verdicts`: all of that in words; `reports`: `feasibility`.
 """
 
-from .relay import (
-    lambert_relay_limit,
-    lambert_relay_transfer,
-    lobe_relay_transfer,
-    relay_modes,
-)
+from .relay import lambert_relay_limit, lambert_relay_transfer, lobe_relay_transfer
 from .reports import Feasibility, feasibility
 
 __all__ = [
@@ -20,5 +15,4 @@ __all__ = [
     "lambert_relay_limit",
     "lambert_relay_transfer",
     "lobe_relay_transfer",
-    "relay_modes",
 ]

@@ -36,11 +36,11 @@ from .bands import band_point_spread, gaussian_band
 from .comparisons import Comparison, ComparisonRow, compare
 from .cores import wide_point_spread
 from .exchange import PrysmPupil, from_prysm, to_prysm
-from .facet_waves import WallView, facet_reach, facet_wavefront, pupil_slopes, wall_view
+from .facet_waves import WallView, facet_wavefront, pupil_slopes, wall_view
 from .fields import PointSpreadField, isoplanatic_radius, point_spread_field
 from .huygens import SurfacePointSpread, huygens_point_spread
 from .hybrids import HybridPointSpread, hybrid_point_spread
-from .lobes import lobe_point_spread, lobe_window
+from .lobes import lobe_point_spread
 from .metric_errors import MetricEstimate, metric_estimate
 from .metrics import encircled_energy, fit_zernike, fwhm, mtf, rms_aberration, strehl
 from .nodes import grid_nodes, polar_nodes
@@ -65,7 +65,7 @@ from .spots import (
     spot_diagram,
     spot_radius,
 )
-from .tails import field_with_tail, widened, with_tail
+from .tails import widened
 from .wavefronts import Removed, Wavefront
 from .windows import window_shape
 from .zernike_tables import ZernikeTable, read_zernikes, write_zernikes
@@ -98,9 +98,7 @@ __all__ = [
     "encircled_energy",
     "ensquared_energy",
     "exit_pupil",
-    "facet_reach",
     "facet_wavefront",
-    "field_with_tail",
     "fit_zernike",
     "from_prysm",
     "fwhm",
@@ -111,7 +109,6 @@ __all__ = [
     "integrated_slopes",
     "isoplanatic_radius",
     "lobe_point_spread",
-    "lobe_window",
     "mean_point_spread",
     "metric_estimate",
     "mtf",
@@ -141,7 +138,6 @@ __all__ = [
     "wide_point_spread",
     "widened",
     "window_shape",
-    "with_tail",
     "write_poppy",
     "write_zernikes",
     "zernike",

@@ -79,7 +79,7 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
     if isinstance(wall, CallableWall):
         callable_aiming.aim(wall, o, nodes, starts, axis, out)
     else:
-        _kernels.aim(*wall._terms(), o, nodes, starts, axis, out)
+        _kernels.aim(*wall.compiled(), o, nodes, starts, axis, out)
     lost = out[:, 7] != _kernels.FOUND
     if lost.any():
         raise CausticError(
@@ -139,7 +139,7 @@ def stationary_points(
         points, status = callable_aiming.stationary_points(wall, o, targets, starts, side)
         yield from zip(points[:, 0].tolist(), points[:, 1].tolist(), status.tolist(), strict=True)
         return
-    terms, tables = wall._terms()
+    terms, tables = wall.compiled()
     for x, y in starts:
         yield _kernels.stationary_point(terms, tables, o, p, x, y, side)
 

@@ -16,6 +16,9 @@ from .wavefronts import Wavefront
 from .windows import peak_pixel, ray_reach, shape_of
 
 Array = NDArray[np.float64]
+#: How far a rectangle reaches from a point, down and up, left and right.
+Sides = tuple[tuple[float, float], tuple[float, float]]
+
 #: Pixel in Airy units from which this is tried, and the parts' own.
 WIDE, FINE = 8.0, 2.0
 #: Share of the tail's light that a pixel of it may err by, far from the rays; measured 3e-4.
@@ -78,7 +81,7 @@ def detilted_wide_spread(
     missing = max(1.0 - fine.enclosed_energy, 0.0)
     half = n * pitch / parts / 2
     intensity = _binned(fine.intensity, parts, shape)
-    intensity += missing * _beyond_square(shape, half / pitch)
+    intensity += missing * tail_pixels(shape, ((half / pitch,) * 2,) * 2)
     peak = float(intensity.max())
     # errors of the parts have either sign
     error = fine.error_estimate * min(parts, n) * float(fine.intensity.max())
@@ -126,25 +129,30 @@ def _binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
     return found
 
 
-def _beyond_square(shape: tuple[int, int], half: float) -> Array:
-    """Shares of ``1/r^3`` beyond a square of half side ``half``, pixels, in each pixel.
+def tail_pixels(shape: tuple[int, int], sides: Sides) -> Array:
+    """Share of ``1/r^3`` beyond a rectangle in each pixel of a window, ``shape``; 0 within it.
 
-    All beyond the square count 1.
+    All that lies beyond the rectangle counts 1. Its ``sides`` are so many pixels below and above,
+    left and right of the window's middle one.
     """
+    # beyond a and b in a quadrant lies sqrt(a^2 + b^2)/(a b)
+    total = sum(math.hypot(a, b) / (a * b) for a in sides[0] for b in sides[1])
     y, x = (np.arange(n + 1) - n // 2 - 0.5 for n in shape)
-    corners = _in_rectangle(np.abs(x), np.abs(y)[:, None], half) * np.sign(x) * np.sign(y)[:, None]
-    return np.asarray(np.diff(np.diff(corners, axis=0), axis=1)) * half / (4 * math.sqrt(2))
+    b, a = (np.where(v < 0, *pair) for v, pair in zip((y, x), sides, strict=True))
+    corners = _in_quadrant(np.abs(x), np.abs(y)[:, None], a, b[:, None])
+    corners *= np.sign(x) * np.sign(y)[:, None]
+    return np.asarray(np.diff(np.diff(corners, axis=0), axis=1)) / total
 
 
-def _in_rectangle(x: Array, y: Array, half: float) -> Array:
-    """Integral of ``1/r^3`` over 0..x, 0..y beyond the square."""
-    a, b = np.maximum(x, half), np.maximum(y, half)
-    both = math.sqrt(2) / half - np.hypot(a, b) / (a * b)
-    strip = np.where(x < half, _strip(x, half) - _strip(x, b), _strip(y, half) - _strip(y, a))
-    return np.where((x >= half) & (y >= half), both, np.where((x < half) & (y < half), 0.0, strip))
+def _in_quadrant(x: Array, y: Array, a: Array, b: Array) -> Array:
+    """Integral of ``1/r^3`` over 0..x, 0..y beyond a rectangle 0..a, 0..b."""
+    far_x, far_y = np.maximum(x, a), np.maximum(y, b)
+    both = np.hypot(a, b) / (a * b) - np.hypot(far_x, far_y) / (far_x * far_y)
+    strip = np.where(x < a, _strip(x, b) - _strip(x, far_y), _strip(y, a) - _strip(y, far_x))
+    return np.where((x >= a) & (y >= b), both, np.where((x < a) & (y < b), 0.0, strip))
 
 
-def _strip(width: Array, start: Array | float) -> Array:
+def _strip(width: Array, start: Array) -> Array:
     """Integral of ``1/r^3`` over 0..width along one axis, beyond ``start`` along the other."""
     # width/(start (hypot + start)), without cancellation
     return np.asarray(width / (start * (np.hypot(width, start) + start)))

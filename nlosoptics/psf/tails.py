@@ -10,16 +10,14 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory, in_range, whole
 from ..errors import SamplingError, SceneError
+from .cores import Sides, tail_pixels
 from .fields import PointSpreadField
 from .hybrids import HybridPointSpread
-from .nodes import gauss_legendre
 from .point_spreads import PointSpread
 from .rough_means import RoughPointSpread
 from .windows import middle
 
 Array = NDArray[np.float64]
-#: Nodes along each side of a pixel.
-NODES = 3
 
 
 def widened(
@@ -102,7 +100,7 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
     side = _checked(side, point_spread.shape)
     missing = max(1.0 - float(point_spread.intensity.sum()), 0.0)
     intensity = _padded(point_spread.intensity, side)
-    intensity += missing * tail_pixels(point_spread.shape, side)
+    intensity += missing * tail_pixels((side, side), _sides(point_spread.shape))
     return replace(point_spread, intensity=intensity, enclosed_energy=float(intensity.sum()))
 
 
@@ -126,28 +124,15 @@ def field_with_tail(field: PointSpreadField, side: int) -> PointSpreadField:
     modes = [_padded(mode, side) for mode in field.modes]
     return replace(
         field,
-        modes=np.stack([*modes, tail_pixels(shape, side)]),
+        modes=np.stack([*modes, tail_pixels((side, side), _sides(shape))]),
         weights=np.concatenate([field.weights, missing[None]]),
     )
 
 
-def tail_pixels(shape: tuple[int, int], side: int) -> Array:
-    """Share of the tail in each pixel of a wide window, (side, side); 0 within a window ``shape``.
-
-    All that lies beyond that window counts 1; its middle pixel is that of the wide one.
-    """
-    # of 1/r^3 beyond a rectangle of sides a and b, sqrt(a^2 + b^2)/(a b) a quadrant
-    sides = [(n // 2 + 0.5, n - n // 2 - 0.5) for n in shape]
-    total = sum(math.hypot(a, b) / (a * b) for a in sides[0] for b in sides[1])
-    points, weights = gauss_legendre(NODES)
-    square = (np.arange(side)[:, None] - side // 2 + points - 0.5) ** 2
-    found = np.zeros((side, side))
-    for i, w in enumerate(weights):
-        for j, v in enumerate(weights):
-            r = square[:, i, None] + square[None, :, j]
-            found += w * v * np.maximum(r, 0.25) ** -1.5
-    found[middle(found.shape, shape)] = 0.0
-    return found / total
+def _sides(shape: tuple[int, int]) -> Sides:
+    """Those of a window about its middle pixel."""
+    below, left = ((n // 2 + 0.5, n - n // 2 - 0.5) for n in shape)
+    return below, left
 
 
 def _checked(side: int, shape: tuple[int, int]) -> int:

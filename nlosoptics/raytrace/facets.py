@@ -90,7 +90,7 @@ def facet_angles(
 
 def material_slope(scene: Scene) -> float:
     """Slope rms per axis, rad, of the wall material's strongest lobe that has one."""
-    lobes = scene.wall_material._lobes()
+    lobes = scene.wall_material.lobe_table()
     rough = lobes[(lobes[:, 0] != LAMBERT) & (lobes[:, 2] > 0)]
     if not len(rough):
         raise SceneError(

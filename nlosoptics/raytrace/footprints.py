@@ -170,12 +170,12 @@ def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Arra
 
 def surfaces(wall: Wall, x: Array, y: Array) -> Array:
     """Height and derivatives of the wall, (..., 6), NaN where it has no height."""
-    if not wall._compiled:
+    if not wall.is_compiled:
         return wall.derivatives(x, y)
     from ..scene import _kernels
 
     out = np.empty((x.size, 6))
-    _kernels.surfaces(*wall._terms(), np.ravel(x), np.ravel(y), out)
+    _kernels.surfaces(*wall.compiled(), np.ravel(x), np.ravel(y), out)
     return out.reshape(*x.shape, 6)
 
 

@@ -92,7 +92,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     from . import _kernels
 
     o, d, shape = flat_rays(origins, directions)
-    terms, tables = wall._terms()
+    terms, tables = wall.compiled()
     count = math.prod(shape)
     distance, status = np.empty(count), np.empty(count, dtype=np.int8)
     points, normals = np.empty((count, 3)), np.empty((count, 3))

@@ -109,7 +109,7 @@ def ray_plan(scene: Scene) -> RayPlan:
     closed = wall.is_flat or isinstance(wall, ConvexWall | ConcaveWall)
     beside = isinstance(wall, ConcaveWall) and not _within_hollow(wall, scene)
     how = "python" if isinstance(wall, CallableWall) else "closed form" if closed else "march"
-    lobes = np.concatenate([scene.wall_material._lobes(), scene.hidden.material._lobes()])
+    lobes = np.concatenate([scene.wall_material.lobe_table(), scene.hidden.material.lobe_table()])
     return RayPlan(
         wall_hits=how,
         embree=bool(scene.occluders) or not isinstance(scene.hidden, PlanarObject),
@@ -155,7 +155,7 @@ class Surroundings:
         if self.plan.wall_hits != "python":
             terms, tables = (np.zeros((0, 8)), np.zeros(0))
             if not scene.wall.is_flat:
-                terms, tables = scene.wall._terms()
+                terms, tables = scene.wall.compiled()
             self._walls = (terms, tables, *search_bounds(scene.wall, terms, tables))
         self._mesh, self._thing_faces = _triangles(scene)
         if self._mesh is not None:
@@ -362,8 +362,8 @@ def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
     centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
     radius = float(np.sqrt(((outline - centre) ** 2).sum(axis=1).max()))
     return World(
-        wall=scene.wall_material._lobes(),
-        thing=scene.hidden.material._lobes(),
+        wall=scene.wall_material.lobe_table(),
+        thing=scene.hidden.material.lobe_table(),
         plate=plate,
         picture=picture,
         rows=rows,

@@ -165,7 +165,7 @@ def job_of(
 
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
-    scene._check_in_front()
+    scene.check_in_front()
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     one_of("sampler", sampler, ("sobol", "philox"))
     seed = checked_seed(seed)
@@ -188,7 +188,7 @@ def _refuse_darkness(scene: Scene) -> None:
         ("wall_material", scene.wall_material),
         ("hidden.material", scene.hidden.material),
     ):
-        lobes = material._lobes()
+        lobes = material.lobe_table()
         if not (lobes[:, 1] * lobes[:, 3] > 0.0).any():
             raise SceneError(f"{name} reflects nothing, so no light can arrive; raise its albedo")
     if getattr(scene.hidden, "reflectance", np.ones(1)).max() == 0.0:

@@ -20,8 +20,8 @@ MIRROR_SLOPE = 0.1
 class Material:
     """Base of all materials."""
 
-    def _lobes(self) -> Array:
-        """Rows (kind, strength, slope rms or alpha, factor) of the compiled sum."""
+    def lobe_table(self) -> Array:
+        """Lobes as the kernels take them, (n, 4): kind, strength, slope rms or alpha, factor."""
         raise NotImplementedError
 
     @property
@@ -59,7 +59,7 @@ class Material:
         """
         from . import _kernels
 
-        return _by_cosines(_kernels.evaluate, self._lobes(), incident, exitant, normal)
+        return _by_cosines(_kernels.evaluate, self.lobe_table(), incident, exitant, normal)
 
     def pdf(self, incident: ArrayLike, exitant: ArrayLike, normal: ArrayLike) -> Array:
         """Density of `sample` per solid angle of the exitant direction, 1/sr.
@@ -81,7 +81,7 @@ class Material:
             _unit(name, value)
             for name, value in (("incident", incident), ("exitant", exitant), ("normal", normal))
         )
-        return _by_cosines(_kernels.densities, self._lobes(), *directions)
+        return _by_cosines(_kernels.densities, self.lobe_table(), *directions)
 
     def sample(
         self, incident: ArrayLike, normal: ArrayLike, draws: ArrayLike
@@ -121,7 +121,7 @@ class Material:
         shape = arrays[0].shape
         i, n, u = (np.ascontiguousarray(a).reshape(-1, 3) for a in arrays)
         exitant, weight = np.empty_like(i), np.empty(len(i))
-        _kernels.samples(self._lobes(), i, n, u, exitant, weight)
+        _kernels.samples(self.lobe_table(), i, n, u, exitant, weight)
         return exitant.reshape(shape), weight.reshape(shape[:-1])
 
     def albedo(self, theta: ArrayLike) -> Array:

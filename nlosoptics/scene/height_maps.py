@@ -185,7 +185,8 @@ class HeightMapWall(Wall):
         term = _term(GRID, x[0], y[0], self.pitch, self.pitch, nx, ny, 0)
         return term, np.concatenate([self._samples.ravel(), *slopes])
 
-    def _terms(self) -> tuple[Array, Array]:
+    def compiled(self) -> tuple[Array, Array]:
+        """One bicubic grid."""
         return self._fit
 
     @cached_property
@@ -287,7 +288,7 @@ class CallableWall(Wall):
     max_curvature: float = math.inf
     finest_period: float = math.inf
 
-    _compiled = False
+    is_compiled = False
 
     def __post_init__(self) -> None:
         for name in ("height", "gradient", "hessian"):
@@ -308,7 +309,8 @@ class CallableWall(Wall):
             check_pickles(f"wall.{name}", getattr(self, name))
         return super().__getstate__()
 
-    def _terms(self) -> tuple[Array, Array]:
+    def compiled(self) -> tuple[Array, Array]:
+        """Refused: functions of Python are not compiled."""
         raise SceneError(
             "a CallableWall has no compiled form; sample its heights into a HeightMapWall here"
         )

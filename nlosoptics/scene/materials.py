@@ -68,7 +68,8 @@ class Lambert(Material):
     def __init__(self, albedo: float) -> None:
         object.__setattr__(self, "rho", in_range("albedo", albedo, 0.0, 1.0))
 
-    def _lobes(self) -> Array:
+    def lobe_table(self) -> Array:
+        """One Lambertian lobe."""
         return np.array([[LAMBERT, self.rho, 0.0, 1.0]])
 
     def albedo(self, theta: ArrayLike) -> Array:
@@ -116,7 +117,8 @@ class OrenNayar(Material):
         object.__setattr__(self, "model", one_of("model", model, ("fit", "full")))
         object.__setattr__(self, "normalised", bool(normalised))
 
-    def _lobes(self) -> Array:
+    def lobe_table(self) -> Array:
+        """One Oren-Nayar lobe."""
         kind = OREN_NAYAR if self.model == "fit" else OREN_NAYAR_FULL
         return np.array([[kind, self.rho, self.slope_rms, 1.0 / self._excess()]])
 
@@ -177,7 +179,8 @@ class SpecularMicrofacet(MirrorLobe):
             )
         one_of("distribution", self.distribution, _DISTRIBUTIONS)
 
-    def _lobes(self) -> Array:
+    def lobe_table(self) -> Array:
+        """One microfacet lobe."""
         kind = _DISTRIBUTIONS[self.distribution]
         return np.array([[kind, self.reflectance, self.slope_rms, 1.0]])
 
@@ -240,7 +243,8 @@ class Ward(MirrorLobe):
         """Standard deviation of the facet slope per axis, alpha/sqrt(2)."""
         return self.alpha / math.sqrt(2.0)
 
-    def _lobes(self) -> Array:
+    def lobe_table(self) -> Array:
+        """One Ward lobe."""
         return np.array([[_WARDS[self.variant], self.rho, self.alpha, 1.0]])
 
     @property
@@ -275,14 +279,15 @@ class SumMaterial(Material):
             raise SceneError(f"SumMaterial got {parts!r}; give at least one material")
         flat = [q for p in parts for q in (p.parts if isinstance(p, SumMaterial) else (p,))]
         object.__setattr__(self, "parts", tuple(flat))
-        total = sum(float(lobe[1]) for p in self.parts for lobe in p._lobes())
+        total = sum(float(lobe[1]) for p in self.parts for lobe in p.lobe_table())
         if total > 1.0 + 1e-12:
             raise SceneError(
                 f"the material's albedos add to {total:g}, limit 1; lower one of its lobes"
             )
 
-    def _lobes(self) -> Array:
-        return np.concatenate([part._lobes() for part in self.parts])
+    def lobe_table(self) -> Array:
+        """The lobes of all parts."""
+        return np.concatenate([part.lobe_table() for part in self.parts])
 
     @property
     def specular_reflectance(self) -> float:

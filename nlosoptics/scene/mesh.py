@@ -163,7 +163,8 @@ class MeshWall(Wall):
                 f"{len(upward)} triangles face the other way in z; give a single-valued height"
             )
 
-    def _terms(self) -> tuple[Array, Array]:
+    def compiled(self) -> tuple[Array, Array]:
+        """One bicubic grid, that of the smooth surface."""
         return self._fit[0], self._fit[1]
 
     @property

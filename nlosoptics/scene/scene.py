@@ -83,7 +83,7 @@ class Scene(Noun, Shown):
                 f"laser.aim has z = {self.laser.aim[2]:g} m; give a point of the plane z = 0"
             )
         if not _holds_mesh(self.wall):
-            self._check_in_front(meshes=False)
+            self.check_in_front(meshes=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return super().__getstate__() | {"occluders": tuple(map(bare_mesh, self.occluders))}
@@ -139,7 +139,7 @@ class Scene(Noun, Shown):
         """The same scene with an image of ``size`` pixels across the same field."""
         return replace(self, camera=self.camera.resized(size))
 
-    def _check_in_front(self, *, meshes: bool = True) -> None:
+    def check_in_front(self, *, meshes: bool = True) -> None:
         """Refuse a laser, camera or object behind the wall, wherever the wall has a height.
 
         Parameters
@@ -230,10 +230,10 @@ def _refuse_behind(wall: Wall, name: str, points: Array) -> None:
         return
     x, y, z = np.ascontiguousarray(points.T)
     surface = np.empty((len(points), 6))
-    if wall._compiled:
+    if wall.is_compiled:
         from . import _kernels
 
-        _kernels.surfaces(*wall._terms(), x, y, surface)
+        _kernels.surfaces(*wall.compiled(), x, y, surface)
     else:
         surface[:, 0] = wall.height(x, y)
     # NaN where the wall has no height compares false

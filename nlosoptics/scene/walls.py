@@ -41,10 +41,24 @@ class Wall(Noun):
     """
 
     size: tuple[float, float] | None
-    _compiled = True  # whether `_terms` has the height
+    #: Whether `compiled` has the height.
+    is_compiled = True
 
-    def _terms(self) -> tuple[Array, Array]:
-        """Summands and tables of the compiled height function."""
+    def compiled(self) -> tuple[Array, Array]:
+        """Height function as the kernels take it.
+
+        Returns
+        -------
+        terms : ndarray, (n, 8)
+            A summand a row: its kind, one of `PLANE` to `GRID`, and its parameters in SI units.
+        tables : ndarray, (m,)
+            Samples of grids, at the places that their rows name.
+
+        Raises
+        ------
+        SceneError
+            If the wall is one of Python functions, as a `CallableWall` is.
+        """
         raise NotImplementedError
 
     @property
@@ -92,7 +106,7 @@ class Wall(Noun):
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             raise SceneError("x or y holds NaN or infinity; give finite coordinates in m")
         out = np.empty((x.size, 6))
-        _kernels.surfaces(*self._terms(), np.ravel(x), np.ravel(y), out)
+        _kernels.surfaces(*self.compiled(), np.ravel(x), np.ravel(y), out)
         missing = ~np.isfinite(out[:, 0])
         if missing.any():
             i = int(np.argmax(missing))
@@ -176,7 +190,8 @@ class FlatWall(Wall):
     def __post_init__(self) -> None:
         self._check_size()
 
-    def _terms(self) -> tuple[Array, Array]:
+    def compiled(self) -> tuple[Array, Array]:
+        """One plane."""
         return _term(PLANE), np.zeros(1)
 
     @property
@@ -219,7 +234,8 @@ class _CurvedWall(Wall):
         across = x if self.axis == "y" else y
         return across * across / 4
 
-    def _terms(self) -> tuple[Array, Array]:
+    def compiled(self) -> tuple[Array, Array]:
+        """One sphere or cylinder."""
         curvature = self._sign / self.radius
         if self.shape == "sphere":
             return _term(SPHERE, curvature), np.zeros(1)
@@ -294,7 +310,8 @@ class WavyWall(Wall):
         object.__setattr__(self, "direction", real("wall.direction", self.direction))
         self._check_size()
 
-    def _terms(self) -> tuple[Array, Array]:
+    def compiled(self) -> tuple[Array, Array]:
+        """One wave."""
         k = 2 * math.pi / self.period
         kx, ky = k * math.cos(self.direction), k * math.sin(self.direction)
         return _term(WAVE, self.amplitude, kx, ky, self.phase), np.zeros(1)
@@ -335,16 +352,17 @@ class SumWall(Wall):
             terms = tuple(terms[0])
         if not terms or not all(isinstance(t, Wall) for t in terms):
             raise SceneError(f"SumWall got {terms!r}; give at least one wall")
-        if not all(term._compiled for term in terms):
+        if not all(term.is_compiled for term in terms):
             raise SceneError("SumWall cannot add a CallableWall; add the others in its functions")
         object.__setattr__(self, "terms", terms)
         object.__setattr__(self, "size", size)
         self._check_size()
 
-    def _terms(self) -> tuple[Array, Array]:
+    def compiled(self) -> tuple[Array, Array]:
+        """Terms of all summands, their tables joined."""
         rows, tables, offset = [], [np.zeros(1)], 1
         for term in self.terms:
-            row, table = term._terms()
+            row, table = term.compiled()
             row = row.copy()
             row[row[:, 0] == GRID, 7] += offset
             rows.append(row)

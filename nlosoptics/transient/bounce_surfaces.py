@@ -73,7 +73,7 @@ def bounce_surfaces(
         x, y = 0.5 * wall_size[0], 0.5 * wall_size[1]
         a, b, c, d = ([-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0])
         corners = np.concatenate([corners, [[a, b, c], [a, c, d]]])
-        lobes = np.concatenate([lobes, Lambert(wall_albedo)._lobes()])
+        lobes = np.concatenate([lobes, Lambert(wall_albedo).lobe_table()])
         spans = np.concatenate([spans, np.tile([len(lobes) - 1, len(lobes)], (2, 1))])
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(first, second)

@@ -139,7 +139,7 @@ def _lobes(number: int, material: Any) -> Array:
             f"surfaces[{number}] has the material {type(material).__name__}; give scene.Lambert, "
             "OrenNayar, Ward, SpecularMicrofacet or SumMaterial"
         )
-    rows = material._lobes()
+    rows = material.lobe_table()
     mirror = np.isin(rows[:, 0], (BECKMANN, GGX)) & (rows[:, 2] == 0.0) & (rows[:, 1] > 0.0)
     if mirror.any():
         raise SceneError(

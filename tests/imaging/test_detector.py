@@ -9,8 +9,14 @@ import pytest
 from scipy import special
 
 from nlosoptics.errors import SceneError
-from nlosoptics.imaging import speckles_per_pixel
-from nlosoptics.imaging.detector import PHOTONS, READOUT, SPECKLE, noise_variance, read_out
+from nlosoptics.imaging.detector import (
+    PHOTONS,
+    READOUT,
+    SPECKLE,
+    noise_variance,
+    read_out,
+    speckles_per_pixel,
+)
 from nlosoptics.scene import Camera
 
 SIDE = 256

@@ -14,7 +14,9 @@ import pytest
 import trimesh
 
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
-from nlosoptics.imaging import diffuse_background, form_image, photon_rate, speckles_per_pixel
+from nlosoptics.imaging import diffuse_background, form_image
+from nlosoptics.imaging.detector import speckles_per_pixel
+from nlosoptics.imaging.radiometry import photon_rate
 from nlosoptics.scene import (
     ConcaveWall,
     FlatWall,

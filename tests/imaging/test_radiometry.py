@@ -10,7 +10,6 @@ import pytest
 import trimesh
 
 from nlosoptics.errors import SceneError
-from nlosoptics.imaging import photon_rate
 from nlosoptics.imaging.geometry import chief_rays, pixel_centres
 from nlosoptics.imaging.objects import object_patches
 from nlosoptics.imaging.radiometry import (
@@ -19,6 +18,7 @@ from nlosoptics.imaging.radiometry import (
     electrons_per_radiance,
     laser_spot,
     object_radiance,
+    photon_rate,
     radiant_intensity,
     spot_irradiance,
     spot_power_through_lens,

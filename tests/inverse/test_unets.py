@@ -9,6 +9,7 @@ import torch
 
 from nlosoptics import inverse
 from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.inverse.unets import UNetObject
 
 
 @pytest.fixture(scope="module")
@@ -89,25 +90,25 @@ def test_torch_defaults_and_accelerators_have_no_say(monkeypatch):
 
 def test_object_is_between_zero_and_one_and_ignores_level_and_scale():
     guide = torch.rand(20, 24)
-    first = inverse.UNetObject(guide, seed=1)().detach()
+    first = UNetObject(guide, seed=1)().detach()
     assert first.shape == (20, 24)
     assert float(first.min()) > 0.0
     assert float(first.max()) < 1.0
     # the guide's rounding, 7 + 1000 rand, in single precision
     torch.testing.assert_close(
-        inverse.UNetObject(7.0 + 1e3 * guide, seed=1)().detach(), first, atol=1e-4, rtol=0
+        UNetObject(7.0 + 1e3 * guide, seed=1)().detach(), first, atol=1e-4, rtol=0
     )
 
 
 def test_uniform_guide_gives_no_nan():
-    assert torch.isfinite(inverse.UNetObject(torch.full((16, 16), 3.0))()).all()
+    assert torch.isfinite(UNetObject(torch.full((16, 16), 3.0))()).all()
 
 
 def test_object_fits_a_picture():
     """Gradients reach all weights: a square is learnt from its blur in some steps."""
     picture = torch.zeros(16, 16)
     picture[4:12, 5:11] = 1.0
-    fitted = inverse.UNetObject(torch.nn.functional.avg_pool2d(picture[None], 5, 1, 2)[0])
+    fitted = UNetObject(torch.nn.functional.avg_pool2d(picture[None], 5, 1, 2)[0])
     optimiser = torch.optim.Adam(fitted.parameters(), 0.01)
     for _ in range(60):
         optimiser.zero_grad()
@@ -126,8 +127,8 @@ def test_object_fits_a_picture():
         (lambda: inverse.UNet(8, 0), SceneError, "depth = 0 is out of range"),
         (lambda: inverse.UNet(8, seed=-1), SceneError, "seed = -1"),
         (lambda: inverse.UNet(8)(torch.ones(4, 4)), SamplingError, r"picture has shape \(4, 4\)"),
-        (lambda: inverse.UNetObject("F.png"), SceneError, "guide of type str"),
-        (lambda: inverse.UNetObject(torch.ones(4)), SamplingError, r"guide has shape \(4,\)"),
+        (lambda: UNetObject("F.png"), SceneError, "guide of type str"),
+        (lambda: UNetObject(torch.ones(4)), SamplingError, r"guide has shape \(4,\)"),
     ],
 )
 def test_bad_input_is_refused(make, kind, words):

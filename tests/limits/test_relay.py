@@ -17,7 +17,7 @@ from nlosoptics import limits
 from nlosoptics.errors import NlosError
 from nlosoptics.imaging.objects import Patches
 from nlosoptics.imaging.radiometry import laser_spot
-from nlosoptics.limits.relay import count_modes, passed_radiance
+from nlosoptics.limits.relay import count_modes, passed_radiance, relay_modes
 from nlosoptics.scene import (
     Camera,
     FlatWall,
@@ -158,20 +158,20 @@ def test_modes_above_noise(row: dict) -> None:
 def test_modes_of_a_scene(wall: str, expected: int, within: int) -> None:
     """The camera's own view of nearly that patch; the truth allows one mode more or less."""
     _, exposure = WALLS[wall]
-    assert limits.relay_modes(truth_scene(exposure)) == approx(expected, abs=within)
+    assert relay_modes(truth_scene(exposure)) == approx(expected, abs=within)
 
 
 def test_more_light_shows_more_modes_and_other_light_fewer() -> None:
     scene = truth_scene(wall_material=WALLS["Lambert+5% Beckmann 0.1"][0])
-    usual = limits.relay_modes(scene, bins=24)
-    assert limits.relay_modes(scene, bins=24, exposure=0.4) > usual
+    usual = relay_modes(scene, bins=24)
+    assert relay_modes(scene, bins=24, exposure=0.4) > usual
     veiled = np.full(scene.camera.shape, 1e7)
-    assert limits.relay_modes(scene, bins=24, light=veiled) < usual
+    assert relay_modes(scene, bins=24, light=veiled) < usual
 
 
 def test_a_mirror_has_no_wide_lobe() -> None:
     scene = truth_scene(wall_material=SpecularMicrofacet(0.5, 0.0))
-    assert limits.relay_modes(scene) == 0
+    assert relay_modes(scene) == 0
 
 
 @pytest.mark.parametrize(
@@ -181,17 +181,17 @@ def test_a_mirror_has_no_wide_lobe() -> None:
         (lambda: limits.lambert_relay_transfer(1.0, 0.0), "distance"),
         (lambda: limits.lambert_relay_limit(2.0, 1.0), "electrons"),
         (lambda: limits.lobe_relay_transfer(1.0, 1.0, -0.1), "slope_rms"),
-        (lambda: limits.relay_modes(truth_scene(), cells=1), "cells"),
+        (lambda: relay_modes(truth_scene(), cells=1), "cells"),
         (lambda: limits.lambert_relay_transfer([0.0, math.inf], 1.0), "frequency = inf"),
         (lambda: limits.lambert_relay_transfer("low", 1.0), "frequency is no array"),
         (lambda: limits.lobe_relay_transfer([0.0, math.nan], 1.0, 0.1), "frequency = nan"),
         (lambda: limits.lobe_relay_transfer(-1.0, 1.0, 0.1), "frequency = -1"),
         (lambda: limits.lambert_relay_limit(1e6, 0.0), "distance = 0"),
         (lambda: limits.lambert_relay_limit(1e6, -1.0), "distance = -1"),
-        (lambda: limits.relay_modes(truth_scene(), freedom=0.0), "freedom = 0"),
+        (lambda: relay_modes(truth_scene(), freedom=0.0), "freedom = 0"),
         (lambda: lit(math.nan), "light spans nan"),
         (lambda: lit(-1.0), "light spans -1"),
-        (lambda: limits.relay_modes(truth_scene(), light=np.ones((3, 3))), r"shape \(3, 3\)"),
+        (lambda: relay_modes(truth_scene(), light=np.ones((3, 3))), r"shape \(3, 3\)"),
     ],
 )
 def test_bad_input_is_named(call, named: str) -> None:
@@ -201,7 +201,7 @@ def test_bad_input_is_named(call, named: str) -> None:
 
 def lit(electrons: float) -> int:
     scene = truth_scene()
-    return limits.relay_modes(scene, light=np.full(scene.camera.shape, electrons))
+    return relay_modes(scene, light=np.full(scene.camera.shape, electrons))
 
 
 def test_frequencies_beyond_all_pass_nothing() -> None:

@@ -11,7 +11,7 @@ from pytest import approx
 from scipy.special import ndtr
 
 from nlosoptics import psf
-from nlosoptics.psf.lobes import halo_radius
+from nlosoptics.psf.lobes import halo_radius, lobe_window
 from nlosoptics.scene import ConvexWall, Lambert, MeshObject, SpecularMicrofacet, SumMaterial, Ward
 
 
@@ -100,7 +100,7 @@ def test_lobes_count_by_their_reflectance(flat_scene):
 def test_window_holds_what_passes_tol(flat_scene, distribution):
     scene = rough(flat_scene, SpecularMicrofacet(0.05, 0.004, distribution=distribution))
     wave = psf.wavefront(scene)
-    side = psf.lobe_window(scene, wave, tol=1e-3)
+    side = lobe_window(scene, wave, tol=1e-3)
     wide = psf.lobe_point_spread(scene, wave, shape=2 * side + 1)
     margin = (wide.shape[0] - side) // 2
     outside = wide.intensity.copy()

@@ -323,7 +323,7 @@ def test_normal_incidence_is_twice_the_footprint(flat_scene):
     found = psf.pupil_slopes(scene, slopes, positions, [[0.0, 0.0]])
     m = 1.0 / 1.8
     assert found[0] == approx([2 * m * 1e-3, -2 * m * 3e-3], rel=1e-14)
-    reach, patch = psf.facet_reach(scene, slope_rms=1e-3)
+    reach, patch = facet_waves.facet_reach(scene, slope_rms=1e-3)
     assert reach == approx(2 * 1e-3 * 0.8 / 1.8, rel=1e-14)
     assert patch == approx(m * camera.stop_diameter / 2, rel=1e-14)
 

@@ -56,7 +56,7 @@ def exact_height(wall, x, y):
 
 
 def hermite(wall, x, y):
-    (row,), table = wall._terms()
+    (row,), table = wall.compiled()
     x0, y0, sx, sy = (mpf(float(v)) for v in row[1:5])
     nx, ny = int(row[5]), int(row[6])
     v, vx, vy, vxy = np.asarray(table).reshape(4, ny, nx)

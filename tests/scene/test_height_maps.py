@@ -49,7 +49,7 @@ def test_curvature_and_height_bounds_hold():
     bends = np.stack([h[:, [3, 4]], h[:, [4, 5]]], axis=1)
     largest = np.abs(np.linalg.eigvalsh(bends)).max()
     assert largest <= wall.max_curvature < 6 * largest
-    term, table = wall._terms()
+    term, table = wall.compiled()
     low, high, _ = grid_limits(term[0], table)
     assert low <= h[:, 0].min()
     assert h[:, 0].max() <= high

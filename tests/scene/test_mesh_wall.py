@@ -48,7 +48,7 @@ def test_slopes_and_bends_are_those_of_the_sphere():
 
 def test_surface_is_continuous_with_its_slope():
     fitted = MeshWall(scattered(WavyWall(1e-3, 0.3, size=1.0)))
-    term = fitted._terms()[0][0]
+    term = fitted.compiled()[0][0]
     edge = term[1] + 5 * term[3]  # a border between two patches
     below, above = fitted.derivatives([edge - 1e-12, edge + 1e-12], [0.1, 0.1])
     # 2e-12 m apart: slope times that, and rounding
