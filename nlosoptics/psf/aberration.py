@@ -455,7 +455,7 @@ def _best_focus(wave: Wavefront) -> Wavefront:
     r = wave.pupil_radius
     u, v = wave.u / r, wave.v / r
     terms = np.stack([np.ones_like(u), u, v, (u * u + v * v) / 2])
-    fit = fitted_terms(wave, terms)
+    fit = fitted_terms(wave.aberration, wave.amplitude * wave.weights, terms)
     return replace(
         wave,
         aberration=wave.aberration - np.tensordot(fit, terms, 1),

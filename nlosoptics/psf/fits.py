@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from .wavefronts import Wavefront
 
 Array = NDArray[np.float64]
 
 
-def fitted_terms(wavefront: Wavefront, terms: Array) -> Array:
-    """Coefficients (n_terms,), m, of the terms (n_terms, ...) that fit the aberration best.
+def fitted_terms(aberration: Array, weights: Array, terms: Array) -> Array:
+    """Return the coefficients (n_terms,), m, of the terms that fit an aberration best.
 
-    Nodes weigh with amplitude times area, which is what the Strehl ratio sees to second order.
-    Terms that the pupil cannot tell apart, as across a slit, share their part.
+    Parameters
+    ----------
+    aberration : ndarray, (...)
+        Wave aberration at the nodes, m.
+    weights : ndarray, (...)
+        Amplitude times area of each node, which the Strehl ratio sees to second order.
+    terms : ndarray, (n_terms, ...)
+        Terms at the nodes. Those that the pupil cannot tell apart, as across a slit, share their
+        part.
     """
-    flat = terms.reshape(len(terms), -1)
-    weights = (wavefront.amplitude * wavefront.weights).ravel()
+    flat, weights = terms.reshape(len(terms), -1), weights.ravel()
     # einsum without BLAS: the same bits for any thread count
     moments = np.einsum("ip,jp,p->ij", flat, flat, weights)
-    right = np.einsum("ip,p,p->i", flat, weights, wavefront.aberration.ravel())
+    right = np.einsum("ip,p,p->i", flat, weights, aberration.ravel())
     return np.asarray(np.linalg.pinv(moments, hermitian=True) @ right)
 
 

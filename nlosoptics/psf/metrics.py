@@ -242,7 +242,7 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
     if not terms:
         return wavefront
     basis = np.stack(terms)
-    fit = fitted_terms(wavefront, basis)
+    fit = fitted_terms(wavefront.aberration, wavefront.amplitude * wavefront.weights, basis)
     return replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1))
 
 

@@ -337,7 +337,7 @@ def split(wavefront: Wavefront) -> Residual:
         fit = np.einsum("ip,p->i", project, wavefront.aberration.ravel())
     else:
         plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
-        fit = fitted_terms(wavefront, plane)
+        fit = fitted_terms(wavefront.aberration, wavefront.amplitude * wavefront.weights, plane)
     aberration = wavefront.aberration - fit[0]
     aberration -= fit[1] * plane[1]
     aberration -= fit[2] * plane[2]

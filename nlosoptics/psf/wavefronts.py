@@ -149,7 +149,9 @@ class Wavefront(Noun, Shown):
 
     def _figures(self) -> Figures:
         plane = np.stack([np.ones_like(self.u), self.u, self.v])
-        rest = self.aberration - np.tensordot(fitted_terms(self, plane), plane, 1)
+        rest = self.aberration - np.tensordot(
+            fitted_terms(self.aberration, self.amplitude * self.weights, plane), plane, 1
+        )
         weights = self.amplitude * self.weights
         rms = float(np.sqrt(np.sum(weights * rest**2) / np.sum(weights)))
         waves = f"{rms / self.wavelength:.3g} waves rms"
