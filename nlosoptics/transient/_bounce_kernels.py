@@ -18,7 +18,7 @@ from ..raytrace._light_kernels import tangents
 from ..raytrace._surround_kernels import dot, three
 from ..scene._kernels import material, material_pdf, sample_material
 from ..scene._material import LAMBERT
-from ._sight_kernels import blocked, sight_room
+from ._sight_kernels import blocked
 
 VERTEX = 12
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
@@ -120,7 +120,6 @@ def look(surfaces, sampler, aimed, sensors, first, origins, directions, triangle
 @njit(cache=True, nogil=True)
 def seen_from(surfaces, sensors, vertices, factor, distance):
     """Fill ``factor`` and ``distance`` (sensors, vertices): cos cos/r^2, 1/m^2, and r, m."""
-    stack = sight_room()
     for c in range(sensors.shape[0]):
         s = three(sensors[c], 0)
         for j in range(vertices.shape[0]):
@@ -132,7 +131,7 @@ def seen_from(surfaces, sensors, vertices, factor, distance):
             distance[c, j] = math.sqrt(square)
             if vertices[j, TRIANGLE] < 0.0 or d[2] <= 0.0 or product <= 0.0:
                 continue
-            if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, s, d, stack):
+            if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, s, d):
                 continue
             factor[c, j] = product / (square * square)
 
@@ -279,7 +278,6 @@ def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
 @njit(cache=True, nogil=True)
 def connect(surfaces, laser, vertices, value, length):
     """Weight and length of paths that end at a laser's spot on the wall, cos/r^2 with lobes."""
-    stack = sight_room()
     for i in range(vertices.shape[0]):
         value[i], vertex = 0.0, vertices[i]
         if vertex[TRIANGLE] < 0.0 or vertex[WEIGHT] <= 0.0:
@@ -290,7 +288,7 @@ def connect(surfaces, laser, vertices, value, length):
         cosine = dot(d, three(vertex, 3)) / r
         if cosine <= 0.0 or d[2] >= 0.0:
             continue
-        if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, three(vertex, 0), d, stack):
+        if surfaces.asked and blocked(surfaces.rows, surfaces.boxes, three(vertex, 0), d):
             continue
         incident = three(vertex, 6)
         mu, between = dot(incident, three(vertex, 3)), dot(incident, d) / r

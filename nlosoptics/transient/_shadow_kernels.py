@@ -15,7 +15,8 @@ import math
 import numpy as np
 from numba import njit
 
-from ._sight_kernels import blocked, sight_room
+from ..raytrace.triangles._kernels import after
+from ._sight_kernels import blocked
 
 CORNERS = 16  # most corners of a polygon; it is parted before it would have more
 PIECES = 4096  # most polygons of one triangle
@@ -54,7 +55,7 @@ def outline(mesh, p, outlined):
     """
     rows, _, _, mates, _, _ = mesh
     heads, links, lines, work = outlined
-    faces, sector, stack = work
+    faces, sector = work
     for t in range(rows.shape[0]):
         row = rows[t]
         n = frame(row)[0]
@@ -76,9 +77,7 @@ def outline(mesh, p, outlined):
                 continue
             a, b = _corner(rows[t], k), _corner(rows[t], (k + 1) % 3)
             if _sector(p, a, b, sector):
-                links, lines, count = _throw(
-                    mesh, p, a, b, sector, heads, links, lines, count, stack
-                )
+                links, lines, count = _throw(mesh, p, a, b, sector, heads, links, lines, count)
     return heads, links, lines, work
 
 
@@ -145,20 +144,18 @@ def _aside(row, planes, slack):
 
 
 @njit(cache=True, error_model="numpy")
-def _throw(mesh, p, a, b, sector, heads, links, lines, count, stack):
+def _throw(mesh, p, a, b, sector, heads, links, lines, count):
     """Add a segment's shadow to the lines of each triangle that it crosses."""
     rows, boxes, reach, _, _, _ = mesh
     first_leaf = boxes.shape[0] // 2
     slack = ROUNDING * reach
-    stack[0], top = 0, 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
+    node = 0
+    while node >= 0:
         if _box_outside(boxes[node], sector, slack):
+            node = after(node)
             continue
         if node < first_leaf:
-            stack[top], stack[top + 1] = 2 * node + 2, 2 * node + 1
-            top += 2
+            node = 2 * node + 1
             continue
         start = 4 * (node - first_leaf)
         for t in range(start, min(start + 4, rows.shape[0])):
@@ -169,6 +166,7 @@ def _throw(mesh, p, a, b, sector, heads, links, lines, count, stack):
             if _cast(a, b, rows[t], p, slack, lines[count]) and _enters(lines[count]):
                 links[count], heads[t] = heads[t], count
                 count += 1
+        node = after(node)
     return links, lines, count
 
 
@@ -341,7 +339,7 @@ def _cut(cells, sizes, count, line, sides):
 
 
 @njit(cache=True, error_model="numpy")
-def _hidden(mesh, t, p, cell, size, stack):
+def _hidden(mesh, t, p, cell, size):
     """Whether something stands before a polygon's middle."""
     row = mesh[0][t]
     u = v = 0.0
@@ -353,7 +351,7 @@ def _hidden(mesh, t, p, cell, size, stack):
         row[1] + u * row[4] + v * row[7] - p[1],
         row[2] + u * row[5] + v * row[8] - p[2],
     )
-    return blocked(mesh[0], mesh[1], p, d, stack)
+    return blocked(mesh[0], mesh[1], p, d)
 
 
 @njit(cache=True, error_model="numpy")
@@ -370,7 +368,7 @@ def see(mesh, t, p, outlined, polygons, sizes, count, room):
     outlined : tuple
         By `outline`, for the same point.
     """
-    cells, cell_sizes, more, more_sizes, sides, stack = room
+    cells, cell_sizes, more, more_sizes, sides = room
     _, _, _, _, crossed, cuts = mesh
     heads, links, lines, _ = outlined
     new = 0
@@ -387,7 +385,7 @@ def see(mesh, t, p, outlined, polygons, sizes, count, room):
             return OVERFLOW
         seen = 0
         for k in range(n_cells):
-            if not _hidden(mesh, t, p, cells[k], cell_sizes[k], stack):
+            if not _hidden(mesh, t, p, cells[k], cell_sizes[k]):
                 cells[seen], cell_sizes[seen] = cells[k], cell_sizes[k]
                 seen += 1
         if seen == n_cells:  # what hides nothing leaves no cut
@@ -412,7 +410,6 @@ def shadow_room():
         np.empty((PIECES, 2 * CORNERS)),
         np.empty(PIECES, dtype=np.int64),
         (np.empty((2 * CORNERS, 2)), np.empty((2 * CORNERS, 2))),
-        sight_room(),
     )
 
 
@@ -420,7 +417,7 @@ def shadow_room():
 def outline_room(mesh):
     """Arrays that `outline` fills."""
     n = mesh[0].shape[0]
-    work = np.empty(n, dtype=np.bool_), np.empty((4, 4)), sight_room()
+    work = np.empty(n, dtype=np.bool_), np.empty((4, 4))
     return (
         np.empty(n, dtype=np.int64),
         np.empty(n + 16, dtype=np.int64),
@@ -437,22 +434,19 @@ def crossings(rows, boxes, reach, ends, cuts):
     where those of each begin and end.
     """
     first_leaf = boxes.shape[0] // 2
-    stack = sight_room()
     line, heights = np.empty(4), np.empty(3)
     for t in range(rows.shape[0]):
         row = rows[t]
         n, to_u, to_v = frame(row)
         slack = ROUNDING * reach * math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         count = 0
-        stack[0], top = 0, 1
-        while top > 0:
-            top -= 1
-            node = stack[top]
+        node = 0
+        while node >= 0:
             if _apart(row, boxes[node], ROUNDING * reach):
+                node = after(node)
                 continue
             if node < first_leaf:
-                stack[top], stack[top + 1] = 2 * node + 2, 2 * node + 1
-                top += 2
+                node = 2 * node + 1
                 continue
             start = 4 * (node - first_leaf)
             for m in range(start, min(start + 4, rows.shape[0])):
@@ -462,6 +456,7 @@ def crossings(rows, boxes, reach, ends, cuts):
                     if cuts.size:
                         cuts[ends[t] + count] = line
                     count += 1
+            node = after(node)
         if not cuts.size:
             ends[t + 1] = count
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
 
+from ..raytrace.triangles._kernels import after
+
 FEW = 24  # triangles that are asked one after another
-DEPTH = 128  # of the stack through a tree of boxes
 EDGE = 1e-12  # of a triangle's sides, so that neighbours leave no gap
 NEAR = 1e-9  # of a connection's length: what its ends lie on is not in between
 
@@ -48,7 +48,7 @@ def _inverse(x):
 
 
 @njit(cache=True)
-def blocked(rows, boxes, p, d, stack):
+def blocked(rows, boxes, p, d):
     """Whether a triangle stands between p and p + d, which may lie on some."""
     if rows.shape[0] <= FEW:
         for m in range(rows.shape[0]):  # noqa: SIM110  (numba has no any of a generator)
@@ -57,24 +57,17 @@ def blocked(rows, boxes, p, d, stack):
         return False
     inverse = _inverse(d[0]), _inverse(d[1]), _inverse(d[2])
     first_leaf = boxes.shape[0] // 2
-    stack[0], top = 0, 1
-    while top > 0:
-        top -= 1
-        node = stack[top]
+    node = 0
+    while node >= 0:
         if _misses(boxes[node], p, inverse):
+            node = after(node)
             continue
         if node < first_leaf:
-            stack[top], stack[top + 1] = 2 * node + 2, 2 * node + 1
-            top += 2
+            node = 2 * node + 1
             continue
         start = 4 * (node - first_leaf)
         for m in range(start, min(start + 4, rows.shape[0])):
             if _crossed(rows[m], p, d):
                 return True
+        node = after(node)
     return False
-
-
-@njit(cache=True)
-def sight_room():
-    """Stack that `blocked` works in."""
-    return np.empty(DEPTH, dtype=np.int64)

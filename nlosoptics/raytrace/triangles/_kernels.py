@@ -283,6 +283,14 @@ def aside(rays, shift, turn, out):
             out[j, k + 3] = d[k]
 
 
+@njit(cache=True, inline="always")
+def after(node):
+    """Node that follows all below ``node`` in a complete binary tree; -1 where none does."""
+    while node > 0 and node & 1 == 0:  # a second child: its parent is done with it
+        node = (node >> 1) - 1
+    return node + 1 if node > 0 else -1
+
+
 @njit(cache=True, error_model="numpy")
 def _strike(row, edge, o, d):
     """Distance of a triangle, edges and corners included, or NaN."""
@@ -377,7 +385,6 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
     and are of one side are one, that of the first row.
     """
     first_leaf, corners = boxes.shape[0] // 2, facets.reshape(-1)
-    stack = np.empty(128, dtype=np.int64)
     hits = np.empty((2 * origins.shape[0] + 16, 3))
     end = 0
     for i in range(origins.shape[0]):
@@ -389,15 +396,13 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
             continue
         begin = end
         inverse = (1.0 / d[0], 1.0 / d[1], 1.0 / d[2])
-        stack[0], top = 0, 1
-        while top > 0:
-            top -= 1
-            node = stack[top]
+        node = 0
+        while node >= 0:
             if _entry(boxes, node, o, inverse, nearest, math.inf) == math.inf:
+                node = after(node)
                 continue
             if node < first_leaf:
-                stack[top], stack[top + 1] = 2 * node + 2, 2 * node + 1
-                top += 2
+                node = 2 * node + 1
                 continue
             start = 4 * (node - first_leaf)
             for m in range(start, min(start + 4, facets.shape[0])):
@@ -420,6 +425,7 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
                     m,
                 )
                 end += 1
+            node = after(node)
         end = _once(hits, begin, end)
         counts[i] = end - begin
     return hits[:end]
