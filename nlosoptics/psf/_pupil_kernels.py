@@ -256,6 +256,63 @@ def split_squares(even, odd, scale, above, below):
 
 
 @njit(cache=True)
+def polar_fit(values, waves, weights, modes, heights):
+    """Fill ``heights`` (orders, terms) with the terms of ``values`` (rings, spokes).
+
+    ``waves`` (orders, spokes) along the angle, ``weights`` and ``modes`` (orders, terms, rings)
+    along the radius. Returns the largest misfit and the largest value.
+    """
+    rings, spokes = values.shape
+    orders, terms = heights.shape
+    heights[:] = 0.0
+    # spokes first, so that the loops over the orders keep vectors
+    turned = np.ascontiguousarray(waves.T)
+    share, height = np.empty(orders), np.zeros((terms, orders))
+    along = np.ascontiguousarray(weights.transpose(2, 1, 0))
+    most = 0.0
+    for i in range(rings):
+        share[:] = 0.0
+        for j in range(spokes):
+            value = values[i, j]
+            most = max(most, abs(value))
+            for m in range(orders):
+                share[m] += turned[j, m] * value
+        for k in range(terms):
+            for m in range(orders):
+                height[k, m] += along[i, k, m] * share[m]
+    misfit = 0.0
+    line = np.empty(spokes)
+    for i in range(rings):
+        line[:] = values[i]
+        for m in range(orders):
+            part = 0.0
+            for k in range(terms):
+                part += height[k, m] * modes[m, k, i]
+            for j in range(spokes):
+                line[j] -= part * waves[m, j]
+        for j in range(spokes):
+            misfit = max(misfit, abs(line[j]))
+    heights[:] = height.T
+    return misfit, most
+
+
+@njit(cache=True)
+def polynomial(powers, rho, cosine, sine, out):
+    """Fill ``out`` (radii, angles) with ``sum powers[i, j] u^i v^j``."""
+    n = powers.shape[0]
+    for k in range(rho.shape[0]):
+        for m in range(cosine.shape[0]):
+            u, v = rho[k] * cosine[m], rho[k] * sine[m]
+            total = 0.0
+            for i in range(n - 1, -1, -1):
+                value = 0.0
+                for j in range(n - 1 - i, -1, -1):
+                    value = value * v + powers[i, j]
+                total = total * u + value
+            out[k, m] = total
+
+
+@njit(cache=True)
 def slopes(powers, rho, cosine, sine, du, dv):
     """Fill ``du`` and ``dv`` (radii, angles) with the slopes of ``sum powers[i, j] u^i v^j``."""
     n = powers.shape[0]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .residuals import Rays, Residual
+from .spectra import ring_of
 
 Array = NDArray[np.float64]
 
@@ -84,6 +85,11 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
 
 def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, float]:
     """Extremes with those on the rims and in the centre, where no polar node lies."""
+    if residual.low is not None:
+        n_r, n_theta = residual.wavefront.u.shape
+        ring = ring_of(n_r, n_theta, residual.wavefront.obscuration)
+        values = residual.low.on_rims(ring.cosine, ring.sine)
+        return min(low, float(values.min())), max(high, float(values.max()))
     series = residual.series
     waves = series.coefficients.copy()
     if series.n_theta % 2 == 0:

@@ -18,7 +18,8 @@ from .cell_spectra import CellSpectrum
 from .fits import fitted_terms, projection
 from .local_fits import LocalFits, local_fits
 from .nodes import KEPT, frozen, kept_polar_nodes
-from .spectra import PolarSpectrum
+from .polynomials import LowPolynomial, low_polynomial
+from .spectra import PolarSpectrum, ring_of
 from .wavefronts import Wavefront
 
 Array = NDArray[np.float64]
@@ -155,9 +156,17 @@ class Residual:
         """Series of the residual aberration of a polar wavefront or one of cells."""
         return self.wavefront.series(self.aberration)
 
+    @cached_property
+    def low(self) -> LowPolynomial | None:
+        """Polynomial that the residual of few polar nodes is to rounding; None for another."""
+        wave = self.wavefront
+        if wave.layout != "polar" or wave.u.size > KEPT or self.is_flat:
+            return None
+        return low_polynomial(self.aberration, wave.pupil_radius, wave.obscuration)
+
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Highest degrees, see `PolarSpectrum.degrees`, of terms above the threshold, m."""
-        return self.series.degrees(threshold)
+        return self.series.degrees(threshold) if self.low is None else self.low.degrees
 
     @cached_property
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
@@ -215,7 +224,8 @@ class Residual:
         amplitude = 0.0
         if not self.is_uniform:
             amplitude = self.amplitude_series.truncation() / float(self.wavefront.amplitude.max())
-        return self.wavenumber * self.series.truncation() + amplitude
+        left = self.series.truncation() if self.low is None else self.low.misfit
+        return self.wavenumber * left + amplitude
 
     @cached_property
     def rays(self) -> Rays:
@@ -235,7 +245,12 @@ class Residual:
         if self.is_flat:  # they all land in one point
             return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0, 0.0)
         counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
-        du, dv, energy = self.series.slopes(*counts)
+        if self.low is None:
+            du, dv, energy = self.series.slopes(*counts)
+        else:
+            ring = ring_of(counts[0], counts[1], wave.obscuration)
+            du, dv = self.low.slopes(ring.cosine, ring.sine, ring.rho.ravel())
+            energy = ring.share
         if not self.is_uniform:
             inner = np.s_[:-1] if self.wavefront.layout == "polar" else np.s_[:, 1:-1, 1:-1]
             energy = energy.copy()

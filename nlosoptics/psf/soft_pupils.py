@@ -77,9 +77,13 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     wave = residual.wavefront
     if wave.layout != "polar":
         return None
-    rounding = 1e-14 * float(np.abs(residual.aberration).max())
-    threshold = max(1e-3 * tol / residual.wavenumber, rounding)
-    fit = _polynomial(residual.polar_series[0], residual.aberration, wave.obscuration, threshold)
+    if residual.low is not None:
+        fit: tuple[Array, float] | None = residual.low.powers, residual.low.misfit
+    else:
+        rounding = 1e-14 * float(np.abs(residual.aberration).max())
+        threshold = max(1e-3 * tol / residual.wavenumber, rounding)
+        series = residual.polar_series[0]
+        fit = _polynomial(series, residual.aberration, wave.obscuration, threshold)
     if fit is None:
         return None
     misfit = residual.wavenumber * fit[1]
