@@ -272,8 +272,8 @@ class _Walls:
         if error > self.tol * peak:
             raise SamplingError(
                 f"the mean over the short waves reaches an error of {error / peak:.2g}, limit tol "
-                f"= {self.tol:g}; use tol = {rounded_up(1.5 * error / peak)}, or a wavefront of more "
-                "pupil nodes"
+                f"= {self.tol:g}; use tol = {rounded_up(1.5 * error / peak)}, or a wavefront of "
+                "more pupil nodes"
             )
         return _Scattering(halo, nodes, clear.at(nodes.du, nodes.dv), ratios, error)
 
