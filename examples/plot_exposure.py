@@ -32,7 +32,7 @@ scene = replace(
     wall=WavyWall(0.5e-3, 0.25, phase=1.0, size=scene.wall.size),
     camera=replace(scene.camera, stop_diameter=8e-3),
 )
-spread = psf.lobe_point_spread(scene, psf.wavefront(scene), pitch=scene.camera.image_pitch)
+spread = psf.scene_point_spread(scene).point_spread
 model = imaging.ForwardModel(spread, shape=scene.camera.shape)
 
 # %%

@@ -22,6 +22,8 @@ from nlosoptics.scene import (
     Lambert,
     MeshObject,
     MeshWall,
+    SpecularMicrofacet,
+    SumMaterial,
     SumWall,
     WavyWall,
 )
@@ -45,6 +47,51 @@ def counted(monkeypatch, module, name):
 
     monkeypatch.setattr(module, name, wrapper)
     return calls
+
+
+def counted_everywhere(monkeypatch, function):
+    """Replace a function in every module that imported it; record the arguments of its calls."""
+    calls = []
+
+    def wrapper(*args, **kwargs):
+        calls.append(args)
+        return function(*args, **kwargs)
+
+    for name, module in list(sys.modules.items()):
+        if name.startswith("nlosoptics"):
+            for key, value in list(vars(module).items()):
+                if value is function:
+                    monkeypatch.setattr(module, key, wrapper)
+    return calls
+
+
+def test_geometry_is_computed_once(flat_scene, monkeypatch):
+    """A run with a field of point spreads, and a field by a lobe with a slope."""
+    from nlosoptics import psf
+    from nlosoptics.psf import aiming, facet_waves, pupils, residuals
+
+    assert nlos.simulate  # loads the modules that import the functions
+    scene = replace(flat_scene, camera=replace(flat_scene.camera, binning=16))
+    pupil, aimed, split, seen = (
+        counted_everywhere(monkeypatch, function)
+        for function in (pupils.exit_pupil, aiming.aim, residuals.split, facet_waves._optics)
+    )
+    result = nlos.simulate(scene)
+    assert result.field is not None
+    assert result.exit_pupil is result.plan.exit_pupil
+    assert len(pupil) == 1
+    # one fan of rays for each object point: the reference point and the nodes of the field
+    points = {tuple(np.asarray(call[1]).tolist()) for call in aimed}
+    assert len(aimed) == len(points) == 5
+    assert len(split) == len(points)
+    assert len({id(call[0]) for call in split}) == len(points)
+    assert not seen  # a smooth mirror needs no view of the wall
+    for calls in (pupil, aimed, split):
+        calls.clear()
+    rough = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 1e-3))
+    psf.point_spread_field(replace(scene, wall_material=rough), 2, tol=1e-2, checks=0)
+    # four nodes and the centre, which the window is for too
+    assert [len(calls) for calls in (pupil, aimed, split, seen)] == [1, 5, 5, 5]
 
 
 def test_plan_computes_nothing(flat_scene, monkeypatch):

@@ -216,6 +216,9 @@ class AimedWave:
         Which of the wave's nodes lie in the lens, with the shape of the nodes.
     hidden : bool
         Whether the occluders cut all of the rays.
+    outline : Aperture or None
+        Outline of the pupil that a flat wall's edge cuts. It is no part of a grid wave, whose cells
+        follow it to their own size only.
     """
 
     wave: Wavefront
@@ -223,6 +226,7 @@ class AimedWave:
     on_lens: Array
     in_lens: NDArray[np.bool_]
     hidden: bool
+    outline: Aperture | None
 
     @cached_property
     def residual(self) -> Residual:
@@ -286,7 +290,12 @@ def aimed_wave(
     aberration[lit] = rays.excess[1:] - rays.excess[0] + _defocus(scene, o, on_lens)
     aberration[lit] -= on_lens @ np.array(tilt)
     amplitude[lit] = np.sqrt(rays.spreading[1:] / rays.spreading[0])
+    whole = float(weights.sum())
     weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
+    outline = aperture
+    if layout == "grid" and scene.wall.is_flat and weights.sum() < whole:
+        with suppress(SamplingError):  # an edge that has no closed image
+            outline = _aperture(scene, o, radius, zoom)
     wave = Wavefront(
         u=u,
         v=v,
@@ -300,7 +309,7 @@ def aimed_wave(
         aperture=aperture,
         removed=Removed(piston=float(rays.excess[0]), tilt=(tilt[0] / zoom, tilt[1] / zoom)),
     )
-    return AimedWave(wave, rays, lens, lit, hidden)
+    return AimedWave(wave, rays, lens, lit, hidden, outline)
 
 
 def _reach(scene: Scene, pupil: ExitPupil, o: Array) -> float:

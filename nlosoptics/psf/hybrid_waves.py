@@ -165,7 +165,7 @@ def wave_parts(
         return WaveParts(coherent, halo, error, 0.0, 0.0, "no mirror image reaches the lens")
     residual = mirror.aimed.residual
     check_rays(residual, pitch, shape)
-    side = window_side(residual, pitch, tol)
+    side = window_side(residual, pitch, tol, mirror.aimed.outline)
     core = None
     wave = residual.wavefront
     views = [(r * mirror.flux, _view(seen, wave, given)) for r, given in rough]

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive
 from ..scene import MirrorLobe, Scene
+from .apertures import Aperture
 from .cores import detilted_wide_spread
 from .facet_waves import WallView, wall_view
 from .point_spreads import PointSpread
@@ -91,9 +92,11 @@ class MirrorLobes:
     smooth: float
     view: WallView | None
 
-    def window(self, residual: Residual, pitch: float, tol: float) -> int:
+    def window(
+        self, residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
+    ) -> int:
         """Odd side of a window outside which `point_spread` stays below ``tol``, pixels."""
-        side = window_side(residual, pitch, tol)
+        side = window_side(residual, pitch, tol, outline)
         if self.view is None:
             return side
         wave = residual.wavefront

@@ -28,11 +28,15 @@ class _Edges:
     number: Array
 
 
-def edge_ratio(wave: Wavefront) -> float:
-    """Length of all rims over the area, against that of a clear disc of the pupil radius."""
-    if wave.aperture is None:
+def edge_ratio(wave: Wavefront, outline: Aperture | None = None) -> float:
+    """Length of all rims over the area, against that of a clear disc of the pupil radius.
+
+    ``outline`` is that of the pupil where the wave does not hold it itself.
+    """
+    aperture = outline or wave.aperture
+    if aperture is None:
         return 1 / (1 - wave.obscuration)
-    return wave.aperture.perimeter * wave.pupil_radius / (2 * wave.aperture.area)
+    return aperture.perimeter * wave.pupil_radius / (2 * aperture.area)
 
 
 def tail(aperture: Aperture, x: Array, y: Array) -> Array:

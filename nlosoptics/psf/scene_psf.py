@@ -16,7 +16,6 @@ from .aberration import AimedWave
 from .lobes import lobes_of
 from .point_spreads import PointSpread
 from .pupils import ExitPupil
-from .residuals import Residual
 from .scene_optics import PointOptics, SceneOptics, optics_of
 from .wavefronts import Wavefront
 from .windows import shape_of, window_side
@@ -111,7 +110,7 @@ def scene_point_spread(
     if progress is not None:
         progress("point spread", 0.0)
     if shape is None:
-        _check_samples(seen.first.residual, pitch, tol)
+        _check_samples(seen.first, pitch, tol)
         side = point_window(seen, pitch, tol)
         shape = (side, side)
     aimed, spread = point_image(seen, pitch, shape, tol)
@@ -135,7 +134,7 @@ def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
     int
     """
     lobes = lobes_of(seen.scene, lambda: seen.view)
-    return lobes.window(seen.first.residual, pitch, tol)
+    return lobes.window(seen.first.residual, pitch, tol, seen.first.outline)
 
 
 def point_image(
@@ -163,18 +162,18 @@ def point_image(
     return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol))
 
 
-def _check_samples(residual: Residual, pitch: float, tol: float) -> None:
+def _check_samples(aimed: AimedWave, pitch: float, tol: float) -> None:
     """Refuse a point spread whose window holds too many samples, saying why it does."""
-    wave = residual.wavefront
+    wave, residual = aimed.wave, aimed.residual
     nyquist = wave.wavelength * wave.f_number / 2
-    pixels = window_side(residual, pitch, tol)
+    pixels = window_side(residual, pitch, tol, aimed.outline)
     needed = math.ceil(pixels * pitch / nyquist)
     if needed <= MOST_SAMPLES:
         return
     message = (
         f"the point spread needs {pixels} pixels, {needed} samples across, limit {MOST_SAMPLES}"
     )
-    if window_side(residual, pitch, 1e-2) * pitch <= MOST_SAMPLES * nyquist:
+    if window_side(residual, pitch, 1e-2, aimed.outline) * pitch <= MOST_SAMPLES * nyquist:
         raise SamplingError(f"{message}: its tail above tol = {tol:g}; use a larger tol")
     # spot and sampling both grow with the stop
     down = math.ceil(13 * math.sqrt(needed / MOST_SAMPLES)) / 10

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .._checks import in_range, is_single, positive, whole
 from ..errors import SamplingError, SceneError
 from . import rim_tails
+from .apertures import Aperture
 from .residuals import Residual, split
 from .wavefronts import Wavefront
 
@@ -146,16 +147,32 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     return window_side(split(wavefront), pitch, tol)
 
 
-def window_side(residual: Residual, pitch: float, tol: float) -> int:
-    """The same of a residual."""
+def window_side(
+    residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
+) -> int:
+    """`window_shape` of a wave whose piston and tilt are already separated.
+
+    Parameters
+    ----------
+    residual : Residual
+    pitch, tol : float
+        As of `window_shape`.
+    outline : Aperture, optional
+        Outline of the pupil, where the wave does not hold it itself.
+
+    Returns
+    -------
+    int
+    """
     peak = peak_pixel(residual, pitch)
     # Energy per pixel at the distance r from the last ray, and solved for r.
     tail = (2 * residual.airy_unit * pitch**2 / (math.pi**3 * tol * peak)) ** (1 / 3)
     wave = residual.wavefront
-    if wave.aperture is not None:
+    outline = outline or wave.aperture
+    if outline is not None:
         scale = wave.wavelength * abs(wave.image_distance)
-        tail *= rim_tails.edge_ratio(wave) ** (1 / 3)
-        tail = max(tail, rim_tails.reach(wave.aperture, scale, pitch, tol * peak))
+        tail *= rim_tails.edge_ratio(wave, outline) ** (1 / 3)
+        tail = max(tail, rim_tails.reach(outline, scale, pitch, tol * peak))
     half = ray_reach(residual) + tail
     return int(2 * math.ceil(max(half / pitch - 0.5, 0.0)) + 1)
 
