@@ -60,8 +60,8 @@ def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     dict of str to object
         None, booleans, whole numbers, text and finite floats are JSON's own, and a float reads back
         to its last bit; all else is an object of one key: ``float`` ("nan", "inf", "-inf"),
-        ``scalar`` of numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and ``list`` (items), ``mapping`` (pairs) and ``noun``
-        ([class, fields]).
+        ``scalar`` of numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and ``list``
+        (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
 
     Raises
     ------

@@ -102,7 +102,7 @@ def test_a_reconstruction_comes_back(found: nlos.Result, tmp_path: Path) -> None
     full = replace(found, reconstruction=answer)
     full.save(tmp_path / "full")
     assert_same(full, nlos.load_result(tmp_path / "full"))
-    tensor = replace(answer, object=torch.zeros(4, 4))
+    tensor = replace(answer, object=torch.zeros(16, 16))
     with pytest.raises(SceneError, match=r"reconstruction.object is a Tensor, .* no form"):
         replace(found, reconstruction=tensor).save(tmp_path / "tensor")
     assert not (tmp_path / "tensor").exists()
