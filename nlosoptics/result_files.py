@@ -60,8 +60,8 @@ def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
     dict of str to object
         None, booleans, whole numbers, text and finite floats are JSON's own, and a float reads back
         to its last bit; all else is an object of one key: ``float`` ("nan", "inf", "-inf"),
-        ``array`` ([file, entry]), ``tuple`` and ``list`` (items), ``mapping`` (pairs) and ``noun``
-        ([class, fields]).
+        ``scalar`` of numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and ``list``
+        (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
 
     Raises
     ------
@@ -78,8 +78,8 @@ def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _node(value: Any, place: tuple[str, ...], held: dict[str, NDArray[Any]]) -> Any:
-    if isinstance(value, np.generic):
-        value = value.item()
+    if isinstance(value, np.generic):  # has indices and axes, which a number of Python lacks
+        return {"scalar": [value.dtype.str, _node(value.item(), place, held)]}
     if isinstance(value, float) and not math.isfinite(value):
         return {"float": str(value)}
     if value is None or isinstance(value, bool | int | float | str):
@@ -136,6 +136,8 @@ def _value(node: Any, folder: Path, opened: dict[str, Mapping[str, NDArray[Any]]
     ((kind, held),) = node.items()
     if kind == "float":
         return {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}[held]
+    if kind == "scalar":
+        return np.dtype(held[0]).type(_value(held[1], folder, opened))
     if kind == "array":
         file, entry = held
         if file not in opened:
@@ -162,7 +164,7 @@ def _value(node: Any, folder: Path, opened: dict[str, Mapping[str, NDArray[Any]]
 def _entries(folder: Path, name: str) -> Mapping[str, NDArray[Any]]:
     path = folder / f"{Path(name).name}.npz"
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as held, np.load(held, allow_pickle=False) as file:
             return {entry: file[entry] for entry in file.files}
     except FileNotFoundError:
         raise _Damaged(f"{path} is missing; put it back, or {REMEDY}") from None

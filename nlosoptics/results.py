@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,8 +79,13 @@ class Result(Noun):
         """
         target = Path(folder)
         check_folder(target)
-        with whole_folder(target) as new:
-            write_record(write_result(self, new), new)
+        try:
+            with whole_folder(target) as new:
+                write_record(write_result(self, new), new)
+        except OSError as error:
+            raise SceneError(
+                f"{target} cannot be written ({error.strerror}); choose another place"
+            ) from None
 
 
 def load_result(folder: str | Path) -> Result:
@@ -160,7 +166,7 @@ def _account(result: Result) -> dict[str, Any]:
         "command": "run",
         "status": "done",
         "finished": now(),
-        "figures": _figures(result),
+        "figures": _finite(_figures(result)),
         "seed": result.seed,
         "tol": result.plan.tol,
         "scene_sha256": scene_hash(result.scene),
@@ -170,6 +176,15 @@ def _account(result: Result) -> dict[str, Any]:
             "skipped": [asdict(stage) for stage in result.plan.skipped],
         },
         "versions": versions(),
+    }
+
+
+def _finite(figures: dict[str, Any]) -> dict[str, Any]:
+    """Figures without those that JSON has no number for, infinity and NaN."""
+    return {
+        name: _finite(value) if isinstance(value, dict) else value
+        for name, value in figures.items()
+        if not isinstance(value, float) or math.isfinite(value)
     }
 
 
