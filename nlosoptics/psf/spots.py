@@ -217,7 +217,6 @@ def peak_strehl(wavefront: Wavefront) -> float:
         pupil = wave.amplitude * wave.weights * phase
     scale = 2 * math.pi / (wave.wavelength * wave.image_distance)
     place, best = np.array([found.x[column], found.y[row]]), -1.0
-    step = unit / 3
     # moments of the pupil are the derivatives of the field
     for _ in range(30):
         spread = pupil * np.exp(-1j * scale * (place[0] * u + place[1] * v))
@@ -229,9 +228,9 @@ def peak_strehl(wavefront: Wavefront) -> float:
         bend = 2 * (np.conj(field) * second + np.outer(np.conj(first), first)).real
         # Newton's step to the top of the cap; where it bends upward, as far the other way, uphill
         bends, axes = np.linalg.eigh(bend)
-        move = axes @ (axes.T @ slope / np.abs(bends))
-        length = float(np.hypot(*move))
-        if length < 1e-9 * unit:
+        bends = np.abs(bends).clip(min=1e-9 * np.abs(bends).max())  # a ring has none along it
+        move = axes @ (axes.T @ slope / bends)
+        place = place + move
+        if float(np.hypot(*move)) < 1e-9 * unit:
             break
-        place = place + move * min(1.0, step / length)
     return best / residual.amplitude_sum**2

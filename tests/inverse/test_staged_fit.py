@@ -170,7 +170,7 @@ def made(shape=(32, 40), gains=(1.0,), noise=0.01, wall_rows=1):
     return images, spread, np.array(defocus), truth.numpy()
 
 
-SHORT = {"boundary": "circular", "max_iterations": 60, "starts": 2}
+SHORT = {"boundary": "circular", "max_iterations": 20, "starts": 2}
 
 
 def test_same_seed_same_bits_and_kinds_in_kinds_out():

@@ -90,6 +90,12 @@ def test_change_over_the_picture_is_the_least_of_three(flat_scene, size, turn):
         small = replace(whole, radius=radius, f_number=distance / (2 * radius))
         expected = 2 * np.pi / wavelength * change * radius**2
         assert change_over_object(scene, small) == pytest.approx(expected, rel=1e-9)
+    # a stop whose diffraction fills a pixel moves less than a pixel's tail holds
+    radius = wavelength * distance / pitch
+    small = replace(whole, radius=radius, f_number=distance / (2 * radius))
+    moved = 4 * radius * distance * change / pitch
+    assert moved < min(0.2, 2 * np.pi / wavelength * change * radius**2)
+    assert change_over_object(scene, small) == pytest.approx(moved, rel=1e-9)
     # a wide lens moves light from pixel to pixel, where the pixels are wide
     wide = replace(whole, radius=12e-3, f_number=distance / 24e-3)
     moved = 4 * 12e-3 * distance * change / max(pitch, wavelength * wide.f_number)

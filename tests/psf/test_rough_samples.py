@@ -65,7 +65,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_patterns_tend_to_the_mean_in_every_ring(case):
     s, length, shape, view, distance = CASES[case]
-    wave, roughness, count = grid_wave(), wall(s, length, view["cos_sum"]), 300
+    wave, roughness, count = grid_wave(), wall(s, length, view["cos_sum"]), 160
     drawn = patterns(wave, roughness, count, view=view, distance=distance, shape=shape)
     spread = psf.mean_point_spread(wave, roughness, pitch=UNIT / 2, shape=shape, tol=0.02, **view)
     mean, ring = spread.intensity, rings(spread, 2 * UNIT)
@@ -78,7 +78,7 @@ def test_patterns_tend_to_the_mean_in_every_ring(case):
     limit = np.maximum(0.02 * expected, family * scatter)
     assert (np.abs(sums.mean(axis=0) - expected) < limit).all()
     # and that is no empty promise: rings are known to some percent
-    assert np.median(scatter / expected) < 0.05
+    assert np.median(scatter / expected) < 0.07
 
 
 def test_error_falls_as_the_root_of_the_count():

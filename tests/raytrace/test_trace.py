@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import subprocess
@@ -290,21 +291,35 @@ def test_black_wall_absorbs_all():
 # statistics
 
 
+@functools.cache
+def true_flux(size=0.6):
+    """Flux by a million Sobol points, some thirty times nearer than what it is held against."""
+    scene = with_plate(size)
+    return trace(scene, n_rays=1 << 20, max_bounces=3, seed=10_000, sampler="sobol").flux
+
+
+def with_plate(size):
+    """A small plate and nothing but wall in sight is a smooth function of the numbers."""
+    scene = wide_scene()
+    if size == scene.hidden.size[0]:
+        return scene
+    camera = replace(scene.camera, pixels=(60, 60))
+    return replace(scene, hidden=replace(scene.hidden, size=size), camera=camera)
+
+
 @pytest.mark.parametrize("sampler", ["philox", "sobol"])
 def test_standard_error_covers_the_truth(sampler):
-    scene = wide_scene()
-    truth = trace(scene, n_rays=1 << 21, max_bounces=3, seed=10_000).flux
-    runs = [trace(scene, n_rays=512, max_bounces=3, seed=k, sampler=sampler) for k in range(2000)]
+    scene, truth = with_plate(0.6), true_flux()
+    runs = [trace(scene, n_rays=512, max_bounces=3, seed=k, sampler=sampler) for k in range(1000)]
     off = np.array([abs(r.flux - truth) / r.standard_error for r in runs])
-    # 2,000 runs tell these shares to 1 % and 0.5 %; 32 groups make tails a little heavier
+    # 1,000 runs tell these shares to 1.5 % and 0.7 %; 32 groups make tails a little heavier
     assert np.mean(off < 1.0) == approx(0.683, abs=0.04)
     assert np.mean(off < 1.96) == approx(0.95, abs=0.02)
 
 
-def error_slope(scene, sampler, counts, repeats):
+def error_slope(size, sampler, counts, repeats):
     """Exponent of the true error's fall with the number of rays."""
-    truth = trace(scene, n_rays=1 << 21, max_bounces=3, seed=10_000).flux
-    errors = []
+    scene, truth, errors = with_plate(size), true_flux(size), []
     for n in counts:
         # another seed each, so that no two are related
         seeds = range(1000 * n, 1000 * n + repeats)
@@ -317,24 +332,20 @@ def error_slope(scene, sampler, counts, repeats):
 
 def test_independent_numbers_err_by_the_root_of_their_number():
     # 64 repeats at 8 counts tell the slope to 0.02
-    slope = error_slope(wide_scene(), "philox", [2**k for k in range(7, 15)], 64)
+    slope = error_slope(0.6, "philox", [2**k for k in range(7, 15)], 64)
     assert slope == approx(-0.5, abs=0.05)
 
 
 def test_sobol_points_err_less():
-    """A small plate and nothing but wall in sight: a smooth function of the numbers."""
-    scene = wide_scene()
-    plate = replace(scene.hidden, size=0.25)
-    scene = replace(scene, hidden=plate, camera=replace(scene.camera, pixels=(60, 60)))
-    # 16 repeats at 7 counts tell the slope to 0.05
-    assert error_slope(scene, "sobol", [2**k for k in range(10, 17)], 16) < -0.7 - 0.1
+    # 16 repeats at 6 counts tell the slope to 0.05
+    assert error_slope(0.25, "sobol", [2**k for k in range(10, 16)], 16) < -0.7 - 0.1
 
 
 def test_tolerance_ends_the_tracing():
-    coarse, fine = (trace(wide_scene(), tol=tol, max_bounces=3) for tol in (0.02, 2e-4))
+    coarse, fine = (trace(wide_scene(), tol=tol, max_bounces=3) for tol in (0.02, 1e-3))
     assert coarse.stopped == fine.stopped == "tol"
     assert coarse.standard_error <= 0.02 * coarse.flux
-    assert fine.standard_error <= 2e-4 * fine.flux
+    assert fine.standard_error <= 1e-3 * fine.flux
     assert coarse.n_rays < fine.n_rays
 
 
