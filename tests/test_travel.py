@@ -151,6 +151,7 @@ MADE: Mapping[str, Any] = {
     ),
     "Wavefront": lambda: wave(aperture=psf.Aperture.round(5e-3, 0.3)),
     "PointSpread": lambda: psf.point_spread(wave(), shape=64),
+    "ScenePointSpread": lambda: psf.scene_point_spread(room(), shape=32),
     "ForwardModel": lambda: imaging.ForwardModel(RNG.random((5, 5)), shape=(8, 9)),
     "Detector": lambda: transient.Detector(photons=1e3, gate=(0.0, 1.0)),
     "TransientCapture": capture,

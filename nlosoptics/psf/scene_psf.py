@@ -9,6 +9,7 @@ from typing import Final
 from numpy.typing import ArrayLike
 
 from .._checks import in_range, positive
+from .._nouns import Noun
 from .._progress import Progress
 from ..errors import SamplingError
 from ..scene import Scene
@@ -25,7 +26,7 @@ MOST_SAMPLES: Final = 8192
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ScenePointSpread:
+class ScenePointSpread(Noun):
     """Image of an object point by the relay wall's mirror-like lobes.
 
     Parameters
