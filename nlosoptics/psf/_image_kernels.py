@@ -6,8 +6,10 @@ import math
 
 from numba import njit, prange
 
+from .._parallel_kernels import threaded
 
-@njit(cache=True, parallel=True)
+
+@threaded()
 def huygens_field(points, u, v, w, path, size, distance, wavenumber, curved, out):
     """Fill ``out`` (n, 2) with the real and imaginary field at points (n, 3), m.
 

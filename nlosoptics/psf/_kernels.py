@@ -6,6 +6,7 @@ import math
 
 from numba import njit, prange
 
+from .._parallel_kernels import threaded
 from ..scene._kernels import surface
 
 FOUND, NOT_FOUND, OFF_SURFACE = 0, 1, 2
@@ -97,7 +98,7 @@ def _describe(o, p, x, y, s, axis, row):
     row[4] = along_1 * along_2 * cos_pupil / (a_true * a_true * b * b * abs(det))
 
 
-@njit(cache=True, parallel=True)
+@threaded()
 def aim(terms, tables, o, nodes, starts, axis, out):
     """Fill ``out`` (n, 8) for the stationary paths from O by the wall to each node (n, 3).
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from .._parallel_kernels import threaded
 from ..scene._kernels import surface
 from ..scene.walls import CYLINDER, GRID, SPHERE, WAVE
 
@@ -282,7 +283,7 @@ def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     return t, condition, hx, hy
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@threaded(error_model="numpy")
 def intersect(
     terms,
     tables,

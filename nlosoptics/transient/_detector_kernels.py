@@ -7,6 +7,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from .._parallel_kernels import threaded
 from .._random_kernels import uniform
 
 #: Stream of the random generator.
@@ -54,7 +55,7 @@ def _many(mean, seed, address):
             return count
 
 
-@njit(cache=True, parallel=True)
+@threaded()
 def poisson(means, seed, counts):
     """Fill ``counts`` (n,) with Poisson draws of ``means`` (n,); ``seed`` uint64."""
     for i in prange(means.shape[0]):

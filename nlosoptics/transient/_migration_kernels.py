@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from .._parallel_kernels import threaded
 
 
-@njit(cache=True, parallel=True)
+@threaded()
 def stolt(
     spectrum,
     lateral_sq,
@@ -60,7 +62,7 @@ def stolt(
             out[b, c, j % n] += complex(co * real - si * imaginary, co * imaginary + si * real)
 
 
-@njit(cache=True, parallel=True)
+@threaded()
 def backproject(
     series, lasers, sensors, laser_of, sensor_of, legs, x, y, z, start, width, power, out, seen
 ):

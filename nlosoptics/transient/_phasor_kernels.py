@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from .._parallel_kernels import threaded
+
 ALONE, ALL, PAIRED = 0, 1, 2
 
 
@@ -49,7 +51,7 @@ def add_path(path, amplitude, first, step, spectrum, field):
         field[rest + 2] += spectrum[rest + 2] * three
 
 
-@njit(cache=True, parallel=True)
+@threaded()
 def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fields):
     """Sum over points of spectrum[j, i, k] exp(i k path), then over k, at each time.
 

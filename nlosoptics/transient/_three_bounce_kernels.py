@@ -13,6 +13,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from .._parallel_kernels import threaded
 from ..scene._kernels import lobe
 from ..scene._material import LAMBERT
 from ._shadow_kernels import (
@@ -280,7 +281,7 @@ def _seen(mesh, clear, p, q, outlined, known, known_is_q, room, pieces):
     return pieces, count
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@threaded(error_model="numpy")
 def sights(mesh, clear, points, out, ends, kept, kept_sizes):
     """Fill ``out`` (points, triangles) with how much of each triangle a point sees.
 
@@ -409,7 +410,7 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
         strict /= STEP
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@threaded(error_model="numpy")
 def three_bounces(
     mesh,
     clear,
