@@ -334,29 +334,25 @@ def interrupt(*_: object, **__: object) -> None:
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("step", ["load", "_write_arrays", "_write_pictures"])
-@pytest.mark.parametrize(
-    ("break_it", "said"),
-    [(disk_full, "disk full"), (interrupt, "interrupted; nothing was written")],
-)
 def test_broken_run_leaves_the_old_folder(
-    break_it: Callable[..., None],
-    said: str,
-    step: str,
-    scene_file: Path,
-    run: Run,
-    monkeypatch: pytest.MonkeyPatch,
+    scene_file: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Neither half a folder nor a lost one, whatever breaks in the middle."""
     command = ("run", scene_file, "--no-reconstruct")
     assert run(*command).code == 0
     before = contents(scene_file.parent)
-    monkeypatch.setattr(forward, step, break_it)
-    answer = run(*command, "--seed", 1)
-    assert answer.code == 1
-    assert said in answer.err
-    assert answer.err.count("\n") == 1
-    assert contents(scene_file.parent) == before
+    for step in ("load", "_write_arrays", "_write_pictures"):
+        for break_it, said in (
+            (disk_full, "disk full"),
+            (interrupt, "interrupted; nothing was written"),
+        ):
+            with monkeypatch.context() as broken:
+                broken.setattr(forward, step, break_it)
+                answer = run(*command, "--seed", 1)
+            assert answer.code == 1, step
+            assert said in answer.err
+            assert answer.err.count("\n") == 1
+            assert contents(scene_file.parent) == before, step
 
 
 def test_renaming_that_fails_puts_the_old_folder_back(

@@ -59,7 +59,7 @@ def object_points(scene, rays):
 @pytest.mark.parametrize("wall", [FlatWall(size=2.0), ConcaveWall(4.0)], ids=["flat", "concave"])
 @pytest.mark.parametrize("mesh", [False, True], ids=["picture", "mesh"])
 def test_an_occluder_out_of_the_way_changes_no_bit(flat_scene, wall, mesh):
-    scene = replace(flat_scene, wall=wall)
+    scene = replace(flat_scene.resized(32), wall=wall)
     if mesh:
         box = trimesh.creation.box((0.2, 0.2, 0.1))
         scene = replace(scene, hidden=MeshObject(box, position=(0.38, 0, 1)))
@@ -295,7 +295,7 @@ def test_lines_of_sight_are_tested_for_occluders_alone(flat_scene, wall, monkeyp
             return real(*args)
 
         monkeypatch.setattr(module, "occluded", wrapper)
-    scene = replace(flat_scene, wall=wall)
+    scene = replace(flat_scene.resized(32), wall=wall)
     result = nlos.simulate(scene)
     assert "no occluders" in next(s for s in result.plan.skipped if s.name == "shadow rays").reason
     assert calls == []

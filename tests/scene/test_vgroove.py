@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 from pathlib import Path
@@ -143,15 +144,25 @@ def test_second_reflection_is_reciprocal() -> None:
         assert f == approx(g, rel=0.03)  # rare paths, 2^15 of them
 
 
+@functools.cache
+def grooves_of(slope_rms: float, theta: float) -> Grooves:
+    return Grooves(direction(theta * DEGREE), slope_rms, DRAWS)
+
+
+@functools.cache
+def reflected(slope_rms: float, theta: float, out: float, azimuth: int) -> tuple[float, float]:
+    """Of one and of two reflections, albedo 1: the same for every model and albedo."""
+    return grooves_of(slope_rms, theta).reflected(direction(out * DEGREE, azimuth * DEGREE))
+
+
 def excess(model: str, rho: float, slope_rms: float, angles, azimuths) -> dict:
     """Relative excess of a model over two reflections, by (incidence, exitance, azimuth)."""
     material, table = OrenNayar(rho, slope_rms, model=model), {}
     for theta in angles:
-        grooves = Grooves(direction(theta * DEGREE), slope_rms, DRAWS)
         for out in angles:
             for phi in azimuths:
                 exitant = direction(out * DEGREE, phi * DEGREE)
-                one, two = grooves.reflected(exitant)
+                one, two = reflected(slope_rms, theta, out, int(phi))
                 f = float(material.evaluate(direction(theta * DEGREE), exitant, NORMAL))
                 table[theta, out, int(phi)] = f / (rho * one + rho**2 * two) - 1
     return table
