@@ -77,8 +77,8 @@ def detilted_wide_spread(
     )
     missing = max(1.0 - fine.enclosed_energy, 0.0)
     half = n * pitch / parts / 2
-    intensity = _binned(fine.intensity, parts, shape)
-    intensity += missing * _beyond_square(shape, half / pitch)
+    intensity = binned(fine.intensity, parts, shape)
+    intensity += missing * beyond_square(shape, half / pitch)
     peak = float(intensity.max())
     # errors of the parts have either sign
     error = fine.error_estimate * min(parts, n) * float(fine.intensity.max())
@@ -109,7 +109,7 @@ def _model_error(reach: float) -> float:
     return min(1.0, MODEL + reach**2)
 
 
-def _binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
+def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
     """Sums over pixels of ``parts`` x ``parts``, both of one centre; what is beyond is dropped."""
     n = len(fine)
     # whole pixels, an odd count, that hold the fine ones
@@ -126,7 +126,7 @@ def _binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
     return found
 
 
-def _beyond_square(shape: tuple[int, int], half: float) -> Array:
+def beyond_square(shape: tuple[int, int], half: float) -> Array:
     """Shares of ``1/r^3`` beyond a square of half side ``half``, pixels, in each pixel.
 
     All beyond the square count 1.

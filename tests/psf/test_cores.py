@@ -10,7 +10,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import SceneError
-from nlosoptics.psf.cores import _beyond_square, wide_point_spread
+from nlosoptics.psf.cores import beyond_square, wide_point_spread
 from nlosoptics.psf.tails import tail_pixels
 
 WAVELENGTH, UNIT = 632.8e-9, 2 * 632.8e-9  # lambda N
@@ -23,7 +23,7 @@ def wave_of(waves):
 
 @pytest.mark.parametrize("half", [0.2, 0.5, 1.3, 2.5])
 def test_light_beyond_a_square_adds_up(half):
-    found = _beyond_square((801, 801), half)
+    found = beyond_square((801, 801), half)
     assert found.sum() == approx(1 - half / 400.5, rel=1e-12)
     assert np.all(found >= 0)
     assert np.abs(found - found.T).max() < 1e-15
