@@ -4,8 +4,8 @@ python benchmarks/random_scenes.py FILE [--first N] [--count N] [--most-seconds 
 
 Writes one JSON line a scene: even numbers at ordinary scales, odd ones wild. Scenes that FILE
 holds are not run again. Every scene runs in a worker process of bounded memory, so that a crash
-and a hang are told as what they are. Warnings are errors. Seconds are the process's own, of a second run,
-whose kernels are compiled; memory is the rise of the resident peak.
+and a hang are told as what they are. Warnings are errors. Seconds are the process's own, of a
+second run, whose kernels are compiled; memory is the rise of the resident peak.
 
 python benchmarks/random_scenes.py FILE --summary
 """

@@ -11,13 +11,23 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "nlosoptics"
 
-BASE = {"errors", "_checks", "_html", "_progress", "_random", "_random_kernels", "_whole_files"}
+BASE = {
+    "errors",
+    "_checks",
+    "_cost_model",
+    "_html",
+    "_progress",
+    "_random",
+    "_random_kernels",
+    "_whole_files",
+}
 OPTICS = {"scene", "raytrace", "psf", "imaging", "limits", "inverse", "transient"}
 
 #: What each part may import from the rest of the package; itself is understood.
 MAY_IMPORT = {
     "errors": set(),
     "_checks": {"errors"},
+    "_cost_model": BASE,
     "_html": {"errors"},
     "_progress": set(),
     "_random": {"errors", "_checks", "_random_kernels"},

@@ -64,14 +64,11 @@ def detilted_wide_spread(
     whole = partial(
         detilted_point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
     )
+    inner = inner_parts(residual, pitch, shape, tol)
+    if inner is None:
+        return whole()
+    n, parts = inner
     unit, reach = residual.airy_unit, ray_reach(residual)
-    if residual.wavefront.layout != "polar" or pitch < WIDE * unit:
-        return whole()
-    half = _inner_half(reach / unit, tol / 2 * peak_pixel(residual, pitch)) * unit
-    if 2 * half > WORTH * pitch * min(shape):
-        return whole()
-    parts = math.ceil(pitch / (FINE * unit)) | 1
-    n = 2 * math.ceil(half * parts / pitch) + 1
     fine = detilted_point_spread(
         residual, pitch=pitch / parts, shape=n, pixel_integrated=True, tol=tol / 30
     )
@@ -95,6 +92,21 @@ def detilted_wide_spread(
         regime=replace(fine.regime, pixel=pitch / unit),
         reason=f"{n} x {n} parts of pixels hold the rays, a tail the rest; {fine.reason}",
     )
+
+
+def inner_parts(
+    residual: Residual, pitch: float, shape: tuple[int, int], tol: float
+) -> tuple[int, int] | None:
+    """Parts of pixels a side about the rays, and how many a pixel has; None if they do not pay."""
+    unit = residual.airy_unit
+    if residual.wavefront.layout != "polar" or pitch < WIDE * unit:
+        return None
+    reach = ray_reach(residual) / unit
+    half = _inner_half(reach, tol / 2 * peak_pixel(residual, pitch)) * unit
+    if 2 * half > WORTH * pitch * min(shape):
+        return None
+    parts = math.ceil(pitch / (FINE * unit)) | 1
+    return 2 * math.ceil(half * parts / pitch) + 1, parts
 
 
 def _inner_half(reach: float, tol: float) -> float:

@@ -12,14 +12,14 @@ import ducc0
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import fits_memory
+from .._checks import fits_memory, memory_limit
 from .cores import beyond_square, binned
 from .nodes import gauss_legendre
 from .residuals import Residual
 from .rim_tails import edge_ratio
 from .rough_views import RoughView
-from .transfers import Transfer, transfer
-from .windows import Window, ray_reach
+from .transfers import CELL_BYTES, Transfer, cells_across, transfer
+from .windows import Window, peak_pixel, ray_reach
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -234,16 +234,49 @@ def scattered_light(
     is as small as ``tol`` lets it be; what lies beyond is spread over the pixels as the diffraction
     tail, ``1/r^3``, and all that is more than such a tail holds counts as error.
     """
-    smooth = transfer(residual)
+    cells, best = first_cells(residual, view, window.pitch, tol), None
+    for n in (cells, 2 * cells, 4 * cells):
+        if best is not None and CELL_BYTES * n**2 > memory_limit():
+            break
+        found = _with_cells(residual, view, window, pixel_integrated, coherent, tol, n)
+        if best is None or found[1] < best[1]:
+            best = found
+        if not n or best[1] <= 0.7 * tol * float(np.max(coherent + best[0])):
+            break
+    assert best is not None
+    return best
+
+
+def first_cells(residual: Residual, view: RoughView, pitch: float, tol: float) -> int:
+    """Cells across a polar pupil from which the transfer function is taken first; 0 of a grid."""
+    if residual.wavefront.layout != "polar":
+        return 0
+    # errors are relative to a peak that the aberration lowers and the halo's own does not tell
+    blur = view.halo(residual.wavefront) / 3
+    alone = 1.0 if blur == 0 else min(1.0, pitch**2 / (2 * math.pi * blur**2))
+    return cells_across(residual, tol / (1 + alone / peak_pixel(residual, pitch)))
+
+
+def _with_cells(
+    residual: Residual,
+    view: RoughView,
+    window: Window,
+    pixel_integrated: bool,
+    coherent: Array,
+    tol: float,
+    cells: int,
+) -> tuple[Array, float]:
+    """`scattered_light` by a transfer function from so many cells across the pupil."""
+    smooth = transfer(residual, cells)
     if pixel_integrated:
         share = -math.expm1(-(view.rayleigh_parameter**2))
         for half in inner_halves(residual, view, window, tol):
-            found = _about_the_light(residual, view, window, half, share, smooth, tol)
+            found = _about_the_light(residual, view, window, half, share, smooth, tol, cells)
             if found[1] <= 0.5 * tol * float(np.max(coherent + found[0])):
                 return found
     halo = Halo(residual, view, window, pixel_integrated, smooth.reach)
     light, nodes, _, missed = halo.converged(smooth.at, coherent, tol)
-    return light, missed + _transfer_error(halo, nodes, light, smooth)
+    return light, missed + _transfer_error(halo, nodes, light, smooth, cells)
 
 
 def inner_halves(
@@ -274,12 +307,15 @@ def _about_the_light(
     share: float,
     smooth: Transfer,
     tol: float,
+    cells: int,
 ) -> tuple[Array, float]:
     """Scattered light by a sum over a small window and a tail beyond, and its error."""
     inner, parts = inner_window(window, half)
     halo = Halo(residual, view, inner, True, smooth.reach)
     light, nodes, _, missed = halo.converged(smooth.at, np.zeros(inner.shape), tol / 10)
-    error = min(parts, inner.shape[0]) * (missed + _transfer_error(halo, nodes, light, smooth))
+    error = min(parts, inner.shape[0]) * (
+        missed + _transfer_error(halo, nodes, light, smooth, cells)
+    )
     half = inner.shape[0] * inner.pitch / 2
     missing = max(share - float(light.sum()), 0.0)
     unit, reach = residual.airy_unit, ray_reach(residual) + view.halo(residual.wavefront)
@@ -290,7 +326,9 @@ def _about_the_light(
     return found, error
 
 
-def _transfer_error(halo: Halo, nodes: Separations, light: Array, smooth: Transfer) -> float:
+def _transfer_error(
+    halo: Halo, nodes: Separations, light: Array, smooth: Transfer, cells: int
+) -> float:
     """What the transfer function's own error makes of the scattered light.
 
     At most its bound over all separations. Of a polar wave, what cells twice as wide change in the
@@ -301,6 +339,6 @@ def _transfer_error(halo: Halo, nodes: Separations, light: Array, smooth: Transf
     # below, another lattice would cost more than it says
     if halo.residual.wavefront.layout != "polar" or smooth.error < 1e-12:
         return bound
-    coarse = transfer(halo.residual, coarser=2)
+    coarse = transfer(halo.residual, max(cells // 2, 16))
     change = halo.image(nodes, coarse.at(nodes.du, nodes.dv)) - light
     return min(bound, float(np.abs(change).max()))
