@@ -15,7 +15,8 @@ from ._html import Column, table
 from .errors import NotWaveGradeError, SamplingError, SceneError
 from .imaging.image_fields import COUNTS
 from .imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
-from .imaging.radiometry import laser_spot
+from .imaging.objects import object_patches
+from .imaging.radiometry import background_work, laser_spot
 from .imaging.shadows import SHADOW_BYTES, check_beam
 from .psf import estimates
 from .psf.aberration import AUTO_GRID_SAMPLES, check_wave_grade
@@ -38,7 +39,7 @@ MOST_NODES = 27  # along each side of a field of point spreads
 MOST_SECONDS = 900.0  # of a run where nobody says
 LARGEST_TOL = 0.1
 HELD = 3e7  # bytes of what Python loads on the way
-AIMING = {"flat": 4e-7, "": 4e-6, "callable": 2e-5}  # s a node
+AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s a node
 PIXELS = "read fewer pixels or bin more (camera.pixels, camera.binning)"
 LARGER = "use a larger tol, wider pixels or a smaller stop"
 
@@ -291,26 +292,31 @@ class _Look:
         Pixels of the window at the centre, and of one that holds those of the whole picture.
     samples : tuple of int
         Cells across the grids that are tried in turn; empty of polar nodes.
+    waves : int
+        How many were aimed.
     """
 
     seen: PointOptics
     side: int
     field_side: int
     samples: tuple[int, ...]
+    waves: int
 
     @classmethod
     def at(cls, optics: SceneOptics, tol: float) -> _Look:
         """Aim the waves; raises what the run would raise for want of a wave."""
         scene, seen = optics.scene, optics.reference
         pitch = scene.camera.image_pitch
-        side = field_side = point_window(seen, pitch, tol)
+        waves, side = 1, point_window(seen, pitch, tol)
+        field_side = side
         if seen.first.wave.layout == "grid":
-            return cls(seen, side, side, _grid_samples(seen.first.residual, pitch, side, tol))
+            return cls(seen, side, side, _grid_samples(seen.first.residual, pitch, side, tol), 1)
         if isinstance(scene.hidden, PlanarObject) and scene.wall_material.mirror_lobes:
             for x, y in ((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y):
+                waves += 1
                 one = optics.at(picture_point(scene.hidden, x, y))
                 field_side = max(field_side, point_window(one, pitch, tol / 2))
-        return cls(seen, side, field_side, ())
+        return cls(seen, side, field_side, (), waves)
 
 
 def _grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
@@ -368,7 +374,7 @@ def _wave_stages(scene: Scene, pupil: ExitPupil, look: _Look, waves: float) -> I
         name="wave aberration",
         runs=True,
         reason=reason,
-        seconds=_aiming_seconds(scene, nodes),
+        seconds=look.waves * _aiming_seconds(scene, nodes),
         error="the mesh surface's" if isinstance(scene.wall, MeshWall) else "1e-9 wave",
         memory=400.0 * max((*look.samples, 48)) ** 2,
     )
@@ -384,7 +390,8 @@ def _spread_cost(scene: Scene, look: _Look, side: int, tol: float) -> Cost:
     """Of one point spread; of a grid with all coarser ones that are tried before."""
     pitch, shape = scene.camera.image_pitch, (side, side)
     found = [point_cost(look.seen, pitch, shape, tol, cells=n) for n in look.samples or (0,)]
-    return Cost(sum(c.seconds for c in found), found[-1].n_bytes)
+    seconds = _cost_model.seconds(transforms=sum(c.seconds for c in found))
+    return Cost(seconds, found[-1].n_bytes)
 
 
 def _point_spread_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Stage:
@@ -478,10 +485,20 @@ def _image_stage(scene: Scene) -> Stage:
         name="image",
         runs=True,
         reason=reason,
-        seconds=_cost_model.seconds(calls=0.01, arrays=0.02 + 2e-6 * nx * ny),
+        seconds=_image_seconds(scene),
         error="1e-3 of the background",
         memory=IMAGE_BYTES * nx * ny,
     )
+
+
+def _image_seconds(scene: Scene) -> float:
+    """Of `form_image`: the wall's diffuse light from every patch of the object, and the pixels."""
+    pixels = float(math.prod(scene.camera.shape))
+    pairs, groups = background_work(scene, object_patches(scene.hidden))
+    if scene.wall.is_flat:
+        return _cost_model.seconds(calls=0.018, arrays=4e-7 * pairs + 1.2e-6 * pixels)
+    arrays = 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
+    return _cost_model.seconds(calls=0.02 + 5e-4 * groups, arrays=arrays)
 
 
 def _reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
