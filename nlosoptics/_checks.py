@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import lru_cache
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from .errors import MemoryLimitError, SceneError
 
 Vector = tuple[float, float, float]
 
+T = TypeVar("T")
+R = TypeVar("R")
+#: Share of the free memory that may be taken where nobody says.
+SHARE = 0.75
 #: Seconds for which a reading of the free memory holds; each costs as much as a small transform.
 FRESH = 0.25
 
@@ -131,9 +138,63 @@ def _memory_at(moment: int) -> float:
     return math.inf
 
 
+@dataclass(frozen=True)
+class Budget:
+    """What one run may take.
+
+    Parameters
+    ----------
+    memory : float
+        Bytes.
+    seconds : float
+        Of one core.
+    """
+
+    memory: float
+    seconds: float
+
+
+_budget: ContextVar[Budget | None] = ContextVar("budget", default=None)
+
+
+@contextmanager
+def within(budget: Budget) -> Iterator[None]:
+    """Hold what is done to a budget, in this thread and in what `carried` takes to others."""
+    token = _budget.set(budget)
+    try:
+        yield
+    finally:
+        _budget.reset(token)
+
+
+def carried(function: Callable[[T], R]) -> Callable[[T], R]:
+    """The function held to the present budget in whichever thread it runs."""
+    budget = _budget.get()
+    if budget is None:
+        return function
+
+    def run(value: T) -> R:
+        with within(budget):
+            return function(value)
+
+    return run
+
+
+def memory_limit() -> float:
+    """Bytes that may be taken: the present budget's, or else `SHARE` of what is free."""
+    budget = _budget.get()
+    return SHARE * available_memory() if budget is None else budget.memory
+
+
+def seconds_limit(without: float) -> float:
+    """Seconds that may be taken: the present budget's, or ``without`` one."""
+    budget = _budget.get()
+    return without if budget is None else budget.seconds
+
+
 def fits_memory(what: str, n_bytes: float, remedy: str) -> None:
-    """Raise `MemoryLimitError` before an allocation that three quarters of memory cannot hold."""
-    limit = 0.75 * available_memory()
+    """Raise `MemoryLimitError` before an allocation that the budget or the machine cannot hold."""
+    limit = memory_limit()
     if n_bytes > limit:
         raise MemoryLimitError(
             f"{what} needs {n_bytes / 2**30:.3g} GiB, limit {limit / 2**30:.3g} GiB; {remedy}"

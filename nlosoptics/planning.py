@@ -1,4 +1,4 @@
-"""What a scene needs, what it does not and why, before anything is computed."""
+"""What a scene needs, what it does not and why, before anything but its geometry is computed."""
 
 from __future__ import annotations
 
@@ -9,28 +9,39 @@ from typing import Literal
 
 import numpy as np
 
-from ._checks import fits_memory, in_range
+from . import _cost_model
+from ._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
 from ._html import Column, table
 from .errors import NotWaveGradeError, SamplingError, SceneError
-from .psf.aberration import check_wave_grade
+from .imaging.image_fields import COUNTS
+from .imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
+from .imaging.objects import object_patches
+from .imaging.radiometry import background_work, laser_spot
+from .imaging.shadows import SHADOW_BYTES, check_beam
+from .psf import estimates
+from .psf.aberration import AUTO_GRID_SAMPLES, check_wave_grade
 from .psf.estimates import rounded_up
+from .psf.fields import picture_point
 from .psf.obstruction import check_cone
 from .psf.paraxial import change_over_object
 from .psf.pupils import ExitPupil, exit_pupil
-from .psf.scene_psf import MOST_SAMPLES
+from .psf.residuals import Residual
+from .psf.scene_optics import FINER, PointOptics, SceneOptics
+from .psf.scene_psf import point_window
+from .psf.spread_costs import Cost, point_cost
+from .psf.windows import peak_pixel
 from .raytrace import ray_plan
-from .scene import (
-    ConvexWall,
-    MeshWall,
-    PlanarObject,
-    Scene,
-)
+from .raytrace.meshes import threads
+from .scene import MeshWall, PlanarObject, Scene
 
 FIELD = "field of point spreads"  # the name of that stage
-BYTES_PER_PIXEL = 400  # of an image through the whole run, measured
 MOST_NODES = 27  # along each side of a field of point spreads
-MOST_SECONDS = 900  # of a field
+MOST_SECONDS = 900.0  # of a run where nobody says
 LARGEST_TOL = 0.1
+HELD = 3e7  # bytes of what Python loads on the way
+AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s a node
+PIXELS = "read fewer pixels or bin more (camera.pixels, camera.binning)"
+LARGER = "use a larger tol, wider pixels or a smaller stop"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +59,8 @@ class Stage:
         Predicted run time on one core once compiled; 0 when skipped.
     error : str
         Predicted error, with its meaning.
+    memory : float
+        Predicted bytes at its peak, of what it allocates itself.
     """
 
     name: str
@@ -55,6 +68,7 @@ class Stage:
     reason: str
     seconds: float = 0.0
     error: str = ""
+    memory: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +85,11 @@ class Plan:
         Wanted error of point spreads, max |dI|/max I, and of the image by their field; the other
         stages state their own.
     waves : float
-        Estimated peak-to-valley aberration left after tilt, waves.
+        Peak-to-valley aberration of the object's centre left after tilt, waves; NaN without a wave.
     exit_pupil : ExitPupil
         Exit pupil of the scene, which `simulate` goes on with.
+    budget : Budget
+        What the run may take.
     """
 
     stages: tuple[Stage, ...]
@@ -81,11 +97,17 @@ class Plan:
     tol: float
     waves: float
     exit_pupil: ExitPupil = field(compare=False, repr=False)
+    budget: Budget
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
         """Layout of the pupil nodes: a grid where the wall's edge cuts the cone of light."""
         return self.exit_pupil.layout
+
+    @property
+    def memory(self) -> float:
+        """Predicted rise of the process's memory at the peak of the run, bytes."""
+        return HELD + max((stage.memory for stage in self.stages), default=0.0)
 
     @property
     def seconds(self) -> float:
@@ -124,7 +146,14 @@ class Plan:
         )
 
 
-def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
+def plan(
+    scene: Scene,
+    tol: float = 1e-3,
+    *,
+    reconstruct: bool = False,
+    memory: float | None = None,
+    max_seconds: float = MOST_SECONDS,
+) -> Plan:
     """Say what a scene needs, what it does not, and why.
 
     Parameters
@@ -135,6 +164,10 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
         rms; 1e-12 to 0.1.
     reconstruct : bool, default False
         Whether the known-PSF reconstruction is wanted.
+    memory : float, optional
+        Bytes that the whole run may take; three quarters of what is free by default.
+    max_seconds : float, default 900
+        Predicted seconds on one core that the whole run may take.
 
     Returns
     -------
@@ -144,27 +177,47 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
     ------
     SceneError
         If the laser misses the wall, the camera cannot see the object by the wall, an occluder
-        cuts a part of the cone of light from the object's reference point, or ``tol`` is out of
-        range.
+        cuts the beam or a part of the cone of light from the object's reference point, or an
+        argument is out of range.
+    CausticError
+        If the wall has no single wave at the object's centre, corners or edges.
     SamplingError
-        If ``tol`` is out of reach: with what it would take.
+        If ``tol`` is out of reach or takes longer than ``max_seconds``: with what it would take.
     MemoryLimitError
-        If the image would not fit in memory.
+        If a stage would take more than ``memory``.
+
+    Notes
+    -----
+    The waves from the object's centre, corners and edges are aimed, some milliseconds each; windows
+    and sampling follow from them by the functions that the run itself uses.
     """
+    return looked_at(scene, tol, reconstruct, memory, max_seconds)[0]
+
+
+def looked_at(
+    scene: Scene,
+    tol: float,
+    reconstruct: bool,
+    memory: float | None,
+    max_seconds: float,
+) -> tuple[Plan, SceneOptics]:
+    """`plan`, and the optics that it looked at, for the run to go on with."""
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     in_range("tol", tol, 1e-12, LARGEST_TOL)
-    ny, nx = scene.camera.shape
-    fits_memory(
-        f"an image of {nx} x {ny} pixels (camera.pixels, camera.binning)",
-        BYTES_PER_PIXEL * nx * ny,
-        "read fewer pixels or bin more",
-    )
+    memory = SHARE * available_memory() if memory is None else positive("memory", memory, unit="B")
+    budget = Budget(memory, positive("max_seconds", max_seconds, unit="s"))
+    with within(budget):
+        return _plan(scene, tol, reconstruct, budget)
+
+
+def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[Plan, SceneOptics]:
+    image = _image_stage(scene)
+    fits_memory("an image of this size", HELD + image.memory, PIXELS)
     _check_laser(scene)
     pupil = exit_pupil(scene)
     _check_sight(scene, pupil)
-    waves = _estimated_waves(scene, pupil)
-    refusal = wave_refusal(scene)
+    optics, refusal = SceneOptics(scene, pupil), wave_refusal(scene)
     stages = [
         _mesh_stage(scene),
         Stage(
@@ -175,26 +228,116 @@ def plan(scene: Scene, tol: float = 1e-3, *, reconstruct: bool = False) -> Plan:
             seconds=0.001,
             error="exact for a thin lens",
         ),
-        *_wave_stages(scene, pupil, waves),
-        _point_spread_stage(scene, pupil, waves, tol),
-        _field_stage(scene, pupil, waves, tol),
-        *_left_out(scene),
-        _shadow_stage(scene, sampled=not refusal),
-        _image_stage(scene),
-        _reconstruction_stage(scene, reconstruct),
     ]
+    waves = math.nan
     if refusal:
-        keep = ("mesh surface", "exit pupil")
-        stages = [
-            s if s.name in keep or not s.runs else Stage(name=s.name, runs=False, reason=refusal)
-            for s in stages
+        runs = ("wave aberration", "point spread", FIELD, "shadow rays", "image", "reconstruction")
+        stages += [_skipped(name, refusal) for name in runs]
+        stages += _left_out(scene)
+    else:
+        scene.check_in_front()
+        spot = laser_spot(scene)
+        if scene.occluding_mesh is not None:
+            check_beam(scene, scene.occluding_mesh, spot)
+        look = _Look.at(optics, tol)
+        heights = look.seen.first.residual.heights
+        waves = (heights.high - heights.low) / scene.laser.wavelength
+        stages += [
+            *_wave_stages(scene, pupil, look, waves),
+            _point_spread_stage(scene, pupil, look, tol),
+            _field_stage(scene, pupil, look, tol),
+            *_left_out(scene),
+            _shadow_stage(scene),
+            image,
+            _reconstruction_stage(scene, reconstruct),
         ]
-    return Plan(
+    found = Plan(
         stages=tuple(s for s in stages if s.runs),
         skipped=tuple(s for s in stages if not s.runs),
         tol=tol,
         waves=waves,
         exit_pupil=pupil,
+        budget=budget,
+    )
+    _check_budget(found)
+    return found, optics
+
+
+def _check_budget(found: Plan) -> None:
+    """Refuse a plan that passes its budget, naming the stage that takes the most."""
+    if not found.stages:
+        return
+    most = max(found.stages, key=lambda s: s.memory)
+    remedy = PIXELS if most.name in ("image", "shadow rays") else LARGER
+    fits_memory(f"the stage '{most.name}'", HELD + most.memory, f"{remedy}, or give more memory")
+    limit = found.budget.seconds
+    if found.seconds > limit:
+        longest = max(found.stages, key=lambda s: s.seconds)
+        raise SamplingError(
+            f"the run would take about {found.seconds:.3g} s, {longest.seconds:.3g} s of them for "
+            f"'{longest.name}' ({longest.reason}), limit max_seconds = {limit:g}; {LARGER}, or "
+            f"max_seconds = {rounded_up(found.seconds)}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """The wave of the object's centre, and the windows that its point spreads take.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Of the object's reference point.
+    side, field_side : int
+        Pixels of the window at the centre, and of one that holds those of the whole picture.
+    samples : tuple of int
+        Cells across the grids that are tried in turn; empty of polar nodes.
+    waves : int
+        How many were aimed.
+    """
+
+    seen: PointOptics
+    side: int
+    field_side: int
+    samples: tuple[int, ...]
+    waves: int
+
+    @classmethod
+    def at(cls, optics: SceneOptics, tol: float) -> _Look:
+        """Aim the waves; raises what the run would raise for want of a wave."""
+        scene, seen = optics.scene, optics.reference
+        pitch = scene.camera.image_pitch
+        waves, side = 1, point_window(seen, pitch, tol)
+        field_side = side
+        if seen.first.wave.layout == "grid":
+            return cls(seen, side, side, _grid_samples(seen.first.residual, pitch, side, tol), 1)
+        if isinstance(scene.hidden, PlanarObject) and scene.wall_material.mirror_lobes:
+            for x, y in ((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y):
+                waves += 1
+                one = optics.at(picture_point(scene.hidden, x, y))
+                field_side = max(field_side, point_window(one, pitch, tol / 2))
+        return cls(seen, side, field_side, (), waves)
+
+
+def _grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
+    """Cells across the grids that are tried for the wave's steps, the window and ``tol``."""
+    jump = residual.grid_jump()[0] * len(
+        residual.wavefront.u
+    )  # waves across the whole pupil, at the steepest
+    reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach
+    period = (reach + pitch + residual.airy_unit) / residual.airy_unit
+    # a cut cell acts from its centre
+    beats = estimates.beat(pitch / residual.airy_unit)
+    level = math.sqrt(min(1.0, peak_pixel(residual, pitch) / residual.pixel_share(pitch)))
+    rim = math.sqrt(2 * math.pi * jump * beats / (tol * level))
+    need = max(2.1 * jump, period, rim)
+    steps = (AUTO_GRID_SAMPLES, *FINER["grid"])
+    for i, samples in enumerate(steps):
+        if samples >= need:
+            return steps[: i + 1]
+    raise SamplingError(
+        f"the wall's edge cuts the cone of light and its wave takes a grid of {need:.0f} cells "
+        f"across, limit {steps[-1]}; enlarge the wall, stop the lens down or use a larger tol"
     )
 
 
@@ -215,71 +358,68 @@ def _mesh_stage(scene: Scene) -> Stage:
     )
 
 
-def _wave_stages(scene: Scene, pupil: ExitPupil, waves: float) -> Iterator[Stage]:
+def _wave_stages(scene: Scene, pupil: ExitPupil, look: _Look, waves: float) -> Iterator[Stage]:
     flat = scene.wall.is_flat
     if flat:
         yield _skipped("aiming", "flat wall: hits in closed form")
-    reason = "zero but for focus" if flat else f"rays aimed by Newton; about {waves:.2g} waves"
-    if pupil.layout == "grid":
+    reason = "zero but for focus" if flat else f"rays aimed by Newton; {waves:.2g} waves"
+    nodes = float(look.seen.first.wave.u.size)
+    if look.samples:
         cut = "the wall's outline is the stop"
         if pupil.stop == "lens":
             cut = f"the wall's edge cuts {100 * pupil.vignetting:.2g} % of the cone"
         reason += f"; on a grid, because {cut}"
+        nodes = float(sum(n**2 for n in look.samples))
     yield Stage(
         name="wave aberration",
         runs=True,
         reason=reason,
-        seconds=(0.005 if flat else 0.02) if pupil.layout == "polar" else 0.5,
+        seconds=look.waves * _aiming_seconds(scene, nodes),
         error="the mesh surface's" if isinstance(scene.wall, MeshWall) else "1e-9 wave",
+        memory=400.0 * max((*look.samples, 48)) ** 2,
     )
 
 
-def _point_spread_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float) -> Stage:
+def _aiming_seconds(scene: Scene, nodes: float) -> float:
+    """Of a wave from so many nodes."""
+    kind = "flat" if scene.wall.is_flat else "" if scene.wall.is_compiled else "callable"
+    return _cost_model.seconds(calls=2e-3, arrays=AIMING[kind] * nodes)
+
+
+def _spread_cost(scene: Scene, look: _Look, side: int, tol: float) -> Cost:
+    """Of one point spread; of a grid with all coarser ones that are tried before."""
+    pitch, shape = scene.camera.image_pitch, (side, side)
+    found = [point_cost(look.seen, pitch, shape, tol, cells=n) for n in look.samples or (0,)]
+    seconds = _cost_model.seconds(transforms=sum(c.seconds for c in found))
+    return Cost(seconds, found[-1].n_bytes)
+
+
+def _point_spread_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Stage:
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
-    seconds = _spread_seconds(core, pitch, waves, tol)
-    tail = 4 * _tail(core, pitch, tol) / core  # samples across at Nyquist's pitch
-    if tail > MOST_SAMPLES:
-        raise SamplingError(
-            f"tol = {tol:g} takes a point spread of {tail:.0f} samples across, about "
-            f"{seconds:.0f} s and {tail**2 * 64 / 2**30:.0f} GiB, limit {MOST_SAMPLES}; use tol = "
-            f"{rounded_up(1.1 * tol * (tail / MOST_SAMPLES) ** 3)} or more, or wider pixels"
-        )
     slope = max((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
-    blur = ""
-    if slope > 0:
-        seconds += 0.5
-        blur = f", blurred by the lobe's slopes of {slope:g} rad"
+    blur = f", blurred by the lobe's slopes of {slope:g} rad" if slope > 0 else ""
+    cost = _spread_cost(scene, look, look.side, tol)
     return Stage(
         name="point spread",
         runs=True,
-        reason=f"at the object's centre; a pixel is {pitch / core:.3g} lambda N wide{blur}",
-        seconds=seconds,
+        reason=f"at the object's centre, {look.side} x {look.side} pixels; a pixel is "
+        f"{pitch / core:.3g} lambda N wide{blur}",
+        seconds=cost.seconds,
         error=f"{tol:g} of the peak",
+        memory=cost.n_bytes,
     )
 
 
-def _tail(core: float, pitch: float, tol: float) -> float:
-    """Distance, m, at which a pixel of the diffraction tail has fallen to tol."""
-    peak = min(1.0, math.pi / 4 * (pitch / core) ** 2)
-    return math.cbrt(2 * core * pitch**2 / (math.pi**3 * tol * peak))
-
-
-def _spread_seconds(core: float, pitch: float, waves: float, tol: float) -> float:
-    reach = 4 * waves * core + _tail(core, pitch, tol)
-    return 0.02 + 1.6e-7 * (4 * reach / core) ** 2
-
-
-def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float) -> Stage:
+def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Stage:
     """Whether point spreads at several object points are needed, and about how many."""
     if not isinstance(scene.hidden, PlanarObject):
         return _skipped(FIELD, "one point spread stands for the mesh; positions are exact")
     if not scene.wall_material.mirror_lobes:
         return _skipped(FIELD, "a wall without a mirror-like lobe shows no picture")
-    if pupil.layout == "grid":
+    if look.samples:
         return _skipped(
             FIELD, "one point spread on a grid stands for the object; positions are exact"
         )
-    core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
     change = change_over_object(scene, pupil)
     if change <= tol:
         return _skipped(
@@ -287,35 +427,22 @@ def _field_stage(scene: Scene, pupil: ExitPupil, waves: float, tol: float) -> St
         )
     # measured: the image errs by about 0.06 of that over the nodes to this power
     power = 5.0 if scene.wall.is_flat else 2.2
-
-    def cost(tol: float) -> tuple[int, float]:
-        nodes = max(4, math.ceil((0.06 * change / tol) ** (1 / power)))
-        return nodes, 1.2 * nodes**2 * (0.02 + _spread_seconds(core, pitch, waves, tol))
-
-    def fits(nodes: int, seconds: float) -> bool:
-        # a spot that is too wide to be sampled is refused by its wave, whose figures are exact
-        quick = seconds <= MOST_SECONDS or 16 * waves > MOST_SAMPLES
-        return nodes <= MOST_NODES and quick
-
-    nodes, seconds = cost(tol)
-    if not fits(nodes, seconds):
-        steps = (tol * 1.25**k for k in range(120))
-        least = next((t for t in steps if fits(*cost(t))), 1.0)
-        remedy = (
-            "stop the lens down"
-            if least > LARGEST_TOL
-            else f"use tol = {rounded_up(least)} or more"
-        )
-        raise SamplingError(
-            f"tol = {tol:g} takes about {nodes} x {nodes} point spreads over the object, about "
-            f"{seconds:.0f} s, limits {MOST_NODES} x {MOST_NODES} and {MOST_SECONDS} s; {remedy}"
-        )
+    nodes = (0.06 * change / tol) ** (1 / power)
+    one = _spread_cost(scene, look, look.field_side, tol / 2)
+    wave = _aiming_seconds(scene, look.seen.first.wave.u.size)
+    counts = [n for n in COUNTS if n <= max(4.0, 1.2 * nodes)]
+    spreads = sum(n**2 for n in counts)
+    held = 40.0 * counts[-1] ** 2 * look.field_side**2
     return Stage(
         name=FIELD,
         runs=True,
-        reason=f"point spreads change over the object; about {nodes} x {nodes} of them",
-        seconds=seconds,
+        reason=f"point spreads change over the object; about {counts[-1]} x {counts[-1]} of them, "
+        f"{look.field_side} x {look.field_side} pixels",
+        seconds=spreads * (one.seconds + wave)
+        + 5 * len(counts) * wave
+        + 2e-8 * held * counts[-1] / 40,
         error=f"{tol:g} of the image, rms",
+        memory=held + one.n_bytes * threads(),
     )
 
 
@@ -331,20 +458,21 @@ def _left_out(scene: Scene) -> Iterator[Stage]:
         yield _skipped("embree", "no triangles: the object is a picture and nothing is in the way")
 
 
-def _shadow_stage(scene: Scene, *, sampled: bool) -> Stage:
+def _shadow_stage(scene: Scene) -> Stage:
     if not scene.occluders:
         return _skipped("shadow rays", "no occluders")
     count = len(scene.occluders)
     reason = f"{count} occluder{'s' if count > 1 else ''} between spot, object, wall and lens"
-    if sampled and check_cone(scene):
+    if check_cone(scene):
         reason += "; the object's reference point is hidden"
     ny, nx = scene.camera.shape
     return Stage(
         name="shadow rays",
         runs=True,
         reason=reason,
-        seconds=1.0 + 1e-5 * nx * ny,
+        seconds=_cost_model.seconds(arrays=1.0 + 1e-5 * nx * ny),
         error="some hundredths in a shadow's edge",
+        memory=SHADOW_BYTES * nx * ny,
     )
 
 
@@ -357,9 +485,20 @@ def _image_stage(scene: Scene) -> Stage:
         name="image",
         runs=True,
         reason=reason,
-        seconds=0.3 + 2e-6 * nx * ny,
+        seconds=_image_seconds(scene),
         error="1e-3 of the background",
+        memory=IMAGE_BYTES * nx * ny,
     )
+
+
+def _image_seconds(scene: Scene) -> float:
+    """Of `form_image`: the wall's diffuse light from every patch of the object, and the pixels."""
+    pixels = float(math.prod(scene.camera.shape))
+    pairs, groups = background_work(scene, object_patches(scene.hidden))
+    if scene.wall.is_flat:
+        return _cost_model.seconds(calls=0.018, arrays=4e-7 * pairs + 1.2e-6 * pixels)
+    arrays = 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
+    return _cost_model.seconds(calls=0.02 + 5e-4 * groups, arrays=arrays)
 
 
 def _reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
@@ -374,7 +513,8 @@ def _reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
         name="reconstruction",
         runs=True,
         reason="total variation with pose and point spread known",
-        seconds=1.3 + 3e-6 * nx * ny,
+        seconds=_cost_model.seconds(transforms=1.3 + 3e-6 * nx * ny),
+        memory=2000.0 * nx * ny,
         error="status and score are reported",
     )
 
@@ -431,17 +571,3 @@ def _half_extent(scene: Scene) -> float:
     if isinstance(hidden, PlanarObject):
         return math.hypot(*hidden.size) / 2
     return float(np.linalg.norm(hidden.surface.vertices - scene.object_point, axis=1).max())
-
-
-def _estimated_waves(scene: Scene, pupil: ExitPupil) -> float:
-    """Second-order peak-to-valley estimate of the residual aberration, waves."""
-    kappa = scene.wall.max_curvature
-    position = np.array(scene.camera.position)
-    d2 = -float(position[2] / scene.camera.axis[2])
-    d1 = max(float(np.linalg.norm(scene.mirrored_object_point - position)) - d2, 1e-9)
-    m, d_eff = d1 / (d1 + d2), d1 * d2 / (d1 + d2)
-    sign = 1.0 if isinstance(scene.wall, ConvexWall) else -1.0
-    curved = kappa * m**2 / max(abs(1 + sign * 2 * kappa * d_eff), 1e-3)
-    depth = float((scene.mirrored_object_point - position) @ scene.camera.axis)
-    focus = 0.5 * abs(1 / depth - 1 / scene.focus_distance) if depth > 0 else math.inf
-    return float((curved + focus) * pupil.entrance_radius**2 / scene.laser.wavelength)

@@ -8,16 +8,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ._checks import within
 from ._progress import Progress
 from ._random import checked_seed
 from .errors import NotWaveGradeError
-from .planning import FIELD, MOST_NODES, plan, wave_refusal
+from .planning import FIELD, MOST_NODES, MOST_SECONDS, Plan, looked_at, wave_refusal
 from .results import Result
 from .scene import MeshWall, PlanarObject, Scene
 
 if TYPE_CHECKING:
     from .imaging import SpeckleImage
     from .inverse import Reconstruction
+    from .psf import SceneOptics
 
 Array = NDArray[np.float64]
 
@@ -28,6 +30,8 @@ def simulate(
     seed: int = 0,
     reconstruct: bool = False,
     *,
+    memory: float | None = None,
+    max_seconds: float = MOST_SECONDS,
     progress: Progress | None = None,
 ) -> Result:
     """Run exactly what `plan` says.
@@ -41,6 +45,10 @@ def simulate(
         Of all random draws, 0 to 2^64 - 1; the same seed gives the same bits.
     reconstruct : bool, default False
         Also reconstruct the object; loads torch.
+    memory : float, optional
+        Bytes that the whole run may take; three quarters of what is free by default.
+    max_seconds : float, default 900
+        Predicted seconds on one core that the whole run may take.
     progress : callable(str, float), optional
         Told the stage that begins and the fraction done.
 
@@ -54,7 +62,16 @@ def simulate(
         Of the kind that fits; see `plan`, `psf.scene_point_spread` and `imaging.form_image`.
     """
     seed = checked_seed(seed)
-    todo = plan(scene, tol, reconstruct=reconstruct)
+    todo, optics = looked_at(scene, tol, reconstruct, memory, max_seconds)
+    with within(todo.budget):
+        return _carried_out(scene, todo, optics, seed, progress)
+
+
+def _carried_out(
+    scene: Scene, todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None
+) -> Result:
+    """What a plan says, done with the waves that it has aimed."""
+    tol = todo.tol
     if not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))
     from . import imaging, psf
@@ -62,7 +79,7 @@ def simulate(
     begun: dict[str, float] = {}  # start of each stage, s
     total = todo.seconds
 
-    def within(name: str, share: float) -> None:
+    def tell(name: str, share: float) -> None:
         """Report a share of one stage."""
         if progress is not None:
             done = sum(s.seconds for s in todo.stages if s.name in begun and s.name != name)
@@ -72,13 +89,12 @@ def simulate(
     def begin(name: str, share: float = 0.0) -> None:
         """Start a stage, which ends the one before."""
         begun[name] = time.perf_counter()
-        within(name, share)
+        tell(name, share)
 
     if isinstance(scene.wall, MeshWall):
         begin("mesh surface")
         scene.wall.fit_residual  # noqa: B018  (fits and caches the surface)
     begin("exit pupil")
-    optics = psf.SceneOptics(scene, todo.exit_pupil)
     found = psf.scene_point_spread(optics, tol, progress=begin)
     spread = found.point_spread
     errors = {"point spread": spread.error_estimate}
@@ -89,7 +105,7 @@ def simulate(
             optics,
             tol=tol,
             most_nodes=MOST_NODES,
-            progress=lambda _, share: within(FIELD, share),
+            progress=lambda _, share: tell(FIELD, share),
         )
     shadows = None
     if todo.runs("shadow rays"):

@@ -14,6 +14,7 @@ PACKAGE = ROOT / "nlosoptics"
 BASE = {
     "errors",
     "_checks",
+    "_cost_model",
     "_html",
     "_nouns",
     "_parallel_kernels",
@@ -28,6 +29,7 @@ OPTICS = {"scene", "raytrace", "psf", "imaging", "limits", "inverse", "transient
 MAY_IMPORT = {
     "errors": set(),
     "_checks": {"errors"},
+    "_cost_model": BASE,
     "_html": {"errors"},
     "_nouns": {"errors"},
     "_parallel_kernels": set(),

@@ -80,9 +80,10 @@ def test_geometry_is_computed_once(flat_scene, monkeypatch):
     assert result.field is not None
     assert result.exit_pupil is result.plan.exit_pupil
     assert len(pupil) == 1
-    # one fan of rays for each object point: the reference point and the nodes of the field
+    # one fan of rays for each object point: the reference point, the picture's corners and edges
+    # by which the plan finds the windows, and the nodes of the field
     points = {tuple(np.asarray(call[1]).tolist()) for call in aimed}
-    assert len(aimed) == len(points) == 5
+    assert len(aimed) == len(points) == 13
     assert len(split) == len(points)
     assert len({id(call[0]) for call in split}) == len(points)
     assert not seen  # a smooth mirror needs no view of the wall
@@ -94,13 +95,18 @@ def test_geometry_is_computed_once(flat_scene, monkeypatch):
     assert [len(calls) for calls in (pupil, aimed, split, seen)] == [1, 5, 5, 5]
 
 
-def test_plan_computes_nothing(flat_scene, monkeypatch):
-    from nlosoptics.psf import _kernels, aberration
+def test_plan_aims_waves_and_computes_no_point_spread(flat_scene, monkeypatch):
+    from nlosoptics.psf import _kernels, choices, halos
 
-    shells, kernels = counted(monkeypatch, aberration, "aim"), counted(monkeypatch, _kernels, "aim")
+    aimed = counted(monkeypatch, _kernels, "aim")
+    transforms = counted(monkeypatch, choices, "transform") + counted(
+        monkeypatch, halos, "transfer"
+    )
     for wall in CURVED:
         nlos.plan(replace(flat_scene, wall=wall))
-    assert not shells + kernels
+    # of the object's centre, corners and edges
+    assert len(aimed) == 9 * len(CURVED)
+    assert not transforms
 
 
 def test_every_stage_runs_or_says_why_not(flat_scene):
@@ -126,8 +132,12 @@ def test_aiming_runs_for_curved_walls_only(flat_scene, monkeypatch):
     assert "aiming" in [s.name for s in nlos.plan(flat_scene).skipped]
     nlos.simulate(flat_scene)
     assert len(calls) == 0
-    nlos.simulate(replace(flat_scene, wall=ConvexWall(4.0)))
-    assert len(calls) == 1
+    scene = replace(flat_scene, wall=ConvexWall(4.0))
+    nlos.plan(scene)
+    aimed = len(calls)
+    nlos.simulate(scene)
+    # the run goes on with the plan's wave of the object's centre
+    assert len(calls) == 2 * aimed
 
 
 @pytest.mark.parametrize("wall", CURVED[:3], ids=lambda w: type(w).__name__)
@@ -252,14 +262,13 @@ def test_near_the_caustic_the_remedy_is_named(flat_scene):
     # so small that one point spread stands for it
     hidden = replace(flat_scene.hidden, size=1e-6)
     scene = replace(flat_scene, wall=ConcaveWall(1.3), camera=wide, hidden=hidden)
-    with pytest.raises(SamplingError, match=r"limit 8192.*stop the lens down") as refusal:
-        nlos.simulate(scene)
-    # what the message advises is enough
-    down = float(str(refusal.value).split("stop the lens down ")[1].split()[0])
-    camera = replace(wide, stop_diameter=0.05 / down)
-    nlos.simulate(replace(scene, camera=camera))
-    with pytest.raises(SamplingError, match=r"1286 GiB, limit 8192; use tol = 6.4e-06"):
-        nlos.simulate(replace(flat_scene, camera=replace(wide, focus_distance=2.0)), tol=1e-9)
+    # a plan refuses what the run would, and its remedies are in the caller's hands
+    with pytest.raises(MemoryLimitError, match=r"limit 0.5 GiB; .* smaller stop.*more memory"):
+        nlos.plan(scene, memory=2**29)
+    with pytest.raises(SamplingError, match=r"limit max_seconds = 0.01; .*or max_seconds = ") as no:
+        nlos.plan(scene, max_seconds=0.01, memory=2**40)
+    enough = float(str(no.value).rsplit("max_seconds = ", 1)[1])
+    assert nlos.plan(scene, max_seconds=enough, memory=2**40).seconds <= enough
     with pytest.raises(CausticError, match="flatter wall"):
         nlos.simulate(replace(flat_scene, wall=ConcaveWall(1.05)))
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
 from .._whole_files import whole_folder
 from .shell import (
+    MOST_SECONDS,
     Debug,
+    MaxSeconds,
+    Memory,
     SceneFile,
     Seed,
     Size,
@@ -19,6 +22,7 @@ from .shell import (
     app,
     check_target,
     errors_told,
+    in_bytes,
     load,
     progress_bar,
     require,
@@ -29,15 +33,29 @@ if TYPE_CHECKING:
     from ..results import Result
 
 
+class Limits(TypedDict):
+    """What a run may take, as `plan` and `simulate` are told."""
+
+    memory: float | None
+    max_seconds: float
+
+
 @app.command("plan")
 def plan_command(
-    scene_file: SceneFile, tol: Tol = 1e-3, size: Size = None, debug: Debug = False
+    scene_file: SceneFile,
+    tol: Tol = 1e-3,
+    size: Size = None,
+    memory: Memory = None,
+    max_seconds: MaxSeconds = MOST_SECONDS,
+    debug: Debug = False,
 ) -> None:
     """Say what a run computes, what it skips and why, with predicted seconds and error."""
     with errors_told(debug):
         from ..planning import plan
 
-        typer.echo(str(plan(load(scene_file, size), tol, reconstruct=True)))
+        scene = load(scene_file, size)
+        limits: Limits = {"memory": in_bytes(memory), "max_seconds": max_seconds}
+        typer.echo(str(plan(scene, tol, reconstruct=True, **limits)))
 
 
 @app.command("run")
@@ -53,6 +71,8 @@ def run_command(
     reconstruct: Annotated[
         bool, typer.Option("--reconstruct/--no-reconstruct", help="Reconstruct the hidden object.")
     ] = True,
+    memory: Memory = None,
+    max_seconds: MaxSeconds = MOST_SECONDS,
     debug: Debug = False,
 ) -> None:
     """Simulate a scene file; write figures, arrays and pictures into one folder."""
@@ -64,13 +84,14 @@ def run_command(
         from ..simulation import simulate
 
         scene = load(scene_file, size)
-        planned = plan(scene, tol, reconstruct=reconstruct)
+        limits: Limits = {"memory": in_bytes(memory), "max_seconds": max_seconds}
+        planned = plan(scene, tol, reconstruct=reconstruct, **limits)
         check_target(folder)
         require("matplotlib", "views")
         if planned.runs("reconstruction"):
             require("torch", "inverse", ", or pass --no-reconstruct")
         with progress_bar() as progress:
-            result = simulate(scene, tol, seed, reconstruct, progress=progress)
+            result = simulate(scene, tol, seed, reconstruct, progress=progress, **limits)
             progress("writing", 1.0)
             with whole_folder(folder) as new:
                 began = time.perf_counter()

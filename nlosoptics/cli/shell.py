@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 MOST_SEED = 2**64 - 1  # that of _random, which would load numpy
+MOST_SECONDS = 900.0  # that of planning, which would too
 
 # typer has no public name for it: click's own class in old versions, its copy in new ones
 _UsageError: Any = typer.BadParameter.__base__
@@ -46,6 +47,13 @@ Size = Annotated[
     typer.Option(help="Image pixels along x, over the same field; the scene's own by default."),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
+Memory = Annotated[
+    float | None,
+    typer.Option(min=1e-3, help="GiB that the run may take; 3/4 of what is free by default."),
+]
+MaxSeconds = Annotated[
+    float, typer.Option(min=1e-3, help="Predicted seconds beyond which nothing is started.")
+]
 Seed = Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Of all random draws.")]
 
 
@@ -55,6 +63,11 @@ def load(path: Path, size: int | None) -> Scene:
 
     scene = Scene.load(path)
     return scene if size is None else scene.resized(size)
+
+
+def in_bytes(memory: float | None) -> float | None:
+    """GiB as bytes."""
+    return None if memory is None else memory * 2**30
 
 
 def require(package: str, extra: str, otherwise: str = "") -> None:

@@ -14,7 +14,8 @@ from ..scene import Camera
 
 Array = NDArray[np.float64]
 
-SPECKLE, PHOTONS, READOUT = 201, 202, 203  # streams of the random generator
+SPECKLE, PHOTONS, READOUT, BRIGHT_PHOTONS = 201, 202, 203, 204  # streams of the random generator
+BRIGHT = 1e15  # electrons above which counts are drawn as normal: skewed by less than 1e-7
 
 
 def speckles_per_pixel(pixel: float, wavelength: float, f_number: float) -> float:
@@ -102,6 +103,15 @@ def noise_variance(camera: Camera, light: Array, dark: float, freedom: float | N
     return np.asarray(variance)
 
 
+def _counts(mean: Array, seed: int) -> Array:
+    """Numbers of electrons that are drawn for their means: Poisson's, whatever the mean."""
+    found = generator(seed, PHOTONS).poisson(np.minimum(mean, BRIGHT)).astype(np.float64)
+    if (mean > BRIGHT).any():  # whole numbers of this size are no longer told apart
+        normal = generator(seed, BRIGHT_PHOTONS).standard_normal(mean.shape)
+        found = np.where(mean > BRIGHT, mean + np.sqrt(mean) * normal, found)
+    return found
+
+
 def read_out(
     camera: Camera, light: Array, dark: float, *, freedom: float | None = None, seed: int = 0
 ) -> tuple[Array, float]:
@@ -136,7 +146,7 @@ def read_out(
     """
     if freedom is not None:
         light = light * generator(seed, SPECKLE).gamma(freedom, 1.0 / freedom, light.shape)
-    charge = generator(seed, PHOTONS).poisson(light + dark).astype(np.float64)
+    charge = _counts(light + dark, seed)
     native = camera.binning**2
     capacity = camera.full_well * native
     full = charge >= capacity

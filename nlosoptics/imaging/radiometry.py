@@ -311,10 +311,19 @@ def _flat_radiance(
     return result
 
 
-def _grouped_flux(
-    scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes, diffuse: Material
-) -> Iterator[Array]:
-    """Vector irradiance (n_nodes, 3) from each group of neighbouring patches."""
+def background_work(scene: Scene, patches: Patches) -> tuple[float, int]:
+    """How many pairs of node and patch, and groups of patches, `background_radiance` takes."""
+    diffuse = scene.wall_material.diffuse
+    if diffuse is None or not len(patches.areas):
+        return 0.0, 0
+    pairs = float(NODES**2 * len(patches.areas))
+    if scene.wall.is_flat:
+        return pairs, 1
+    return NODES_HEIGHT * pairs, int(_groups(patches, diffuse).max()) + 1
+
+
+def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
+    """Number of the group of neighbours that every patch belongs to."""
     cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
     if (diffuse.lobe_table()[:, 0] == LAMBERT).all():
         cell = math.inf  # the lobe does not depend on where the light comes from
@@ -324,7 +333,14 @@ def _grouped_flux(
         slopes = glossy[glossy[:, 0] >= BECKMANN, 2]
         cell *= min(1.0, 0.5 * float(slopes.min(initial=1.0)))
     cells = np.floor((patches.points - patches.points.min(axis=0)) / cell).astype(np.intp)
-    group = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel(), dtype=np.intp)
+
+
+def _grouped_flux(
+    scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes, diffuse: Material
+) -> Iterator[Array]:
+    """Vector irradiance (n_nodes, 3) from each group of neighbouring patches."""
+    group = _groups(patches, diffuse)
     order = np.argsort(group, kind="stable")
     starts = np.nonzero(np.diff(group[order], prepend=-1))[0]
     patches = Patches(

@@ -112,7 +112,7 @@ def cast_shadows(scene: Scene) -> Shadows:
         return Shadows(
             image=np.ones((ny, nx)), view=np.ones((ny, nx)), veil=np.ones((ny, nx)), spot=1.0
         )
-    _check_beam(scene, mesh, spot)
+    check_beam(scene, mesh, spot)
     rays = chief_rays(scene, *pixel_centres(scene.camera))
     seen = wall_visibility(scene, rays) > 0
     image, view = _path_shares(scene, mesh, spot, seen)
@@ -125,7 +125,7 @@ def cast_shadows(scene: Scene) -> Shadows:
     )
 
 
-def _check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
+def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
     """Refuse an occluder in the laser's beam, on its axis or at its rim."""
     laser = np.array(scene.laser.position)
     across = np.linalg.svd(spot.incident[None])[2][1:]

@@ -13,6 +13,8 @@ from .radiometry import LaserSpot
 
 Array = NDArray[np.float64]
 
+CELLS = 1 << 18  # parts of pixels at which the spot is computed at a time
+
 
 def spot_image(scene: Scene, spot: LaserSpot) -> Array:
     """Shares of the spot's light through the lens that fall on each pixel.
@@ -51,22 +53,31 @@ def spot_image(scene: Scene, spot: LaserSpot) -> Array:
     disc = max(math.sqrt(area / math.pi), pitch / 8)  # smaller ones fall within a pixel anyway
     reach = blur + disc
     fine = max(1, math.ceil(16 * pitch / reach))
-    pixels, offsets = [], []
+    seen, offsets, whole = [], [], True
     for edges, middle in zip(pixel_edges(camera), centre, strict=True):
-        # all pixels that the disc covers, those beyond the detector included
-        first = math.floor((middle - reach - edges[0]) / pitch)
-        last = math.ceil((middle + reach - edges[0]) / pitch)
-        pixels.append(np.arange(first, last))
+        # those pixels of the detector that the disc covers
+        count = len(edges) - 1
+        low, high = ((middle + side - edges[0]) / pitch for side in (-reach, reach))
+        first = math.floor(min(max(low, 0.0), count))
+        last = math.ceil(min(max(high, 0.0), count))
+        if first >= last:
+            return shares
+        whole = whole and low >= 0.0 and high <= count
+        seen.append(slice(first, last))
         parts = np.arange(first * fine, last * fine) + 0.5
         offsets.append(edges[0] + parts * (pitch / fine) - middle)
-    light = common_area(np.sqrt(offsets[0] ** 2 + offsets[1][:, None] ** 2), blur, disc)
-    light = light.reshape(len(pixels[1]), fine, len(pixels[0]), fine).sum(axis=(1, 3))
-    light /= light.sum()
-    kept = [
-        (p >= 0) & (p < n) for p, n in zip(pixels, (camera.shape[1], camera.shape[0]), strict=True)
-    ]
-    shares[np.ix_(pixels[1][kept[1]], pixels[0][kept[0]])] = light[np.ix_(kept[1], kept[0])]
-    return shares
+    # the integral of the common area over the plane is the product of both areas
+    scale = (pitch / fine) ** 2 / (math.pi**2 * disc**2)
+    scale /= blur**2 if blur > 0.0 else 1.0 / math.pi
+    rows = max(1, CELLS // max(1, fine * len(offsets[0])))
+    for start in range(seen[1].start, seen[1].stop, rows):
+        stop = min(start + rows, seen[1].stop)
+        part = slice((start - seen[1].start) * fine, (stop - seen[1].start) * fine)
+        light = common_area(np.hypot(offsets[0], offsets[1][part, None]), blur, disc)
+        light = light.reshape(stop - start, fine, -1, fine).sum(axis=(1, 3))
+        shares[start:stop, seen[0]] = scale * light
+    # what the parts' sum misses is known where nothing lies beyond the edges
+    return shares / float(shares.sum()) if whole else shares
 
 
 def common_area(distance: Array, a: float, b: float) -> Array:

@@ -69,6 +69,21 @@ def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, s
     raise _refusal(task, regime, reached, too_long, refusals, ordered, max_seconds)
 
 
+def able(task: Task, regime: Regime) -> list[Candidate]:
+    """The transforms that `automatic` tries, in its order.
+
+    Raises
+    ------
+    SamplingError
+        As of `automatic`, where there is none.
+    """
+    ordered = sorted(candidates(task, regime))
+    found = [one for one in ordered if not one.ruled_out]
+    if not found:
+        raise _refusal(task, regime, math.inf, [], [], ordered, math.inf)
+    return found
+
+
 def candidates(task: Task, regime: Regime) -> list[Candidate]:
     """Every transform that takes this layout, with its seconds and what rules it out."""
     layout = task.residual.wavefront.layout

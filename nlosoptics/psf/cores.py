@@ -67,20 +67,17 @@ def detilted_wide_spread(
     whole = partial(
         detilted_point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
     )
+    inner = inner_parts(residual, pitch, shape, tol)
+    if inner is None:
+        return whole()
+    n, parts = inner
     unit, reach = residual.airy_unit, ray_reach(residual)
-    if residual.wavefront.layout != "polar" or pitch < WIDE * unit:
-        return whole()
-    half = _inner_half(reach / unit, tol / 2 * peak_pixel(residual, pitch)) * unit
-    if 2 * half > WORTH * pitch * min(shape):
-        return whole()
-    parts = math.ceil(pitch / (FINE * unit)) | 1
-    n = 2 * math.ceil(half * parts / pitch) + 1
     fine = detilted_point_spread(
         residual, pitch=pitch / parts, shape=n, pixel_integrated=True, tol=tol / 30
     )
     missing = max(1.0 - fine.enclosed_energy, 0.0)
     half = n * pitch / parts / 2
-    intensity = _binned(fine.intensity, parts, shape)
+    intensity = binned(fine.intensity, parts, shape)
     intensity += missing * tail_pixels(shape, ((half / pitch,) * 2,) * 2)
     peak = float(intensity.max())
     # errors of the parts have either sign
@@ -100,6 +97,21 @@ def detilted_wide_spread(
     )
 
 
+def inner_parts(
+    residual: Residual, pitch: float, shape: tuple[int, int], tol: float
+) -> tuple[int, int] | None:
+    """Parts of pixels a side about the rays, and how many a pixel has; None if they do not pay."""
+    unit = residual.airy_unit
+    if residual.wavefront.layout != "polar" or pitch < WIDE * unit:
+        return None
+    reach = ray_reach(residual) / unit
+    half = _inner_half(reach, tol / 2 * peak_pixel(residual, pitch)) * unit
+    if 2 * half > WORTH * pitch * min(shape):
+        return None
+    parts = math.ceil(pitch / (FINE * unit)) | 1
+    return 2 * math.ceil(half * parts / pitch) + 1, parts
+
+
 def _inner_half(reach: float, tol: float) -> float:
     """Half side of the square beyond which the tail errs by less than ``tol``, Airy units."""
     # beyond half lies 2/(pi^2 half) of all light
@@ -112,7 +124,7 @@ def _model_error(reach: float) -> float:
     return min(1.0, MODEL + reach**2)
 
 
-def _binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
+def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
     """Sums over pixels of ``parts`` x ``parts``, both of one centre; what is beyond is dropped."""
     n = len(fine)
     # whole pixels, an odd count, that hold the fine ones

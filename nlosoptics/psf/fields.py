@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import fits_memory, in_range, is_single, positive, whole
+from .._checks import carried, fits_memory, in_range, is_single, positive, whole
 from .._nouns import Noun
 from .._progress import Progress
 from .._random import generator
@@ -156,22 +156,24 @@ def point_spread_field(
     up, across = _nodes(ny), _nodes(nx)
     corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
     # what is seen from these is kept for the point spreads of the nodes among them
-    seen = {place: optics.at(_place(hidden, *place)) for place in sorted(corners | {(0.0, 0.0)})}
+    seen = {
+        place: optics.at(picture_point(hidden, *place)) for place in sorted(corners | {(0.0, 0.0)})
+    }
     side = max(point_window(one, pitch, tol / 2) for one in seen.values())
     fits_memory(
         f"{ny} x {nx} point spreads of {side} x {side} pixels",
         40.0 * ny * nx * side * side,
-        "use fewer nodes or a larger tol",
+        "use a larger tol, or fewer nodes",
     )
     points = [(x, y) for y in up.tolist() for x in across.tolist()]
     held_out = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
 
     def spread(place: tuple[float, float]) -> PointSpread:
-        one = seen.get(place) or optics.at(_place(hidden, *place))
+        one = seen.get(place) or optics.at(picture_point(hidden, *place))
         return point_image(one, pitch, (side, side), tol / 2)[1]
 
     found = []
-    for one in worker_pool().map(spread, [*points, *map(tuple, held_out)]):
+    for one in worker_pool().map(carried(spread), [*points, *map(tuple, held_out)]):
         found.append(one)
         if progress is not None:
             progress("field", len(found) / (ny * nx + checks))
@@ -212,11 +214,11 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
     optics = optics_of(scene)
     hidden, pitch = _picture(optics.scene), optics.scene.camera.image_pitch
     in_range("tol", tol, 1e-6, 1.0)
-    ends = [optics.at(_place(hidden, x, x)) for x in (0.0, 1.0, -1.0)]
+    ends = [optics.at(picture_point(hidden, x, x)) for x in (0.0, 1.0, -1.0)]
     side = max(point_window(one, pitch, tol / 10) for one in ends)
 
     def spread(x: float, y: float) -> Array:
-        one = optics.at(_place(hidden, x, y))
+        one = optics.at(picture_point(hidden, x, y))
         return point_image(one, pitch, (side, side), tol / 10)[1].intensity
 
     centre, radius = spread(0.0, 0.0), math.inf
@@ -268,7 +270,7 @@ def _chebyshev(count: int, at: Array) -> Array:
     return np.asarray(np.einsum("nj,jk->nk", terms, from_nodes))
 
 
-def _place(hidden: PlanarObject, across: float, up: float) -> Array:
+def picture_point(hidden: PlanarObject, across: float, up: float) -> Array:
     """World point, m, at coordinates -1 to 1 of the picture."""
     right, upward, _ = hidden.axes
     half = 0.5 * np.array(hidden.size)

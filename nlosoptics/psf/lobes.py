@@ -20,7 +20,7 @@ from .facet_waves import WallView, wall_view
 from .point_spreads import PointSpread
 from .residuals import Residual, split
 from .rough_means import detilted_mean
-from .rough_views import rough_view
+from .rough_views import RoughView, rough_view
 from .roughness import Roughness
 from .wavefronts import Wavefront
 from .windows import check_rays, middle, shape_of, window_side
@@ -103,6 +103,14 @@ class MirrorLobes:
         halo = max(halo_radius(lobe, self.view, wave, tol) for lobe in self.rough)
         return side + 2 * math.ceil(halo / pitch)
 
+    def views(self, residual: Residual) -> list[RoughView]:
+        """Heights for every lobe with a slope, in the rough limit, as the pupil sees them."""
+        if self.view is None:
+            return []
+        wave = residual.wavefront
+        height = ROUGH * wave.wavelength / (2 * math.pi * self.view.cos_sum)
+        return [rough_view(wave, self.view, lobe_roughness(r, ROUGH, height)) for r in self.rough]
+
     def point_spread(
         self, residual: Residual, pitch: float, shape: tuple[int, int], tol: float
     ) -> PointSpread:
@@ -110,11 +118,8 @@ class MirrorLobes:
         if self.view is None:
             return detilted_wide_spread(residual, pitch, shape, tol)
         check_rays(residual, pitch, shape)
-        wave = residual.wavefront
-        height = ROUGH * wave.wavelength / (2 * math.pi * self.view.cos_sum)
         parts: list[tuple[float, PointSpread]] = []
-        for lobe in self.rough:
-            seen = rough_view(wave, self.view, lobe_roughness(lobe, ROUGH, height))
+        for lobe, seen in zip(self.rough, self.views(residual), strict=True):
             mean = detilted_mean(residual, seen, tol, pitch, shape, pixel_integrated=True)
             parts.append((lobe.specular_reflectance, mean))
         if self.smooth > 0:

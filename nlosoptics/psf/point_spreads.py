@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import fits_memory, in_range, one_of, positive
+from .._checks import fits_memory, in_range, one_of, positive, seconds_limit
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SamplingError, SceneError
@@ -129,7 +129,7 @@ def point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
     image_surface: Surface | None = None,
-    max_seconds: float = 60.0,
+    max_seconds: float | None = None,
 ) -> PointSpread:
     """Point spread of an exit-pupil wave.
 
@@ -168,9 +168,9 @@ def point_spread(
         Height z(x, y) over the image plane away from the pupil's plane along +z, m, of arrays of x
         and y, m; for ``huygens`` only, with a shape. The intensity there counts per area of the
         image plane.
-    max_seconds : float
+    max_seconds : float, optional
         Predicted seconds on one core beyond which ``auto`` refuses before it computes anything; a
-        named method is run whatever it takes.
+        named method is run whatever it takes. Default 60, or what is left to a whole run.
 
     Returns
     -------
@@ -201,7 +201,8 @@ def point_spread(
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
-    positive("max_seconds", max_seconds, unit="s")
+    if max_seconds is not None:
+        positive("max_seconds", max_seconds, unit="s")
     _check_surface(method, shape, image_surface)
     return detilted_point_spread(
         split(wavefront),
@@ -226,7 +227,7 @@ def detilted_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
     image_surface: Surface | None = None,
-    max_seconds: float = 60.0,
+    max_seconds: float | None = None,
 ) -> PointSpread:
     """Point spread of a wave whose piston and tilt are already separated.
 
@@ -258,7 +259,9 @@ def detilted_point_spread(
     )
     kind = regime(residual, pitch)
     if method == "auto":
-        result, reason = automatic(task, kind, max_seconds)
+        result, reason = automatic(
+            task, kind, seconds_limit(60.0) if max_seconds is None else max_seconds
+        )
     else:
         result, reason = transform(task, method), f"{method} was asked for"
     scale = 1.0

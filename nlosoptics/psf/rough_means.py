@@ -9,18 +9,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import in_range, one_of, positive
+from .._checks import fits_memory, in_range, one_of, positive
 from ..errors import SamplingError
 from ..scene import Scene
+from .cores import detilted_wide_spread
 from .estimates import rounded_up
-from .halos import EPSILON, Halo, Separations
+from .halos import EPSILON, PIXEL_BYTES, scattered_light
 from .point_spreads import NORMALISATIONS, Normalisation, PointSpread, detilted_point_spread
 from .regimes import regime
 from .residuals import Residual
 from .rough_views import RoughView, rough_source
 from .roughness import Roughness
 from .scene_optics import SceneOptics
-from .transfers import Transfer, transfer
 from .wavefronts import Wavefront
 from .windows import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
 
@@ -170,21 +170,25 @@ def detilted_mean(
     RoughPointSpread
     """
     wave = residual.wavefront
+    fits_memory(
+        f"a point spread of {shape[0]} x {shape[1]} samples",
+        PIXEL_BYTES * shape[0] * shape[1],
+        "use a larger tol or wider pixels",
+    )
     core = None
     if view.rayleigh_parameter < ALL_DIFFUSE:
-        core = detilted_point_spread(
-            residual, tol=tol, pitch=pitch, shape=shape, pixel_integrated=pixel_integrated
-        )
+        if pixel_integrated:
+            core = detilted_wide_spread(residual, pitch, shape, tol)
+        else:
+            core = detilted_point_spread(residual, tol=tol, pitch=pitch, shape=shape)
     share = math.exp(-(view.rayleigh_parameter**2))
     coherent = np.zeros(shape) if core is None else share * core.intensity
-    smooth = transfer(residual)
-    window = Window.centred(pitch, shape)
     diffuse, error = np.zeros(shape), 0.0
     if view.rayleigh_parameter > 0:
-        halo = Halo(residual, view, window, pixel_integrated, smooth.reach)
-        diffuse, nodes, _, missed = halo.converged(smooth.at, coherent, tol)
-        error = missed + _transfer_error(halo, nodes, diffuse, smooth)
-    total = coherent + diffuse
+        window = Window.centred(pitch, shape)
+        diffuse, error = scattered_light(residual, view, window, pixel_integrated, coherent, tol)
+    # a mean of intensities is at least 0; what lies below is less than the error
+    total = np.maximum(coherent + diffuse, 0.0)
     peak = float(total.max())
     error = error / peak + 10 * EPSILON
     if core is not None:
@@ -214,22 +218,6 @@ def detilted_mean(
         regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
         reason=_reason(view, core),
     )
-
-
-def _transfer_error(halo: Halo, nodes: Separations, diffuse: Array, smooth: Transfer) -> float:
-    """What the transfer function's own error makes of the diffuse light.
-
-    At most its bound over all separations. Of a polar wave, what cells twice as wide change in the
-    image: its error falls as the power 3/2 of the cells or faster, so that this is twice what the
-    finer ones leave.
-    """
-    bound = float(np.abs(nodes.factor).sum()) * smooth.error
-    # below, another lattice would cost more than it says
-    if halo.residual.wavefront.layout != "polar" or smooth.error < 1e-12:
-        return bound
-    coarse = transfer(halo.residual, coarser=2)
-    change = halo.image(nodes, coarse.at(nodes.du, nodes.dv)) - diffuse
-    return min(bound, float(np.abs(change).max()))
 
 
 def _reason(view: RoughView, core: PointSpread | None) -> str:

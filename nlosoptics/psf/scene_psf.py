@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Final
 
 from numpy.typing import ArrayLike
 
 from .._checks import in_range, positive
 from .._nouns import Noun
 from .._progress import Progress
-from ..errors import SamplingError
 from ..scene import Scene
 from .aberration import AimedWave
 from .lobes import lobes_of
@@ -19,10 +16,7 @@ from .point_spreads import PointSpread
 from .pupils import ExitPupil
 from .scene_optics import PointOptics, SceneOptics, optics_of
 from .wavefronts import Wavefront
-from .windows import shape_of, window_side
-
-#: Samples across a point spread at Nyquist's pitch, at most: they take 10 s and 2 GiB.
-MOST_SAMPLES: Final = 8192
+from .windows import shape_of
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,7 +74,9 @@ def scene_point_spread(
     CausticError, NotWaveGradeError
         Where the wave is undefined or the wall is not known well enough.
     SamplingError
-        If the point spread is more than 8192 samples wide, or no transform reaches ``tol``.
+        If no transform reaches ``tol``, or none within a minute.
+    MemoryLimitError
+        If the point spread's window takes more than there is.
     SceneError
         If an option is out of range, or occluders cut a part of the cone of light.
 
@@ -111,7 +107,6 @@ def scene_point_spread(
     if progress is not None:
         progress("point spread", 0.0)
     if shape is None:
-        _check_samples(seen.first, pitch, tol)
         side = point_window(seen, pitch, tol)
         shape = (side, side)
     aimed, spread = point_image(seen, pitch, shape, tol)
@@ -161,24 +156,3 @@ def point_image(
     """
     lobes = lobes_of(seen.scene, lambda: seen.view)
     return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol))
-
-
-def _check_samples(aimed: AimedWave, pitch: float, tol: float) -> None:
-    """Refuse a point spread whose window holds too many samples, saying why it does."""
-    wave, residual = aimed.wave, aimed.residual
-    nyquist = wave.wavelength * wave.f_number / 2
-    pixels = window_side(residual, pitch, tol, aimed.outline)
-    needed = math.ceil(pixels * pitch / nyquist)
-    if needed <= MOST_SAMPLES:
-        return
-    message = (
-        f"the point spread needs {pixels} pixels, {needed} samples across, limit {MOST_SAMPLES}"
-    )
-    if window_side(residual, pitch, 1e-2, aimed.outline) * pitch <= MOST_SAMPLES * nyquist:
-        raise SamplingError(f"{message}: its tail above tol = {tol:g}; use a larger tol")
-    # spot and sampling both grow with the stop
-    down = math.ceil(13 * math.sqrt(needed / MOST_SAMPLES)) / 10
-    raise SamplingError(
-        f"{message}: the wall is near its caustic or far out of focus; stop the lens down "
-        f"{down:g} times, use a flatter wall, or focus on its image"
-    )

@@ -23,8 +23,12 @@ ComplexArray = NDArray[np.complex128]
 
 #: Cells across a polar wave that is put on a grid, at least.
 CELLS = 512
+#: The same where an error is given.
+FEW_CELLS = 128
 #: Largest step of the aberration between its cells, waves.
 STEP = 0.08
+#: Bytes of a cell at the peak.
+CELL_BYTES: Final = 400.0
 #: Order of the spline; 3 and 5 are the ones with small error constants.
 ORDER: Final = 5
 
@@ -48,8 +52,8 @@ class Transfer:
     error: float
 
 
-def transfer(residual: Residual, coarser: int = 1) -> Transfer:
-    """Transfer function of a polar or grid wave; ``coarser`` cells for a polar one.
+def transfer(residual: Residual, cells: int = 0) -> Transfer:
+    """Transfer function of a polar or grid wave; from ``cells`` across a polar one, 0 for enough.
 
     A clear pupil's is the common area of two displaced pupils in closed form. Any other is that,
     or on a grid the cells' own, times the smooth ratio that aberration and amplitude make of it,
@@ -72,7 +76,7 @@ def transfer(residual: Residual, coarser: int = 1) -> Transfer:
         flat = residual.wavenumber * float(np.abs(residual.aberration).max()) < 1e-12
         if residual.is_uniform and flat:
             return Transfer(lambda du, dv: clear(du, dv).astype(np.complex128), 2 * radius, 1e-14)
-        pupil, weights, pitch = _on_grid(residual, coarser)
+        pupil, weights, pitch = _on_grid(residual, cells or cells_across(residual))
         jump = residual.rays.slope * pitch / wave.wavelength
         edge = 2 * radius
     else:
@@ -117,12 +121,25 @@ def _overlap(d: Array, a: float, b: float) -> Array:
     return np.where(d >= a + b, 0.0, np.where(d <= a - b, math.pi * b**2, area))
 
 
-def _on_grid(residual: Residual, coarser: int) -> tuple[ComplexArray, Array, float]:
+def cells_across(residual: Residual, error: float | None = None) -> int:
+    """Cells across a polar wave's pupil: `CELLS` or more, or as many as an error probably takes.
+
+    What cells err by in an image is seldom more than a tenth of what they may err by at some
+    separation, since roughness damps the far ones.
+    """
+    wave = residual.wavefront
+    waves = 2 * wave.pupil_radius * residual.rays.slope / wave.wavelength
+    if error is None:
+        return math.ceil(max(CELLS, waves / STEP))
+    step = min(0.25, max(STEP, math.sqrt(math.cbrt(1.5e3 * error)) / (2 * math.pi)))
+    rim, slope = math.cbrt(0.025 / error) ** 2, math.sqrt(0.06 * waves / error)
+    return math.ceil(max(float(FEW_CELLS), waves / step, rim, slope))
+
+
+def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, Array, float]:
     """Pupil function of a polar wave on cells, the cells' areas alone, and their pitch."""
     wave = residual.wavefront
-    cells = 2 * wave.pupil_radius * residual.rays.slope / (STEP * wave.wavelength)
-    n = math.ceil(max(CELLS, cells) / coarser)
-    fits_memory(f"the transfer function of {n} x {n} cells", 400.0 * n * n, "use less aberration")
+    fits_memory(f"the transfer function of {n} x {n} cells", CELL_BYTES * n * n, "use a larger tol")
     u, v, weights = grid_nodes(wave.pupil_radius, n + 1 - n % 2, wave.obscuration)
     lit = weights > 0
     path, size = values_at(*residual.polar_series, u[lit], v[lit], 1e-10)

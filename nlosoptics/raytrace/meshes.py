@@ -242,13 +242,18 @@ _threads: list[ThreadPoolExecutor] = []
 _built: dict[int, tuple[weakref.ref[Any], int, Facets]] = {}
 
 
+def threads() -> int:
+    """How many threads `worker_pool` has."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
+    asked = int(os.environ.get("NUMBA_NUM_THREADS", cores))
+    return max(1, min(asked, cores))
+
+
 def worker_pool() -> ThreadPoolExecutor:
     """Threads for blocks of rays, as many as cores; made at the first need."""
     with _lock:
         if not _threads:
-            cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
-            asked = int(os.environ.get("NUMBA_NUM_THREADS", cores))
-            _threads.append(ThreadPoolExecutor(max(1, min(asked, cores))))
+            _threads.append(ThreadPoolExecutor(threads()))
         return _threads[0]
 
 

@@ -159,3 +159,35 @@ def test_full_pixels_still_show_readout_noise():
 def test_bad_pixels_are_refused(values):
     with pytest.raises(SceneError):
         speckles_per_pixel(*values)
+
+
+@pytest.mark.parametrize("mean", [1e14, 1e16, 1e17])
+def test_any_brightness_is_counted(mean):
+    """Beyond the largest whole numbers too: a well that holds them scatters as Poisson's."""
+    camera = bright_camera(full_well=4 * mean, bit_depth=32, read_noise=0.0)
+    light = np.full((60, 60), mean)
+    electrons, saturated = read_out(camera, light, 0.0, seed=3)
+    step = camera.full_well / 2**camera.bit_depth
+    variance = mean + step**2 / 12
+    # 3600 draws: the mean scatters by 1/60 of a deviation, the variance by 2.4 %; 4 of each
+    assert abs(electrons.mean() - mean) < 4 / 60 * np.sqrt(variance)
+    assert electrons.var() == pytest.approx(variance, rel=0.1)
+    assert saturated == 0.0
+
+
+def test_a_flood_of_light_fills_every_well():
+    camera = bright_camera(full_well=1e4, bit_depth=12, read_noise=0.0)
+    electrons, saturated = read_out(camera, np.full((8, 8), 1e30), 0.0, seed=1)
+    assert saturated == 1.0
+    assert (electrons == camera.full_well * (1 - 2.0**-camera.bit_depth)).all()
+
+
+def bright_camera(**changes):
+    return Camera(
+        position=(0, 0, 1),
+        aim=(0, 0, 0),
+        focal_length=0.05,
+        stop_diameter=0.01,
+        binning=1,
+        **changes,
+    )

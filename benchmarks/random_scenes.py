@@ -1,0 +1,219 @@
+"""Whether plans keep their word: random scenes planned and, where the plan accepts, simulated.
+
+python benchmarks/random_scenes.py FILE [--first N] [--count N] [--most-seconds S] [--memory GIB]
+
+Writes one JSON line a scene: even numbers at ordinary scales, odd ones wild. Scenes that FILE
+holds are not run again. Every scene runs in a worker process of bounded memory, so that a crash
+and a hang are told as what they are. Warnings are errors. Seconds are the process's own, of a
+second run, whose kernels are compiled; memory is the rise of the resident peak.
+
+python benchmarks/random_scenes.py FILE --summary
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import resource
+import select
+import subprocess
+import sys
+import time
+import traceback
+import warnings
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+PATIENCE = 8.0  # times the predicted seconds, and a constant, until a worker is ended
+START = 60.0  # s, for imports and compilers
+
+
+def resident(key):
+    """Resident memory or its peak, bytes."""
+    with Path("/proc/self/status").open() as lines:
+        return next(1024.0 * float(line.split()[1]) for line in lines if line.startswith(key))
+
+
+def not_finite(value, name="result"):
+    """Names of float arrays within a noun that hold NaN or infinity."""
+    import numpy as np
+
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fc":
+        return [] if np.isfinite(value).all() else [name]
+    if isinstance(value, float):
+        return [] if math.isfinite(value) else [name]
+    if not is_dataclass(value) or isinstance(value, type):
+        return []
+    parts = (f for f in fields(value) if f.name not in ("scene", "plan", "regime", "aperture"))
+    return [n for f in parts for n in not_finite(getattr(value, f.name), f"{name}.{f.name}")]
+
+
+def told(error, stage):
+    """What an exception says."""
+    from nlosoptics.errors import NlosError
+
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return {
+        "outcome": f"{stage} refused" if isinstance(error, NlosError) else f"{stage} failed",
+        "error": type(error).__name__,
+        "message": str(error)[:400],
+        "place": f"{Path(where.filename).name}:{where.lineno}",
+    }
+
+
+def run(number, most_seconds, memory):
+    """One scene's row."""
+    from random_scenes import random_case
+
+    import nlosoptics as nlos
+    from nlosoptics.errors import ValidityWarning
+
+    row = {"number": number}
+    try:
+        case = random_case(number, wild=number % 2 == 1)
+    except Exception as error:
+        return row | told(error, "drawing")
+    row |= case.drawn | {"tol": case.tol, "shape": list(case.scene.camera.shape)}
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("error")
+        warnings.simplefilter("always", ValidityWarning)
+        start = time.process_time()
+        try:
+            plan = nlos.plan(case.scene, case.tol, memory=memory)
+        except Exception as error:
+            return row | told(error, "plan") | {"plan_seconds": time.process_time() - start}
+        start = time.process_time()
+        nlos.plan(case.scene, case.tol, memory=memory)
+        row["plan_seconds"] = time.process_time() - start
+        row["predicted"] = {s.name: s.seconds for s in plan.stages}
+        row["predicted_total"] = plan.seconds
+        row["memory"] = plan.memory
+        if not plan.runs("wave aberration"):
+            return row | {"outcome": "plan says it cannot"}
+        if plan.seconds > most_seconds:
+            return row | {"outcome": "too long to be run"}
+        print(json.dumps({"predicted": plan.seconds}), file=sys.stderr, flush=True)
+        before = resident("VmRSS")
+        Path("/proc/self/clear_refs").write_text("5")
+        try:
+            start = time.process_time()
+            result = nlos.simulate(case.scene, case.tol, seed=number, memory=memory)
+            row["first"] = time.process_time() - start
+            row["peak"] = resident("VmHWM") - before
+            bad = not_finite(result)
+            if row["first"] < 0.5 or 2 * plan.seconds < row["first"] < 4.0:
+                start = time.process_time()
+                result = nlos.simulate(case.scene, case.tol, seed=number, memory=memory)
+                row["warm"] = min(row["first"], time.process_time() - start)
+            else:
+                row["warm"] = row["first"]
+        except Exception as error:
+            return row | told(error, "simulate")
+    row["timings"] = dict(result.timings)
+    row["method"] = result.point_spread.method
+    row["window"] = list(result.point_spread.shape)
+    row["field"] = 0 if result.field is None else int(result.field.weights[0].size)
+    row["errors"] = result.errors
+    row["warned"] = sorted({str(w.message)[:80] for w in heard})
+    return row | {"outcome": "NaN in " + ", ".join(bad) if bad else "done"}
+
+
+def worker(most_seconds, memory):
+    """Rows of the numbers that come by the standard input."""
+    limit = int(memory + 6 * 2**30)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    for line in sys.stdin:
+        print(json.dumps(run(int(line), most_seconds, memory)), flush=True)
+
+
+class Worker:
+    """A process that is started anew when it dies or is ended."""
+
+    def __init__(self, options):
+        self.options, self.process = options, None
+
+    def row(self, number, most_seconds):
+        if self.process is None:
+            self.process = subprocess.Popen(
+                [sys.executable, __file__, "-", "--worker", *self.options],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+            )
+        self.process.stdin.write(f"{number}\n")
+        self.process.stdin.flush()
+        patience = START + 2 * PATIENCE * most_seconds
+        ready, _, _ = select.select([self.process.stdout], [], [], patience)
+        line = self.process.stdout.readline() if ready else ""
+        if line:
+            return json.loads(line)
+        if not ready:
+            self.process.kill()
+        code, self.process = self.process.wait(), None
+        outcome = f"worker died with {code}" if ready else f"hung beyond {patience:g} s"
+        return {"number": number, "outcome": outcome}
+
+
+def rows_of(path):
+    """Rows that a file holds, by number; the last one counts."""
+    if not path.exists():
+        return {}
+    rows = (json.loads(line) for line in path.read_text().splitlines() if line.strip())
+    return {row["number"]: row for row in rows}
+
+
+def summary(rows):
+    """Counts of outcomes, and how good the predictions are."""
+    for kind, ours in (("ordinary", 0), ("wild", 1)):
+        part = [r for r in rows if r["number"] % 2 == ours]
+        counts = {}
+        for row in part:
+            name = row["outcome"] + (f" ({row['error']})" if "error" in row else "")
+            counts[name] = counts.get(name, 0) + 1
+        print(f"{kind}: {len(part)} scenes")
+        for name, count in sorted(counts.items(), key=lambda item: -item[1]):
+            print(f"  {count:5d}  {name}")
+        timed = [(r["predicted_total"], r["warm"]) for r in part if "warm" in r]
+        if timed:
+            ratios = sorted(p / w for p, w in timed)
+            for factor in (2, 4):
+                good = sum(1 / factor <= r <= factor for r in ratios) / len(ratios)
+                print(f"  predicted seconds within a factor of {factor}: {100 * good:.1f} %")
+            at = [ratios[int(q * (len(ratios) - 1))] for q in (0.02, 0.1, 0.5, 0.9, 0.98)]
+            print("  predicted/warm at 2, 10, 50, 90, 98 %:", *(f"{r:.2f}" for r in at))
+        over = [r for r in part if "peak" in r and r["peak"] > max(r["memory"], 1)]
+        held = sum("peak" in r for r in part)
+        print(f"  memory above what was predicted: {len(over)} of {held}")
+
+
+def main():
+    """Run what is missing, or sum up what there is."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--first", type=int, default=10_000)
+    parser.add_argument("--count", type=int, default=2000)
+    parser.add_argument("--most-seconds", type=float, default=20.0)
+    parser.add_argument("--memory", type=float, default=3.0, help="GiB")
+    parser.add_argument("--worker", action="store_true")
+    parser.add_argument("--summary", action="store_true")
+    args = parser.parse_args()
+    if args.worker:
+        return worker(args.most_seconds, args.memory * 2**30)
+    done = rows_of(args.file)
+    if args.summary:
+        return summary(list(done.values()))
+    options = ["--most-seconds", str(args.most_seconds), "--memory", str(args.memory)]
+    one = Worker(options)
+    with args.file.open("a") as out:
+        for number in range(args.first, args.first + args.count):
+            if number not in done:
+                print(json.dumps(one.row(number, args.most_seconds)), file=out, flush=True)
+    return summary(list(rows_of(args.file).values()))
+
+
+if __name__ == "__main__":
+    main()
