@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import nlosoptics
-from nlosoptics import _random, cli, records
+from nlosoptics import _random, cli, records, results
 from nlosoptics._whole_files import whole_folder
 from nlosoptics.cli import forward, shell
 from nlosoptics.scene import Scene
@@ -333,7 +333,7 @@ def interrupt(*_: object, **__: object) -> None:
     signal.raise_signal(signal.SIGINT)
 
 
-@pytest.mark.parametrize("step", ["load", "_write_arrays", "_write_pictures"])
+@pytest.mark.parametrize("step", ["load", "write_result", "_write_pictures"])
 @pytest.mark.parametrize(
     ("break_it", "said"),
     [(disk_full, "disk full"), (interrupt, "interrupted; nothing was written")],
@@ -350,7 +350,7 @@ def test_broken_run_leaves_the_old_folder(
     command = ("run", scene_file, "--no-reconstruct")
     assert run(*command).code == 0
     before = contents(scene_file.parent)
-    monkeypatch.setattr(forward, step, break_it)
+    monkeypatch.setattr(results if step == "write_result" else forward, step, break_it)
     answer = run(*command, "--seed", 1)
     assert answer.code == 1
     assert said in answer.err
