@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import nlosoptics
-from nlosoptics import _random, cli, records
+from nlosoptics import _random, cli, records, results
 from nlosoptics._whole_files import whole_folder
 from nlosoptics.cli import forward, shell
 from nlosoptics.scene import Scene
@@ -341,13 +341,17 @@ def test_broken_run_leaves_the_old_folder(
     command = ("run", scene_file, "--no-reconstruct")
     assert run(*command).code == 0
     before = contents(scene_file.parent)
-    for step in ("load", "_write_arrays", "_write_pictures"):
+    for where, step in (
+        (forward, "load"),
+        (results, "write_result"),
+        (forward, "_write_pictures"),
+    ):
         for break_it, said in (
             (disk_full, "disk full"),
             (interrupt, "interrupted; nothing was written"),
         ):
             with monkeypatch.context() as broken:
-                broken.setattr(forward, step, break_it)
+                broken.setattr(where, step, break_it)
                 answer = run(*command, "--seed", 1)
             assert answer.code == 1, step
             assert said in answer.err
