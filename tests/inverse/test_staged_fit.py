@@ -188,7 +188,7 @@ def test_same_seed_same_bits_and_kinds_in_kinds_out():
     assert tensors.object.dtype == torch.float32
     # images rounded to single precision
     np.testing.assert_allclose(tensors.object.numpy(), first.object, atol=0.05)
-    assert 55 <= len(first.history["objective"]) <= 60
+    assert 15 <= len(first.history["objective"]) <= 20
     assert not first.history["residual"].flags.writeable
 
 
