@@ -42,17 +42,18 @@ from scipy.special import j1
 
 from nlosoptics import psf
 from nlosoptics.errors import NlosError
-from nlosoptics.psf import (
-    airy,
-    polynomials,
-    residuals,
-    soft_images,
-    spectra,
-    wavefronts,
+from nlosoptics.psf.aperture import quadrature_nodes as keepers
+from nlosoptics.psf.transform import airy, antialiased_fft
+from nlosoptics.psf.wave import (
+    detilted,
+    polar_series,
+    pupil_polynomials,
     zernikes,
 )
-from nlosoptics.psf import nodes as keepers
-from nlosoptics.psf.zernikes import zernike_order
+from nlosoptics.psf.wave import (
+    wavefront as wavefronts,
+)
+from nlosoptics.psf.wave.zernikes import zernike_order
 
 HERE = Path(__file__).parent
 WAVELENGTH = 632.8e-9
@@ -167,7 +168,16 @@ def timed(run, repeats):
 
 def forget():
     """Drop all that nlosoptics keeps between calls."""
-    kept = (airy, keepers, polynomials, residuals, soft_images, spectra, wavefronts, zernikes)
+    kept = (
+        airy,
+        keepers,
+        pupil_polynomials,
+        detilted,
+        antialiased_fft,
+        polar_series,
+        wavefronts,
+        zernikes,
+    )
     for module in kept:
         for function in vars(module).values():
             if hasattr(function, "cache_clear"):

@@ -25,7 +25,7 @@ import warnings
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "runs"))
 
 PATIENCE = 8.0  # times the predicted seconds, and a constant, until a worker is ended
 START = 60.0  # s, for imports and compilers

@@ -9,9 +9,9 @@ from . import report as report
 from . import scene as scene
 from . import transient as transient
 from . import views as views
-from .planning import Plan as Plan
-from .planning import plan as plan
-from .results import Result as Result
-from .results import load_result as load_result
+from .runs.plan import Plan as Plan
+from .runs.plan import plan as plan
+from .runs.results import Result as Result
+from .runs.results import load_result as load_result
+from .runs.simulate import simulate as simulate
 from .scene import Scene as Scene
-from .simulation import simulate as simulate

@@ -17,7 +17,7 @@ from .errors import NlosError
 
 #: The registry of pictures. It stands above all nouns, so that it is looked up by name, when a card
 #: is shown and not before: the only look from a lower part of the package into a higher one.
-CARDS = f"{__package__}.cards"
+CARDS = f"{__package__}.views.cards"
 VOID = ("img", "source", "meta", "br")
 HEIGHT = 330  # pixels of a picture
 MOST_BYTES = 40_000  # of a picture, beyond which it is given a palette

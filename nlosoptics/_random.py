@@ -85,7 +85,7 @@ def scrambled_sobol(
     random shift, which leaves every point uniform and has the variance of Owen's scrambling
     (Matousek, J. Complexity 14, 527, 1998).
     """
-    from . import _random_kernels
+    from .kernels import random
 
     draw = generator(seed, stream)
     shape = (groups, SOBOL_DIMENSIONS)
@@ -93,7 +93,7 @@ def scrambled_sobol(
     unit = np.uint32(1) << np.arange(32, dtype=np.uint32)
     matrices = draw.integers(0, 2**32, size=(*shape, 32), dtype=np.uint32) & (unit - 1) | unit
     scrambled = np.empty((*shape, 32), dtype=np.uint32)
-    _random_kernels.scramble(sobol_columns(), matrices, scrambled)
+    random.scramble(sobol_columns(), matrices, scrambled)
     return scrambled, draw.integers(0, 2**32, size=shape, dtype=np.uint32)
 
 
@@ -115,11 +115,9 @@ def philox(counters: NDArray[np.uint32], seed: int) -> NDArray[np.uint32]:
     ----------
     .. [1] Salmon et al., Parallel random numbers: as easy as 1, 2, 3, SC 2011.
     """
-    from . import _random_kernels
+    from .kernels import random
 
     counters = np.asarray(counters, dtype=np.uint32)
     words = np.empty(counters.shape, dtype=np.uint32)
-    _random_kernels.philox(
-        counters.reshape(-1, 4), np.uint64(checked_seed(seed)), words.reshape(-1, 4)
-    )
+    random.philox(counters.reshape(-1, 4), np.uint64(checked_seed(seed)), words.reshape(-1, 4))
     return words

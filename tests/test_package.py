@@ -20,7 +20,10 @@ import nlosoptics
 
 ROOT = Path(__file__).parents[1]
 STUB = ROOT / "nlosoptics" / "__init__.pyi"
-SUBPACKAGES = sorted(p.parent.name for p in (ROOT / "nlosoptics").glob("*/__init__.py"))
+#: Packages with a face; the command line is a program, `kernels` and `runs` are met through others.
+SUBPACKAGES = sorted(
+    {p.parent.name for p in (ROOT / "nlosoptics").glob("*/__init__.py")} - {"kernels", "runs"}
+)
 
 HEAVY = {
     "astropy",
@@ -67,7 +70,7 @@ def test_import_is_light() -> None:
         ("views", {"numpy"}),
         ("limits", {"numpy", "scipy", "ducc0"}),
         ("transient", {"numpy"}),
-        ("planning", {"numpy", "scipy", "ducc0"}),
+        ("runs.plan", {"numpy", "scipy", "ducc0"}),
         ("report", {"numpy", "scipy", "ducc0", "pydantic"}),
     ],
 )

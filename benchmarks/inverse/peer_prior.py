@@ -42,7 +42,7 @@ def theirs(deepinv, data, model, iterations, channels):
     import torch
 
     from nlosoptics import inverse
-    from nlosoptics.inverse.deepinv import NlosPhysics
+    from nlosoptics.inverse.data.deepinv import NlosPhysics
 
     started = time.perf_counter()
     torch.manual_seed(0)

@@ -56,7 +56,7 @@ def one_wall(job):
     wall, rms, options, done = job
     from cases import case
 
-    from nlosoptics.inverse.wu2024_fit import wu2024_fit
+    from nlosoptics.inverse.published.wu2024 import wu2024_fit
 
     rows, first = [], None
     for name in options.objects:
@@ -88,7 +88,7 @@ def largest_memory():
 def peak(base):
     """Largest memory, MiB, and milliseconds a step of six steps at 512 x 512."""
     from nlosoptics.inverse import PupilPSF
-    from nlosoptics.inverse.wu2024_fit import wu2024_fit
+    from nlosoptics.inverse.published.wu2024 import wu2024_fit
 
     wave = {"wavelength": 632.8e-9, "pupil_radius": 1e-3, "image_distance": 50e-3}
     model = PupilPSF.from_zernike(range(4, 22), shape=512, pitch=7.9e-6, **wave)

@@ -27,8 +27,8 @@ import trimesh
 
 from nlosoptics import transient
 from nlosoptics.scene import Lambert
-from nlosoptics.transient.hidden_surfaces import hidden_surfaces
-from nlosoptics.transient.multiple_bounces import multiple_bounces
+from nlosoptics.transient.rendering.multiple_bounces import multiple_bounces
+from nlosoptics.transient.rendering.surfaces import hidden_surfaces
 
 PEERS = Path(__file__).parents[1] / "peers"
 ORDERS = (4, 5)

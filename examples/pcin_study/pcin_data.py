@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import nlosoptics as nlos
-from nlosoptics import imaging, inverse, psf, reconstructing, simulation
+from nlosoptics import imaging, inverse, psf
+from nlosoptics.runs import reconstruct, simulate
 from nlosoptics.scene import Scene, WavyWall
 
 Array = NDArray[np.float64]
@@ -146,13 +147,13 @@ def exposure_of(
 @lru_cache(maxsize=64)
 def known_model(scale: str, name: str, wall: str, size: int) -> imaging.ForwardModel:
     """Image model of the scene's own point spread, at the image's pixels."""
-    return reconstructing.known_model(study_scene(scale, name, wall, size, 40e-3), tol=TOL)
+    return reconstruct.known_model(study_scene(scale, name, wall, size, 40e-3), tol=TOL)
 
 
 @lru_cache(maxsize=64)
 def veil(scale: str, name: str, wall: str, size: int) -> Array | None:
     """Shape of the wall's diffuse light in the image."""
-    shape = simulation.veil_shape(study_scene(scale, name, wall, size, 40e-3))
+    shape = simulate.veil_shape(study_scene(scale, name, wall, size, 40e-3))
     return shape if shape.any() else None
 
 

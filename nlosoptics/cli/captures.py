@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._whole_files import whole_folder
-from ..records import arrays, now, peak_memory, scene_hash, versions
+from ..runs.record import arrays, now, peak_memory, scene_hash, versions
 from .shell import (
     Debug,
     SceneFile,

@@ -30,7 +30,7 @@ from .shell import (
 )
 
 if TYPE_CHECKING:
-    from ..results import Result
+    from ..runs.results import Result
 
 
 class Limits(TypedDict):
@@ -51,7 +51,7 @@ def plan_command(
 ) -> None:
     """Say what a run computes, what it skips and why, with predicted seconds and error."""
     with errors_told(debug):
-        from ..planning import plan
+        from ..runs.plan import plan
 
         scene = load(scene_file, size)
         limits: Limits = {"memory": in_bytes(memory), "max_seconds": max_seconds}
@@ -79,9 +79,9 @@ def run_command(
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
-        from ..planning import plan
-        from ..results import write_record, write_result
-        from ..simulation import simulate
+        from ..runs.plan import plan
+        from ..runs.results import write_record, write_result
+        from ..runs.simulate import simulate
 
         scene = load(scene_file, size)
         limits: Limits = {"memory": in_bytes(memory), "max_seconds": max_seconds}
@@ -107,7 +107,7 @@ def run_command(
 def schema_command(debug: Debug = False) -> None:
     """Print the JSON schema of scene files, for editors."""
     with errors_told(debug):
-        from ..scene.file import scene_schema
+        from ..scene.file.scene_file import scene_schema
 
         typer.echo(json.dumps(scene_schema(), indent=2))
 

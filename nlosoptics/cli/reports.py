@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from .._whole_files import write_whole
-from ..records import PAGE
+from ..runs.record import PAGE
 from .shell import Debug, app, check_file, errors_told, progress_bar
 
 

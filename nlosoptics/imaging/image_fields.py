@@ -11,7 +11,7 @@ from .._checks import in_range, whole
 from .._progress import Progress
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField, SceneOptics, point_spread_field
-from ..psf.scene_optics import optics_of
+from ..psf.pupil.scene_optics import optics_of
 from ..scene import PlanarObject, Scene
 from .forward_model import ForwardModel
 

@@ -16,9 +16,9 @@ from .._nouns import Noun
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField
-from ..psf.pupils import working_f_number
+from ..psf.pupil.exit_pupil import working_f_number
 from ..scene import MeshObject, PlanarObject, Scene
-from ..scene.hidden import checked_picture
+from ..scene.parts.hidden import checked_picture
 from .detector import noise_variance, read_out, speckles_per_pixel
 from .forward_model import ForwardModel
 from .geometry import (

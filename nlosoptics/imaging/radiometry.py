@@ -17,10 +17,10 @@ from scipy import constants
 
 from .._checks import in_range, positive
 from ..errors import SceneError
-from ..psf.pupils import working_f_number
+from ..kernels.codes import BECKMANN, LAMBERT
+from ..psf.pupil.exit_pupil import working_f_number
 from ..raytrace import intersect
 from ..scene import Material, Scene
-from ..scene._material import BECKMANN, LAMBERT
 from .geometry import ChiefRays, pixel_centres
 from .objects import Patches
 

@@ -14,26 +14,26 @@ except ImportError:
     ) from None
 
 from ..limits import Feasibility, feasibility
-from .callbacks import Stop
-from .cnn_baseline import CnnBaseline, Training, train_cnn
-from .evidence_fit import evidence_fit
-from .image_prior import deep_image_prior
-from .lucy import richardson_lucy
-from .measurements import estimate_noise
-from .pcin import pcin
-from .phase_retrieval import object_from_autocorrelation, phase_retrieval
-from .pupil_psf import PupilPSF
-from .reconstructions import Reconstruction
-from .registration import RegisteredScores, registered_correlation, registered_scores
-from .scene_leaves import SceneLeaves
-from .simple_filters import inverse_filter
-from .staged_fit import staged_fit
-from .torch_model import TorchForwardModel
-from .total_variation import tv_deconvolve
-from .training_pairs import TrainingPairs, training_pairs
-from .unets import UNet
-from .wiener_filter import wiener
-from .wu2024_fit import wu2024_fit
+from .blind.evidence import evidence_fit
+from .blind.pcin import pcin
+from .blind.staged import staged_fit
+from .data.checkpoints import Stop
+from .data.forward import TorchForwardModel
+from .data.measurement import estimate_noise
+from .data.reconstruction import Reconstruction
+from .data.scores import RegisteredScores, registered_correlation, registered_scores
+from .known.inverse_filter import inverse_filter
+from .known.richardson_lucy import richardson_lucy
+from .known.total_variation import tv_deconvolve
+from .known.wiener import wiener
+from .published.cnn import CnnBaseline, Training, train_cnn
+from .published.deep_image_prior import deep_image_prior
+from .published.phase_retrieval import object_from_autocorrelation, phase_retrieval
+from .published.training_pairs import TrainingPairs, training_pairs
+from .published.unet import UNet
+from .published.wu2024 import wu2024_fit
+from .wave.pupil_psf import PupilPSF
+from .wave.scene_parameters import SceneLeaves
 
 __all__ = [
     "CnnBaseline",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..psf import Wavefront, fit_zernike
-from ..psf.zernikes import zernike
+from ..psf.wave.zernikes import zernike
 from .modulation import Picture
 
 Array = NDArray[np.float64]

@@ -1,14 +1,14 @@
 """Rays: their intersections with wall and meshes, facets of a rough wall, and traced light."""
 
-from .facets import facet_angles
-from .intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
-from .irradiance import WallIrradiance, wall_irradiance
-from .meshes import AllHits, MeshHits, all_hits, intersect_mesh, occluded
-from .paths import RayPaths
-from .points import PointTrace, trace_point
-from .pupil_fans import pupil_rays
-from .surroundings import RayPlan, ray_plan
-from .tracing import trace
+from .fans.facets import facet_angles
+from .fans.paths import RayPaths
+from .fans.pupil_fans import pupil_rays
+from .intersection.intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
+from .intersection.meshes import AllHits, MeshHits, all_hits, intersect_mesh, occluded
+from .light.irradiance import WallIrradiance, wall_irradiance
+from .light.surroundings import RayPlan, ray_plan
+from .light.trace import trace
+from .light.trace_point import PointTrace, trace_point
 
 __all__ = [
     "BEHIND",

@@ -23,7 +23,7 @@ class _Model(BaseModel):
 
 
 class Stage(_Model):
-    """A stage of a plan, as `planning.Stage`."""
+    """A stage of a plan, as `runs.plan.Stage`."""
 
     name: str
     reason: str

@@ -8,7 +8,7 @@ from typing import Any
 
 from .. import __version__
 from .._html import Column, Html, joined, png, table, tag
-from ..planning import FIELD
+from ..runs.plan import FIELD
 from . import words
 from .elements import date, facts, figure, number, percent, quantity, seconds, section
 from .folders import Folder

@@ -1,23 +1,16 @@
 """What is there: laser, wall, hidden object, occluders, camera, materials; the scene file."""
 
-from ._material import MirrorLobe
-from .camera import Camera, pupil_frame
-from .height_maps import CallableWall, HeightMapWall
-from .hidden import MeshObject, PlanarObject
-from .laser import Laser
-from .materials import (
-    Lambert,
-    Material,
-    OrenNayar,
-    SpecularMicrofacet,
-    SumMaterial,
-    Ward,
-)
-from .mesh import MeshWall
-from .occluders import Occluder
+from .parts._material import MirrorLobe
+from .parts.camera import Camera, pupil_frame
+from .parts.hidden import MeshObject, PlanarObject
+from .parts.laser import Laser
+from .parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from .parts.occluders import Occluder
+from .parts.transient_scan import TransientScan
 from .scene import Scene
-from .transient_scan import TransientScan
-from .walls import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+from .walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+from .walls.height_maps import CallableWall, HeightMapWall
+from .walls.mesh_walls import MeshWall
 
 __all__ = [
     "CallableWall",

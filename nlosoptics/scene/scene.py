@@ -13,15 +13,15 @@ from numpy.typing import ArrayLike
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
-from ._sources import bare_mesh
-from .camera import Camera
-from .hidden import HiddenObject, MeshObject, PlanarObject
-from .laser import Laser
-from .materials import Lambert, Material, SpecularMicrofacet, SumMaterial
-from .mesh import MeshWall
-from .occluders import Occluder, checked_occluders, joined
-from .transient_scan import TransientScan
-from .walls import Array, ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+from .parts._sources import bare_mesh
+from .parts.camera import Camera
+from .parts.hidden import HiddenObject, MeshObject, PlanarObject
+from .parts.laser import Laser
+from .parts.materials import Lambert, Material, SpecularMicrofacet, SumMaterial
+from .parts.occluders import Occluder, checked_occluders, joined
+from .parts.transient_scan import TransientScan
+from .walls.analytic import Array, ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+from .walls.mesh_walls import MeshWall
 
 if TYPE_CHECKING:
     import trimesh
@@ -97,7 +97,7 @@ class Scene(Noun, Shown):
         SceneError
             Naming file, key, value, limit and remedy.
         """
-        from .file import read_scene
+        from .file.scene_file import read_scene
 
         return read_scene(Path(path), cls)
 
@@ -107,7 +107,7 @@ class Scene(Noun, Shown):
         A picture, heights or meshes in memory are written beside it, without loss; see
         `scene.file.save_scene`.
         """
-        from .file import save_scene
+        from .file.scene_file import save_scene
 
         save_scene(self, Path(path))
 
@@ -231,9 +231,9 @@ def _refuse_behind(wall: Wall, name: str, points: Array) -> None:
     x, y, z = np.ascontiguousarray(points.T)
     surface = np.empty((len(points), 6))
     if wall.is_compiled:
-        from . import _kernels
+        from ..kernels import heights
 
-        _kernels.surfaces(*wall.compiled(), x, y, surface)
+        heights.surfaces(*wall.compiled(), x, y, surface)
     else:
         surface[:, 0] = wall.height(x, y)
     # NaN where the wall has no height compares false

@@ -6,19 +6,16 @@ plotters draw off the screen. `save` writes either.
 """
 
 from .comparisons import compare_methods
-from .curves import encircled_energy, history, mtf
+from .curves import encircled_energy, history, mtf, spot_diagram
 from .films import transient, transient_film
-from .light import irradiance
-from .limits import feasibility
-from .maps import hybrid_parts, image, point_spread, reconstruction, wavefront
+from .forecasts import feasibility, plan
+from .maps import hybrid_parts, image, irradiance, point_spread, reconstruction, wavefront
 from .pages import html_page
 from .phasor_volumes import phasor_volume
-from .plans import plan
-from .probing import rendering_works, window
 from .rooms import ray_paths, scene_3d
 from .saving import save
 from .sketch import scene_sketch
-from .spots import spot_diagram
+from .stages import rendering_works, window
 from .volumes import volume
 
 __all__ = [

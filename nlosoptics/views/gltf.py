@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .probing import pyvista
+from .stages import pyvista
 
 if TYPE_CHECKING:
     from pyvista import Actor, Plotter, PolyData

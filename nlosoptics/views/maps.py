@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from ..imaging import SpeckleImage
     from ..inverse import Reconstruction
     from ..psf import HybridPointSpread, PointSpread, Wavefront
+    from ..raytrace import WallIrradiance
 
 Array = NDArray[np.float64]
 
@@ -252,3 +253,26 @@ def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
     """Add a colour bar beside axes, as high as what is drawn on them."""
     figure: Any = axes.get_figure(root=True)
     figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
+
+
+def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
+    """Draw the irradiance of the relay wall.
+
+    Parameters
+    ----------
+    irradiance : WallIrradiance
+    axes : matplotlib Axes, optional
+        Where to draw; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        World x and y in m, as seen from the room: x grows to the right, y up.
+    """
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.6)
+    drawn = axes.pcolormesh(
+        irradiance.x, irradiance.y, irradiance.irradiance, shading="nearest", rasterized=True
+    )
+    colour_bar(axes, drawn, "irradiance (W/m$^2$)")
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="light on the relay wall")
+    return axes

@@ -13,8 +13,7 @@ import numpy as np
 from .._html import joined, tag
 from ..errors import MissingExtraError
 from .gltf import glb
-from .probing import pyvista
-from .stages import legend_entries
+from .stages import legend_entries, pyvista
 
 if TYPE_CHECKING:
     from pyvista import Plotter

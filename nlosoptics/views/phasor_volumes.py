@@ -8,10 +8,9 @@ import numpy as np
 
 from .._checks import in_range
 from ..errors import SamplingError
-from .probing import pyvista
 from .rays import dark_viridis
 from .room_parts import floor_grid, round_step, triad
-from .stages import INK, add_legend, bar_style, finish_bar, look_at, new_plotter
+from .stages import INK, add_legend, bar_style, finish_bar, look_at, new_plotter, pyvista
 
 if TYPE_CHECKING:
     from pyvista import Plotter

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from .._checks import one_of, whole
 from ..errors import SceneError
-from ..raytrace.paths import DETECTED
+from ..raytrace.fans.paths import DETECTED
 from .palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from .probing import pyvista
+from .stages import pyvista
 
 if TYPE_CHECKING:
     from pyvista import PolyData

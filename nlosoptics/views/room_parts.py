@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneError
-from ..raytrace.facets import material_slope
+from ..raytrace.fans.facets import material_slope
 from ..scene import Camera, Laser, Material, Occluder, PlanarObject, Scene
-from .probing import pyvista
+from .stages import pyvista
 
 if TYPE_CHECKING:
     from pyvista import PolyData, Texture

@@ -86,8 +86,7 @@ def _plotter_file(plotter: Any, suffix: str) -> bytes:
         return html_page(plotter).encode()
     from PIL import Image
 
-    from .probing import rendering_works
-    from .stages import quiet
+    from .stages import quiet, rendering_works
 
     rendering_works()
     with quiet():

@@ -15,7 +15,7 @@ from nlosoptics import psf
 from nlosoptics.errors import SceneError
 from nlosoptics.imaging import cast_shadows, diffuse_background, form_image, shadows
 from nlosoptics.imaging.geometry import chief_rays, pixel_centres
-from nlosoptics.psf import obstruction
+from nlosoptics.psf.pupil import obstruction
 from nlosoptics.scene import (
     ConcaveWall,
     FlatWall,

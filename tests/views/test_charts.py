@@ -11,8 +11,8 @@ import pytest
 
 from nlosoptics import psf, views
 from nlosoptics.errors import SceneError
-from nlosoptics.planning import Plan, Stage
 from nlosoptics.psf import Comparison, ComparisonRow
+from nlosoptics.runs.plan import Plan, Stage
 
 pytest.importorskip("matplotlib")
 
@@ -190,7 +190,7 @@ import numpy as np
 from types import SimpleNamespace
 from nlosoptics import psf, views
 from nlosoptics.errors import MissingExtraError
-from nlosoptics.planning import Plan
+from nlosoptics.runs.plan import Plan
 from nlosoptics.transient import TransientCapture, wall_grid
 
 wave = psf.Wavefront.from_zernike({}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05)

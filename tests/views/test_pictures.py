@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf, views
-from nlosoptics.psf.wavefronts import Wavefront
+from nlosoptics.psf.wave.wavefront import Wavefront
 from nlosoptics.scene import Scene
 
 pytest.importorskip("matplotlib")

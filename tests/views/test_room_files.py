@@ -16,7 +16,7 @@ from nlosoptics import views
 from nlosoptics.errors import MissingExtraError, SceneError
 from nlosoptics.raytrace import trace
 from nlosoptics.scene import WavyWall
-from nlosoptics.views import probing
+from nlosoptics.views import stages
 
 pv = pytest.importorskip("pyvista")
 
@@ -36,10 +36,10 @@ def renders():
 @pytest.fixture
 def blind(monkeypatch):
     """A machine on which VTK crashes."""
-    monkeypatch.setattr(probing, "TRIAL", "import os\nos.kill(os.getpid(), 11)")
-    probing._trial.cache_clear()
+    monkeypatch.setattr(stages, "TRIAL", "import os\nos.kill(os.getpid(), 11)")
+    stages._trial.cache_clear()
     yield
-    probing._trial.cache_clear()
+    stages._trial.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -253,12 +253,12 @@ def test_a_crash_is_told_and_other_formats_work(room, blind, tmp_path):
 def test_vtk_itself_crashes_where_its_window_is_missing(monkeypatch):
     """The real trial, on a machine that lacks OSMesa; elsewhere it must pass."""
     monkeypatch.setenv(*MADE_BLIND)
-    probing._trial.cache_clear()
+    stages._trial.cache_clear()
     try:
-        kind, fault = probing._trial()
+        kind, fault = stages._trial()
     finally:
-        probing._trial.cache_clear()
-    assert (kind in probing.HIDDEN) != ("SIGSEGV" in fault or "SIGABRT" in fault)
+        stages._trial.cache_clear()
+    assert (kind in stages.HIDDEN) != ("SIGSEGV" in fault or "SIGABRT" in fault)
 
 
 @pytest.mark.parametrize(
@@ -266,28 +266,28 @@ def test_vtk_itself_crashes_where_its_window_is_missing(monkeypatch):
     [("raise ImportError('libX11.so.6')", "ImportError: libX11.so.6"), ("exit(3)", "code 3")],
 )
 def test_other_faults_are_told(monkeypatch, trial, said):
-    monkeypatch.setattr(probing, "TRIAL", trial)
-    probing._trial.cache_clear()
+    monkeypatch.setattr(stages, "TRIAL", trial)
+    stages._trial.cache_clear()
     try:
         with pytest.raises(MissingExtraError, match=said):
             views.rendering_works()
     finally:
-        probing._trial.cache_clear()
+        stages._trial.cache_clear()
 
 
 def test_the_trial_is_made_once(monkeypatch):
-    probing._trial.cache_clear()
-    monkeypatch.setattr(probing, "TRIAL", "print('vtkEGLRenderWindow')")
+    stages._trial.cache_clear()
+    monkeypatch.setattr(stages, "TRIAL", "print('vtkEGLRenderWindow')")
     calls = []
     run = subprocess.run
     monkeypatch.setattr(
-        probing.subprocess, "run", lambda *a, **k: (calls.append(a), run(*a, **k))[1]
+        stages.subprocess, "run", lambda *a, **k: (calls.append(a), run(*a, **k))[1]
     )
     try:
         views.rendering_works()
         views.rendering_works()
     finally:
-        probing._trial.cache_clear()
+        stages._trial.cache_clear()
     assert len(calls) == 1
 
 

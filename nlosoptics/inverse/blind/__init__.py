@@ -1,0 +1,1 @@
+"""Object and wall wave together, from images alone."""

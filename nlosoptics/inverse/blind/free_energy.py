@@ -1,0 +1,424 @@
+"""Variational free energy of images by an unknown wave, with the object integrated out.
+
+The object's posterior is a Gaussian whose covariance is diagonal in Fourier space; its prior is a
+scale mixture on differences of neighbours. Every sum is over one padded period of which the frame
+is a part: what leaves the frame is lost, and outside it the object is dark.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ...errors import SamplingError, SceneError
+from ..wave.pupil_optics import PupilOptics
+from ..wave.pupil_psf import PupilPSF
+from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, noll_mode
+from . import _evidence_kernels as kernels
+
+Floats = NDArray[Any]
+#: Width of the bend where an object value turns positive, over the image's maximum.
+_SOFTNESS = 0.1
+#: Starts that are worked on at once: their arrays stay in the processor's cache.
+_CHUNK = 8
+#: Pitch over Nyquist's that is still taken for Nyquist's: 2 % beyond it the transfer is under 1e-3.
+_NYQUIST_SLACK = 1.02
+#: rms of a known wave beside the modes, waves, that still changes no answer.
+_MOST_REST = 0.05
+_LEAST_VARIANCE = 1e-6
+_SHRINK = np.array([0.9, 0.99])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One descent.
+
+    Parameters
+    ----------
+    iterations : int
+    kappa : float
+        Strength of the object's prior; 0.5 to compare answers, 1 to 1.5 to search.
+    first, last : float
+        Assumed noise over the true one, from the beginning to ``share`` of the iterations.
+    share : float
+    wave_rate : float
+        Largest step of a coefficient, waves.
+    object_rate : float
+        Largest step of an object value, over the image's maximum.
+    """
+
+    iterations: int
+    kappa: float
+    first: float
+    last: float
+    share: float
+    wave_rate: float
+    object_rate: float = 0.05
+
+    def noise(self, iteration: int) -> float:
+        """Assumed noise over the true one."""
+        done = min(1.0, iteration / (self.share * self.iterations))
+        return self.first * math.exp(done * math.log(self.last / self.first))
+
+    def pace(self, iteration: int) -> float:
+        """Part of the rates: 1 for half of the iterations, then a cosine to 5 %."""
+        late = max(0.0, 2.0 * iteration / self.iterations - 1.0)
+        return 0.05 + 0.95 * 0.5 * (1.0 + math.cos(math.pi * late))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Starts:
+    """Walls and objects in the making, one a row.
+
+    Parameters
+    ----------
+    coefficients : ndarray, (B, M)
+        Waves rms.
+    free : ndarray, (B, n, n)
+        What the object's positive values are made of.
+    variances : ndarray, (B, 2)
+        Posterior variances of the object's differences along x and y.
+    energy : ndarray, (B,)
+        Free energy at the end of the last stage, infinite before.
+    chi_square : ndarray, (B, K)
+        Mean squared residual of each frame over the noise.
+    radius : ndarray, (B,)
+        Length that the coefficients are held at; infinite where they are free.
+    """
+
+    coefficients: Floats
+    free: Floats
+    variances: Floats
+    energy: Floats
+    chi_square: Floats
+    radius: Floats
+
+    def __len__(self) -> int:
+        return len(self.energy)
+
+    def __getitem__(self, rows: Any) -> Starts:
+        return Starts(**{name: values[rows] for name, values in vars(self).items()})
+
+    def held(self, radius: Floats | float) -> Starts:
+        """The same with other lengths of the coefficients; infinity frees them."""
+        return replace(self, radius=np.broadcast_to(np.float64(radius), len(self)).copy())
+
+    def best(self, count: int) -> Starts:
+        """Those of least free energy, least first."""
+        return self[np.argsort(self.energy, kind="stable")[:count]]
+
+
+def joined(parts: Iterable[Starts]) -> Starts:
+    """All starts of several sets."""
+    parts = list(parts)
+    return Starts(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in vars(parts[0])})
+
+
+class FreeEnergy:
+    """Free energy of frames as a function of the wall and the object's mean.
+
+    Parameters
+    ----------
+    images : ndarray, (K, n, n)
+        Divided by their maximum.
+    sigmas : ndarray, (K,)
+        Noise, in the same unit.
+    pupil_psf : PupilPSF
+        Of any shape; Zernike leaves.
+    defocus : ndarray, (K,)
+        Known extra Noll-4 of each frame, m rms.
+    grid : int
+        Samples p of the padded period along each side, at least n.
+    fit_background : bool
+        Whether each frame has an unknown even background.
+    dtype : type
+        ``numpy.float32`` or ``numpy.float64``.
+
+    Notes
+    -----
+    With residuals r, prior weights w, variances v and posterior covariance C [1]_::
+
+        2 F = sum r^2/s^2 + sum kappa log((D m)^2 + v) + (n/p)^2 sum_f (C |H|^2/s^2 - log C)
+
+    The gradient holds w and C, by which F is already least.
+
+    References
+    ----------
+    .. [1] Levin, Weiss, Durand and Freeman, CVPR (2011) 2657.
+    """
+
+    def __init__(
+        self,
+        images: Floats,
+        sigmas: Floats,
+        pupil_psf: PupilPSF,
+        defocus: Floats,
+        *,
+        grid: int,
+        fit_background: bool = True,
+        dtype: type = np.float32,
+    ) -> None:
+        self.sigma = float(np.mean(np.square(sigmas)) ** 0.5)
+        weights = self.sigma / np.asarray(sigmas, dtype=np.float64)
+        self._weights = weights
+        self._images: Floats = np.ascontiguousarray(images * weights[:, None, None], dtype=dtype)
+        self._dtype, self._grid = dtype, grid
+        self._fit_background = fit_background
+        modes = np.array(pupil_psf.modes)
+        orders = (np.sqrt(8.0 * modes - 7.0) - 1.0) // 2.0
+        #: signs of the wall with the same in-focus point spread, W(x) -> -W(-x)
+        self.twin = np.where(orders % 2 == 0, -1.0, 1.0)
+        self._share = (self._images.shape[1] / grid) ** 2
+        self._steps: Floats = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(grid) / grid)).astype(
+            dtype
+        )
+        optics, basis = _pupil(pupil_psf, grid)
+        self._cells = optics.share.shape
+        self._amplitude = torch.from_numpy(_array(optics, "_amplitude").reshape(-1).astype(dtype))
+        self._basis = torch.from_numpy(np.ascontiguousarray(basis, dtype=dtype))
+        turns = np.asarray(defocus) / optics.wavelength
+        side = math.copysign(2.0 * math.pi, optics.image_distance)
+        known = side * np.outer(turns, noll_mode(DEFOCUS, optics))
+        self._known = torch.from_numpy(known.astype(dtype))
+        pixel = (
+            _array(optics, "_pixel") if optics.pixel_integrated else np.ones((grid, grid // 2 + 1))
+        )
+        self._pixel: Floats = (pixel * weights[:, None, None]).astype(dtype)
+
+    @property
+    def modes(self) -> int:
+        """Coefficients of a wall."""
+        return int(self._basis.shape[0])
+
+    def starts(self, coefficients: Floats, noise: float, radius: Any = np.inf) -> Starts:
+        """Starts with walls as given and objects by Wiener's filter.
+
+        Parameters
+        ----------
+        coefficients : ndarray, (B, M)
+        noise : float
+            Assumed noise over the true one.
+        radius : float or ndarray, (B,)
+            Length that the coefficients are held at; infinite: free.
+        """
+        wall: Floats = np.ascontiguousarray(coefficients, dtype=self._dtype)
+        found = []
+        for first in range(0, len(wall), _CHUNK):
+            found.append(self._objects(wall[first : first + _CHUNK], noise))
+        mean = np.concatenate(found)
+        count = len(wall)
+        return Starts(
+            coefficients=wall,
+            free=(mean - _SOFTNESS**2 / (4.0 * mean)).astype(self._dtype),
+            variances=np.full((count, 2), 1e-3),
+            energy=np.full(count, np.inf),
+            chi_square=np.full((count, len(self._images)), np.inf),
+            radius=np.broadcast_to(np.float64(radius), count).copy(),
+        )
+
+    def descend(self, starts: Starts, stage: Stage) -> Starts:
+        """Starts after one stage, with their energies."""
+        rows = range(0, len(starts), _CHUNK)
+        return joined(self._descend(starts[row : row + _CHUNK], stage) for row in rows)
+
+    def objects(self, starts: Starts) -> Floats:
+        """Mean objects, (B, n, n), in the images' unit."""
+        mean = np.empty_like(starts.free)
+        kernels.softly_positive(starts.free, _SOFTNESS, mean)
+        return mean
+
+    def evaluate(
+        self, starts: Starts, wall: Floats, noise: float, kappa: float, want_energy: bool
+    ) -> tuple[dict[str, Floats], Floats, Floats, Floats]:
+        """Energies and gradients at one place.
+
+        Parameters
+        ----------
+        starts : Starts
+        wall : ndarray, (B, M)
+            Coefficients in place of the starts' own.
+        noise : float
+            Assumed noise over the true one.
+        kappa : float
+        want_energy : bool
+
+        Returns
+        -------
+        dict
+            ``energy`` (B,), 0 if it is not wanted; ``squares`` (B, K) of the residuals over the
+            noise; ``background`` (B, K), weighted; ``variances`` (B, 2), the posterior's.
+        ndarray, (B, p, p)
+            Gradient by the data with respect to the mean object, in its first n x n.
+        ndarray, (B, n, n)
+            The same by the prior.
+        ndarray, (B, M)
+            Gradient with respect to the coefficients.
+        """
+        mean, grid = self.objects(starts), (self._grid, self._grid)
+        count, frames = len(mean), len(self._images)
+        transfer, pupil, field = self._transfer(wall)
+        spectrum = torch.fft.rfft2(torch.from_numpy(mean), s=grid).numpy()
+        product = np.empty_like(transfer)
+        kernels.predict(transfer, self._pixel, spectrum, product)
+        seen = torch.fft.irfft2(torch.from_numpy(product), s=grid).numpy()
+        squares, background = np.empty((count, frames)), np.empty((count, frames))
+        kernels.residuals(seen, self._images, self._fit_background, squares, background)
+        residual = torch.fft.rfft2(torch.from_numpy(seen)).numpy()
+        by_prior, roughness = np.empty_like(mean), np.empty(count)
+        weights = np.empty((count, 2))
+        kernels.roughness(
+            mean, starts.variances.astype(self._dtype), kappa, by_prior, weights, roughness,
+            want_energy,
+        )  # fmt: skip
+        precision = np.full(count, 1.0 / (noise * self.sigma) ** 2)
+        variances, volume = np.empty((count, 2)), np.empty(count)
+        kernels.spectra(
+            transfer, residual, spectrum, self._pixel, self._steps, weights, precision,
+            self._share, product[:, 0], variances, volume, want_energy,
+        )  # fmt: skip
+        by_data = torch.fft.irfft2(torch.from_numpy(product[:, 0]), s=grid).numpy()
+        energy = 0.5 * (squares.sum(axis=1) * precision + roughness + volume)
+        values = {
+            "energy": energy,
+            "squares": squares / self.sigma**2,
+            "background": background,
+            "variances": variances,
+        }
+        return values, by_data, by_prior, self._wall_gradient(residual, pupil, field)
+
+    def background(self, starts: Starts) -> Floats:
+        """Light that is everywhere in a frame, (B, K), in the images' unit."""
+        values = self.evaluate(starts, starts.coefficients, 1.0, 0.5, False)[0]
+        level: Floats = values["background"] / self._weights
+        return level
+
+    def _descend(self, starts: Starts, stage: Stage) -> Starts:
+        wall, free = starts.coefficients.copy(), starts.free.copy()
+        now = replace(starts, free=free, variances=starts.variances.copy())
+        first, second = np.zeros_like(free), np.zeros_like(free)
+        wall_first, wall_second = np.zeros(wall.shape), np.zeros(wall.shape)
+        held = np.isfinite(starts.radius)[:, None]
+        radius = np.where(held, starts.radius[:, None], 1.0)
+        for step in range(stage.iterations):
+            length = np.linalg.norm(wall, axis=1, keepdims=True)
+            placed = np.where(held, wall * (radius / np.maximum(length, 1e-12)), wall)
+            placed = np.ascontiguousarray(placed, dtype=self._dtype)
+            last = step == stage.iterations - 1
+            values, by_data, by_prior, slope = self.evaluate(
+                now, placed, stage.noise(step), stage.kappa, last
+            )
+            along = (slope * placed).sum(axis=1, keepdims=True) * placed / radius**2
+            slope = np.where(held, (slope - along) * (radius / np.maximum(length, 1e-12)), slope)
+            np.maximum(
+                0.5 * (now.variances + values["variances"]), _LEAST_VARIANCE, out=now.variances
+            )
+            bias, bias_square = 1.0 - _SHRINK ** (step + 1)
+            pace = stage.pace(step) / bias
+            kernels.object_step(
+                free, by_data, by_prior, first, second, _SOFTNESS, stage.object_rate * pace,
+                bias_square,
+            )  # fmt: skip
+            wall_first += 0.1 * (slope - wall_first)
+            wall_second += 0.01 * (slope**2 - wall_second)
+            root = np.sqrt(wall_second / bias_square) + 1e-10
+            wall = (wall - stage.wave_rate * pace * wall_first / root).astype(self._dtype)
+        pixels = self._images[0].size
+        return replace(
+            now,
+            coefficients=placed if held.all() else np.where(held, placed, wall),
+            energy=values["energy"],
+            chi_square=values["squares"] / pixels,
+        )
+
+    def _objects(self, wall: Floats, noise: float) -> Floats:
+        """Objects by Wiener's filter, (B, n, n), at least 0.01."""
+        n, grid = self._images.shape[1], (self._grid, self._grid)
+        transfer = self._transfer(wall)[0] * self._pixel
+        level = np.zeros(len(self._images))
+        if self._fit_background:
+            edges = [self._images[:, [0, -1]], self._images[:, :, [0, -1]].swapaxes(1, 2)]
+            level = np.median(np.concatenate(edges, axis=1), axis=(1, 2))
+        data = torch.fft.rfft2(torch.from_numpy(self._images - level[:, None, None]), s=grid)
+        rough = self._steps[:, None] + self._steps[: self._grid // 2 + 1]
+        prior = (noise * self.sigma) ** 2 * (rough / 0.02 + 1e-3)
+        power = (transfer.real**2 + transfer.imag**2).sum(axis=1)
+        spectrum = (transfer.conj() * data.numpy()).sum(axis=1) / (power + prior)
+        mean = torch.fft.irfft2(torch.from_numpy(spectrum), s=grid).numpy()[:, :n, :n]
+        bright: Floats = np.maximum(mean, 0.01)
+        return bright
+
+    def _transfer(self, wall: Floats) -> tuple[Floats, Tensor, Floats]:
+        """Transfer functions before the detector, (B, K, p, q), pupils and fields."""
+        count, frames, p = len(wall), len(self._images), self._grid
+        phase = (torch.from_numpy(wall) @ self._basis)[:, None] + self._known
+        pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
+        lit = pupil.view(count, frames, *self._cells)
+        field = torch.fft.fft(torch.fft.fft(lit, n=p, dim=-2), n=p, dim=-1).numpy()
+        spread = np.empty(field.shape, dtype=self._dtype)
+        kernels.intensity(field, spread)
+        return torch.fft.rfft2(torch.from_numpy(spread)).numpy(), pupil, field
+
+    def _wall_gradient(self, toward: Floats, pupil: Tensor, field: Floats) -> Floats:
+        p, (rows, columns) = self._grid, self._cells
+        spread = torch.fft.irfft2(torch.from_numpy(toward), s=(p, p)).numpy()
+        pulled = np.empty(field.shape, dtype=field.dtype)
+        kernels.pull_back(field, spread, 2.0 * float(p) ** 4, pulled)
+        cells = torch.fft.ifft(torch.from_numpy(pulled), dim=-1)[..., :columns]
+        cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :].contiguous()
+        phase = np.empty((len(field), rows * columns), dtype=self._dtype)
+        kernels.phase_gradient(pupil.numpy(), cells.view(pupil.shape).numpy(), phase)
+        slope: Floats = (torch.from_numpy(phase) @ self._basis.T).numpy()
+        return slope
+
+
+def _pupil(pupil_psf: PupilPSF, grid: int) -> tuple[PupilOptics, Floats]:
+    """The pupil on cells of a longer period, and phases of its leaves, (M, cells), rad per wave."""
+    given = pupil_psf.optics
+    waves = pupil_psf.waves
+    if not isinstance(waves, ZernikeWaves):
+        raise SceneError(
+            f"pupil_psf has leaves of kind {type(waves).__name__}; the evidence fit takes those of "
+            "PupilPSF.from_zernike"
+        )
+    if waves.rest is not None:
+        share = torch.as_tensor(given.share).to(waves.rest)
+        mean = (share * waves.rest).sum() / share.sum()
+        rest = float(((share * (waves.rest - mean) ** 2).sum() / share.sum()).sqrt())
+        if rest > _MOST_REST:
+            raise SceneError(
+                f"pupil_psf has a known wave of {rest:.3g} waves rms beside its modes, limit "
+                f"{_MOST_REST:g}: the evidence fit sees modes alone; give more of them, or use "
+                'recipe "staged"'
+            )
+    pitch = given.pitch
+    if pitch > given.nyquist_pitch:
+        if pitch > given.nyquist_pitch * _NYQUIST_SLACK:
+            raise SamplingError(
+                f"pitch = {pitch:.6g} m is wider than Nyquist's {given.nyquist_pitch:.6g} m; "
+                "the evidence fit takes pixels of lambda |d|/(4 radius) or less"
+            )
+        pitch = given.nyquist_pitch
+    optics = PupilOptics(
+        wavelength=given.wavelength,
+        pupil_radius=given.pupil_radius,
+        image_distance=given.image_distance,
+        pitch=pitch,
+        shape=grid,
+        pixel_integrated=given.pixel_integrated,
+        dtype=torch.float64,
+    )
+    side = math.copysign(2.0 * math.pi, given.image_distance)
+    basis = np.stack([noll_mode(mode, optics).ravel() for mode in waves.modes])
+    return optics, side * basis
+
+
+def _array(optics: PupilOptics, name: str) -> Floats:
+    values: Floats = getattr(optics, name).numpy()
+    return values

@@ -1,0 +1,340 @@
+"""Rounds of a fit of object and walls: what moves, by what steps, and which starts go on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..._progress import Progress
+from ...errors import SamplingError
+from ..data import checkpoints
+from ..data.checkpoints import adam_state, take_up_adam
+from ..wave.frames import Frames
+from .energy import Energy, KnownObjectEnergy
+
+_OBJECT_STEP = 0.05
+_GAIN_STEP = 0.01
+_BETAS = (0.9, 0.99)
+_CHECK_EVERY = 25
+#: What a batch of fits is made of.
+BATCH = ("theta", "coefficients", "log_gains", "variances", "energy", "square")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One round of the fit.
+
+    Parameters
+    ----------
+    starts : int
+        How many of the best go in.
+    iterations : int
+    noise : (float, float)
+        Factor by which the noise is taken for larger, first and last; geometric between, reached
+        after 0.7 of the iterations.
+    step : float
+        Of the coefficients, waves; 0 keeps them.
+    """
+
+    starts: int
+    iterations: int
+    noise: tuple[float, float]
+    step: float
+
+
+def near_stages(starts: int) -> tuple[Stage, ...]:
+    """Rounds for coefficients that are known to some tenth of a wave."""
+    return (
+        Stage(starts=starts, iterations=200, noise=(5.0, 5.0), step=0.0),
+        Stage(starts=starts, iterations=400, noise=(5.0, 1.0), step=0.01),
+        Stage(starts=1, iterations=200, noise=(1.0, 1.0), step=0.004),
+    )
+
+
+def far_stages(starts: int) -> tuple[Stage, ...]:
+    """Rounds for walls of which nothing is known."""
+    return (
+        Stage(starts=starts, iterations=200, noise=(30.0, 4.0), step=0.016),
+        Stage(starts=max(1, starts // 4), iterations=300, noise=(4.0, 1.0), step=0.016),
+        Stage(starts=1, iterations=300, noise=(1.0, 1.0), step=0.005),
+    )
+
+
+@dataclass(eq=False, kw_only=True)
+class State:
+    """A batch of fits."""
+
+    theta: Tensor
+    coefficients: Tensor
+    log_gains: Tensor
+    variances: Tensor
+    energy: Tensor
+    square: Tensor
+    history: dict[str, list[float]] = field(
+        default_factory=lambda: {"objective": [], "residual": [], "change": []}
+    )
+    settled: bool = False
+
+    def chosen(self, which: Tensor) -> State:
+        """Some of the fits."""
+        return State(
+            theta=self.theta.detach()[which].clone(),
+            coefficients=self.coefficients.detach()[which].clone(),
+            log_gains=self.log_gains.detach()[which].clone(),
+            variances=self.variances[which].clone(),
+            energy=self.energy[which].clone(),
+            square=self.square[which].clone(),
+            history=self.history,
+            settled=self.settled,
+        )
+
+
+class BlindFit:
+    """What the stages share: data, prior and energy."""
+
+    def __init__(
+        self,
+        frames: Frames,
+        first: Tensor,
+        start_error: float,
+        *,
+        support: Tensor | None,
+        known: Tensor | None,
+        guess: Tensor | None,
+        fit_gains: bool,
+    ) -> None:
+        self.frames = frames
+        self.first = first
+        self.guess = guess
+        self.fit_gains = fit_gains and len(frames.images) > 1
+        self.known = known is not None
+        self.energy = Energy(frames, support) if known is None else KnownObjectEnergy(frames, known)
+        self._stiffness = first.shape[-1] / (2.0 * start_error**2)
+
+    def begin(self, coefficients: Tensor, factor: float) -> State:
+        """Objects by the start's point spreads."""
+        count = len(coefficients)
+        with torch.no_grad():
+            level = self.energy.wiener(self.frames.transfer(coefficients), factor)
+            if self.guess is not None and not self.known:
+                bright = level.clamp_min(0.0).mean((-2, -1), keepdim=True)
+                level = self.guess * (bright / self.guess.mean())
+        zeros = torch.zeros(count).to(self.frames.images)
+        return State(
+            theta=self.energy.theta(level),
+            coefficients=coefficients,
+            log_gains=torch.zeros(count, len(self.frames.images)).to(zeros),
+            variances=self.energy.first_variances(count),
+            energy=zeros,
+            square=zeros,
+        )
+
+    def best(self, state: State, count: int) -> State:
+        """The fits of lowest energy."""
+        if count >= len(state.theta):
+            count = len(state.theta)
+        return state.chosen(state.energy.argsort()[:count])
+
+    def held(self, coefficients: Tensor) -> Tensor:
+        """Free energy of coefficients (B, n_walls, M) by their distance from the start, (B,)."""
+        return self._stiffness * (coefficients - self.first).square().sum((-2, -1))
+
+    def gains(self, state: State) -> Tensor | None:
+        """Relative brightness of the images, their logarithms' mean 0, (B, K, 1, 1)."""
+        if not self.fit_gains:
+            return None
+        logs = state.log_gains - state.log_gains.mean(-1, keepdim=True)
+        return logs.exp()[..., None, None]
+
+    def run(
+        self,
+        state: State,
+        stage: Stage,
+        tolerance: float,
+        report: Report,
+        kept: Mapping[str, Any] | None = None,
+    ) -> State:
+        """One stage, from its start or, within it, from what `Report` kept."""
+        moves = stage.step > 0.0
+        groups: list[dict[str, Any]] = [
+            {"params": [state.theta.requires_grad_()], "lr": _OBJECT_STEP}
+        ]
+        if self.fit_gains:
+            groups.append({"params": [state.log_gains.requires_grad_()], "lr": _GAIN_STEP})
+        if moves:
+            groups.append({"params": [state.coefficients.requires_grad_()], "lr": stage.step})
+        optimiser = torch.optim.Adam(groups, betas=_BETAS)
+        steps = [group["lr"] for group in groups]
+        still = None if moves else self.frames.transfer(state.coefficients).detach()
+        final = stage.noise == (1.0, 1.0)
+        lowest, last, first = None, math.inf, 0
+        if kept is not None:
+            take_up_adam("fit", optimiser, kept)
+            first, last = int(kept["place"][1]), float(kept["place"][2])
+        for iteration in range(first, stage.iterations):
+            done = iteration / max(1, stage.iterations - 1)
+            factor = stage.noise[0] * (stage.noise[1] / stage.noise[0]) ** min(1.0, done / 0.7)
+            pace = _pace(done)
+            for group, step in zip(optimiser.param_groups, steps, strict=True):
+                group["lr"] = pace * step
+            level = self.energy.level(state.theta)
+            transfer = self.frames.transfer(state.coefficients) if still is None else still
+            energy, square = self.energy(
+                level, transfer, state.variances, factor, self.gains(state)
+            )
+            energy = energy + self.held(state.coefficients)
+            optimiser.zero_grad()
+            energy.sum().backward()  # type: ignore[no-untyped-call]
+            state.energy, state.square = energy.detach(), square
+            if final and (lowest is None or float(state.energy[0]) < float(lowest.energy[0])):
+                lowest = state.chosen(torch.zeros(1, dtype=torch.int64))
+            optimiser.step()
+            self._record(state)
+            if final and iteration % _CHECK_EVERY == _CHECK_EVERY - 1:
+                now = float(state.energy.min())
+                if abs(last - now) <= tolerance * abs(now):
+                    state.settled = True
+                    break
+                last = now
+            place = (iteration + 1, last)
+            if not report.tell(self, state, factor, optimiser, place):
+                break
+        found = state if lowest is None else lowest
+        found.settled = state.settled
+        return found.chosen(torch.arange(len(found.theta)))
+
+    @staticmethod
+    def _record(state: State) -> None:
+        at = int(state.energy.argmin())
+        objective = float(state.energy[at])
+        before = state.history["objective"][-1] if state.history["objective"] else math.inf
+        state.history["objective"].append(objective)
+        state.history["residual"].append(math.sqrt(float(state.square[at])))
+        state.history["change"].append(
+            abs(before - objective) / max(abs(objective), 1e-30) if before < math.inf else 1.0
+        )
+
+
+@dataclass(frozen=True)
+class NoBlur:
+    """What a fit that starts at no blur comes to; NaN without one.
+
+    Parameters
+    ----------
+    energy : float
+        Free energy, its coefficients free.
+    held : float
+        What `BlindFit.held` would add.
+    """
+
+    energy: float = math.nan
+    held: float = math.nan
+
+
+class Report:
+    """Fraction done, told now and then, with a state to go on from.
+
+    Parameters
+    ----------
+    progress : callable or None
+    total : int
+        Iterations of all stages.
+
+    Attributes
+    ----------
+    stage : int
+        The one that runs.
+    no_blur : NoBlur
+        What a fit from no blur comes to.
+    ended : bool
+        Whether the callback asked the fit to end.
+    """
+
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+        self.stage, self.no_blur, self.ended = 0, NoBlur(), False
+
+    def skip(self, iterations: int) -> None:
+        """Count iterations that were made before."""
+        self._done += iterations
+
+    def tell(
+        self,
+        fit: BlindFit,
+        state: State,
+        factor: float,
+        adam: torch.optim.Adam,
+        place: tuple[int, float],
+    ) -> bool:
+        """After each iteration; False where the fit is to end."""
+        self._done += 1
+        if self._done % _CHECK_EVERY:
+            return True
+        at = int(state.energy.argmin())
+        self.ended = not checkpoints.goes_on(
+            self._progress,
+            f"staged fit: residual {math.sqrt(float(state.square[at])):.3f} of the noise, "
+            f"free energy {float(state.energy[at]):.1f} at noise x {factor:.2g}",
+            min(1.0, self._done / self._total),
+            lambda: self._state(fit, state, adam, place),
+        )
+        return not self.ended
+
+    def _state(
+        self, fit: BlindFit, state: State, adam: torch.optim.Adam, place: tuple[int, float]
+    ) -> checkpoints.State:
+        """The object of the best start; all that the next iteration begins with."""
+        at = int(state.energy.argmin())
+        with torch.no_grad():
+            level = fit.energy.level(state.theta)[at] * fit.frames.scale
+        return checkpoints.state_of(
+            level,
+            **{name: getattr(state, name) for name in BATCH},
+            **adam_state("fit", adam),
+            place=[self.stage, *place, self.no_blur.energy, self.no_blur.held],
+        )
+
+
+class NoBlurReport(Report):
+    """That of the fit from no blur, which comes first and from whose midst none goes on."""
+
+    def _state(
+        self, fit: BlindFit, state: State, adam: torch.optim.Adam, place: tuple[int, float]
+    ) -> checkpoints.State:
+        with torch.no_grad():
+            return checkpoints.state_of(
+                fit.energy.level(state.theta)[0] * fit.frames.scale, place=[]
+            )
+
+
+def taken_up(state: State, kept: Mapping[str, Any]) -> State:
+    """A batch as `Report` kept it.
+
+    Raises
+    ------
+    SamplingError
+        If it is of other images or walls.
+    """
+    for name in BATCH:
+        mine = getattr(state, name)
+        values = torch.as_tensor(np.array(kept[name]), dtype=mine.dtype, device=mine.device)
+        if values.shape[1:] != mine.shape[1:]:
+            raise SamplingError(
+                f"start's {name} has shape {tuple(values.shape)}, this fit's has "
+                f"{tuple(mine.shape)}; it is of other images, leave it out"
+            )
+        setattr(state, name, values)
+    return state
+
+
+def _pace(done: float) -> float:
+    """Share of the step: all of it for half of the stage, then a cosine down to 5 %."""
+    if done < 0.5:
+        return 1.0
+    return 0.05 + 0.475 * (1.0 + math.cos(2.0 * math.pi * (done - 0.5)))

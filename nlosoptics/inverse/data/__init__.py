@@ -1,0 +1,1 @@
+"""Measurement, forward model in torch, result, and the scores and checkpoints of solvers."""

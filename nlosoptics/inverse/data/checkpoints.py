@@ -1,0 +1,200 @@
+"""What a solver tells its caller on the way, how it is stopped, and where it goes on from.
+
+Each solver calls ``progress(text, fraction)`` now and then, with a line of text and the share done.
+Two things more are open to a callback:
+
+- It may raise `Stop`: the solver then returns the best it has, status "unconverged".
+- It may have a method ``look(snapshot)``: it is called after each report with a function that makes
+  the solver's state, a dict of arrays. ``"object"`` is always among them, (H, W) in image units,
+  for a preview; the whole dict is what the solver's ``start=`` takes to go on from there. Nothing
+  is copied unless the function is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..._progress import Progress
+from ...errors import SamplingError, SceneError
+from .measurement import real_array
+
+
+def joined(parts: Sequence[Tensor]) -> Tensor:
+    """Values of several tensors in one vector, (n,)."""
+    # torch's own vector of parameters takes no channels_last
+    return torch.cat([part.detach().reshape(-1) for part in parts])
+
+
+def spread(name: str, values: Any, parts: Sequence[Tensor]) -> None:
+    """Write a vector of values, (n,), into tensors.
+
+    Raises
+    ------
+    SamplingError
+        If it has more or fewer values than they.
+    """
+    vector = torch.from_numpy(np.array(values)).reshape(-1)
+    sizes = [part.numel() for part in parts]
+    if vector.numel() != sum(sizes):
+        raise SamplingError(
+            f"start has {vector.numel()} {name}, this fit {sum(sizes)}; it is of other images or "
+            "another network, leave it out"
+        )
+    with torch.no_grad():
+        for part, some in zip(parts, torch.split(vector, sizes), strict=True):
+            part.copy_(some.reshape(part.shape))
+
+
+def adam_state(name: str, adam: torch.optim.Adam) -> dict[str, Tensor]:
+    """Values that Adam moves, their moments, and the steps that were made.
+
+    Parameters
+    ----------
+    name : str
+        What the values are, for the keys.
+    adam : Adam
+        All of whose values move in every step.
+    """
+    values = _values(adam)
+    found = {name: joined(values)}
+    if adam.state:
+        for key in ("exp_avg", "exp_avg_sq"):
+            found[f"{name}_{key}"] = joined([adam.state[part][key] for part in values])
+        found[f"{name}_steps"] = adam.state[values[0]]["step"]
+    return found
+
+
+def take_up_adam(name: str, adam: torch.optim.Adam, state: Mapping[str, Any]) -> None:
+    """Set values and moments to those of `adam_state`.
+
+    Raises
+    ------
+    SceneError
+        If the state holds no such values.
+    SamplingError
+        If it holds more or fewer.
+    """
+    if name not in state:
+        raise SceneError(f"start holds no {name}; give a state of the same solver, or leave it out")
+    values = _values(adam)
+    spread(name, state[name], values)
+    if f"{name}_steps" not in state:
+        return
+    moments = {}
+    for key in ("exp_avg", "exp_avg_sq"):
+        moments[key] = [torch.zeros_like(part) for part in values]
+        spread(f"{name}_{key}", state[f"{name}_{key}"], moments[key])
+    for part, mean, square in zip(values, moments["exp_avg"], moments["exp_avg_sq"], strict=True):
+        steps = torch.tensor(float(state[f"{name}_steps"]))
+        adam.state[part] = {"step": steps, "exp_avg": mean, "exp_avg_sq": square}
+
+
+def _values(adam: torch.optim.Adam) -> list[Tensor]:
+    return [part for group in adam.param_groups for part in group["params"]]
+
+
+State = dict[str, NDArray[Any]]
+Snapshot = Callable[[], State]
+
+
+class Stop(Exception):
+    """Raised by a progress callback to end a fit with what it has."""
+
+    def __init__(self) -> None:
+        super().__init__("a progress callback asked the fit to end")
+
+
+def goes_on(progress: Progress | None, text: str, fraction: float, snapshot: Snapshot) -> bool:
+    """Tell a callback where a fit stands; False where it asks to stop.
+
+    Parameters
+    ----------
+    progress : callable or None
+    text : str
+    fraction : float
+        Share done, 0 to 1.
+    snapshot : callable
+        Makes the solver's state as arrays.
+    """
+    if progress is None:
+        return True
+    try:
+        progress(text, fraction)
+        look = getattr(progress, "look", None)
+        if look is not None:
+            look(snapshot)
+    except Stop:
+        return False
+    return True
+
+
+def state_of(level: Tensor, **more: Any) -> State:
+    """State of a solver: the object in image units, and what else it starts from."""
+    arrays = {"object": level.detach().to(device="cpu", dtype=torch.float64).numpy().copy()}
+    for name, value in more.items():
+        if isinstance(value, Tensor):
+            value = value.detach().cpu().numpy()
+        arrays[name] = np.array(value)
+    return arrays
+
+
+def kept_numbers(state: Mapping[str, Any], count: int, solver: str) -> list[float]:
+    """The numbers of a state of a solver, finite and as many as it keeps."""
+    numbers: list[float] = real_array("start's numbers", state["numbers"]).ravel().tolist()
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise SceneError(
+            f"start's numbers are {numbers}, must be {count} finite ones; give a state of "
+            f"{solver}, or leave it out"
+        )
+    return numbers
+
+
+def started_from(start: Any, shape: tuple[int, int], device: torch.device) -> Tensor | None:
+    """The object to start from, (H, W) float64 in image units; None for the solver's own start.
+
+    Parameters
+    ----------
+    start : array_like, mapping or None
+        An object, or a state that holds one.
+    shape : (int, int)
+    device : torch.device
+
+    Raises
+    ------
+    SamplingError
+        If its shape is not that of the model.
+    SceneError
+        If it holds no object, or one that is not finite.
+    """
+    if start is None:
+        return None
+    if isinstance(start, Mapping):
+        if "object" not in start:
+            raise SceneError(
+                f"start holds {', '.join(start) or 'nothing'}, no object; give a solver's state"
+            )
+        start = start["object"]
+    if isinstance(start, Tensor):
+        level = start.detach().to(device=device, dtype=torch.float64)
+    else:
+        try:
+            level = torch.tensor(np.asarray(start, dtype=np.float64), device=device)
+        except (TypeError, ValueError):
+            raise SceneError(
+                f"start of type {type(start).__name__} is no array of numbers; give an object in "
+                "image units, as a Reconstruction's gain times its object"
+            ) from None
+    if tuple(level.shape) != shape:
+        raise SamplingError(
+            f"start has shape {tuple(level.shape)}, must be {shape} like the model; resample it or "
+            "leave it out"
+        )
+    if not bool(torch.isfinite(level).all()):
+        raise SceneError("start holds values that are not finite; leave it out")
+    return level

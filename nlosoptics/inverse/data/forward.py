@@ -1,0 +1,195 @@
+"""The image model in torch: same grid, same transfer function."""
+
+from __future__ import annotations
+
+from typing import Any, Self
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from ...errors import SamplingError, SceneError
+from ...imaging.forward_model import ForwardModel, padded_grid
+
+
+def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, int], Tensor]:
+    """FFT grid of a frame, and ``rfft2`` of kernels on it.
+
+    Parameters
+    ----------
+    kernel : Tensor
+        (..., ky, kx), centre at [ky//2, kx//2].
+    frame : (int, int)
+        Rows and columns of object and image.
+
+    Returns
+    -------
+    grid : (int, int)
+        As of `imaging.ForwardModel`.
+    transfer : Tensor
+        (..., rows, columns//2 + 1), origin at sample [0, 0]. What cannot reach from one edge of
+        the frame to the other is left out.
+    """
+    sides = kernel.shape[-2:]
+    grid = padded_grid(tuple(sides), frame)
+    places, cuts = [], []
+    for side, length in zip(sides, frame, strict=True):
+        centre = side // 2
+        first = max(0, centre - length + 1)
+        cuts.append(slice(first, min(side, centre + length)))
+        places.append(first - centre)
+    kept = kernel[..., cuts[0], cuts[1]]
+    room = [n - m for n, m in zip(grid, kept.shape[-2:], strict=True)]
+    on_grid = functional.pad(kept, (0, room[1], 0, room[0])).roll(places, (-2, -1))
+    transfer: Tensor = torch.fft.rfft2(on_grid)
+    return grid, transfer
+
+
+class TorchForwardModel(nn.Module):
+    """Convolution with a point spread, or a field of them, on batches of tensors, differentiable.
+
+    Build it by `from_numpy`; it shares grid, boundary, transfer functions and weights with that
+    model.
+    """
+
+    _transfer: Tensor
+    weights: Tensor | None
+
+    def __init__(self, model: ForwardModel) -> None:
+        super().__init__()
+        self.shape = model.shape
+        self.grid = model.grid
+        self.boundary = model.boundary
+        # Stored as pairs of reals: Module.to(dtype) would drop the imaginary part.
+        pairs = torch.view_as_real(torch.from_numpy(model.transfer.copy()))
+        self.register_buffer("_transfer", pairs)
+        weights = None if model.weights is None else torch.from_numpy(model.weights.copy())
+        self.register_buffer("weights", weights)
+
+    @classmethod
+    def from_numpy(
+        cls,
+        model: ForwardModel,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+    ) -> Self:
+        """Torch twin of a numpy model.
+
+        Parameters
+        ----------
+        model : ForwardModel
+        device : torch.device or str
+        dtype : torch.dtype
+            ``torch.float32`` or ``torch.float64``.
+
+        Returns
+        -------
+        TorchForwardModel
+
+        Raises
+        ------
+        SamplingError
+            If ``dtype`` is another.
+        SceneError
+            If ``model`` is none.
+        """
+        if not isinstance(model, ForwardModel):
+            raise SceneError(
+                f"model of type {type(model).__name__} is not an imaging.ForwardModel; give one"
+            )
+        if dtype not in (torch.float32, torch.float64):
+            raise SamplingError(
+                f"dtype = {dtype} is not supported by the transform; "
+                "use torch.float32 or torch.float64"
+            )
+        return cls(model).to(device=device, dtype=dtype)
+
+    @property
+    def transfer(self) -> Tensor:
+        """``rfft2`` of the kernel on ``grid``, complex; (K, ...) of a field's modes."""
+        return torch.view_as_complex(self._transfer)
+
+    @property
+    def mean_transfer(self) -> Tensor:
+        """``rfft2`` of the kernel's mean over the frame, one for a field too."""
+        if self.weights is None:
+            return self.transfer
+        shares = self.weights.mean(dim=(-2, -1))
+        return (shares[:, None, None] * self.transfer).sum(dim=0)
+
+    def forward(self, object_image: Tensor) -> Tensor:
+        """Image (..., H, W) of an object (..., H, W)."""
+        self._check("object_image", object_image)
+        if self.weights is None:
+            return self._frame(self._spectrum(object_image) * self.transfer)
+        parts = self._spectrum(object_image.unsqueeze(-3) * self.weights)
+        return self._frame((parts * self.transfer).sum(dim=-3))
+
+    def adjoint(self, image: Tensor) -> Tensor:
+        """Transpose of `forward`: correlation of an image (..., H, W) with the kernel."""
+        self._check("image", image)
+        spectrum = self._spectrum(image)
+        if self.weights is None:
+            return self._frame(spectrum * self.transfer.conj())
+        parts = self._frame(spectrum.unsqueeze(-3) * self.transfer.conj())
+        return (parts * self.weights).sum(dim=-3)
+
+    def _check(self, name: str, picture: Tensor) -> None:
+        if not isinstance(picture, Tensor):
+            raise SceneError(
+                f"{name} of type {type(picture).__name__} is no tensor; give "
+                "torch.from_numpy(picture)"
+            )
+        if tuple(picture.shape[-2:]) != self.shape:
+            raise SamplingError(
+                f"{name} has shape {tuple(picture.shape)}, must end in {self.shape}; "
+                "resample it or build the model for that shape"
+            )
+
+    def _spectrum(self, picture: Tensor) -> Tensor:
+        spectrum: Tensor = torch.fft.rfft2(picture, s=self.grid)
+        return spectrum
+
+    def _frame(self, spectrum: Tensor) -> Tensor:
+        rows, columns = self.shape
+        picture: Tensor = torch.fft.irfft2(spectrum, s=self.grid)
+        return picture[..., :rows, :columns]
+
+
+def torch_model(
+    model: ForwardModel | TorchForwardModel, device: torch.device, dtype: torch.dtype
+) -> TorchForwardModel:
+    """Either kind of model, at a device and a precision, without changing the one given."""
+    if isinstance(model, TorchForwardModel):
+        if model._transfer.device == device and model._transfer.dtype == dtype:
+            return model
+        twin = TorchForwardModel.__new__(TorchForwardModel)
+        nn.Module.__init__(twin)
+        twin.shape, twin.grid, twin.boundary = model.shape, model.grid, model.boundary
+        weights = model.weights
+        for name, buffer in (("_transfer", model._transfer), ("weights", weights)):
+            moved = None if buffer is None else buffer.to(device=device, dtype=dtype)
+            twin.register_buffer(name, moved)
+        return twin
+    return TorchForwardModel.from_numpy(model, device, dtype)
+
+
+def model_shape(model: Any) -> tuple[int, int]:
+    """Frame of either kind of model, or the error that says that it is none."""
+    if not isinstance(model, (ForwardModel, TorchForwardModel)):
+        raise SceneError(
+            f"model of type {type(model).__name__} is not an image model; "
+            "give an imaging.ForwardModel or an inverse.TorchForwardModel"
+        )
+    return model.shape
+
+
+def one_kernel_shape(model: Any) -> tuple[int, int]:
+    """Frame of either kind of model, or the error that its point spread varies over the field."""
+    shape = model_shape(model)
+    if model.weights is not None:
+        raise SamplingError(
+            f"the model's point spread varies over the field ({len(model.weights)} modes), and "
+            "this solver divides by one spectrum; give a model of one PointSpread"
+        )
+    return shape

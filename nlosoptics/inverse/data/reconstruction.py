@@ -1,0 +1,168 @@
+"""What every solver returns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from ..._html import Figures, Shown
+from ..._nouns import Noun
+from ...imaging.forward_model import ForwardModel
+from .forward import TorchForwardModel, torch_model
+from .measurement import Measurement
+
+Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Reconstruction(Noun, Shown):
+    """An object recovered from an image.
+
+    The image is explained as ``gain * model.forward(object) + background``.
+
+    Parameters
+    ----------
+    object : ndarray or Tensor
+        (H, W), [y, x] in the image's frame; the kind, and for a tensor the dtype and device, of
+        the image that was given. Its largest value is 1 where the gain was not given.
+    physical_parameters : mapping
+        ``gain`` (image units per object unit), ``background`` (mean of the fitted background,
+        image units; a known one is not in it), ``noise_sigma`` (reference noise, image units) and
+        what else the solver settled, such as ``tv_weight`` or, where the wall was fitted too,
+        ``coefficients`` (an array).
+    status : {"converged", "trivial", "unconverged", "too_few_photons"}
+        "trivial": the wall was fitted too, and the answer is the image itself under no blur.
+        "too_few_photons": the background alone explains the data to within three standard errors of
+        the mean squared residual, so that there is no object to recover; ``object`` is zero.
+    score : float
+        Weighted rms residual in units of the noise; 1 fits the data to their noise. Of a phase
+        retrieval, the correlation of two halves of its restarts; 1 is full agreement.
+    history : mapping of str to ndarray
+        (n_iterations,) float64, read-only: ``objective``, ``residual`` (as ``score``) and
+        ``change`` (relative, per iteration); of a phase retrieval ``fourier_error``, per restart.
+    seconds : float
+        Wall-clock time spent.
+    """
+
+    object: Any
+    physical_parameters: Mapping[str, Any]
+    status: Status
+    score: float
+    history: Mapping[str, NDArray[np.float64]]
+    seconds: float
+
+    def _figures(self) -> Figures:
+        rows, columns = self.object.shape
+        retrieved = "fourier_error" in self.history
+        meaning = "agreement of halves" if retrieved else "residual, rms of the noise"
+        figures = {
+            "status": self.status.replace("_", " "),
+            meaning: f"{self.score:.3g}",
+            "restarts"
+            if retrieved
+            else "iterations": f"{max(map(len, self.history.values()), default=0)}",
+            "seconds": f"{self.seconds:.3g}",
+        }
+        for name, value in self.physical_parameters.items():
+            if np.ndim(value) == 0:
+                figures[name.replace("_", " ")] = (
+                    f"{value:.4g}" if isinstance(value, float) else str(value)
+                )
+        alt = f"Reconstructed object, {rows} x {columns} pixels, {figures['status']}"
+        return Figures("Reconstruction", figures, alt)
+
+
+def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float64]]:
+    """Records of a fit as read-only arrays."""
+    records = {name: np.array(values, dtype=np.float64) for name, values in history.items()}
+    for record in records.values():
+        record.flags.writeable = False
+    return records
+
+
+def assemble(
+    data: Measurement,
+    level: Tensor,
+    *,
+    model: ForwardModel | TorchForwardModel,
+    background: float,
+    gain: float | None,
+    status: Status,
+    history: Mapping[str, Sequence[float]],
+    started: float,
+    **parameters: Any,
+) -> Reconstruction:
+    """Reconstruction from an object in image units (gain 1).
+
+    Parameters
+    ----------
+    data : Measurement
+    level : Tensor
+        (H, W), object times gain.
+    model : ForwardModel or TorchForwardModel
+    background : float
+        Fitted strength of the unknown background, image units.
+    gain : float or None
+        None: the object's largest value becomes 1.
+    status : {"converged", "trivial", "unconverged", "too_few_photons"}
+    history : mapping of str to sequence of float
+    started : float
+        ``time.perf_counter()`` at the start.
+    **parameters : float or ndarray
+        More physical parameters.
+    """
+    level = level.to(torch.float64)
+    explained = torch_model(model, level.device, torch.float64)(level)
+    explained = explained + data.background(background)
+    if gain is None:
+        brightest = float(level.max())
+        gain = brightest if brightest > 0.0 else 1.0
+    return Reconstruction(
+        object=data.like_input(level / gain),
+        physical_parameters={
+            "gain": gain,
+            "background": background,
+            "noise_sigma": data.sigma,
+            **parameters,
+        },
+        status=status,
+        score=data.score(explained),
+        history=frozen(history),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def beside(
+    data: Measurement, level: Tensor, model: ForwardModel | TorchForwardModel
+) -> tuple[float, float]:
+    """Strength of the unknown background that fits best beside an object, and the score of both."""
+    seen = torch_model(model, level.device, torch.float64)(level)
+    strength = data.background_strength(data.data - seen)
+    return strength, data.score(seen + data.background(strength))
+
+
+def without_object(
+    data: Measurement,
+    *,
+    model: ForwardModel | TorchForwardModel,
+    gain: float | None,
+    started: float,
+) -> Reconstruction:
+    """What is returned where the background already explains the data."""
+    return assemble(
+        data,
+        torch.zeros_like(data.data),
+        model=model,
+        background=data.background_strength(data.data),
+        gain=gain,
+        status="too_few_photons",
+        history={"objective": [], "residual": [], "change": []},
+        started=started,
+    )

@@ -1,0 +1,259 @@
+"""How alike a reconstruction and the truth are, wherever the reconstruction lies."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from ..._checks import positive, whole
+from ...errors import SamplingError, SceneError
+from .measurement import real_array
+from .reconstruction import Reconstruction
+
+Array = NDArray[np.float64]
+
+# Half a window of structural similarity: 3.5 times 1.5 pixels.
+_SSIM_EDGE = 5
+
+
+def registered_correlation(
+    reconstruction: Any, truth: Any, *, upsampling: int = 20, flip: bool = False
+) -> float:
+    """Largest Pearson correlation over all shifts of a reconstruction.
+
+    Scale and offset do not count, and neither does the position, which an image leaves open (a
+    wavefront's tilt moves the object).
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction, ndarray or Tensor
+        (H, W).
+    truth : ndarray or Tensor
+        (H, W).
+    upsampling : int
+        Steps of the shift per pixel; 1 for whole pixels.
+    flip : bool
+        Whether half a turn is allowed as well, which an autocorrelation leaves open.
+
+    Returns
+    -------
+    float
+        From -1 to 1; 0 where one of the two is uniform.
+
+    Raises
+    ------
+    SamplingError
+        If the shapes differ or are not two-dimensional.
+    SceneError
+        If a value is not finite or no real number.
+
+    Notes
+    -----
+    The circular cross-correlation of the two mean-free images over the product of their norms is
+    the Pearson correlation at each shift, shifts between pixels meaning band-limited
+    interpolation. Its peak among whole pixels is refined by a matrix DFT [1]_.
+
+    References
+    ----------
+    .. [1] Guizar-Sicairos, Thurman and Fienup, Optics Letters 33 (2008) 156.
+    """
+    upsampling = whole("upsampling", upsampling)
+    first, second = _pair(reconstruction, truth)
+    norm = math.sqrt(float((first * first).sum()) * float((second * second).sum()))
+    if norm == 0.0:
+        return 0.0
+    return _placed(first, second, upsampling, flip)[0] / norm
+
+
+@dataclass(frozen=True)
+class RegisteredScores:
+    """How alike a moved and scaled reconstruction and the truth are.
+
+    Parameters
+    ----------
+    correlation : float
+        Pearson's, as `registered_correlation`.
+    psnr : float
+        Peak signal over noise, dB.
+    ssim : float
+        Mean structural similarity.
+    """
+
+    correlation: float
+    psnr: float
+    ssim: float
+
+
+def registered_scores(
+    reconstruction: Any,
+    truth: Any,
+    *,
+    upsampling: int = 20,
+    flip: bool = False,
+    data_range: float | None = None,
+) -> RegisteredScores:
+    """Correlation, PSNR and SSIM after a reconstruction was moved and scaled to fit best.
+
+    Parameters
+    ----------
+    reconstruction : Reconstruction, ndarray or Tensor
+        (H, W), at least 11 x 11.
+    truth : ndarray or Tensor
+        (H, W).
+    upsampling : int
+        Steps of the shift per pixel; 1 for whole pixels.
+    flip : bool
+        Whether half a turn is allowed as well.
+    data_range : float or None
+        What counts as the peak, in the truth's unit; None: the truth's largest minus its least
+        value.
+
+    Returns
+    -------
+    RegisteredScores
+
+    Raises
+    ------
+    SamplingError
+        If the shapes differ, are not two-dimensional or too small.
+    SceneError
+        If a value is not finite or no real number, or the truth is uniform and no range is given.
+
+    Notes
+    -----
+    Scale and offset are those of least squares, the shift is a band-limited, periodic one.
+    Structural similarity [1]_ has Gaussian windows of 1.5 pixels cut at 5, variances of the
+    population (not of a sample), constants 0.01 and 0.03, and leaves 5 pixels at the edges out.
+
+    References
+    ----------
+    .. [1] Wang, Bovik, Sheikh and Simoncelli, IEEE Trans. Image Process. 13 (2004) 600.
+    """
+    upsampling = whole("upsampling", upsampling)
+    first, second = _pair(reconstruction, truth)
+    if min(first.shape) < 2 * _SSIM_EDGE + 1:
+        raise SamplingError(
+            f"images of {first.shape} pixels are too small for windows of 11 x 11; "
+            "compare larger ones"
+        )
+    if data_range is None:
+        data_range = float(np.ptp(second))
+    peak = positive("data_range", data_range, remedy="give one for a uniform truth")
+    _, moved = _placed(first, second, upsampling, flip)
+    squares = float((moved * moved).sum())
+    overlap = float((moved * second).sum())
+    fitted = moved * (overlap / squares if squares > 0.0 else 0.0)
+    norm = math.sqrt(squares * float((second * second).sum()))
+    error = float(((fitted - second) ** 2).mean())
+    return RegisteredScores(
+        correlation=overlap / norm if norm > 0.0 else 0.0,
+        psnr=10.0 * math.log10(peak**2 / error) if error > 0.0 else math.inf,
+        ssim=_structural_similarity(fitted, second, float(np.mean(_values("truth", truth))), peak),
+    )
+
+
+def _structural_similarity(first: Array, second: Array, offset: float, peak: float) -> float:
+    """Mean SSIM of two images that lack an offset."""
+
+    def local_mean(picture: Array) -> Array:
+        smooth = ndimage.gaussian_filter(picture, 1.5, truncate=3.5)
+        return np.asarray(smooth[_SSIM_EDGE:-_SSIM_EDGE, _SSIM_EDGE:-_SSIM_EDGE])
+
+    means = local_mean(first), local_mean(second)
+    spreads = [local_mean(p * p) - m * m for p, m in zip((first, second), means, strict=True)]
+    common = local_mean(first * second) - means[0] * means[1]
+    a, b = (m + offset for m in means)
+    light, contrast = (0.01 * peak) ** 2, (0.03 * peak) ** 2
+    likeness = (2.0 * a * b + light) * (2.0 * common + contrast)
+    return float((likeness / ((a * a + b * b + light) * (sum(spreads) + contrast))).mean())
+
+
+def _placed(first: Array, second: Array, upsampling: int, flip: bool) -> tuple[float, Array]:
+    """Largest circular cross-correlation over all shifts, and the first image so moved."""
+    best, moved = -math.inf, first
+    for candidate in (first, first[::-1, ::-1])[: 2 if flip else 1]:
+        height, shift = _highest_peak(candidate, second, upsampling)
+        if height > best:
+            best, moved = height, _shifted(candidate, shift)
+    return best, moved
+
+
+def _highest_peak(
+    first: Array, second: Array, upsampling: int
+) -> tuple[float, tuple[float, float]]:
+    """Largest circular cross-correlation of two images, and the shift where it is."""
+    spectrum = np.conj(fft.fft2(first)) * fft.fft2(second)
+    correlation = fft.ifft2(spectrum).real
+    row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
+    best, shift = float(correlation[row, column]), (float(row), float(column))
+    if upsampling > 1:
+        refined, there = _refined_peak(spectrum, (row, column), upsampling)
+        if refined > best:
+            best, shift = refined, there
+    return best, shift
+
+
+def _refined_peak(
+    spectrum: Any, peak: tuple[Any, ...], upsampling: int
+) -> tuple[float, tuple[float, float]]:
+    """Largest cross-correlation within a pixel of its peak, in steps of 1/upsampling pixel."""
+    steps = np.arange(-upsampling, upsampling + 1) / upsampling
+    rows, columns = spectrum.shape
+    row_shifts = peak[0] + steps
+    column_shifts = peak[1] + steps
+    by_row = np.exp(2j * np.pi * np.outer(row_shifts, fft.fftfreq(rows)))
+    by_column = np.exp(2j * np.pi * np.outer(fft.fftfreq(columns), column_shifts))
+    values = (by_row @ spectrum @ by_column).real
+    row, column = np.unravel_index(int(np.argmax(values)), values.shape)
+    shift = float(row_shifts[row]), float(column_shifts[column])
+    return float(values[row, column]) / int(spectrum.size), shift
+
+
+def _shifted(picture: Array, shift: tuple[float, float]) -> Array:
+    """An image moved by a band-limited, periodic shift, rows and columns."""
+    if shift[0].is_integer() and shift[1].is_integer():
+        return np.roll(picture, (int(shift[0]), int(shift[1])), (0, 1))
+    ramp = [
+        np.exp(-2j * np.pi * s * fft.fftfreq(n)) for s, n in zip(shift, picture.shape, strict=True)
+    ]
+    return np.asarray(fft.ifft2(fft.fft2(picture) * ramp[0][:, None] * ramp[1]).real)
+
+
+def _pair(reconstruction: Any, truth: Any) -> tuple[Array, Array]:
+    """Both images about their means, of one shape."""
+    if isinstance(reconstruction, Reconstruction):
+        reconstruction = reconstruction.object
+    first = _mean_free("reconstruction", reconstruction)
+    second = _mean_free("truth", truth)
+    if first.shape != second.shape:
+        raise SamplingError(
+            f"reconstruction has shape {first.shape} and truth {second.shape}; "
+            "resample one to the other's pixels"
+        )
+    return first, second
+
+
+def _values(name: str, image: Any) -> Array:
+    values = real_array(name, image)
+    if values.ndim != 2 or not values.size:
+        raise SamplingError(f"{name} has shape {values.shape}; give one image, (H, W)")
+    if not np.isfinite(values).all():
+        raise SceneError(
+            f"{name} has {np.count_nonzero(~np.isfinite(values))} values that are not finite; "
+            "mend it before comparing"
+        )
+    return values
+
+
+def _mean_free(name: str, image: Any) -> Array:
+    values = _values(name, image)
+    centred: Array = values - values.mean()
+    # What rounding leaves of a uniform image is not structure.
+    if np.abs(centred).max() <= 1e-14 * np.abs(values).max():
+        centred[:] = 0.0
+    return centred

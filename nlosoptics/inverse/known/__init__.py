@@ -1,0 +1,1 @@
+"""Reconstruction with a known point spread function."""

@@ -1,0 +1,148 @@
+"""The image's spectrum over the point spread's, where that carries anything."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..._checks import in_range, positive
+from ..._progress import Progress
+from ...imaging.forward_model import ForwardModel
+from ..data._threads import single_thread
+from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
+from ..data.measurement import Measurement, measurement
+from ..data.reconstruction import Reconstruction, assemble, beside, without_object
+
+# A transfer of this part of the largest is what rounding leaves of zero.
+_ROUNDING = 1e-13
+
+
+@single_thread()
+def inverse_filter(
+    image: Any,
+    model: ForwardModel | TorchForwardModel,
+    *,
+    guard: float | None = None,
+    noise_sigma: Any = None,
+    background: Any = 0.0,
+    fit_background: bool = True,
+    background_shape: Any = None,
+    gain: float | None = None,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object by dividing the image's spectrum by the transfer function, guarded near its zeros.
+
+    Parameters
+    ----------
+    image : ndarray or Tensor
+        (H, W), any unit.
+    model : ForwardModel or TorchForwardModel
+        Of shape (H, W).
+    guard : float or None
+        Transfer relative to its largest, 1e-13 to 1, below which a frequency is left out; None:
+        as large as leaves no more of the image unexplained than the noise carries.
+    noise_sigma : float, array_like or None
+        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
+        `estimate_noise`.
+    background : float or array_like
+        Known background, one number or (H, W), image units.
+    fit_background : bool
+        Whether the strength of a further background is unknown; it is read off the frame's
+        border first and fitted to what the object leaves.
+    background_shape : array_like or None
+        (H, W), non-negative, shape of that further background; None: uniform.
+    gain : float or None
+        Known image units per object unit; None: the object's largest value becomes 1.
+    progress : callable or None
+        Called once, when done, with a line of text and 1.
+
+    Returns
+    -------
+    Reconstruction
+        The object may be negative. ``physical_parameters`` also holds ``guard``.
+
+    Raises
+    ------
+    SamplingError
+        If an array does not fit the model, or the model's point spread varies over the field.
+    SceneError
+        If a value is out of range or not finite.
+
+    Notes
+    -----
+    ``o = F^-1(I/Phi)`` [1]_. Beyond the autocorrelation of the pupil Phi is zero, and rounding
+    alone divided by it would be the answer: such frequencies are left out, and so are those that
+    carry more noise than light where the guard is chosen here, as the discrepancy principle for
+    a truncated spectrum [2]_. A padded frame is taken to be dark outside.
+
+    References
+    ----------
+    .. [1] Wu et al., Advanced Photonics Nexus 3 (2024) 026010, eq. 1.
+    .. [2] Hansen, Discrete Inverse Problems, SIAM (2010), sec. 5.2.
+    """
+    started = time.perf_counter()
+    guard = None if guard is None else in_range("guard", guard, _ROUNDING, 1.0)
+    gain = None if gain is None else positive("gain", gain)
+    data = measurement(
+        image,
+        one_kernel_shape(model),
+        noise_sigma=noise_sigma,
+        background=background,
+        fit_background=fit_background,
+        background_shape=background_shape,
+    )
+    twin = torch_model(model, data.data.device, torch.float64)
+    if data.is_background():
+        return without_object(data, model=model, gain=gain, started=started)
+    level, guard = _divided(data, twin, guard)
+    strength, score = beside(data, level, twin)
+    if progress is not None:
+        progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
+    return assemble(
+        data,
+        level,
+        model=model,
+        background=strength,
+        gain=gain,
+        status="converged",
+        history={
+            "objective": [0.5 * data.counted * score**2],
+            "residual": [score],
+            "change": [1.0],
+        },
+        started=started,
+        guard=guard,
+    )
+
+
+def _divided(
+    data: Measurement, model: TorchForwardModel, guard: float | None
+) -> tuple[Tensor, float]:
+    """Object in image units, and the guard that was used."""
+    rows, columns = model.shape
+    clean = data.data - data.background(data.border_strength())
+    spectrum = torch.fft.rfft2(clean, s=model.grid)
+    transfer = model.transfer
+    size = transfer.abs()
+    size = size / size.max()
+    if guard is None:
+        guard = _noise_guard(data, spectrum, size, model.grid)
+    kept = size >= guard
+    divided = torch.where(kept, spectrum / torch.where(kept, transfer, 1.0), 0.0)
+    level: Tensor = torch.fft.irfft2(divided, s=model.grid)
+    return level[:rows, :columns], guard
+
+
+def _noise_guard(data: Measurement, spectrum: Tensor, size: Tensor, grid: tuple[int, int]) -> float:
+    """Largest guard below which the image carries no more than the noise in all."""
+    power = spectrum.real**2 + spectrum.imag**2
+    # A half spectrum holds every column but the first, and the last of an even grid, once for two.
+    power[:, 1 : (grid[1] + 1) // 2] *= 2.0
+    order = torch.argsort(size.flatten())
+    left_out = torch.cumsum(power.flatten()[order], dim=0) / (grid[0] * grid[1])
+    allowed = data.noise_power()
+    first_kept = int(torch.searchsorted(left_out, allowed, right=True))
+    return max(float(size.flatten()[order][min(first_kept, size.numel() - 1)]), _ROUNDING)

@@ -1,0 +1,183 @@
+"""An object's autocorrelation and spectrum from the image by a speckle-like wall."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy import fft, ndimage
+
+from ...errors import SamplingError, SceneError
+from ..data.forward import TorchForwardModel
+from ..data.measurement import Measurement
+
+Array = NDArray[np.float64]
+
+# Lags further out than this part of the array tell background and noise; object lags that stand
+# out of it by so many standard deviations, after a mean over 3 x 3 lags, belong to the object.
+_FAR = 0.85
+_STANDS_OUT = 3.0
+# Room around the extent: where few pairs of lit pixels meet, the lags' edge is lost in the noise.
+_ROOM = 1.4
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpectrumModulus:
+    """What phase retrieval starts from.
+
+    Parameters
+    ----------
+    modulus : ndarray
+        (g_y, g_x//2 + 1) float64, of the object's ``rfft2`` on a grid at least 1.5 times the lags
+        of the object, any scale.
+    grid : (int, int)
+    object_size : (int, int)
+        Rows and columns of the box that holds the object.
+    """
+
+    modulus: Array
+    grid: tuple[int, int]
+    object_size: tuple[int, int]
+
+
+def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
+    """Autocorrelation of an image about its mean, zero lag at the centre, odd counts.
+
+    Without a model each lag is the mean over the pairs of counting pixels that the frame holds.
+    With one the power spectrum is divided by the wall's, where that carries more than the noise.
+    """
+    clean = (data.data - data.data.mean()).cpu().numpy()
+    counts = np.ones(clean.shape)
+    if data.weights is not None:
+        # a pixel that does not count holds the mean of those that do, by their weights
+        counts = (data.weights > 0.0).cpu().numpy().astype(np.float64)
+        clean = np.where(counts > 0.0, clean - clean[counts > 0.0].mean(), 0.0)
+    if model is None:
+        grid = tuple(int(fft.next_fast_len(2 * n, real=True)) for n in clean.shape)
+        power = np.abs(fft.rfft2(clean, s=grid)) ** 2
+        pairs = fft.irfft2(np.abs(fft.rfft2(counts, s=grid)) ** 2, s=grid)
+        lags = fft.irfft2(power, s=grid) / np.maximum(pairs, 1.0)
+    else:
+        grid = model.grid
+        power = np.abs(fft.rfft2(clean, s=grid)) ** 2
+        passed = torch.abs(model.transfer).cpu().numpy() ** 2
+        noise = data.noise_power()
+        # the Wiener filter of the power: signal over noise is told by the image's own mean
+        floor = noise / max(power.mean() - noise, 1e-12 * power.mean()) * passed.mean()
+        lags = fft.irfft2(np.maximum(power - noise, 0.0) * passed / (passed**2 + floor**2), s=grid)
+    reach = [min((n - 1) // 2, (g - 1) // 2) for n, g in zip(clean.shape, grid, strict=True)]
+    return _centred(lags, reach)
+
+
+def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> SpectrumModulus:
+    """Modulus of the object's spectrum from its autocorrelation on a background.
+
+    Parameters
+    ----------
+    lags : ndarray
+        (odd, odd), zero lag at the centre, where it may hold noise or nothing.
+    object_size : (int, int) or None
+        Rows and columns of the object; None: half of what stands out of the lags' background.
+
+    Returns
+    -------
+    SpectrumModulus
+
+    Raises
+    ------
+    SamplingError
+        If no lags stand out, or those of the object do not fit the array.
+    """
+    if min(lags.shape) < 3:
+        raise SamplingError(
+            f"the image holds {lags.shape[0]} x {lags.shape[1]} lags, limit 3 x 3; give one of at "
+            "least 3 x 3 pixels"
+        )
+    centre = tuple(n // 2 for n in lags.shape)
+    lags = lags.copy()
+    # The zero lag holds the noise's variance, or nothing; its neighbours are the object's.
+    neighbours = [(centre[0] + i, centre[1] + j) for i, j in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+    lags[centre] = np.mean([lags[place] for place in neighbours])
+    if object_size is None:
+        object_size = _object_size(lags)
+    half = [n - 1 for n in object_size]
+    if any(h > c for h, c in zip(half, centre, strict=True)):
+        raise SamplingError(
+            f"an object of {object_size[0]} x {object_size[1]} pixels has lags up to "
+            f"{half[0]} x {half[1]}, beyond the {centre[0]} x {centre[1]} that there are; "
+            "give a smaller object_size, or an image at least twice as wide as the object"
+        )
+    rows, columns = (slice(c - h, c + h + 1) for c, h in zip(centre, half, strict=True))
+    window = lags[rows, columns]
+    border = np.concatenate((window[0], window[-1], window[:, 0], window[:, -1]))
+    window = window - np.median(border)
+    grid = tuple(int(fft.next_fast_len(3 * h + 1, real=True)) for h in half)
+    wrapped = np.zeros(grid)
+    offsets = [np.arange(-h, h + 1) for h in half]
+    wrapped[np.ix_(*offsets)] = window
+    power = fft.rfft2(wrapped).real
+    if not power.max() > 0.0:
+        raise SamplingError(
+            "the lags hold no positive power within the object's extent; "
+            "give object_size, or an autocorrelation that falls from its centre"
+        )
+    modulus = np.sqrt(np.maximum(power / power.max(), 0.0))
+    return SpectrumModulus(modulus=modulus, grid=(grid[0], grid[1]), object_size=object_size)
+
+
+def checked_lags(autocorrelation: Any) -> Array:
+    """An autocorrelation made even about its centre, or the error that says what is wrong."""
+    try:
+        if isinstance(autocorrelation, torch.Tensor):
+            autocorrelation = autocorrelation.detach().cpu().numpy()
+        if np.iscomplexobj(autocorrelation):
+            raise TypeError
+        lags = np.asarray(autocorrelation, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError("autocorrelation is no array of real numbers; give (odd, odd)") from None
+    if lags.ndim != 2 or min(lags.shape) < 5 or not all(n % 2 for n in lags.shape):
+        raise SamplingError(
+            f"autocorrelation has shape {lags.shape}, must be (odd, odd) with the zero lag at the "
+            "centre, at least 5 x 5; cut one row or column off an even array"
+        )
+    if not np.isfinite(lags).all():
+        raise SceneError(
+            f"autocorrelation has {np.count_nonzero(~np.isfinite(lags))} values that are not "
+            "finite; mend them first"
+        )
+    if np.ptp(lags) == 0.0:
+        raise SceneError(
+            f"autocorrelation is {lags.flat[0]:g} everywhere; give one that falls from its centre"
+        )
+    return 0.5 * (lags + lags[::-1, ::-1])
+
+
+def _object_size(lags: Array) -> tuple[int, int]:
+    """Half the extent of what stands out around the centre, with some room."""
+    smooth = ndimage.uniform_filter(lags, 3)
+    axes = [np.abs(np.arange(n) - n // 2) / (n // 2) for n in lags.shape]
+    far = np.maximum(axes[0][:, None], axes[1]) > _FAR
+    level = np.median(smooth[far])
+    spread = 1.4826 * np.median(np.abs(smooth[far] - level))
+    labels, _ = ndimage.label(smooth > level + _STANDS_OUT * spread)
+    name = labels[lags.shape[0] // 2, lags.shape[1] // 2]
+    if name == 0:
+        raise SamplingError(
+            "no lags stand out of the background around the centre; the image holds no object "
+            "that its autocorrelation could tell, or give object_size"
+        )
+    found = ndimage.find_objects(labels)[name - 1]
+    sizes = [
+        min(math.ceil(_ROOM * (s.stop - s.start) / 2) + 1, (n + 1) // 2)
+        for s, n in zip(found, lags.shape, strict=True)
+    ]
+    return sizes[0], sizes[1]
+
+
+def _centred(lags: Array, reach: list[int]) -> Array:
+    """Lags up to ``reach`` either way, out of the transform's order."""
+    return lags[np.ix_(*(np.arange(-r, r + 1) for r in reach))]

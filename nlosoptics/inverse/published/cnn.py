@@ -1,0 +1,357 @@
+"""A network trained on simulated pairs: fast, and bound to what it was trained on."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ..._checks import in_range, positive, whole
+from ..._nouns import Noun
+from ..._progress import Progress
+from ..._random import checked_seed, generator
+from ..._whole_files import write_whole
+from ...errors import MissingExtraError, SamplingError, SceneError
+from ...imaging.forward_model import ForwardModel
+from ..data._threads import gradients, single_thread
+from ..data.forward import TorchForwardModel, model_shape, torch_model
+from ..data.measurement import measurement
+from ..data.reconstruction import Reconstruction, assemble, beside, frozen, without_object
+from ..data.scaled_images import ScaledImage
+from .training_pairs import TrainingPairs
+from .unet import UNet
+
+BATCHES = 605  # stream of the order in which pairs are shown
+_FORMAT = "nlosoptics CnnBaseline 1"
+_ENTRY = "nlosoptics"
+
+
+class CnnBaseline(nn.Module):
+    """U-net from an image to its object, trained on pairs by `train_cnn`.
+
+    It knows no wall: what it does not find in its training pairs it does not know.
+
+    Parameters
+    ----------
+    base, depth, seed
+        Of `UNet`.
+    """
+
+    def __init__(self, *, base: int = 16, depth: int = 4, seed: int = 0) -> None:
+        super().__init__()
+        self.network = UNet(base, depth, seed=seed)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Objects (B, H, W), 0 to 1, of images (B, H, W) in any unit."""
+        if images.ndim != 3:
+            raise SamplingError(f"images has shape {tuple(images.shape)}, must be (B, H, W)")
+        centred = images - images.mean(dim=(1, 2), keepdim=True)
+        spread = centred.square().mean(dim=(1, 2), keepdim=True).sqrt()
+        values: Tensor = self.network((centred / spread.clamp_min(1e-30))[:, None])[:, 0]
+        return torch.sigmoid(values)
+
+    @single_thread()
+    def reconstruct(
+        self,
+        image: Any,
+        model: ForwardModel | TorchForwardModel,
+        *,
+        noise_sigma: Any = None,
+        background: Any = 0.0,
+        fit_background: bool = True,
+        background_shape: Any = None,
+        gain: float | None = None,
+        tolerance: float = 0.1,
+    ) -> Reconstruction:
+        """Object of one image; the image model only says how well it explains the image.
+
+        Parameters
+        ----------
+        image, model, noise_sigma, background, fit_background, background_shape, gain
+            As in `tv_deconvolve`.
+        tolerance : float
+            By how much the residual may exceed the noise, as a part of it, where the answer is
+            called converged.
+
+        Returns
+        -------
+        Reconstruction
+
+        Raises
+        ------
+        SamplingError
+            If an array does not fit the model.
+        SceneError
+            If a value is out of range or not finite.
+        """
+        started = time.perf_counter()
+        tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
+        gain = None if gain is None else positive("gain", gain)
+        data = measurement(
+            image,
+            model_shape(model),
+            noise_sigma=noise_sigma,
+            background=background,
+            fit_background=fit_background,
+            background_shape=background_shape,
+        )
+        if data.is_background():
+            return without_object(data, model=model, gain=gain, started=started)
+        scaled = ScaledImage(data, data.sigma)
+        blur = torch_model(model, data.data.device, torch.float32)
+        with torch.no_grad():
+            found = self(scaled.image[None].to(next(self.parameters())))[0].to(scaled.image)
+            strength = scaled.misfit(blur(found))[0].item() * scaled.unit
+        level = strength * found.double()
+        veil, score = beside(data, level, model)
+        return assemble(
+            data,
+            level,
+            model=model,
+            background=veil,
+            gain=gain,
+            status="converged" if score <= 1.0 + tolerance else "unconverged",
+            history={"objective": [], "residual": [], "change": []},
+            started=started,
+        )
+
+    def save(self, path: Path | str) -> None:
+        """Write the weights as a safetensors file, whole or not at all.
+
+        Raises
+        ------
+        SceneError
+            If the file cannot be written.
+        MissingExtraError
+            If safetensors is not installed.
+        """
+        safetensors = _safetensors()
+        # One entry: safetensors writes several in any order, and the same network is the same file.
+        told = {"format": _FORMAT, "base": self.network.base, "depth": self.network.depth}
+        tensors = {
+            name: values.detach().cpu().contiguous()
+            for name, values in self.network.state_dict().items()
+        }
+        write_whole({Path(path): safetensors.save(tensors, {_ENTRY: json.dumps(told)})})
+
+    @classmethod
+    def load(cls, path: Path | str) -> Self:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        SceneError
+            If there is no such file, or it holds something else.
+        MissingExtraError
+            If safetensors is not installed.
+        """
+        safetensors = _safetensors()
+        try:
+            content = Path(path).read_bytes()
+        except OSError as error:
+            raise SceneError(f"{path} cannot be read ({error.strerror}); name another") from None
+        try:
+            tensors, told = safetensors.load(content), _metadata(content)
+        except Exception as error:
+            raise SceneError(
+                f"{path} is no safetensors file ({error}); give one of nlosoptics train"
+            ) from None
+        if told.get("format") != _FORMAT:
+            raise SceneError(
+                f'{path} has format {told.get("format")!r}, must be "{_FORMAT}"; '
+                "give one of nlosoptics train"
+            )
+        made = cls(base=int(told["base"]), depth=int(told["depth"]))
+        try:
+            made.network.load_state_dict(tensors)
+        except RuntimeError as error:
+            told_of = " ".join(str(error).split())[:200]
+            raise SceneError(f"{path} does not hold its network's weights: {told_of}") from None
+        return made
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Training(Noun):
+    """What a training came to.
+
+    Parameters
+    ----------
+    network : CnnBaseline
+        Of the epoch with the least validation error.
+    history : mapping of str to ndarray
+        (n_epochs,) float64, read-only: ``training`` and ``validation``, mean squared error.
+    interrupted : bool
+        Whether Ctrl-C ended it.
+    seconds : float
+    """
+
+    network: CnnBaseline
+    history: Mapping[str, NDArray[np.float64]]
+    interrupted: bool
+    seconds: float
+
+
+@single_thread()
+@gradients()
+def train_cnn(
+    pairs: TrainingPairs,
+    *,
+    base: int = 16,
+    depth: int = 4,
+    epochs: int = 20,
+    batch: int = 16,
+    learning_rate: float = 3e-3,
+    validation: float = 0.1,
+    device: torch.device | str = "cpu",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Training:
+    """Train a network on pairs; Ctrl-C ends it with the best epoch so far.
+
+    Parameters
+    ----------
+    pairs : TrainingPairs
+    base, depth : int
+        Of `UNet`.
+    epochs, batch : int
+        Times that each pair is shown, and pairs a step.
+    learning_rate : float
+        Of Adam at first; it falls along a cosine to zero.
+    validation : float
+        Share of the pairs, the last ones, that is held out and picks the epoch.
+    device : torch.device or str
+        Where to compute; the network comes back on the processor.
+    seed : int
+        Of the first weights and of the order of the pairs; on one processor the same seed gives the
+        same bits.
+    progress : callable or None
+        Called after every step with a line of text and the fraction done.
+
+    Returns
+    -------
+    Training
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range or not finite, or pairs are too few to hold one out.
+    SamplingError
+        If images and objects do not fit each other.
+    KeyboardInterrupt
+        If Ctrl-C came before the first epoch was done.
+    """
+    started = time.perf_counter()
+    checked_seed(seed)
+    epochs, batch = whole("epochs", epochs), whole("batch", batch)
+    learning_rate = positive("learning_rate", learning_rate)
+    validation = in_range("validation", validation, 0.0, 0.9, open_low=True)
+    count = len(pairs.images)
+    held = min(max(1, round(validation * count)), count - 1)
+    shown = count - held
+    if held < 1:
+        raise SceneError(f"{count} pairs, needs 2 to hold one out; make more")
+    made = CnnBaseline(base=base, depth=depth, seed=seed).to(device)
+    images, objects = (values.to(device) for values in _tensors(pairs))
+    adam = torch.optim.Adam(made.parameters(), learning_rate, fused=True)
+    draw = generator(seed, BATCHES)
+    best, least = None, math.inf
+    history: dict[str, list[float]] = {"training": [], "validation": []}
+    interrupted = False
+    try:
+        for epoch in range(epochs):
+            order = torch.from_numpy(draw.permutation(shown)).to(device)
+            total = 0.0
+            for start in range(0, shown, batch):
+                done = (epoch + start / shown) / epochs
+                adam.param_groups[0]["lr"] = learning_rate * 0.5 * (1 + math.cos(math.pi * done))
+                chosen = order[start : start + batch]
+                adam.zero_grad()
+                loss = (made(images[chosen]) - objects[chosen]).square().mean()
+                loss.backward()
+                adam.step()
+                total += loss.item() * len(chosen)
+                if progress is not None:
+                    told = f", validation {least:.4f}" if best is not None else ""
+                    progress(f"training: epoch {epoch + 1} of {epochs}{told}", done)
+            error = _validation(made, images[shown:], objects[shown:], batch)
+            history["training"].append(total / shown)
+            history["validation"].append(error)
+            if error < least:
+                best, least = copy.deepcopy(made.state_dict()), error
+    except KeyboardInterrupt:
+        if best is None:
+            raise
+        interrupted = True
+    if best is None:
+        raise SceneError(
+            f"learning_rate = {learning_rate:g} ended in weights that are not finite; lower it"
+        )
+    made.load_state_dict(best)
+    if progress is not None and not interrupted:
+        progress(f"training: validation {least:.4f}", 1.0)
+    return Training(
+        network=made.cpu(),
+        history=frozen(history),
+        interrupted=interrupted,
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _tensors(pairs: TrainingPairs) -> tuple[Tensor, Tensor]:
+    """Images and objects in single precision, checked."""
+    images, objects = (
+        torch.tensor(np.asarray(values), dtype=torch.float32)
+        for values in (pairs.images, pairs.objects)
+    )
+    if images.ndim != 3 or images.shape != objects.shape:
+        raise SamplingError(
+            f"pairs.images has shape {tuple(images.shape)}, pairs.objects "
+            f"{tuple(objects.shape)}; give (N, H, W) both"
+        )
+    for name, values in (("images", images), ("objects", objects)):
+        n_bad = int((~torch.isfinite(values)).sum())
+        if n_bad:
+            raise SceneError(
+                f"pairs.{name} has {n_bad} of {values.numel()} values that are not finite; "
+                "leave their pairs out"
+            )
+    return images, objects
+
+
+def _validation(made: CnnBaseline, images: Tensor, objects: Tensor, batch: int) -> float:
+    """Mean squared error over pairs that were not shown."""
+    total = 0.0
+    with torch.no_grad():
+        for part, wanted in zip(
+            torch.split(images, batch), torch.split(objects, batch), strict=True
+        ):
+            total += (made(part) - wanted).square().mean().item() * len(part)
+    return total / len(images)
+
+
+def _safetensors() -> Any:
+    try:
+        import safetensors.torch
+    except ImportError:
+        raise MissingExtraError(
+            "networks are files of safetensors, which is not installed; "
+            "pip install 'nlosoptics[inverse]'"
+        ) from None
+    return safetensors.torch
+
+
+def _metadata(content: bytes) -> dict[str, Any]:
+    """What `save` told beside the tensors: a file begins with the length of its head, then JSON."""
+    length = int.from_bytes(content[:8], "little")
+    head = json.loads(content[8 : 8 + length])
+    return dict(json.loads(head.get("__metadata__", {}).get(_ENTRY, "{}")))

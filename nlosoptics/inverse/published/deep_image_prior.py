@@ -1,0 +1,353 @@
+"""Deconvolution by an untrained network: the deep image prior."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from ..._checks import in_range, one_of, positive, whole
+from ..._progress import Progress
+from ..._random import checked_seed, generator
+from ...errors import SceneError
+from ...imaging.forward_model import ForwardModel
+from ..data._threads import gradients, single_thread
+from ..data.checkpoints import (
+    State,
+    adam_state,
+    goes_on,
+    kept_numbers,
+    started_from,
+    state_of,
+    take_up_adam,
+)
+from ..data.forward import TorchForwardModel, model_shape, torch_model
+from ..data.measurement import Measurement, measurement
+from ..data.reconstruction import Reconstruction, assemble, beside, without_object
+from ..data.scaled_images import ScaledImage, total_variation
+from ..known.total_variation import tv_deconvolve
+from ..known.wiener import wiener
+from .unet import UNetObject
+
+Guide = Literal["tv", "wiener", "noise"]
+
+GUIDE = 602  # stream of the noise that a network is fed with
+_NOISE_CHANNELS = 8
+# Part of a step that the running average takes over, and steps before it starts.
+_AVERAGE = 0.04
+_AVERAGE_FROM = 25
+# Share of the learning rate that is left at the end.
+_LAST_RATE = 0.05
+# Rounding of total variation at 0, of the object's range.
+_SMOOTH = 1e-3
+# What of the object is the guide by total variation, where the caller does not say.
+_GUIDE_SHARE = 0.5
+
+
+@single_thread()
+@gradients()
+def deep_image_prior(
+    image: Any,
+    model: ForwardModel | TorchForwardModel,
+    *,
+    noise_sigma: Any = None,
+    guide: Guide = "tv",
+    guide_share: float | None = None,
+    tv_weight: float | None = None,
+    base: int = 8,
+    depth: int = 4,
+    learning_rate: float | None = None,
+    background: Any = 0.0,
+    fit_background: bool = True,
+    background_shape: Any = None,
+    gain: float | None = None,
+    max_iterations: int = 200,
+    tolerance: float = 0.1,
+    seed: int = 0,
+    start: Mapping[str, Any] | None = None,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object that an untrained U-net makes of an image, fitted to that image alone.
+
+    Parameters
+    ----------
+    image : ndarray or Tensor
+        (H, W), any unit.
+    model : ForwardModel or TorchForwardModel
+        Of shape (H, W).
+    noise_sigma : float, array_like or None
+        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
+        `estimate_noise`.
+    guide : {"tv", "wiener", "noise"}
+        What the network is fed with: the answer of `tv_deconvolve` or of `wiener`, or noise.
+    guide_share : float or None
+        Part of that answer in the object, from 0, the network's picture alone, to 1. None: a half
+        of the answer of `tv_deconvolve`, nothing of the others.
+    tv_weight : float or None
+        Weight of the total variation, dimensionless as in `tv_deconvolve`; None: the one that it
+        finds; 0 for the network alone.
+    base, depth : int
+        Of the network, see `UNet`.
+    learning_rate : float or None
+        Of Adam's first step; it falls along a cosine to a twentieth. None: 0.03, or 0.01 from
+        noise, where larger steps ended at an empty picture.
+    background : float or array_like
+        Known background, one number or (H, W), image units.
+    fit_background : bool
+        Whether the strength of a further background is unknown and fitted besides.
+    background_shape : array_like or None
+        (H, W), non-negative, shape of that further background; None: uniform.
+    gain : float or None
+        Known image units per object unit; None: the object's largest value becomes 1.
+    max_iterations : int
+        Steps of Adam.
+    tolerance : float
+        By how much the residual may exceed the noise, as a part of it, in a fit that converged.
+    seed : int
+        Of the network's first weights, and of noise that it is fed with.
+    start : mapping or None
+        A state of this solver with the same options, from which it goes on bit by bit; an object
+        alone is no start for a network. See `checkpoints`.
+    progress : callable or None
+        Called now and then with a line of text and the fraction done; may raise `Stop`.
+
+    Returns
+    -------
+    Reconstruction
+        ``physical_parameters`` also holds ``tv_weight`` and ``iterations``.
+
+    Raises
+    ------
+    SamplingError
+        If an array does not fit the model.
+    SceneError
+        If a value is out of range or not finite.
+
+    Notes
+    -----
+    Adam minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over the
+    weights of the network x, with gain and background at their least-squares values in every step.
+    The prior as published [1]_ feeds the network with noise. Fed with what is sharp already it is
+    where that is after four times the steps, and better in the end. A network fits noise at last
+    [1]_, so the fit stops where the residual is that of the noise (discrepancy principle), less
+    what an object's outlines take up of it as in `tv_deconvolve`. A running average of the iterates
+    is kept, and of it and the best iterate the one of the lower objective is taken [2]_. Its errors
+    are not those of total variation: the mean of the two is nearer to the truth than the network
+    alone, by 0.002 in correlation at 5 % noise and 0.004 at 1 % (medians of 18 images; at worst
+    0.001 farther). On a processor the same seed gives the same bits. Networks run in single
+    precision, so noise under 1e-4 of the image's range is not reached.
+
+    References
+    ----------
+    .. [1] Ulyanov, Vedaldi and Lempitsky, Int. J. Comput. Vis. 128 (2020) 1867.
+    .. [2] Cheng, Gadelha, Maji and Sheldon, CVPR 2019, 5443.
+    """
+    started = time.perf_counter()
+    checked_seed(seed)
+    max_iterations = whole("max_iterations", max_iterations)
+    tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
+    tv_weight = None if tv_weight is None else in_range("tv_weight", tv_weight, 0.0)
+    if learning_rate is None:
+        learning_rate = 0.01 if guide == "noise" else 0.03
+    learning_rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
+    guide = one_of("guide", guide, ("tv", "wiener", "noise"))  # type: ignore[assignment]
+    if guide_share is None:
+        guide_share = _GUIDE_SHARE if guide == "tv" else 0.0
+    guide_share = in_range("guide_share", guide_share, 0.0, 1.0)
+    if guide == "noise" and guide_share > 0.0:
+        raise SceneError(
+            f'guide_share = {guide_share:g}, but guide="noise" is no picture; leave it out, or '
+            'give guide="tv" or "wiener"'
+        )
+    gain = None if gain is None else positive("gain", gain)
+    data = measurement(
+        image,
+        model_shape(model),
+        noise_sigma=noise_sigma,
+        background=background,
+        fit_background=fit_background,
+        background_shape=background_shape,
+    )
+    if data.is_background():
+        return without_object(data, model=model, gain=gain, started=started)
+    picture, gain_of_guide, found_weight = _guide(guide, tv_weight, data, model, seed)
+    network = UNetObject(picture.float(), base=base, depth=depth, seed=seed)
+    fit = _Fit(network, data, model, found_weight, learning_rate)
+    if guide_share > 0.0:
+        fit.lean_on(gain_of_guide * picture, guide_share)
+    ended = not fit.run(0 if start is None else fit.go_on(start), max_iterations, progress)
+    level = fit.chosen()
+    strength, score = beside(data, level, model)
+    converged = score <= 1.0 + tolerance
+    return assemble(
+        data,
+        level,
+        model=model,
+        background=strength,
+        gain=gain,
+        status="converged" if converged and not ended else "unconverged",
+        history=fit.history,
+        started=started,
+        tv_weight=found_weight,
+        iterations=float(len(fit.history["residual"])),
+    )
+
+
+def _guide(
+    kind: Guide,
+    tv_weight: float | None,
+    data: Measurement,
+    model: ForwardModel | TorchForwardModel,
+    seed: int,
+) -> tuple[Tensor, float, float]:
+    """What the network is fed with, its gain, and the weight of the total variation."""
+    known: dict[str, Any] = {
+        "noise_sigma": data.sigma if data.weights is None else data.sigma / data.weights.sqrt(),
+        "fit_background": data.fit_background,
+        "background_shape": data.background_shape,
+    }
+    shape = (_NOISE_CHANNELS, *data.data.shape)
+    picture = torch.from_numpy(generator(seed, GUIDE).uniform(size=shape)).to(data.data.device)
+    gain = 1.0
+    if kind == "wiener":
+        found = wiener(data.data, model, max_iterations=100, tolerance=1e-3, **known)
+        picture, gain = found.object, found.physical_parameters["gain"]
+    if kind == "tv" or tv_weight is None:
+        sharp = tv_deconvolve(data.data, model, tv_weight=tv_weight or None, **known)
+        tv_weight = sharp.physical_parameters["tv_weight"] if tv_weight is None else tv_weight
+        if kind == "tv":
+            picture, gain = sharp.object, sharp.physical_parameters["gain"]
+    return picture, gain, float(tv_weight)
+
+
+class _Fit:
+    """Weights of a network on their way to an image, in units of the noise."""
+
+    def __init__(
+        self,
+        network: UNetObject,
+        data: Measurement,
+        model: ForwardModel | TorchForwardModel,
+        tv_weight: float,
+        learning_rate: float,
+    ) -> None:
+        self._network = network
+        self._model = torch_model(model, data.data.device, torch.float32)
+        self._image = ScaledImage(data, data.sigma)
+        self._tv_weight = tv_weight
+        self._rate = learning_rate
+        self._adam = torch.optim.Adam(network.parameters(), learning_rate, fused=True)
+        outline = 2 * sum(data.data.shape)
+        self._target = math.sqrt(max(1.0 - outline / data.data.numel(), 0.5))
+        self._best = (math.inf, torch.zeros_like(self._image.image))
+        self._average: Tensor | None = None
+        self._known: tuple[Tensor, float] | None = None
+        self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
+
+    def run(self, first: int, max_iterations: int, progress: Progress | None) -> bool:
+        """Step until the residual is what the noise leaves, or to the last iteration.
+
+        False where the callback ended it before.
+        """
+        before = self._best[1]
+        for iteration in range(first, max_iterations):
+            share = 0.5 + 0.5 * math.cos(math.pi * iteration / max_iterations)
+            rate = self._rate * (_LAST_RATE + (1.0 - _LAST_RATE) * share)
+            self._adam.param_groups[0]["lr"] = rate
+            objective, residual, level = self._step()
+            self._keep(iteration, objective, level)
+            change = float((level - before).norm() / level.norm().clamp_min(1e-30))
+            before = level
+            for name, value in zip(self.history, (objective, residual, change), strict=True):
+                self.history[name].append(value)
+            done = residual <= self._target or iteration + 1 == max_iterations
+            on = True
+            if done or iteration % 10 == 9:
+                on = goes_on(
+                    progress,
+                    f"deep image prior: residual {residual:.3f} after {iteration + 1} iterations",
+                    1.0 if done else (iteration + 1) / max_iterations,
+                    partial(self._state, iteration + 1),
+                )
+            if done or not on:
+                return done
+        return True
+
+    def _state(self, count: int) -> State:
+        """All that the next iteration starts from."""
+        more = {} if self._average is None else {"average": self._average}
+        objective, level = self._best
+        return state_of(
+            self.chosen(),
+            **adam_state("network", self._adam),
+            **more,
+            best=level,
+            numbers=[objective, float(count)],
+        )
+
+    def go_on(self, state: Mapping[str, Any]) -> int:
+        """Take up a state; the iterations behind it."""
+        if not isinstance(state, Mapping) or not {"numbers", "best"} <= set(state):
+            raise SceneError(
+                "start holds no network; give a state of deep_image_prior, or leave it out"
+            )
+        take_up_adam("network", self._adam, state)
+        objective, count = kept_numbers(state, 2, "deep_image_prior")
+        self._best = (objective, self._picture(state["best"]))
+        self._average = self._picture(state["average"]) if "average" in state else None
+        return int(count)
+
+    def _picture(self, values: Any) -> Tensor:
+        image = self._image.image
+        level = started_from(values, (image.shape[0], image.shape[1]), image.device)
+        assert level is not None  # one was given
+        return level.to(image)
+
+    def lean_on(self, level: Tensor, share: float) -> None:
+        """Let a part of what is chosen be another answer, image units."""
+        self._known = level, share
+
+    def chosen(self) -> Tensor:
+        """Running average or best iterate, whichever has the lower objective, and what it leans on.
+
+        Image units.
+        """
+        objective, level = self._best
+        if self._average is not None:
+            with torch.no_grad():
+                averaged = self._objective(self._average)[0].item()
+            if averaged <= objective:
+                level = self._average
+        level = level.double() * self._image.unit
+        return level if self._known is None else level.lerp(*self._known)
+
+    def _step(self) -> tuple[float, float, Tensor]:
+        """One step of Adam; objective, residual and level of the object before it."""
+        self._adam.zero_grad()
+        objective, square, level = self._objective(self._network())
+        objective.backward()  # type: ignore[no-untyped-call]
+        self._adam.step()
+        return objective.item(), math.sqrt(square.item()), level.detach()
+
+    def _objective(self, picture: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Objective per pixel, mean squared residual, and object times gain."""
+        gain, residual = self._image.misfit(self._model(picture))
+        level = gain * picture
+        objective = 0.5 * self._image.weighted(residual * residual).mean()
+        if self._tv_weight > 0.0:
+            edges = gain * total_variation(picture, _SMOOTH) / level.numel()
+            objective = objective + self._tv_weight * edges
+        return objective, self._image.mean_square(residual.detach()), level
+
+    def _keep(self, iteration: int, objective: float, level: Tensor) -> None:
+        if objective < self._best[0]:
+            self._best = (objective, level)
+        if self._average is not None:
+            self._average.lerp_(level, _AVERAGE)
+        elif iteration >= _AVERAGE_FROM:
+            self._average = level.clone()

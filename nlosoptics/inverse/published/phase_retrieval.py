@@ -1,0 +1,334 @@
+"""Objects from the modulus of their spectrum alone, where the wall's phase is unknown."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from ..._checks import one_of, whole
+from ..._progress import Progress
+from ..._random import checked_seed, generator
+from ...errors import SamplingError, SceneError
+from ...imaging.forward_model import ForwardModel
+from ..data._threads import single_thread
+from ..data.checkpoints import State, goes_on, state_of
+from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
+from ..data.measurement import measurement, shape_of
+from ..data.reconstruction import Reconstruction, Status
+from ..data.scores import registered_correlation
+from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
+from .projections import (
+    alternating_minimisation,
+    averaged,
+    fourier_errors,
+    projected,
+    spectral_start,
+)
+
+Method = Literal["alternating", "hio", "raar"]
+
+METHODS = ("alternating", "hio", "raar")
+# Stage of the random starts.
+_STARTS = 0x70686173
+# Correlation of the two halves of the restarts at which their picture is taken as found.
+_AGREED = 0.9
+_TOLERANCE = 1e-6
+
+
+@single_thread()
+def phase_retrieval(
+    image: Any,
+    model: ForwardModel | TorchForwardModel | None = None,
+    *,
+    method: Method = "alternating",
+    object_size: tuple[int, int] | None = None,
+    restarts: int = 12,
+    noise_sigma: Any = None,
+    background: Any = 0.0,
+    max_iterations: int = 400,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object from the autocorrelation of its image by a speckle-like wall, the wall unknown.
+
+    Parameters
+    ----------
+    image : ndarray or Tensor
+        (H, W), any unit; a uniform background does not count.
+    model : ForwardModel or TorchForwardModel or None
+        Its transfer's modulus is divided out of the image's power spectrum, its phase is not
+        used; None: the wall passes all frequencies alike on average, as a diffuser does.
+    method : {"alternating", "hio", "raar"}
+        Alternating minimisation from a truncated spectral start, real objects of either sign;
+        hybrid input-output; relaxed averaged alternating reflections. The last two know that the
+        object is not negative.
+    object_size : (int, int) or None
+        Rows and columns of a box that holds the object; None: half of what stands out of the
+        autocorrelation, with some room.
+    restarts : int
+        From random starts, at least 2.
+    noise_sigma : float, array_like or None
+        Standard deviation of the noise, one number or (H, W), image units; None: estimated by
+        `estimate_noise`.
+    background : float or array_like
+        Known background, one number or (H, W), image units.
+    max_iterations : int
+        Of each restart.
+    seed : int
+    progress : callable or None
+        Called now and then with a line of text and the fraction done; may raise `Stop`, and then
+        has the mean of the restarts so far. The state that it may look at is a preview, largest
+        value 1: restarts are many and short, and none goes on from it.
+
+    Returns
+    -------
+    Reconstruction
+        The object in the middle of the frame, its place and a half turn being unknown, largest
+        value 1. ``score`` is the registered correlation, half turns allowed, between what two
+        independent halves of the restarts find. ``status`` is "unconverged" however well they
+        agree: whether the image's lags are the object's, as those off a wall of many grains, is not
+        seen from them. ``physical_parameters`` has ``fourier_error`` (least of the restarts),
+        ``object_size`` and ``noise_sigma``, ``history`` the ``fourier_error`` of each restart.
+
+    Raises
+    ------
+    SamplingError
+        If an array does not fit the model, or no object shows in the autocorrelation.
+    SceneError
+        If a value is out of range or not finite.
+
+    Notes
+    -----
+    The autocorrelation of a diffuser's point spread is a peak on a broad ground, so that of the
+    image is the object's on a ground [1]_; what it keeps of the wall's speckle falls with the
+    number of grains in the frame, and so does the object's extent that can be told. Frames hold an
+    object of at most half their width. Restarts of nearly the least Fourier error are averaged.
+    Two halves that agree are no proof: without the sign they can agree on a wrong picture, and a
+    box much larger than the object lets its twin lie over it. A tight ``object_size`` helps most.
+    The alternating method [2]_ is for measurements with random vectors, where it is known to
+    succeed; moduli of a plain spectrum are no such thing, and it is here as the rival that it is
+    taken for. Each of its restarts starts from a random half of the measurements.
+
+    References
+    ----------
+    .. [1] Katz, Heidmann, Fink and Gigan, Nature Photonics 8 (2014) 784.
+    .. [2] Netrapalli, Jain and Sanghavi, Advances in Neural Information Processing Systems 26
+       (2013) 2796.
+    """
+    started = time.perf_counter()
+    shape = shape_of("image", image) if model is None else one_kernel_shape(model)
+    if len(shape) != 2:
+        raise SamplingError(f"image has shape {shape}; give one image, (H, W)")
+    data = measurement(
+        image,
+        (shape[0], shape[1]),
+        noise_sigma=noise_sigma,
+        background=background,
+        fit_background=True,
+        background_shape=None,
+    )
+    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
+    if data.is_background():
+        status: Status = "too_few_photons"
+        found, score, errors = torch.zeros_like(data.data), 0.0, np.empty(0)
+        parameters: dict[str, Any] = {}
+    else:
+        twin = None if model is None else torch_model(model, data.data.device, torch.float64)
+        found, score, errors, parameters = search.run(
+            image_lags(data, twin), shape, data.data.device
+        )
+        status = "unconverged"
+    errors.flags.writeable = False
+    return Reconstruction(
+        object=data.like_input(found),
+        physical_parameters={**parameters, "noise_sigma": data.sigma},
+        status=status,
+        score=score,
+        history={"fourier_error": errors},
+        seconds=time.perf_counter() - started,
+    )
+
+
+@single_thread()
+def object_from_autocorrelation(
+    autocorrelation: ArrayLike,
+    *,
+    method: Method = "raar",
+    object_size: tuple[int, int] | None = None,
+    restarts: int = 12,
+    max_iterations: int = 400,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object from a measured autocorrelation, as `phase_retrieval` does from an image.
+
+    Parameters
+    ----------
+    autocorrelation : array_like
+        (odd, odd), zero lag at the centre, on any ground; the value at the zero lag does not
+        count.
+    method : {"alternating", "hio", "raar"}
+    object_size : (int, int) or None
+        Rows and columns of a box that holds the object; None: half of what stands out, with room.
+    restarts : int
+        From random starts, at least 2.
+    max_iterations : int
+        Of each restart.
+    seed : int
+    progress : callable or None
+        As of `phase_retrieval`.
+
+    Returns
+    -------
+    Reconstruction
+        In a frame as large as the autocorrelation; the rest as from `phase_retrieval`.
+
+    Raises
+    ------
+    SamplingError
+        If the array's counts are not odd, or no object shows in it.
+    SceneError
+        If a value is out of range or not finite.
+    """
+    started = time.perf_counter()
+    lags = checked_lags(autocorrelation)
+    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
+    found, score, errors, parameters = search.run(lags, lags.shape, torch.device("cpu"))
+    errors.flags.writeable = False
+    return Reconstruction(
+        object=found.numpy(),
+        physical_parameters=parameters,
+        status=search.status(score),
+        score=score,
+        history={"fourier_error": errors},
+        seconds=time.perf_counter() - started,
+    )
+
+
+class _Search:
+    """Checked options, and the restarts that they ask for."""
+
+    def __init__(
+        self,
+        method: Method,
+        object_size: tuple[int, int] | None,
+        restarts: int,
+        max_iterations: int,
+        seed: int,
+        progress: Progress | None,
+    ) -> None:
+        one_of("method", method, METHODS)
+        self._method: Method = method
+        self._restarts = whole("restarts", restarts, 2)
+        self._iterations = whole("max_iterations", max_iterations)
+        self._seed = checked_seed(seed)
+        self._object_size = object_size
+        self._progress = progress
+        self._ended = False
+        if object_size is not None:
+            if not hasattr(object_size, "__len__") or len(object_size) != 2:
+                raise SceneError(f"object_size = {object_size!r} is no size; give (rows, columns)")
+            rows, columns = (whole(f"object_size[{i}]", v, 2) for i, v in enumerate(object_size))
+            self._object_size = (rows, columns)
+
+    def run(
+        self, lags: Any, shape: tuple[int, ...], device: torch.device
+    ) -> tuple[Tensor, float, Any, dict[str, Any]]:
+        """Object in its frame, correlation of the halves, errors, parameters."""
+        spectrum = spectrum_modulus(lags, self._object_size)
+        modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
+
+        def watch(done: float, objects: Tensor) -> bool:
+            def preview() -> State:
+                errors = fourier_errors(objects, modulus)
+                return state_of(_framed(averaged(objects, errors), spectrum, shape))
+
+            self._ended = not goes_on(
+                self._progress,
+                f"phase retrieval: {self._restarts} restarts by {self._method}",
+                done,
+                preview,
+            )
+            return not self._ended
+
+        objects, errors = self._objects(spectrum, modulus, watch)
+        if not self._ended:
+            watch(1.0, objects)
+            self._ended = False  # nothing was left to do
+        score = 0.0
+        if len(objects) > 1:
+            halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
+            score = registered_correlation(halves[0], halves[1], flip=True)
+        parameters = {
+            "fourier_error": float(errors.min()),
+            "object_size": spectrum.object_size,
+        }
+        frame = _framed(averaged(objects, errors), spectrum, shape)
+        return frame, score, errors.double().cpu().numpy(), parameters
+
+    def status(self, score: float) -> Status:
+        """Whether two halves of all restarts agree."""
+        return "converged" if score >= _AGREED and not self._ended else "unconverged"
+
+    def _objects(
+        self, spectrum: SpectrumModulus, modulus: Tensor, watch: Callable[[float, Tensor], bool]
+    ) -> tuple[Tensor, Tensor]:
+        """What each restart finds, (R, g_y, g_x), and its Fourier error; fewer if ended."""
+        rows, columns = spectrum.object_size
+        support = torch.zeros(spectrum.grid, dtype=torch.bool, device=modulus.device)
+        support[:rows, :columns] = True
+        random = generator(self._seed, _STARTS)
+        starts = random.random((self._restarts, *spectrum.grid), dtype=np.float32)
+        first = torch.from_numpy(starts).to(modulus)
+        if self._method != "alternating":
+            return projected(
+                modulus,
+                support,
+                first,
+                method=self._method,
+                iterations=self._iterations,
+                watch=watch,
+            )
+        draws = random.random((self._restarts, *modulus.shape)) < 0.5
+        used = torch.from_numpy(draws).to(modulus.device)
+        found: list[Tensor] = []
+        for begin in zip(first, used, strict=True):
+            found.append(self._alternating(modulus, support, *begin))
+            if len(found) < len(first) and not watch(len(found) / len(first), torch.stack(found)):
+                break
+        return torch.stack(found), fourier_errors(torch.stack(found), modulus)
+
+    def _alternating(self, modulus: Tensor, support: Tensor, first: Tensor, used: Tensor) -> Tensor:
+        def within(spectrum: Tensor) -> Tensor:
+            # The transform being unitary, also the least-squares solution.
+            picture: Tensor = torch.fft.irfft2(spectrum, s=tuple(support.shape))
+            return picture * support
+
+        start = spectral_start(modulus, torch.fft.rfft2, within, first=first * support, used=used)
+        found, _ = alternating_minimisation(
+            modulus,
+            torch.fft.rfft2,
+            within,
+            start,
+            max_iterations=self._iterations,
+            tolerance=_TOLERANCE,
+        )
+        # An overall sign is not seen by the modulus.
+        return found if float(found.sum()) >= 0.0 else -found
+
+
+def _framed(objects: Tensor, spectrum: SpectrumModulus, shape: tuple[int, ...]) -> Tensor:
+    """An object in the middle of its frame, largest value 1."""
+    rows, columns = spectrum.object_size
+    box = objects[:rows, :columns].double()
+    frame = torch.zeros(shape, dtype=torch.float64, device=box.device)
+    top, left = (shape[0] - rows) // 2, (shape[1] - columns) // 2
+    brightest = float(box.max())
+    frame[top : top + rows, left : left + columns] = box / (brightest if brightest > 0.0 else 1.0)
+    return frame

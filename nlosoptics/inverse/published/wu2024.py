@@ -1,0 +1,420 @@
+"""The physics-constrained inverse network as published: Wu et al. 2024."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ..._checks import in_range, one_of, positive, whole
+from ..._progress import Progress
+from ..._random import checked_seed, generator
+from ...errors import SamplingError, SceneError
+from ...imaging.forward_model import ForwardModel
+from ..data._threads import gradients, single_thread
+from ..data.checkpoints import State, adam_state, goes_on, joined, spread, state_of, take_up_adam
+from ..data.measurement import Measurement, measurement, real_array, shape_of
+from ..data.reconstruction import Reconstruction, assemble, without_object
+from ..data.scaled_images import ScaledImage, total_variation
+from ..data.scores import registered_correlation
+from ..wave.frames import known_defoci
+from ..wave.pupil_psf import PupilPSF
+from .unet import UNetObject
+
+NetworkInput = Literal["image", "reconstruction"]
+
+ANGLES = 603  # stream of the random angles
+# Steps of a first and of a warm run ("more than 4000", "approximately 1800 iterations").
+_COLD, _WARM = 4000, 1800
+_SMOOTH = 1e-3
+# Likeness of object and image from which on the answer is "no blur".
+_TRIVIAL_CORRELATION = 0.95
+
+
+@single_thread()
+@gradients()
+def wu2024_fit(
+    images: Any,
+    pupil_psf: PupilPSF,
+    *,
+    defocus: Any = None,
+    start: Reconstruction | Mapping[str, Any] | None = None,
+    start_waves: float = 0.5,
+    base: int = 8,
+    depth: int = 4,
+    alternate: int = 10,
+    network_input: NetworkInput = "image",
+    learning_rate: float = 0.01,
+    tv_weight: float = 1e-3,
+    noise_sigma: Any = None,
+    background: Any = 0.0,
+    fit_background: bool = True,
+    background_shape: Any = None,
+    gain: float | None = None,
+    max_iterations: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Reconstruction:
+    """Object and wall from one image, by an untrained U-net and random angles (PCIN) [1]_.
+
+    Parameters
+    ----------
+    images : ndarray or Tensor
+        (H, W) or (1, H, W), any unit: the method takes one image.
+    pupil_psf : PupilPSF
+        Of shape (H, W). What of it is fitted stands for the exit angles; it is not changed.
+    defocus : sequence of one float, or None
+        Known further defocus of the image, m rms.
+    start : Reconstruction, mapping or None
+        An earlier result of this function for the same kind of object, from whose angles and
+        network this run starts (warm); a state of a run with the same options, from which it goes
+        on bit by bit (see `checkpoints`); None: both are random (cold).
+    start_waves : float
+        rms of a cold start's wave aberration, waves.
+    base, depth : int
+        Of the network, see `UNet`; a warm start has its own.
+    alternate : int
+        Steps on the angles before as many on the network.
+    network_input : {"image", "reconstruction"}
+        What step 2 feeds the network with: the measured image, or the last reconstruction.
+    learning_rate : float
+        Of Adam, for angles and weights.
+    tv_weight : float
+        Of the total variation in W(9), the image's range being 1.
+    noise_sigma, background, fit_background, background_shape, gain
+        As in `tv_deconvolve`; noise and background may be those of a list of one image.
+    max_iterations : int or None
+        Steps on angles and network together; None: 4000 cold, 1800 warm.
+    seed : int
+        Of the random angles and weights.
+    progress : callable or None
+        Called after each turn with a line of text and the fraction done; may raise `Stop`.
+
+    Returns
+    -------
+    Reconstruction
+        ``physical_parameters`` also holds ``coefficients`` (as those of ``pupil_psf``),
+        ``network_weights`` (n,) float32, ``network_base``, ``network_depth``, ``strehl`` (peak of
+        the point spread over that without aberration) and ``iterations``. The status is "trivial"
+        where the object is the image, to a correlation of 0.95, else "unconverged" (see Notes).
+
+    Raises
+    ------
+    SamplingError
+        If there are several images, or shapes do not fit.
+    SceneError
+        If a value is out of range or not finite.
+
+    Notes
+    -----
+    The paper's section 2.2, and where it is done here:
+
+    ==================================================  ===========================================
+    "The speckle image ... is fed into CNN with         `UNetObject` on the image, weights drawn by
+    randomly initialized weights"; U-net                ``seed``
+    "incorporated into the physical model with a        ``_random_angles``; `PupilPSF`, W(2), W(3);
+    randomly initialized diffuse angle"                 the product I = O Phi of W(8) in
+                                                        ``_Network.seen``
+    1. loss between measured and modelled image         ``_phase`` of the angles, the object held
+    optimizes the physical parameters, "network
+    structure kept unchanged", "repeated"
+    2. optimized parameters held, the loss optimizes    ``_phase`` of the network
+    the network parameters, "repeated"
+    3. "These two steps are alternated"                 the loop of ``run``
+    W(9): squared error plus TV of the reconstruction   ``_Network.loss``
+    ADAM, learning rate 0.01                            two of `torch.optim.Adam`
+    "estimated and outputted as the final layer"        the last object, no average, no best one
+    4000 iterations, 1800 with "the previous run's      ``max_iterations``; ``start``
+    optimization results as input"
+    512 x 512 pixels                                    any; see below for memory
+    ==================================================  ===========================================
+
+    What the paper leaves open, and the choice: how often steps 1 and 2 repeat (``alternate``);
+    what "fed into the network" in step 2 means beside the measured image (``network_input``); the
+    network's size (``base``, the paper's is not told) and last layer (a sigmoid); the spread of the
+    random angles (``start_waves``); the weight of TV, which W(9) prints as 1 in unknown units
+    (``tv_weight``; both sums are over pixels); the brightness of the modelled image and the
+    removal of background, here at their least squares in every step; whether Adam's moments
+    live through the alternation (they do). The frame is circular, as the product W(8) is.
+
+    This is the method for comparison. From random angles and one image it was not seen to find
+    object and wall: it ends at the image itself, or at another object that explains the image to
+    its noise or better (`benchmarks/inverse/wu2024.py`); started at the wall it drifts away. A fit
+    of the noise is therefore no sign of success, and it is never called "converged".
+
+    References
+    ----------
+    .. [1] Wu et al., Advanced Photonics Nexus 3 (2024) 026010, section 2.2.
+    """
+    started = time.perf_counter()
+    checked_seed(seed)
+    alternate = whole("alternate", alternate)
+    if max_iterations is None:
+        max_iterations = _WARM if isinstance(start, Reconstruction) else _COLD
+    max_iterations = whole("max_iterations", max_iterations)
+    tv_weight = in_range("tv_weight", tv_weight, 0.0)
+    learning_rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
+    one_of("network_input", network_input, ("image", "reconstruction"))
+    gain = None if gain is None else positive("gain", gain)
+    data = measurement(
+        _only(images, pupil_psf),
+        pupil_psf.shape,
+        noise_sigma=_of_one("noise_sigma", noise_sigma),
+        background=_of_one("background", background),
+        fit_background=fit_background,
+        background_shape=background_shape,
+    )
+    extra = _only_defocus(defocus)
+    if data.is_background():
+        model = _model(pupil_psf, pupil_psf.coefficients, extra)
+        return without_object(data, model=model, gain=gain, started=started)
+    unit = float(data.data.max() - data.data.min())
+    image = ScaledImage(data, unit)
+    if isinstance(start, Reconstruction):
+        angles, network = _from_earlier(start, pupil_psf, image.image)
+    else:
+        angles = _random_angles(pupil_psf, start_waves, seed)
+        network = UNetObject(image.image, base=base, depth=depth, seed=seed)
+    fit = _Pcin(image, pupil_psf, extra, angles, network, learning_rate, tv_weight, data.sigma)
+    behind = 0 if start is None or isinstance(start, Reconstruction) else fit.go_on(start)
+    fit.run(behind, max_iterations, alternate, network_input, progress)
+    return _result(fit, data, gain, started)
+
+
+class _Pcin:
+    """Angles and network of a fit, each with its Adam."""
+
+    def __init__(
+        self,
+        image: ScaledImage,
+        pupil_psf: PupilPSF,
+        defocus: list[float] | None,
+        angles: Tensor,
+        network: UNetObject,
+        learning_rate: float,
+        tv_weight: float,
+        sigma: float,
+    ) -> None:
+        self.image, self.pupil_psf, self.defocus = image, pupil_psf, defocus
+        self.angles = nn.Parameter(angles)
+        self.network = network
+        self._tv_weight = tv_weight
+        self._noise = sigma / image.unit
+        self._adams = (
+            torch.optim.Adam([self.angles], learning_rate),
+            torch.optim.Adam(network.parameters(), learning_rate, fused=True),
+        )
+        self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
+
+    def run(
+        self,
+        behind: int,
+        max_iterations: int,
+        alternate: int,
+        network_input: NetworkInput,
+        progress: Progress | None,
+    ) -> None:
+        """Steps 1 and 2 by turns (step 3) until the iterations are used up."""
+        left = max_iterations - behind
+        while left > 0:
+            for phase in (self._fit_angles, self._fit_network):
+                steps = min(alternate, left)
+                phase(steps)
+                left -= steps
+            if network_input == "reconstruction":
+                self.network.set_guide(self.object())
+            done = max_iterations - left
+            if not goes_on(
+                progress,
+                f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after {done} "
+                "iterations",
+                done / max_iterations,
+                partial(self._state, done),
+            ):
+                return
+
+    def _state(self, count: int) -> State:
+        """All that the next turn starts from."""
+        return state_of(
+            self.gain() * self.object(),
+            coefficients=self.angles,
+            **adam_state("angles", self._adams[0]),
+            **adam_state("network", self._adams[1]),
+            guide=self.network.guide,
+            count=count,
+        )
+
+    def go_on(self, state: Mapping[str, Any]) -> int:
+        """Take up a state; the iterations behind it."""
+        if not isinstance(state, Mapping) or not {"guide", "count"} <= set(state):
+            raise SceneError("start holds no network; give a state of wu2024_fit, or leave it out")
+        take_up_adam("angles", self._adams[0], state)
+        take_up_adam("network", self._adams[1], state)
+        spread("guide", state["guide"], [self.network.guide])
+        return int(state["count"])
+
+    def object(self) -> Tensor:
+        """The network's answer now, 0 to 1."""
+        with torch.no_grad():
+            picture: Tensor = self.network()
+        return picture
+
+    def gain(self) -> float:
+        """Image units per object unit."""
+        with torch.no_grad():
+            seen = _seen(self.network(), self._transfer())
+            return self.image.misfit(seen)[0].item() * self.image.unit
+
+    def _fit_angles(self, steps: int) -> None:
+        """Step 1: the angles, the network's answer held."""
+        picture = self.object()
+        for _ in range(steps):
+            self._step(self._adams[0], picture, self._transfer())
+
+    def _fit_network(self, steps: int) -> None:
+        """Step 2: the network, the angles held."""
+        with torch.no_grad():
+            transfer = self._transfer()
+        for _ in range(steps):
+            self._step(self._adams[1], self.network(), transfer)
+
+    def _transfer(self) -> Tensor:
+        transfer = self.pupil_psf.transfer(self.angles, defocus=self.defocus)
+        return transfer[0] if self.defocus is not None else transfer
+
+    def _step(self, adam: torch.optim.Optimizer, picture: Tensor, transfer: Tensor) -> None:
+        """One step down W(9): squared error and total variation, summed over the pixels."""
+        gain, residual = self.image.misfit(_seen(picture, transfer))
+        square = self.image.weighted(residual * residual).sum()
+        loss = square + self._tv_weight * gain * total_variation(picture, _SMOOTH)
+        adam.zero_grad()
+        before = self.angles.detach().clone()
+        loss.backward()  # type: ignore[no-untyped-call]
+        adam.step()
+        change = (self.angles.detach() - before).norm() / before.norm().clamp_min(1e-30)
+        rms = math.sqrt(self.image.mean_square(residual.detach()).item())
+        self.history["objective"].append(loss.item())
+        self.history["residual"].append(rms / self._noise if self._noise > 0.0 else rms)
+        self.history["change"].append(change.item())
+
+
+def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
+    """W(8) without noise: the modelled image."""
+    seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture) * transfer, s=picture.shape)
+    return seen
+
+
+def _result(fit: _Pcin, data: Measurement, gain: float | None, started: float) -> Reconstruction:
+    picture = fit.object()
+    coefficients = fit.angles.detach()
+    model = _model(fit.pupil_psf, coefficients, fit.defocus)
+    level = fit.gain() * picture.double()
+    seen = torch.from_numpy(model.forward(level.cpu().numpy())).to(level.device)
+    strength = data.background_strength(data.data - seen)
+    flat = _model(fit.pupil_psf, torch.zeros_like(coefficients), None)
+    strehl = float(model.kernel.max() / flat.kernel.max())
+    alike = registered_correlation(picture, data.data)
+    weights = joined(list(fit.network.network.parameters()))
+    return assemble(
+        data,
+        level,
+        model=model,
+        background=strength,
+        gain=gain,
+        status="trivial" if alike > _TRIVIAL_CORRELATION else "unconverged",
+        history=fit.history,
+        started=started,
+        coefficients=_frozen(coefficients.to(torch.float64)),
+        network_weights=_frozen(weights),
+        network_base=float(fit.network.network.base),
+        network_depth=float(fit.network.network.depth),
+        strehl=strehl,
+        iterations=float(len(fit.history["residual"])),
+    )
+
+
+def _only(images: Any, pupil_psf: PupilPSF) -> Any:
+    """The one image of (H, W) or (1, H, W)."""
+    if not isinstance(pupil_psf, PupilPSF):
+        raise SceneError(
+            f"pupil_psf of type {type(pupil_psf).__name__} is not a PupilPSF; "
+            "build one with PupilPSF.from_zernike"
+        )
+    shape = shape_of("images", images)
+    if len(shape) != 3:
+        return images
+    if shape[0] != 1:
+        raise SamplingError(
+            f'images has {shape[0]} frames, recipe "wu2024" takes one; give one of them, or all of '
+            'them to recipe "staged"'
+        )
+    return images[0]
+
+
+def _of_one(name: str, value: Any) -> Any:
+    """What holds of one image, of (1,) or (1, H, W) as of a list of images."""
+    shape = shape_of(name, value)
+    return value[0] if len(shape) in (1, 3) and shape[0] == 1 else value
+
+
+def _only_defocus(defocus: Any) -> list[float] | None:
+    if defocus is None:
+        return None
+    return known_defoci(np.atleast_1d(real_array("defocus", defocus)), 1).tolist()
+
+
+def _random_angles(pupil_psf: PupilPSF, waves: float, seed: int) -> Tensor:
+    """Normal leaves, scaled to a wave aberration of a given rms: waves are linear in leaves."""
+    waves = positive("start_waves", waves)
+    leaves = pupil_psf.coefficients
+    drawn = torch.from_numpy(generator(seed, ANGLES).standard_normal(leaves.shape)).to(leaves)
+    with torch.no_grad():
+        aberration = pupil_psf.aberration(drawn) / pupil_psf.wavelength
+    share = torch.as_tensor(pupil_psf.optics.share).to(aberration)
+    mean = (share * aberration).sum() / share.sum()
+    rms = ((share * (aberration - mean) ** 2).sum() / share.sum()).sqrt()
+    return drawn * (waves / rms)
+
+
+def _from_earlier(
+    start: Reconstruction, pupil_psf: PupilPSF, image: Tensor
+) -> tuple[Tensor, UNetObject]:
+    """Angles and network of an earlier result."""
+    found = start.physical_parameters
+    missing = {"coefficients", "network_weights", "network_base", "network_depth"} - set(found)
+    if missing:
+        raise SceneError(
+            f"start has no {min(missing)}; give a Reconstruction that wu2024_fit returned"
+        )
+    wanted = tuple(pupil_psf.coefficients.shape)
+    if np.shape(found["coefficients"]) != wanted:
+        raise SamplingError(
+            f"start has coefficients of shape {np.shape(found['coefficients'])}, pupil_psf of "
+            f"{wanted}; give the pupil_psf of the earlier run"
+        )
+    base, depth = int(found["network_base"]), int(found["network_depth"])
+    network = UNetObject(image, base=base, depth=depth)
+    spread("network_weights", found["network_weights"], list(network.network.parameters()))
+    angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
+    return angles, network
+
+
+def _model(pupil_psf: PupilPSF, coefficients: Tensor, defocus: list[float] | None) -> ForwardModel:
+    """The image model of a point spread, in numpy."""
+    with torch.no_grad():
+        spread = pupil_psf(coefficients.detach(), defocus=defocus)
+    kernel = spread[0] if defocus is not None else spread
+    return ForwardModel(kernel.double().cpu().numpy(), shape=pupil_psf.shape, boundary="circular")
+
+
+def _frozen(values: Tensor) -> NDArray[Any]:
+    array = values.cpu().numpy().copy()
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,268 @@
+"""Images of one object through unknown walls, as a fit of the walls sees them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..._checks import one_of
+from ...errors import SamplingError, SceneError
+from ..data.measurement import Measurement, measurement, real_array, shape_of
+from .pupil_psf import MOST_DEFOCUS, PupilPSF
+from .pupil_waves import ZernikeWaves
+
+#: Grid over frame, so that what leaves the frame over one edge does not come in at the other.
+_PADDING = 1.5
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Frames:
+    """Checked images on the grid of their point spreads.
+
+    Parameters
+    ----------
+    measured : tuple of Measurement
+        One for each image.
+    images : Tensor, (K, H, W)
+        Without their known background, over ``scale``.
+    precision : Tensor, (K, H, W) or (K, 1, 1)
+        1/sigma^2 in these units.
+    shapes : Tensor, (K, H, W) or (K, 1, 1)
+        Of the unknown background, mean 1.
+    scale : float
+        Image units.
+    pupil : PupilPSF
+        On the grid, (rows, columns) no smaller than (H, W).
+    walls : Tensor of int, (K,)
+        Which set of coefficients belongs to each image.
+    defocus : Tensor, (K,)
+        m rms.
+    """
+
+    measured: tuple[Measurement, ...]
+    images: Tensor
+    precision: Tensor
+    shapes: Tensor
+    scale: float
+    pupil: PupilPSF
+    walls: Tensor
+    defocus: Tensor
+
+    @property
+    def n_walls(self) -> int:
+        """Number of different walls."""
+        return int(self.walls.max()) + 1
+
+    @property
+    def counted(self) -> int:
+        """Pixels that count, of all images."""
+        return sum(one.counted for one in self.measured)
+
+    @property
+    def fit_background(self) -> bool:
+        """Whether each image has an unknown background."""
+        return self.measured[0].fit_background
+
+    def transfer(self, coefficients: Tensor) -> Tensor:
+        """Transfer functions (B, K, rows, columns//2 + 1) of coefficients (B, n_walls, M)."""
+        each = coefficients[:, self.walls]
+        turns = self.pupil.waves(each) + self.pupil.defocus_turns(self.defocus.to(each))
+        return self.pupil.optics.transfer(turns)
+
+    def seen(self, level: Tensor, transfer: Tensor) -> Tensor:
+        """Images (B, K, H, W) of objects (B, H, W)."""
+        grid = self.pupil.shape
+        spectrum = torch.fft.rfft2(level, s=grid).unsqueeze(-3) * transfer
+        rows, columns = self.images.shape[-2:]
+        seen: Tensor = torch.fft.irfft2(spectrum, s=grid)
+        return seen[..., :rows, :columns]
+
+    def backgrounds(self, misfit: Tensor) -> Tensor:
+        """Strength (B, K, 1, 1) of the background that fits best."""
+        if not self.fit_background:
+            return torch.zeros_like(misfit[..., :1, :1])
+        weighted = self.precision * self.shapes
+        norm = (weighted * self.shapes).expand(self.images.shape).sum((-2, -1), keepdim=True)
+        return (weighted * misfit).sum((-2, -1), keepdim=True) / norm
+
+    def residual(self, seen: Tensor) -> Tensor:
+        """Images minus what is seen and the best background."""
+        misfit = self.images - seen
+        return misfit - self.backgrounds(misfit) * self.shapes
+
+    def mean_square(self, residual: Tensor) -> Tensor:
+        """Squared residual over squared noise, mean over the pixels that count, (B,)."""
+        return (self.precision * residual.square()).sum((-3, -2, -1)) / self.counted
+
+
+def frames_of(
+    images: Any,
+    pupil_psf: PupilPSF,
+    *,
+    defocus: Any,
+    walls: Any,
+    noise_sigma: Any,
+    background: Any,
+    fit_background: bool,
+    background_shape: Any,
+    boundary: str,
+) -> Frames:
+    """Check images and what is known of them; arguments as of `pcin`."""
+    if not isinstance(pupil_psf, PupilPSF):
+        raise SceneError(
+            f"pupil_psf of type {type(pupil_psf).__name__} is no point spread with an unknown "
+            "wave; give an inverse.PupilPSF"
+        )
+    if not isinstance(pupil_psf.waves, ZernikeWaves):
+        raise SceneError(
+            "pupil_psf has other leaves than Zernike coefficients; build it by "
+            "PupilPSF.from_zernike"
+        )
+    stack = _stack(images)
+    count, shape = stack.shape[0], (int(stack.shape[1]), int(stack.shape[2]))
+    sigmas = _per_image("noise_sigma", noise_sigma, count, stack.ndim)
+    backgrounds = _per_image("background", background, count, stack.ndim)
+    measured = tuple(
+        measurement(
+            image,
+            shape,
+            noise_sigma=sigma,
+            background=known,
+            fit_background=fit_background,
+            background_shape=background_shape,
+        )
+        for image, sigma, known in zip(stack, sigmas, backgrounds, strict=True)
+    )
+    for number, one in enumerate(measured):
+        if one.sigma == 0.0:
+            raise SceneError(
+                f"image {number} is without noise (noise_sigma None, estimated 0); give noise_sigma"
+            )
+    pupil = _on_grid(pupil_psf, shape, boundary)
+    like = torch.zeros((), dtype=pupil.optics.dtype, device=pupil.optics.device)
+    scale = max(float(one.data.max() - one.data.min()) for one in measured)
+    if not scale > 0.0:
+        scale = max(one.sigma for one in measured)
+    ones = torch.ones((1, 1), dtype=torch.float64)
+    return Frames(
+        measured=measured,
+        images=torch.stack([one.data / scale for one in measured]).to(like),
+        precision=torch.stack(
+            [(scale / one.sigma) ** 2 * _or(one.weights, ones) for one in measured]
+        ).to(like),
+        shapes=torch.stack([_or(one.background_shape, ones) for one in measured]).to(like),
+        scale=scale,
+        pupil=pupil,
+        walls=_wall_numbers(walls, count).to(pupil.optics.device),
+        defocus=known_defoci(defocus, count).to(like),
+    )
+
+
+def _or(value: Tensor | None, other: Tensor) -> Tensor:
+    return other if value is None else value
+
+
+def _stack(images: Any) -> Any:
+    try:
+        stack = images if isinstance(images, Tensor) else np.asarray(images)
+    except ValueError:
+        raise SamplingError("images differ in shape; give one array (K, H, W)") from None
+    if stack.ndim == 2:
+        stack = stack[None]
+    if stack.ndim != 3 or 0 in stack.shape:
+        raise SamplingError(f"images have shape {tuple(stack.shape)}, must be (K, H, W) or (H, W)")
+    return stack
+
+
+def _per_image(name: str, value: Any, count: int, ndim: int) -> list[Any]:
+    """One value for each image, of one for all, (K,), (H, W) or (K, H, W)."""
+    dimensions = len(shape_of(name, value))
+    if dimensions in (0, ndim - 1):
+        return [value] * count
+    if len(value) != count:
+        raise SamplingError(f"{name} has {len(value)} values for {count} images; give one for each")
+    return list(value)
+
+
+def _wall_numbers(walls: Any, count: int) -> Tensor:
+    if walls is None:
+        return torch.zeros(count, dtype=torch.int64)
+    shape_of("walls", walls)  # refuses rows of different length
+    numbers = np.asarray(walls)
+    if numbers.shape != (count,) or numbers.dtype.kind not in "iu":
+        raise SamplingError(
+            f"walls has shape {numbers.shape} and type {numbers.dtype}; give {count} whole "
+            "numbers, the wall of each image"
+        )
+    if sorted(set(numbers.tolist())) != list(range(int(numbers.max()) + 1)):
+        raise SamplingError(f"walls = {numbers.tolist()}; number them 0, 1, ... without gaps")
+    return torch.from_numpy(numbers.astype(np.int64))
+
+
+def known_defoci(defocus: Any, count: int) -> Tensor:
+    """Known further defocus of each image, (K,) float64, m rms; 0 where none is given."""
+    values = np.zeros(count) if defocus is None else real_array("defocus", defocus)
+    if values.shape != (count,):
+        raise SamplingError(
+            f"defocus has shape {values.shape}, must be ({count},); give one value per image"
+        )
+    if not (np.abs(values) <= MOST_DEFOCUS).all():  # nor is NaN
+        raise SceneError(
+            f"defocus = {values.tolist()} m rms, limit {MOST_DEFOCUS:g}; give metres, not waves"
+        )
+    return torch.from_numpy(values)
+
+
+def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
+    """Samples of a point spread for images with room around them."""
+    rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
+    return rows, columns
+
+
+def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> PupilPSF:
+    """The point spread over a period that holds the frame, with room around it if padded."""
+    one_of("boundary", boundary, ("padded", "circular"))
+    own = pupil_psf.shape
+    if own[0] < shape[0] or own[1] < shape[1]:
+        raise SamplingError(
+            f"pupil_psf has shape {own} and the images {shape}; give a point spread of the "
+            "images' shape or larger"
+        )
+    if boundary == "circular" and own != shape:
+        raise SamplingError(
+            f"pupil_psf has shape {own} and a circular frame {shape}; make them equal, or use "
+            "boundary='padded'"
+        )
+    wide = own
+    if boundary == "padded":
+        rows, columns = padded_shape(shape)
+        wide = (max(own[0], rows), max(own[1], columns))
+    optics = pupil_psf.optics
+    if wide == own:
+        return pupil_psf
+    if pupil_psf.holds_more:
+        raise SamplingError(
+            f"pupil_psf has shape {own}, and its known wave or transmission cannot be had on the "
+            f"{wide} samples that padded images need; build it with that shape"
+        )
+    samples = None
+    if optics.method == "mdft":
+        samples = math.ceil(len(optics.u) * max(wide) / max(own))
+    return PupilPSF.from_zernike(
+        pupil_psf.modes,
+        wavelength=optics.wavelength,
+        pupil_radius=optics.pupil_radius,
+        image_distance=optics.image_distance,
+        pitch=optics.pitch,
+        shape=wide,
+        method=optics.method,  # type: ignore[arg-type]
+        samples=samples,
+        pixel_integrated=optics.pixel_integrated,
+        device=optics.device,
+        dtype=optics.dtype,
+    )

@@ -1,0 +1,349 @@
+"""From the wave in a round pupil to its point spread, in torch: the transforms alone."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from typing import Any, Literal, TypedDict
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ..._checks import fits_memory, in_range, one_of, positive, real, whole
+from ...errors import SamplingError, SceneError
+from ...psf.aperture.quadrature_nodes import circle_shares, fitting_pitch
+from ...psf.window.pixels import PixelRule, pixel_rule
+from ...psf.window.window import Window, shape_of
+
+Array = NDArray[np.float64]
+Method = Literal["fft", "mdft"]
+#: Of u and v, m, to an amplitude.
+Transmission = Callable[[Array, Array], Array]
+#: Slack of comparisons of lengths that are given as rounded numbers.
+_ROUNDING = 1e-9
+
+
+class ImageOptions(TypedDict, total=False):
+    """Options of `PupilOptics` that every kind of wave takes."""
+
+    method: Method
+    samples: int | None
+    pixel_integrated: bool
+    device: torch.device | str
+    dtype: torch.dtype
+
+
+class PupilOptics(nn.Module):
+    """Fraunhofer transform of a round pupil, point spread and transfer function, differentiable.
+
+    Parameters
+    ----------
+    wavelength, pupil_radius, image_distance, pitch : float
+        m; the pitch is the image's.
+    shape : int or (int, int)
+        Rows H and columns W of the image.
+    method : {"fft", "mdft"}
+        "fft": the image is one period. "mdft": matrix products, the image a window of a longer
+        period.
+    samples : int, optional
+        For "mdft": pupil cells per side. By default the period is twice the window.
+    pixel_integrated : bool
+        Whether values are integrals over square pixels of side ``pitch``, which may then be any;
+        point samples need a pitch of at most lambda |d|/(4 radius).
+    transmission : callable, optional
+        Relative amplitude at u, v, m; by default 1.
+    device, dtype
+        ``torch.float32`` or ``torch.float64``.
+
+    Attributes
+    ----------
+    u, v : ndarray
+        Coordinates of the pupil's cells, m: (n_u,) along columns and (n_v,) along rows, sample
+        [n_v//2, n_u//2] on the axis.
+    share : ndarray, (n_v, n_u)
+        Part of each cell that lies in the pupil.
+    amplitude : ndarray, (n_v, n_u)
+        The share times what is transmitted there.
+    """
+
+    _amplitude: Tensor
+    _along_x: Tensor
+    _along_y: Tensor
+    _mean_x: Tensor
+    _mean_y: Tensor
+    _pixel: Tensor
+
+    def __init__(
+        self,
+        *,
+        wavelength: float,
+        pupil_radius: float,
+        image_distance: float,
+        pitch: float,
+        shape: int | tuple[int, int],
+        method: Method = "fft",
+        samples: int | None = None,
+        pixel_integrated: bool = False,
+        transmission: Transmission | None = None,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__()
+        if dtype not in (torch.float32, torch.float64):
+            raise SamplingError(
+                f"dtype = {dtype} is not supported by the transform; "
+                "use torch.float32 or torch.float64"
+            )
+        self.wavelength = in_range(
+            "wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum"
+        )
+        self.pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
+        self.image_distance = real("image_distance", image_distance)
+        if self.image_distance == 0:
+            raise SceneError("image_distance = 0 m; the pupil cannot lie in the image")
+        self.pitch = positive("pitch", pitch, unit="m")
+        self.shape = shape_of(shape)
+        self.method = one_of("method", method, ("fft", "mdft"))
+        self.pixel_integrated = bool(pixel_integrated)
+        #: lambda |d|, m^2: pupil pitch times image period
+        self._spread = self.wavelength * abs(self.image_distance)
+        self.nyquist_pitch = self._spread / (4 * self.pupil_radius)
+        self.v, self.u = self._cells(samples)
+        pitch_v, pitch_u = (float(axis[1] - axis[0]) for axis in (self.v, self.u))
+        self.pupil_pitch = (pitch_v, pitch_u)
+        self._finer, self._grid = self._samples()
+        self.share = circle_shares(self.u, self.v, pitch_u, self.pupil_radius, pitch_v)
+        self.amplitude = self.share
+        if transmission is not None:
+            v, u = np.meshgrid(self.v, self.u, indexing="ij")
+            lit = self.share > 0
+            self.amplitude = np.zeros_like(self.share)
+            self.amplitude[lit] = self.share[lit] * transmission(u[lit], v[lit])
+        self._prepare(device, dtype)
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of all real tensors."""
+        return self._amplitude.dtype
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors are."""
+        return self._amplitude.device
+
+    def point_spread(self, turns: Tensor) -> Tensor:
+        """Point spread (..., H, W) of waves (..., n_v, n_u), centre at [H//2, W//2].
+
+        Parameters
+        ----------
+        turns : Tensor
+            Aberration over wavelength.
+        """
+        if self.method == "mdft":
+            return self._by_matrices(turns)
+        if not self.pixel_integrated:
+            return _centred(self._periodic(turns))
+        spread: Tensor = torch.fft.irfft2(self.transfer(turns), s=self.shape)
+        return _centred(spread)
+
+    def transfer(self, turns: Tensor) -> Tensor:
+        """``rfft2`` of the point spread, (..., H, W//2 + 1), origin at sample [0, 0]."""
+        if self.method == "mdft":
+            spread = self._by_matrices(turns)
+            rows, columns = self.shape
+            spectrum: Tensor = torch.fft.rfft2(
+                spread.roll((-(rows // 2), -(columns // 2)), (-2, -1))
+            )
+            return spectrum
+        spectrum = torch.fft.rfft2(self._periodic(turns))
+        if not self.pixel_integrated:
+            return spectrum
+        spectrum = spectrum * self._pixel
+        if self._finer == 1:
+            return spectrum
+        fine = torch.fft.irfft2(spectrum, s=self._grid)
+        spectrum = torch.fft.rfft2(fine[..., :: self._finer, :: self._finer])
+        return spectrum
+
+    def steepest(self, turns: Tensor) -> float:
+        """Largest step of waves (..., n_v, n_u) between neighbouring cells of the pupil."""
+        lit = torch.from_numpy(self.share > 0).to(turns.device)
+        steps = []
+        for axis in (-2, -1):
+            pairs = lit.narrow(axis, 1, lit.shape[axis] - 1)
+            pairs = pairs & lit.narrow(axis, 0, lit.shape[axis] - 1)
+            steps.append(float((turns.diff(dim=axis).abs() * pairs).max()))
+        return max(steps)
+
+    def warn_of_steps(self, turns: Tensor) -> None:
+        """Warn of a slope that the cells cannot hold."""
+        step = self.steepest(turns)
+        if step > 0.5:
+            warnings.warn(
+                f"the wave rises {step:.3g} waves from one pupil cell of "
+                f"{min(self.pupil_pitch):.3g} m to the next, limit 0.5, a slope of lambda/(2 cell):"
+                " the point spread is aliased; use a larger shape, or more samples",
+                stacklevel=4,
+            )
+
+    def _periodic(self, turns: Tensor) -> Tensor:
+        """Intensity over one period of fine samples, origin at sample [0, 0].
+
+        The pupil's corner is taken for its centre, a phase that the intensity does not see.
+        """
+        rows, columns = self._grid
+        field = torch.fft.fft(self._pupil(turns), n=columns, dim=-1)
+        return _intensity(torch.fft.fft(field, n=rows, dim=-2))
+
+    def _by_matrices(self, turns: Tensor) -> Tensor:
+        along_x, along_y = (torch.view_as_complex(m) for m in (self._along_x, self._along_y))
+        spread = _intensity(along_y @ (self._pupil(turns) @ along_x))
+        if not self.pixel_integrated:
+            return spread
+        return self._mean_y @ spread @ self._mean_x
+
+    def _pupil(self, turns: Tensor) -> Tensor:
+        """Amplitude times exp(2 pi i turns), conjugate for a pupil behind the image."""
+        phase = turns * math.copysign(2 * math.pi, self.image_distance)
+        return torch.complex(self._amplitude * phase.cos(), self._amplitude * phase.sin())
+
+    def _cells(self, samples: int | None) -> tuple[Array, Array]:
+        """Cell centres along v and u, m."""
+        if not self.pixel_integrated and self.pitch > self.nyquist_pitch * (1 + _ROUNDING):
+            raise SamplingError(
+                f"pitch = {self.pitch:.6g} m is wider than Nyquist's {self.nyquist_pitch:.6g} m, "
+                "too wide for point samples; use a finer pitch, or pixel_integrated=True"
+            )
+        if self.method == "mdft":
+            axis = self._matrix_axis(samples)
+            return axis, axis
+        if samples is not None:
+            raise SamplingError(
+                f"samples = {samples} with method='fft', whose pupil cells follow from shape and "
+                "pitch; leave it out, or use method='mdft'"
+            )
+        return self._period_axis(0), self._period_axis(1)
+
+    def _period_axis(self, side: int) -> Array:
+        """Cells of which the image along one side is a whole period."""
+        cell = self._spread / (self.shape[side] * self.pitch)
+        if cell > self.pupil_radius:
+            need = math.ceil(self._spread / (self.pupil_radius * self.pitch))
+            raise SamplingError(
+                f"shape[{side}] = {self.shape[side]} samples the pupil every {cell:.3g} m, limit "
+                f"its radius, {self.pupil_radius:.3g} m; use {need} pixels or more"
+            )
+        # the rim ends within half a cell of the last one
+        reach = math.ceil(self.pupil_radius / cell + 0.5 - _ROUNDING) - 1
+        return np.arange(-reach, reach + 1, dtype=np.float64) * cell
+
+    def _matrix_axis(self, samples: int | None) -> Array:
+        """Cells on which a disc just fits, for matrix products."""
+        longest = max(self.shape) * self.pitch
+        if samples is None:
+            samples = max(32, 1 + math.ceil(4 * self.pupil_radius * longest / self._spread))
+        samples = whole("samples", samples, 2)
+        cell = fitting_pitch(self.pupil_radius, samples)
+        period = self._spread / cell
+        if longest > period * (1 + _ROUNDING):
+            need = math.ceil(2 * self.pupil_radius * longest / self._spread) + 1
+            raise SamplingError(
+                f"{samples} pupil samples repeat the image every {period:.3g} m, inside its "
+                f"{longest:.3g} m; use samples = {need} or more"
+            )
+        return (np.arange(samples, dtype=np.float64) - samples // 2) * cell
+
+    def _samples(self) -> tuple[int, tuple[int, int]]:
+        """Samples per pixel and in all, once they are known to fit in memory."""
+        finer = 1
+        if self.method == "fft" and self.pixel_integrated:
+            finer = math.ceil(self.pitch / self.nyquist_pitch * (1 - _ROUNDING))
+        grid = (self.shape[0] * finer, self.shape[1] * finer)
+        cells = (self.v.size, self.u.size)
+        fits_memory(
+            f"the transform of {cells} pupil cells to {grid} samples",
+            64.0 * (math.prod(grid) + sum(cells) * sum(grid)),
+            "use fewer pixels, a finer pitch or a smaller pupil",
+        )
+        return finer, grid
+
+    def _prepare(self, device: torch.device | str, dtype: torch.dtype) -> None:
+        """Tensors of the chosen transform."""
+        cell = math.sqrt(math.prod(self.pupil_pitch))
+        # Parseval: all samples of a period sum to 1
+        scale = self.pitch * cell / (self._spread * math.sqrt(np.sum(self.amplitude**2)))
+
+        def keep(name: str, values: Array) -> None:
+            self.register_buffer(name, torch.from_numpy(values).to(device=device, dtype=dtype))
+
+        keep("_amplitude", self.amplitude * (scale / self._finer))
+        if self.method == "mdft":
+            rule = None
+            if self.pixel_integrated:
+                rule = pixel_rule(self.pitch, self.nyquist_pitch, max(self.shape))
+                keep("_mean_y", _means(rule, self.shape[0]))
+                keep("_mean_x", np.ascontiguousarray(_means(rule, self.shape[1]).T))
+            window = Window.centred(self.pitch, self.shape)
+            if rule is not None:
+                window = rule.window(self.pitch, self.shape)
+            keep("_along_y", _kernel(np.outer(window.y, self.v) / self._spread))
+            keep("_along_x", _kernel(np.outer(self.u, window.x) / self._spread))
+        elif self.pixel_integrated:
+            # energies of pixels finer samples wide: the finer sample's sum, as often
+            y, x = (np.fft.fftfreq(n, 1 / self._finer) for n in self._grid)
+            keep("_pixel", np.outer(np.sinc(y), np.sinc(x[: len(x) // 2 + 1])) * self._finer**2)
+
+
+def _kernel(turns: Array) -> Array:
+    """exp(-2 pi i turns) as pairs of reals: Module.to(dtype) would drop the imaginary part."""
+    turns = 2 * np.pi * (turns - np.round(turns))
+    return np.stack([np.cos(turns), -np.sin(turns)], axis=-1)
+
+
+def _means(rule: PixelRule, count: int) -> Array:
+    """Matrix (pixels, fine samples) of pixel means."""
+    matrix = np.zeros((count, count * rule.factor + 2 * rule.margin))
+    for row in range(count):
+        matrix[row, row * rule.factor : row * rule.factor + rule.taps.size] = rule.taps
+    return matrix
+
+
+class _SquaredModulus(torch.autograd.Function):
+    """|z|^2, whose gradient at 0 is 0; torch's own squares of parts take three times as long."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(field: Tensor) -> Tensor:
+        real, imaginary = field.real, field.imag
+        return torch.addcmul(real.square(), imaginary, imaginary)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Tensor], output: Tensor) -> None:
+        ctx.save_for_backward(*inputs)
+        ctx.save_for_forward(*inputs)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> Tensor:
+        (field,) = ctx.saved_tensors
+        pairs = torch.view_as_real(field) * (2.0 * gradient).unsqueeze(-1)
+        return torch.view_as_complex(pairs)
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: Tensor) -> Tensor:
+        (field,) = ctx.saved_tensors
+        change: Tensor = 2.0 * (field.real * tangent.real + field.imag * tangent.imag)
+        return change
+
+
+def _intensity(field: Tensor) -> Tensor:
+    intensity: Tensor = _SquaredModulus.apply(field)  # type: ignore[no-untyped-call]
+    return intensity
+
+
+def _centred(spread: Tensor) -> Tensor:
+    rows, columns = spread.shape[-2:]
+    return spread.roll((rows // 2, columns // 2), (-2, -1))

@@ -1,0 +1,239 @@
+"""Waves on pupil cells from few numbers, each linear in them, in torch."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from ..._checks import fits_memory, real, whole
+from ...errors import SamplingError, SceneError
+from ...psf import Wavefront, fit_zernike
+from ...psf.pupil.slope_integration import integrated_slopes, slope_filter
+from ...psf.wave.cell_series import CellSpectrum
+from ...psf.wave.polar_series import PolarSpectrum, values_at
+from ...psf.wave.zernikes import zernike
+from .pupil_optics import PupilOptics
+
+Array = NDArray[np.float64]
+#: Noll's defocus.
+DEFOCUS = 4
+
+
+class ZernikeWaves(nn.Module):
+    """Sums of Zernike polynomials.
+
+    Parameters
+    ----------
+    modes : iterable of int
+        Noll indices, each once, not 1: piston moves nothing.
+    optics : PupilOptics
+    rest : ndarray, optional
+        (n_v, n_u), m, an aberration that is added as it is.
+
+    Attributes
+    ----------
+    leaf_shape : (int,)
+        Shape of one set of coefficients: waves rms over the full disc.
+    rest : Tensor or None
+        (n_v, n_u), what is added, over the wavelength.
+    """
+
+    _basis: Tensor
+    rest: Tensor | None
+    _phase: Tensor | None
+
+    def __init__(
+        self, modes: Iterable[int], optics: PupilOptics, rest: Array | None = None
+    ) -> None:
+        super().__init__()
+        self.modes = _checked_modes(modes)
+        self.leaf_shape: tuple[int, ...] = (len(self.modes),)
+        lit = int(np.count_nonzero(optics.share))
+        if lit < len(self.modes):
+            raise SamplingError(
+                f"{lit} pupil cells cannot hold {len(self.modes)} modes; use fewer modes or a "
+                "larger shape"
+            )
+        size = optics.share.size * len(self.modes)
+        fits_memory(f"{len(self.modes)} modes on the pupil", 24.0 * size, "use fewer modes")
+        basis = np.stack([noll_mode(mode, optics) for mode in self.modes])
+        self.register_buffer("_basis", like(optics, basis))
+        turns = None if rest is None else np.where(optics.share > 0, rest, 0.0) / optics.wavelength
+        # whole turns taken off before single precision cuts digits away
+        phase = None if turns is None else turns - np.round(turns)
+        self.register_buffer("rest", None if turns is None else like(optics, turns))
+        self.register_buffer("_phase", None if phase is None else like(optics, phase))
+
+    def forward(self, coefficients: Tensor) -> Tensor:
+        """Aberration over wavelength, (..., n_v, n_u), up to whole turns, 0 outside the pupil."""
+        turns = self._sum(coefficients)
+        return turns if self._phase is None else turns + self._phase
+
+    def unwrapped(self, coefficients: Tensor) -> Tensor:
+        """The same with its whole turns."""
+        turns = self._sum(coefficients)
+        return turns if self.rest is None else turns + self.rest
+
+    def _sum(self, coefficients: Tensor) -> Tensor:
+        flat = coefficients @ self._basis.flatten(1)
+        return flat.reshape(*coefficients.shape[:-1], *self._basis.shape[1:])
+
+
+class SlopeWaves(nn.Module):
+    """Least-squares waves of slopes on a square grid, with splines between its nodes.
+
+    Parameters
+    ----------
+    count : int
+        Nodes per side; [count//2, count//2] is on the axis.
+    slope_pitch : float
+        Between nodes, m.
+    optics : PupilOptics
+
+    Attributes
+    ----------
+    leaf_shape : (int, int, 2)
+        Shape of one set of slopes dW/du, dW/dv, in waves per pupil radius.
+    modes : tuple
+        Empty.
+    """
+
+    _left: Tensor
+    _right: Tensor
+    _cosines: Tensor
+    _sources: Tensor
+    _inverse: Tensor
+    _lit: Tensor
+
+    def __init__(self, count: int, slope_pitch: float, optics: PupilOptics) -> None:
+        super().__init__()
+        self.modes: tuple[int, ...] = ()
+        self.leaf_shape: tuple[int, ...] = (count, count, 2)
+        fits_memory(f"{count} x {count} slopes", 200.0 * count**2, "use fewer slopes")
+        axis = (np.arange(count, dtype=np.float64) - count // 2) * slope_pitch
+        solve = slope_filter((count, count))
+        left, right = (
+            _spline(axis, cells) @ cosines.T
+            for cells, cosines in zip((optics.v, optics.u), solve.cosines, strict=True)
+        )
+        for name, values in (
+            ("_left", left),
+            ("_right", right.T),
+            ("_cosines", solve.cosines[0]),
+            ("_sources", solve.sources[0]),
+            ("_inverse", solve.inverse * (slope_pitch / optics.pupil_radius)),
+            ("_lit", optics.share > 0),
+        ):
+            self.register_buffer(name, like(optics, values))
+
+    def forward(self, coefficients: Tensor) -> Tensor:
+        """Aberration over wavelength, (..., n_v, n_u), 0 outside the pupil."""
+        along, up = coefficients.unbind(-1)
+        # a square grid has the same cosines both ways
+        sources = self._cosines @ along @ self._sources.T + self._sources @ up @ self._cosines.T
+        surface: Tensor = self._left @ (sources * self._inverse) @ self._right
+        return surface * self._lit
+
+    def unwrapped(self, coefficients: Tensor) -> Tensor:
+        """The same: nothing was taken off."""
+        turns: Tensor = self(coefficients)
+        return turns
+
+    def curl_residual(self, coefficients: Tensor) -> float:
+        """Rms over all pairs of neighbours of what no wave has, in the coefficients' unit."""
+        tables = coefficients.detach().double().cpu().numpy().reshape(-1, *self.leaf_shape)
+        whole_grid = np.ones(self.leaf_shape[:2], dtype=bool)
+        squares = [integrated_slopes(table, 1.0, whole_grid)[1] ** 2 for table in tables]
+        return float(np.sqrt(np.mean(squares)))
+
+
+def fitted_modes(
+    wave: Wavefront, modes: Sequence[int], optics: PupilOptics
+) -> tuple[Array, list[float]]:
+    """What modes leave of a polar wave, on the pupil's cells, m; and their fit to it, waves."""
+    found = _checked_modes(modes)
+    fit = fit_zernike(wave, max(found))
+    v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
+    rest = np.zeros_like(u)
+    lit = optics.share > 0
+    rest[lit] = on_cells(wave.series(wave.aberration), u[lit], v[lit])
+    for mode in found:
+        rest -= fit[mode] * noll_mode(mode, optics)
+    return rest, [fit[mode] / wave.wavelength for mode in found]
+
+
+def on_cells(series: PolarSpectrum | CellSpectrum, u: Array, v: Array) -> Array:
+    """A polar wave's function at points of the pupil, m."""
+    if isinstance(series, CellSpectrum):
+        raise SamplingError("the wave is sampled on cells, not on polar nodes; use polar ones")
+    return values_at(series, None, u, v, 1e-13)[0]
+
+
+def checked_slopes(slopes: Any, slope_pitch: float, optics: PupilOptics) -> Array:
+    """Slopes (g, g, 2), rad, of a grid that covers the pupil."""
+    try:
+        values = np.asarray(slopes, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError("slopes are not an array of real numbers; give (g, g, 2), rad") from None
+    if values.ndim != 3 or values.shape[0] != values.shape[1] or values.shape[2] != 2:
+        raise SceneError(f"slopes have shape {values.shape}; give (g, g, 2), rad")
+    if not np.isfinite(values).all():
+        place = np.argwhere(~np.isfinite(values))[0].tolist()
+        raise SceneError(f"slopes{place} hold NaN or infinity; give finite start values, 0 if none")
+    count = values.shape[0]
+    reach = ((count - 1) // 2 + 0.5) * slope_pitch
+    if count < 2 or reach < optics.pupil_radius * (1 - 1e-9):
+        need = 2 * math.ceil(optics.pupil_radius / slope_pitch - 0.5) + 1
+        raise SamplingError(
+            f"{count} x {count} slopes {slope_pitch:.3g} m apart reach {reach:.3g} m from the "
+            f"axis, the pupil {optics.pupil_radius:.3g} m; give {max(need, 2)} or more a side"
+        )
+    return values
+
+
+def _spline(nodes: Array, cells: Array) -> Array:
+    """Matrix of the interpolating cubic spline, or of the highest degree that few nodes allow."""
+    from scipy.interpolate import make_interp_spline
+
+    spline = make_interp_spline(nodes, np.eye(nodes.size), k=min(3, nodes.size - 1))
+    return np.asarray(spline(cells))
+
+
+def noll_mode(mode: int, optics: PupilOptics) -> Array:
+    """Zernike polynomial on the pupil's cells, rms 1 over the disc, (n_v, n_u)."""
+    v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
+    values = zernike(mode, np.hypot(u, v) / optics.pupil_radius, np.arctan2(v, u))
+    return np.where(optics.share > 0, values, 0.0)
+
+
+def like(optics: PupilOptics, values: Any) -> Tensor:
+    """Tensor of an array, where and as precise as the optics."""
+    array = np.ascontiguousarray(np.asarray(values, dtype=np.float64))
+    return torch.tensor(array, device=optics.device, dtype=optics.dtype)
+
+
+def start_values(modes: Sequence[int] | Mapping[int, float], wavelength: float) -> list[float]:
+    """Coefficients in waves of a mapping from mode to metres; 0 for a sequence."""
+    if not isinstance(modes, Mapping):
+        return [0.0] * len(modes)
+    return [real(f"modes[{mode}]", value) / wavelength for mode, value in modes.items()]
+
+
+def _checked_modes(modes: Iterable[int]) -> tuple[int, ...]:
+    if isinstance(modes, (str, int, float)) or not hasattr(modes, "__iter__"):
+        raise SceneError(f"modes = {modes!r}; give a sequence of Noll indices")
+    found = tuple(whole("mode", mode, 1) for mode in modes)
+    if not found:
+        raise SceneError("modes is empty; give Noll indices from 2 on")
+    if 1 in found:
+        raise SceneError("modes holds 1, piston, which moves no image; leave it out")
+    if len(set(found)) < len(found):
+        twice = next(mode for mode in found if found.count(mode) > 1)
+        raise SceneError(f"modes holds {twice} more than once; give each index once")
+    return found

@@ -1,0 +1,301 @@
+"""Numbers of a scene as leaves: radius of the wall, places, tilt of the object, focus, gloss."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+from typing import Unpack
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+
+from ..._checks import one_of
+from ...errors import SamplingError, SceneError
+from ...psf import exit_pupil, wall_view, wavefront
+from ...scene import PlanarObject, Scene
+from .pupil_optics import ImageOptions, PupilOptics
+from .pupil_waves import like, on_cells
+from .wall_paths import CurvedWall, WallPaths
+
+Array = NDArray[np.float64]
+#: What may be a leaf.
+LEAVES = (
+    "wall_radius",
+    "object_position",
+    "object_tilt",
+    "camera_position",
+    "focus_distance",
+    "lobe_slope",
+)
+
+
+class SceneLeaves(nn.Module):
+    """Point spread of a scene as a function of some of its numbers, differentiable.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its numbers are the start values.
+    leaves : sequence of str
+        - ``wall_radius``: of a sphere or cylinder, m.
+        - ``object_position``: (3,), world, m.
+        - ``object_tilt``: (2,), yaw and pitch of a planar object, rad; it moves points beside the
+          object's centre alone.
+        - ``camera_position``: (3,), world, m; the camera goes on looking at its aim.
+        - ``focus_distance``: of the plane in focus, m: defocus. The image distance stays.
+        - ``lobe_slope``: slope rms of the wall's mirror-like lobe, per axis, rad.
+    pitch : float
+        Of the image, m.
+    shape : int or (int, int)
+        Image rows H and columns W.
+    **options
+        ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype`` of
+        `PupilPSF.from_zernike`.
+
+    Attributes
+    ----------
+    leaves : torch.nn.ParameterDict
+        float64 whatever ``dtype`` is: a path of metres is wanted to nanometres.
+
+    Raises
+    ------
+    SceneError
+        If a leaf is unknown, or the scene does not have it.
+    CausticError, NotWaveGradeError, SamplingError
+        As of `psf.wavefront`, at the start or at later values.
+
+    Notes
+    -----
+    The wave is that of `psf.wavefront`, aimed anew at every call, its piston and tilt over the
+    pupil taken out by least squares: tilt moves the image, and only the image is seen. Amplitudes,
+    and the wall as the lobe blurs it (`psf.wall_view`), stay those of the start. A lobe of slope
+    rms s multiplies the transfer function at frequency f by
+    ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``, the rough limit of `psf.mean_point_spread`.
+    Rays are aimed on the processor; the transform runs where ``device`` says.
+    """
+
+    _frequencies: Tensor
+
+    def __init__(
+        self,
+        scene: Scene,
+        leaves: Sequence[str],
+        *,
+        pitch: float,
+        shape: int | tuple[int, int],
+        **options: Unpack[ImageOptions],
+    ) -> None:
+        super().__init__()
+        self.scene = scene
+        wave = wavefront(scene, nodes="polar")
+        if exit_pupil(scene).stop != "lens":
+            raise SceneError("the wall is the stop, whose outline moves; give a smaller lens stop")
+        self.optics = PupilOptics(
+            wavelength=wave.wavelength,
+            pupil_radius=wave.pupil_radius,
+            image_distance=wave.image_distance,
+            pitch=pitch,
+            shape=shape,
+            transmission=partial(on_cells, wave.series(wave.amplitude)),
+            **options,
+        )
+        self._start = _start_values(scene)
+        names = _checked_names(leaves, self._start, scene)
+        values = {name: torch.tensor(self._start[name], dtype=torch.float64) for name in names}
+        self.leaves = nn.ParameterDict(
+            {name: nn.Parameter(value) for name, value in values.items()}
+        )
+        self._lit = self.optics.share > 0
+        v, u = np.meshgrid(self.optics.v, self.optics.u, indexing="ij")
+        self._nodes = torch.from_numpy(np.stack([u[self._lit], v[self._lit]], axis=-1))
+        self._plane = _plane_fit(u[self._lit], v[self._lit], self.optics.amplitude[self._lit])
+        self._blurs = "lobe_slope" in names or float(np.max(self._start["lobe_slope"])) > 0
+        if self._blurs:
+            if self.optics.method != "fft":
+                raise SamplingError("a lobe's blur needs method='fft', whose image is a period")
+            self.register_buffer("_frequencies", like(self.optics, _lobe_frequencies(self)))
+
+        with torch.no_grad():
+            self.optics.warn_of_steps(self.aberration() / self.optics.wavelength)
+
+    def forward(self, field: ArrayLike | None = None) -> Tensor:
+        """Point spread, (H, W), or (K, H, W) of points beside the object's centre.
+
+        Parameters
+        ----------
+        field : array_like, (K, 2), optional
+            Places on a planar object, m, to its right and up; default its centre.
+
+        Returns
+        -------
+        Tensor
+            Centre at [H//2, W//2], on the mean ray of the point.
+        """
+        turns = self._turns(field)
+        if not self._blurs:
+            return self.optics.point_spread(turns)
+        rows, columns = self.optics.shape
+        spread: Tensor = torch.fft.irfft2(self._blurred(turns), s=self.optics.shape)
+        return spread.roll((rows // 2, columns // 2), (-2, -1))
+
+    def transfer(self, field: ArrayLike | None = None) -> Tensor:
+        """``rfft2`` of `forward`, origin at sample [0, 0], (..., H, W//2 + 1), complex."""
+        turns = self._turns(field)
+        return self._blurred(turns) if self._blurs else self.optics.transfer(turns)
+
+    def aberration(self, field: ArrayLike | None = None) -> Tensor:
+        """W on the pupil's cells, m, float64, (n_v, n_u) or (K, n_v, n_u), 0 outside the pupil."""
+        if field is None:
+            return self._path(self._value("object_position"))
+        try:
+            places = np.asarray(field, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise SceneError("field is no array of numbers; give places (K, 2), m") from None
+        if (
+            places.ndim != 2
+            or places.shape[1] != 2
+            or not len(places)
+            or not np.isfinite(places).all()
+        ):
+            raise SceneError(f"field has shape {places.shape}; give finite places (K, 2), m")
+        if not isinstance(self.scene.hidden, PlanarObject):
+            raise SceneError("field needs a planar object, and the hidden object is a mesh")
+        axes = self._object_axes()
+        points = self._value("object_position") + torch.from_numpy(places) @ axes
+        return torch.stack([self._path(point) for point in points])
+
+    def _value(self, name: str) -> Tensor:
+        if name in self.leaves:
+            # rays are aimed on the processor, in double precision
+            value: Tensor = self.leaves[name].to(device="cpu", dtype=torch.float64)
+            return value
+        return torch.tensor(self._start[name], dtype=torch.float64)
+
+    def _turns(self, field: ArrayLike | None) -> Tensor:
+        turns = self.aberration(field) / self.optics.wavelength
+        # whole turns taken off before single precision cuts digits away
+        turns = turns - turns.detach().round()
+        return turns.to(device=self.optics.device, dtype=self.optics.dtype)
+
+    def _blurred(self, turns: Tensor) -> Tensor:
+        slope = self._value("lobe_slope").to(device=turns.device, dtype=turns.dtype)
+        return self.optics.transfer(turns) * torch.exp(-(slope**2) * self._frequencies)
+
+    def _object_axes(self) -> Tensor:
+        """Rows right and up of the object, world, (2, 3)."""
+        hidden = self.scene.hidden
+        yaw, pitch = self._value("object_tilt")
+        one, zero = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
+        (cy, sy), (cp, sp) = ((a.cos(), a.sin()) for a in (yaw, pitch))
+        about_y = torch.stack([cy, zero, sy, zero, one, zero, -sy, zero, cy]).view(3, 3)
+        about_x = torch.stack([one, zero, zero, zero, cp, -sp, zero, sp, cp]).view(3, 3)
+        roll = hidden.roll
+        about_z = [[math.cos(roll), -math.sin(roll), 0.0], [math.sin(roll), math.cos(roll), 0.0]]
+        unturned = torch.tensor([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64)
+        rolled = torch.tensor([*about_z, [0.0, 0.0, 1.0]], dtype=torch.float64)
+        return unturned @ (about_y @ about_x @ rolled).T
+
+    def _path(self, object_point: Tensor) -> Tensor:
+        """W of one object point on the pupil's cells, m."""
+        centre = self._value("camera_position")
+        line = torch.tensor(self.scene.camera.aim, dtype=torch.float64) - centre
+        axis = line / line.norm()
+        offsets = self._nodes @ _frame(axis)
+        offsets = torch.cat((torch.zeros(1, 3, dtype=torch.float64), offsets))
+        excess, _ = WallPaths.apply(  # type: ignore[no-untyped-call]
+            self._value("wall_radius"),
+            object_point,
+            centre + offsets,
+            axis.detach(),
+            self.scene.wall,
+        )
+        mirrored = object_point * torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64) - centre
+        in_focus = mirrored * (self._value("focus_distance") / (mirrored @ axis))
+        path = excess[1:] - excess[0]
+        path = path + (_longer(mirrored, offsets) - _longer(in_focus, offsets))[1:]
+        terms, fit = self._plane
+        path = path - (fit @ path) @ terms
+        aberration = torch.zeros(self._lit.shape, dtype=torch.float64)
+        lit = torch.from_numpy(self._lit)
+        return aberration.masked_scatter(lit, path)
+
+
+def _longer(line: Tensor, offsets: Tensor) -> Tensor:
+    """|line - offset| - |line| without cancellation."""
+    change = (offsets * offsets).sum(dim=-1) - 2 * offsets @ line
+    length = line.norm()
+    longer: Tensor = change / ((length**2 + change).sqrt() + length)
+    return longer
+
+
+def _frame(axis: Tensor) -> Tensor:
+    """Rows e1 and e2 of `scene.pupil_frame`, (2, 3)."""
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    if float(torch.linalg.cross(up, axis.detach()).norm()) < 1e-12:
+        up = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    e1 = torch.linalg.cross(up, axis)
+    e1 = e1 / e1.norm()
+    return torch.stack([e1, torch.linalg.cross(axis, e1)])
+
+
+def _plane_fit(u: Array, v: Array, weights: Array) -> tuple[Tensor, Tensor]:
+    """Piston and tilts at the cells, (3, n), and the matrix of their weighted fit, (3, n)."""
+    terms = np.stack([np.ones_like(u), u / np.abs(u).max(), v / np.abs(v).max()])
+    fit = np.linalg.solve((terms * weights) @ terms.T, terms * weights)
+    return torch.from_numpy(terms), torch.from_numpy(fit)
+
+
+def _start_values(scene: Scene) -> dict[str, list[float] | float]:
+    hidden = scene.hidden
+    tilt = [hidden.yaw, hidden.pitch]
+    lobes = scene.wall_material.mirror_lobes
+    if len(lobes) > 1 and any(lobe.slope_rms > 0 for lobe in lobes):
+        raise SceneError(
+            f"the wall has {len(lobes)} mirror-like lobes, and one slope is a leaf; give one lobe"
+        )
+    return {
+        "wall_radius": scene.wall.radius if isinstance(scene.wall, CurvedWall) else 1.0,
+        "object_position": scene.object_point.tolist(),
+        "object_tilt": tilt,
+        "camera_position": list(scene.camera.position),
+        "focus_distance": scene.focus_distance,
+        "lobe_slope": float(lobes[0].slope_rms) if lobes else 0.0,
+    }
+
+
+def _checked_names(
+    leaves: Sequence[str], start: dict[str, list[float] | float], scene: Scene
+) -> tuple[str, ...]:
+    names = (leaves,) if isinstance(leaves, str) else tuple(leaves)
+    for name in names:
+        one_of("leaf", name, LEAVES)
+    if not names or len(set(names)) < len(names):
+        raise SceneError(f"leaves = {names!r}; give each leaf once, and at least one")
+    if "wall_radius" in names and not isinstance(scene.wall, CurvedWall):
+        raise SceneError(
+            f"wall_radius of a {type(scene.wall).__name__}, which has none; give a ConcaveWall or "
+            "ConvexWall, or leave the leaf out"
+        )
+    if "object_tilt" in names and not isinstance(scene.hidden, PlanarObject):
+        raise SceneError("object_tilt of a mesh; give a planar object, or leave the leaf out")
+    if "lobe_slope" in names and not start["lobe_slope"]:
+        raise SceneError(
+            "lobe_slope starts at 0, where no gradient leaves it; give the wall one mirror-like "
+            "lobe with a slope"
+        )
+    return names
+
+
+def _lobe_frequencies(leaves: SceneLeaves) -> Array:
+    """2 pi^2 |(cos_i + cos_o) d_i M f|^2 on the half spectrum."""
+    optics, view = leaves.optics, wall_view(leaves.scene)
+    rows, columns = optics.shape
+    fy = np.fft.fftfreq(rows, optics.pitch)[:, None]
+    fx = np.fft.rfftfreq(columns, optics.pitch)[None, :]
+    footprint = view.footprint
+    seen = [footprint[i, 0] * fx + footprint[i, 1] * fy for i in (0, 1)]
+    reach = view.cos_sum * optics.image_distance
+    return np.asarray(2 * np.pi**2 * reach**2 * (seen[0] ** 2 + seen[1] ** 2))

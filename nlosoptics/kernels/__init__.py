@@ -1,0 +1,1 @@
+"""Compiled functions that several packages call: wall heights, lobes, random draws."""

@@ -1,0 +1,1 @@
+"""Outlines of pupils, and the quadrature nodes inside them."""

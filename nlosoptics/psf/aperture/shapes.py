@@ -1,0 +1,221 @@
+"""Outlines of common pupils: sectors between vanes, hexagon lattices, cut discs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import positive, real
+from ...errors import SceneError
+from .curves import Curve
+from .polygons import Sides
+
+Array = NDArray[np.float64]
+
+#: Points along s and t of every patch where overlap is looked for.
+LOOKS: Final = 64
+#: Of a radius, within which circles touch rather than cross.
+TOUCHING: Final = 1e-12
+
+
+def place(name: str, value: Any) -> Array:
+    """Return two finite coordinates."""
+    try:
+        x, y = value
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} = {value!r} is not a point; give (u, v) in m") from None
+    return np.array([real(f"{name}[0]", x), real(f"{name}[1]", y)])
+
+
+def ellipse_axes(a: float, b: float, angle: float) -> Array:
+    """Half axes (2, 2), the first at ``angle``, m."""
+    positive("a", a, unit="m")
+    positive("b", b, unit="m")
+    c, s = math.cos(real("angle", angle)), math.sin(angle)
+    return np.array([[a * c, a * s], [-b * s, b * c]])
+
+
+def hexagon_centres(rings: int, pitch: float, angle: float) -> Array:
+    """Centre and rings of a triangular lattice, one neighbour at ``angle``, (n, 2), m."""
+    turn = angle + math.pi / 3 * np.arange(8)
+    step = pitch * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    found = [np.zeros(2)]
+    for ring in range(1, rings + 1):
+        for k in range(6):
+            found += [ring * step[k] + i * step[k + 2] for i in range(ring)]
+    return np.array(found)
+
+
+def sectors(
+    radius: float, obscuration: float, vanes: int, width: float, angle: float
+) -> list[tuple[list[Curve], list[Sides]]]:
+    """Outline and patches of what straight vanes leave between them of a disc or ring."""
+    positive("vane_width", width, unit="m")
+    inner, spread = obscuration * radius, 2 * math.pi / vanes
+    if obscuration == 0 and vanes == 1:
+        raise SceneError("one vane without an obscuration hangs in the air; give two or more")
+    # where two vanes' edges meet, or the half width that one alone needs
+    apex = width / 2 / math.sin(min(spread, math.pi) / 2)
+    least = radius if obscuration == 0 else inner
+    if apex >= least * (1 - 1e-9):
+        raise SceneError(
+            f"vane_width = {width:.4g} m: {vanes} vanes of it meet {apex:.4g} m from the axis, "
+            f"limit {least:.4g} m, the radius of the {'pupil' if obscuration == 0 else 'hole'}; "
+            "use narrower vanes"
+        )
+    found = []
+    for k in range(vanes):
+        low, high = angle + k * spread, angle + (k + 1) * spread
+        cut = math.asin(width / (2 * radius))
+        outer = Curve.circle((0.0, 0.0), radius, low + cut, high - cut)
+        if obscuration == 0:
+            middle = (low + high) / 2
+            within = Curve.point((apex * math.cos(middle), apex * math.sin(middle)))
+        else:
+            cut = math.asin(width / (2 * inner))
+            within = Curve.circle((0.0, 0.0), inner, low + cut, high - cut)
+        found.append(_between(within, outer))
+    return found
+
+
+def _between(inner: Curve, outer: Curve) -> tuple[list[Curve], list[Sides]]:
+    """Outline and patches between an arc and an outer one, their ends joined."""
+    outers = outer.parts()
+    count = len(outers)
+    inners = [inner.part(i / count, (i + 1) / count) for i in range(count)]
+    a, b = inner.at([0.0, 1.0]), outer.at([0.0, 1.0])
+    outline = [Curve.line(a[0], b[0]), *outers, Curve.line(b[1], a[1])]
+    if inner.is_arc:
+        outline += [c.part(1.0, 0.0) for c in reversed(inners)]
+    return outline, list(zip(inners, outers, strict=True))
+
+
+def common_outline(
+    discs: Iterable[tuple[Any, Any]], corners: Array | None = None
+) -> tuple[list[Curve], Array]:
+    """Curves, counterclockwise, about what discs have in common, and a point well within.
+
+    ``corners`` (n, 2), counterclockwise, are those of a convex polygon that counts as well.
+    """
+    centres, radii = _checked_discs(discs)
+    pieces = [
+        Curve.circle(centres[i], float(radii[i]), low, high)
+        for i in range(len(radii))
+        for low, high in _free_arcs(i, centres, radii, corners)
+    ]
+    whole = len(pieces) == 1 and abs(float(pieces[0].turn)) > 6
+    if corners is not None:
+        pieces += _free_sides(corners, centres, radii)
+    if not pieces:
+        raise SceneError(
+            "the discs and sides given have no area in common; move their centres closer together"
+        )
+    middle = pieces[0].base if whole else _middle(pieces)
+    order = np.argsort([math.atan2(*(p.at([0.5])[0] - middle)[::-1]) for p in pieces])
+    return [part for k in order for part in pieces[int(k)].parts()], np.asarray(middle)
+
+
+def _middle(pieces: Sequence[Curve]) -> Array:
+    """Mean of the ends and middles of a convex outline's pieces, which lies within."""
+    return np.asarray(np.mean([p.at([0.0, 0.5, 1.0]) for p in pieces], axis=(0, 1)))
+
+
+def _free_sides(corners: Array, centres: Array, radii: Array) -> list[Curve]:
+    """Parts of a convex polygon's sides that lie within all discs."""
+    found = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        low, high = 0.0, 1.0
+        step = b - a
+        for c, r in zip(centres, radii, strict=True):
+            # |a + t step - c| = r
+            square, half, rest = step @ step, (a - c) @ step, (a - c) @ (a - c) - r * r
+            root = half * half - square * rest
+            if root <= 0:
+                high = -1.0
+                break
+            low = max(low, (-half - math.sqrt(root)) / square)
+            high = min(high, (-half + math.sqrt(root)) / square)
+        if high - low > TOUCHING:
+            found.append(Curve.line(a + low * step, a + high * step))
+    return found
+
+
+def _checked_discs(discs: Iterable[tuple[Any, Any]]) -> tuple[Array, Array]:
+    try:
+        pairs = [(centre, radius) for centre, radius in discs]
+    except (TypeError, ValueError):
+        raise SceneError("discs are not pairs; give [((u, v), radius), ...] in m") from None
+    if not pairs:
+        raise SceneError("discs = []; give at least one ((u, v), radius) in m")
+    kept: list[tuple[Array, float]] = []
+    for k, (centre, radius) in enumerate(pairs):
+        c = place(f"discs[{k}] centre", centre)
+        r = positive(f"discs[{k}] radius", radius, unit="m")
+        # equal discs bound the same
+        if not any(np.hypot(*(c - o)) + abs(r - s) <= TOUCHING * r for o, s in kept):
+            kept.append((c, r))
+    return np.stack([c for c, _ in kept]), np.array([r for _, r in kept])
+
+
+def _free_arcs(
+    i: int, centres: Array, radii: Array, corners: Array | None
+) -> list[tuple[float, float]]:
+    """Arcs of circle i, from one angle to another, within all other discs and a polygon."""
+    cuts: list[float] = []
+    for j in range(len(radii)):
+        step = centres[j] - centres[i]
+        apart = float(np.hypot(*step))
+        if j == i or apart + radii[i] <= radii[j] * (1 + TOUCHING):
+            continue  # it holds the whole of this circle
+        if not abs(radii[i] - radii[j]) < apart < radii[i] + radii[j]:
+            return []  # it is within, or they are apart
+        cosine = (apart**2 + radii[i] ** 2 - radii[j] ** 2) / (2 * apart * radii[i])
+        half, middle = math.acos(min(1.0, max(-1.0, cosine))), math.atan2(step[1], step[0])
+        cuts += [middle - half, middle + half]
+    sides: list[tuple[Array, Array]] = []
+    if corners is not None:
+        sides = list(zip(corners, np.roll(corners, -1, axis=0) - corners, strict=True))
+    for corner, along in sides:
+        inward = np.array([-along[1], along[0]]) / math.hypot(*along)
+        depth = float((centres[i] - corner) @ inward) / radii[i]
+        if abs(depth) < 1:
+            half, middle = math.acos(-depth), math.atan2(inward[1], inward[0])
+            cuts += [middle - half, middle + half]
+    cuts = sorted({c % (2 * math.pi) for c in cuts}) or [0.0]
+    found: list[tuple[float, float]] = []
+    for low, high in zip(cuts, [*cuts[1:], cuts[0] + 2 * math.pi], strict=True):
+        middle = (low + high) / 2
+        point = centres[i] + radii[i] * np.array([math.cos(middle), math.sin(middle)])
+        inside = bool(np.all(np.hypot(*(point - centres).T) <= radii * (1 + TOUCHING)))
+        inside &= all(a[0] * (point - c)[1] >= a[1] * (point - c)[0] for c, a in sides)
+        if high - low > 1e-9 and inside:
+            found.append((low, high))
+    # arcs that follow one another at a cut of a disc that takes nothing are one
+    return _joined(found)
+
+
+def _joined(arcs: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    joined: list[tuple[float, float]] = []
+    for low, high in arcs:
+        if joined and joined[-1][1] == low:
+            joined[-1] = (joined[-1][0], high)
+        else:
+            joined.append((low, high))
+    if len(joined) > 1 and joined[0][0] + 2 * math.pi == joined[-1][1]:
+        low, _ = joined.pop()
+        joined[0] = (low, joined[0][1] + 2 * math.pi)
+    return joined
+
+
+def drawn_in(sides: Sequence[Sides], share: float) -> Array:
+    """Points (n, 2) of a cell's patches, their sides drawn in by a share of their width."""
+    fraction = np.linspace(share, 1 - share, LOOKS)
+    found = []
+    for a, b in sides:
+        low, high = a.at(fraction)[None], b.at(fraction)[None]
+        found.append((low + (high - low) * fraction[:, None, None]).reshape(-1, 2))
+    return np.concatenate(found)

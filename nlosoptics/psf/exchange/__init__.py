@@ -1,0 +1,1 @@
+"""Waves for other programs and from them."""

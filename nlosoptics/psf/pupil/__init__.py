@@ -1,0 +1,1 @@
+"""From a scene to its wave: exit pupil, aimed rays, wall wavefront, facets."""

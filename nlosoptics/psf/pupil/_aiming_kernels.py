@@ -1,0 +1,177 @@
+"""Aiming through the relay wall: stationary paths, their excess and their spreading."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit, prange
+
+from ...kernels.heights import surface
+from ...kernels.parallel import threaded
+
+FOUND, NOT_FOUND, OFF_SURFACE = 0, 1, 2
+N_COLUMNS = 8  # x, y, z, excess, spreading, determinant, smaller curvature, status
+
+
+@njit(cache=True)
+def _stationarity(o, p, x, y, s, side):
+    """Gradient and Hessian over (x, y) of |O - X| + side |X - p| on the surface ``s``."""
+    ax, ay, az = x - o[0], y - o[1], s[0] - o[2]
+    bx, by, bz = p[0] - x, p[1] - y, p[2] - s[0]
+    d1, d2 = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
+    ax, ay, az = ax / d1, ay / d1, az / d1
+    bx, by, bz = bx / d2, by / d2, bz / d2
+    kx, ky, kz = ax - side * bx, ay - side * by, az - side * bz
+    gx, gy = kx + kz * s[1], ky + kz * s[2]
+    # tangents (1, 0, hx) and (0, 1, hy), projected across each leg
+    a1, a2 = ax + az * s[1], ay + az * s[2]
+    b1, b2 = bx + bz * s[1], by + bz * s[2]
+    i1, i2 = 1.0 / d1, side / d2
+    t11, t12, t22 = 1.0 + s[1] * s[1], s[1] * s[2], 1.0 + s[2] * s[2]
+    hxx = i1 * (t11 - a1 * a1) + i2 * (t11 - b1 * b1) + kz * s[3]
+    hxy = i1 * (t12 - a1 * a2) + i2 * (t12 - b1 * b2) + kz * s[4]
+    hyy = i1 * (t22 - a2 * a2) + i2 * (t22 - b2 * b2) + kz * s[5]
+    return gx, gy, hxx, hxy, hyy
+
+
+@njit(cache=True)
+def stationary_point(terms, tables, o, p, x, y, side):
+    """Newton with backtracking on the gradient of the path from O by the wall to p.
+
+    Returns (x, y, status). The start (x, y) must lie on the surface.
+    """
+    s = surface(terms, tables, x, y)
+    if math.isnan(s[0]):
+        return x, y, OFF_SURFACE
+    gx, gy, hxx, hxy, hyy = _stationarity(o, p, x, y, s, side)
+    norm = math.hypot(gx, gy)
+    for _ in range(60):
+        if norm == 0.0:
+            return x, y, FOUND
+        det = hxx * hyy - hxy * hxy
+        scale = max(abs(hxx), abs(hyy), abs(hxy))
+        if abs(det) < 1e-14 * scale * scale:
+            return x, y, NOT_FOUND
+        dx, dy = -(hyy * gx - hxy * gy) / det, -(hxx * gy - hxy * gx) / det
+        length = 1.0
+        moved = False
+        for _ in range(40):
+            xn, yn = x + length * dx, y + length * dy
+            sn = surface(terms, tables, xn, yn)
+            if not math.isnan(sn[0]):
+                trial = _stationarity(o, p, xn, yn, sn, side)
+                norm_n = math.hypot(trial[0], trial[1])
+                if norm_n < norm:
+                    moved = True
+                    break
+            length *= 0.5
+        if not moved:
+            # rounding stops the descent; the path is stationary to second order in what is left
+            return x, y, FOUND if norm < 1e-11 else NOT_FOUND
+        x, y, s, norm = xn, yn, sn, norm_n
+        gx, gy, hxx, hxy, hyy = trial
+    return x, y, FOUND if norm < 1e-11 else NOT_FOUND
+
+
+@njit(cache=True)
+def _describe(o, p, x, y, s, axis, row):
+    """Fill a row of `aim`, its status apart, at the stationary point (x, y)."""
+    row[0], row[1], row[2] = x, y, s[0]
+    _, _, hxx, hxy, hyy = _stationarity(o, p, x, y, s, 1.0)
+    det = hxx * hyy - hxy * hxy
+    row[5] = det
+    row[6] = 0.5 * (hxx + hyy - math.hypot(hxx - hyy, 2.0 * hxy))
+    # A = H - O', B = p - H; |A| + |B| - |A + B| without cancellation
+    ax, ay, az = x - o[0], y - o[1], s[0] + o[2]
+    bx, by, bz = p[0] - x, p[1] - y, p[2] - s[0]
+    a, b = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    dot = ax * bx + ay * by + az * bz
+    c = math.sqrt((ax + bx) ** 2 + (ay + by) ** 2 + (az + bz) ** 2)
+    bend = 2.0 * (cx * cx + cy * cy + cz * cz) / ((a * b + dot) * (a + b + c))
+    a_true = math.sqrt(ax * ax + ay * ay + (s[0] - o[2]) ** 2)
+    row[3] = bend - 4.0 * o[2] * s[0] / (a_true + a)
+    # van Vleck determinant of the reduced path gives the spreading of a ray tube
+    along_1 = abs(-s[1] * ax - s[2] * ay + (s[0] - o[2])) / a_true
+    along_2 = abs(-s[1] * bx - s[2] * by + bz) / b
+    cos_pupil = abs(bx * axis[0] + by * axis[1] + bz * axis[2]) / b
+    row[4] = along_1 * along_2 * cos_pupil / (a_true * a_true * b * b * abs(det))
+
+
+@threaded()
+def aim(terms, tables, o, nodes, starts, axis, out):
+    """Fill ``out`` (n, 8) for the stationary paths from O by the wall to each node (n, 3).
+
+    Columns: wall point x, y, z; path excess over |O' - p|, m; spreading (flux on the pupil
+    plane per solid angle at O, 1/m^2); determinant and smaller eigenvalue of the path's Hessian;
+    status. ``axis`` is the unit normal of the pupil plane.
+    """
+    for i in prange(nodes.shape[0]):
+        p = nodes[i]
+        x, y, status = stationary_point(terms, tables, o, p, starts[i, 0], starts[i, 1], 1.0)
+        s = surface(terms, tables, x, y)
+        out[i, 0], out[i, 1], out[i, 2] = x, y, s[0]
+        if status == FOUND:
+            _describe(o, p, x, y, s, axis, out[i])
+        out[i, 7] = status
+
+
+@njit(cache=True)
+def stationarities(o, nodes, points, surfaces, side, out):
+    """Fill ``out`` (n, 5) with the path's gradient and Hessian at points (n, 2) of a surface."""
+    for i in range(nodes.shape[0]):
+        s = surfaces[i]
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = _stationarity(
+            o, nodes[i], points[i, 0], points[i, 1], s, side
+        )
+
+
+@njit(cache=True)
+def describe(o, nodes, points, surfaces, axis, out):
+    """Fill rows (n, 8) of `aim`, their status apart, at stationary points (n, 2)."""
+    for i in range(nodes.shape[0]):
+        _describe(o, nodes[i], points[i, 0], points[i, 1], surfaces[i], axis, out[i])
+
+
+@njit(cache=True)
+def _two_sum(a, b):
+    s = a + b
+    t = s - a
+    return s, (a - (s - t)) + (b - t)
+
+
+@njit(cache=True)
+def _square(a):
+    """Exact square as a sum of two doubles, by Veltkamp splitting."""
+    c = 134217729.0 * a
+    high = c - (c - a)
+    low = a - high
+    p = a * a
+    return p, ((high * high - p) + 2.0 * high * low) + low * low
+
+
+@njit(cache=True)
+def _distance(p, q):
+    """Distance as a sum of two doubles."""
+    high = low = 0.0
+    for i in range(3):
+        d, e = _two_sum(p[i], -q[i])
+        s, t = _square(d)
+        high, carry = _two_sum(high, s)
+        low += carry + t + 2.0 * d * e
+    high, low = _two_sum(high, low)
+    root = math.sqrt(high)
+    if root == 0.0:
+        return 0.0, 0.0
+    s, t = _square(root)
+    return root, ((high - s) - t + low) / (2.0 * root)
+
+
+@njit(cache=True)
+def path_difference(source, wall_point, target, side, reference):
+    """|source - X| + side |X - target| - reference, rounded once."""
+    a, a_low = _distance(source, wall_point)
+    b, b_low = _distance(wall_point, target)
+    total, carry = _two_sum(a, side * b)
+    total, rest = _two_sum(total, -reference)
+    return total + (rest + carry + a_low + side * b_low)

@@ -1,0 +1,150 @@
+"""Aiming: the paths from an object point by the relay wall to the points of a pupil."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import vector
+from ...errors import CausticError, SceneError
+from ...scene import CallableWall, Wall, pupil_frame
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class AimedRays:
+    """Stationary paths from an object point by the wall to pupil points.
+
+    Parameters
+    ----------
+    points : ndarray, (n, 3)
+        Where the paths meet the wall, world, m.
+    excess : ndarray, (n,)
+        Path length over the distance from the mirrored object point, m.
+    spreading : ndarray, (n,)
+        Flux on the pupil plane per unit radiant intensity, 1/m^2.
+    """
+
+    points: Array
+    excess: Array
+    spreading: Array
+
+
+def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:
+    """Find the path from an object point by the wall to each pupil node.
+
+    Parameters
+    ----------
+    wall : Wall
+    object_point : array_like, (3,)
+        World, m, in front of the wall.
+    nodes : ndarray, (n, 3)
+        Pupil points, world, m, in front of the wall.
+    axis : ndarray, (3,)
+        Unit normal of the pupil plane.
+
+    Returns
+    -------
+    AimedRays
+
+    Raises
+    ------
+    CausticError
+        If a node is reached by several rays or by none, or the rays of the pupil have crossed.
+    """
+    o = np.array(vector("object_point", object_point))
+    for name, height in (("object_point", o[2]), ("pupil", float(nodes[:, 2].min()))):
+        if height <= 0:
+            raise SceneError(f"{name} has z = {height:g} m, behind the wall; must be above 0")
+    share = o[2] / (o[2] + nodes[:, 2])
+    mirror_hits = o + share[:, None] * (nodes - o)
+    if wall.is_flat:
+        legs = np.linalg.norm(nodes - o * (1, 1, -1), axis=1)
+        cosine = abs((nodes - o * (1, 1, -1)) @ axis) / legs
+        mirror_hits[:, 2] = 0.0
+        return AimedRays(
+            points=mirror_hits,
+            excess=np.zeros(len(nodes)),
+            spreading=cosine / legs**2,
+        )
+    from . import _aiming_kernels, callable_aiming
+
+    out = np.empty((len(nodes), _aiming_kernels.N_COLUMNS))
+    nodes, starts = np.ascontiguousarray(nodes), mirror_hits[:, :2].copy()
+    if isinstance(wall, CallableWall):
+        callable_aiming.aim(wall, o, nodes, starts, axis, out)
+    else:
+        _aiming_kernels.aim(*wall.compiled(), o, nodes, starts, axis, out)
+    lost = out[:, 7] != _aiming_kernels.FOUND
+    if lost.any():
+        raise CausticError(
+            f"{int(lost.sum())} of {len(nodes)} pupil nodes are reached by no single ray by the "
+            f"wall, first node {int(np.argmax(lost))}; use a flatter wall or other distances"
+        )
+    curvature = out[:, 6]
+    if out[:, 5].min() < 0 < out[:, 5].max() or curvature.min() < 0 < curvature.max():
+        raise CausticError(
+            f"the rays of the pupil cross on a caustic (the path's smaller curvature runs from "
+            f"{curvature.min():.3g} to {curvature.max():.3g} 1/m); use a flatter wall, a smaller "
+            "stop, or distances away from its focus"
+        )
+    _refuse_several_paths(wall, o, nodes, out)
+    return AimedRays(points=out[:, :3], excess=out[:, 3], spreading=out[:, 4])
+
+
+def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> None:
+    """Search for further stationary points where the wall bends enough to have them."""
+    first = aimed[0]
+    d1 = float(np.linalg.norm(first[:3] - o))
+    d2 = float(np.linalg.norm(first[:3] - nodes[0]))
+    cosines = (o[2] / d1, float(nodes[0, 2]) / d2)
+    # a wall flatter than this leaves the path convex, and a convex path has one minimum
+    least = cosines[0] ** 2 / d1 + cosines[1] ** 2 / d2
+    if sum(cosines) * wall.max_curvature < 0.8 * least:
+        return
+    from . import _aiming_kernels
+
+    reach = 2 * math.hypot(o[0] - nodes[0, 0], o[1] - nodes[0, 1]) + o[2] + float(nodes[0, 2])
+    if math.isfinite(wall.finest_period):
+        slope = wall.max_curvature * wall.finest_period / (2 * math.pi)
+        reach = min(reach, 4 * slope * d1 * d2 / (d1 + d2) + 2 * wall.finest_period)
+    n_starts = int(min(129, max(9, 2 * math.ceil(4 * reach / wall.finest_period) + 1)))
+    offsets = np.linspace(-reach, reach, n_starts)
+    for node in (0, len(nodes) - 1):
+        centre = aimed[node, :2]
+        around = centre + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
+        for x, y, status in stationary_points(wall, o, nodes[node], around, 1.0):
+            apart = math.hypot(x - centre[0], y - centre[1])
+            if status == _aiming_kernels.FOUND and apart > 1e-6 and bool(wall.contains(x, y)):
+                raise CausticError(
+                    f"the wall shows the object more than once: light also arrives from "
+                    f"x = {x:.4g} m, y = {y:.4g} m beside x = {centre[0]:.4g} m, "
+                    f"y = {centre[1]:.4g} m; use a flatter wall or rays instead of waves"
+                )
+
+
+def stationary_points(
+    wall: Wall, o: Array, p: Array, starts: Array, side: float
+) -> Iterator[tuple[float, float, int]]:
+    """Stationary wall points (x, y, status) of the path from O to p, from several starts."""
+    from . import _aiming_kernels, callable_aiming
+
+    if isinstance(wall, CallableWall):
+        targets = np.broadcast_to(p, (len(starts), 3)).copy()
+        points, status = callable_aiming.stationary_points(wall, o, targets, starts, side)
+        yield from zip(points[:, 0].tolist(), points[:, 1].tolist(), status.tolist(), strict=True)
+        return
+    terms, tables = wall.compiled()
+    for x, y in starts:
+        yield _aiming_kernels.stationary_point(terms, tables, o, p, x, y, side)
+
+
+def pupil_points(centre: ArrayLike, axis: Array, nodes: Array) -> Array:
+    """World coordinates of pupil nodes (n, 2) in the plane through ``centre`` across ``axis``."""
+    e1, e2, _ = pupil_frame(axis)
+    return np.asarray(np.asarray(centre) + nodes[:, :1] * e1 + nodes[:, 1:] * e2)

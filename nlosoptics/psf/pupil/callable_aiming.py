@@ -1,0 +1,84 @@
+"""Aiming through walls whose height is a Python function, for all pupil nodes at once."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...scene import Wall
+from . import _aiming_kernels
+
+Array = NDArray[np.float64]
+STATIONARY = 1e-11  # gradient of a path that is stationary but for rounding
+
+
+def stationary_points(
+    wall: Wall, o: Array, nodes: Array, starts: Array, side: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """Newton with backtracking on the gradient of the paths from O by the wall to each node.
+
+    Parameters
+    ----------
+    wall : Wall
+    o : ndarray, (3,)
+        World, m.
+    nodes : ndarray, (n, 3)
+        World, m.
+    starts : ndarray, (n, 2)
+        First guesses of the wall points, m.
+    side : float
+        1 for nodes in front of the wall, -1 for virtual ones behind.
+
+    Returns
+    -------
+    points : ndarray, (n, 2)
+    status : ndarray of int, (n,)
+        As `_aiming_kernels.stationary_point`.
+    """
+
+    def stationarity(rows: NDArray[np.int64], at: Array) -> Array:
+        out = np.empty((len(rows), 5))
+        _aiming_kernels.stationarities(
+            o, nodes[rows], at, wall.derivatives(at[:, 0], at[:, 1]), side, out
+        )
+        return out
+
+    points = starts.copy()
+    state = stationarity(np.arange(len(nodes)), points)
+    norm = np.hypot(state[:, 0], state[:, 1])
+    active = np.flatnonzero(norm > 0)
+    for _ in range(60):
+        gx, gy, hxx, hxy, hyy = state[active].T
+        det = hxx * hyy - hxy * hxy
+        steep = np.abs(det) >= 1e-14 * np.abs(state[active, 2:]).max(axis=1, initial=0.0) ** 2
+        active, gx, gy, hxx, hxy, hyy, det = (
+            a[steep] for a in (active, gx, gy, hxx, hxy, hyy, det)
+        )
+        step = -np.stack([hyy * gx - hxy * gy, hxx * gy - hxy * gx], axis=1) / det[:, None]
+        waiting, moved = np.arange(len(active)), []
+        for halving in range(40):
+            if not len(waiting):
+                break
+            rows = active[waiting]
+            trial = points[rows] + 0.5**halving * step[waiting]
+            found = stationarity(rows, trial)
+            length = np.hypot(found[:, 0], found[:, 1])
+            better = length < norm[rows]
+            kept = rows[better]
+            points[kept], state[kept], norm[kept] = trial[better], found[better], length[better]
+            moved.append(kept)
+            waiting = waiting[~better]
+        active = np.sort(np.concatenate(moved)) if moved else active[:0]
+        active = active[norm[active] > 0]
+        if not len(active):
+            break
+    # rounding stops the descent; the paths are stationary to second order in what is left
+    return points, np.where(norm < STATIONARY, _aiming_kernels.FOUND, _aiming_kernels.NOT_FOUND)
+
+
+def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:
+    """Fill ``out`` (n, 8) as `_aiming_kernels.aim` does."""
+    points, status = stationary_points(wall, o, nodes, starts, 1.0)
+    surfaces = wall.derivatives(points[:, 0], points[:, 1])
+    _aiming_kernels.describe(o, nodes, points, surfaces, axis, out)
+    out[:, 7] = status

@@ -1,0 +1,180 @@
+"""Waves from a wall of random facets: tilts on the wall become slopes in the pupil."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...errors import CausticError, SamplingError, SceneError
+from ...raytrace import facet_angles
+from ...raytrace.fans.facets import material_slope
+from ...scene import Scene
+from ..wave.wavefront import Wavefront
+from .slope_integration import integrated_slopes
+from .wall_view import _optics, _zoom, facet_reach
+from .wall_wavefront import wavefront
+
+Array = NDArray[np.float64]
+
+
+def facet_wavefront(
+    scene: Scene,
+    *,
+    cell: float,
+    slope_rms: float | None = None,
+    samples: int = 256,
+    seed: int = 0,
+) -> tuple[Wavefront, float]:
+    """Wave of a wall with a random facet on each of its cells, on a pupil grid.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its wall is the mean one.
+    cell : float
+        Side of a facet's cell, m.
+    slope_rms : float, optional
+        Of the facets per axis, rad; by default that of the wall material's strongest lobe that has
+        one.
+    samples : int
+        Cells of the pupil grid per side.
+    seed : int
+        Of `raytrace.facet_angles`.
+
+    Returns
+    -------
+    wavefront : Wavefront
+        The mean wall's, as of `psf.wavefront`, plus the least-squares wave of the facets' slopes;
+        the tilt of the latter is left in.
+    curl_residual_rms : float
+        rms of the facets' pupil slopes that no wave has, rad; see `wavefront_from_slopes`.
+
+    Raises
+    ------
+    CausticError
+        If the facets throw light past their neighbours, so that W is undefined; or as of
+        `psf.wavefront`.
+    SamplingError
+        If the pupil grid steps over cells.
+
+    Notes
+    -----
+    A facet of slope s shows a pupil point ``(cos_i + cos_o) s d_eff`` away from the wall point
+    that the mean wall shows it, `facet_reach`. Once that passes a cell, several facets or none
+    send their light to a pupil point, and once it passes the patch nothing of the mean wave is
+    left: then W is undefined. The wave of such slopes may still be wanted as a model: it is what
+    `raytrace.facet_angles`, `pupil_slopes` and `wavefront_from_slopes` return one by one.
+    """
+    if slope_rms is None:
+        slope_rms = material_slope(scene)
+    slopes, positions = facet_angles(scene, cell=cell, slope_rms=slope_rms, seed=seed)
+    reach, patch = facet_reach(scene, slope_rms=slope_rms)
+    limit = min(float(cell), patch)
+    if reach > limit:
+        what = "one cell" if cell <= patch else "the patch that the pupil sees"
+        raise CausticError(
+            f"facets of slope rms {slope_rms:.3g} rad throw light {reach:.3g} m along the wall, "
+            f"limit {limit:.3g} m ({what}), {reach / limit:.3g} times too far: W is undefined; use "
+            f"a slope_rms of at most {slope_rms * limit / reach:.3g} rad or rays instead of waves"
+        )
+    mean = wavefront(scene, nodes="grid", samples=samples)
+    # cells beside the disc may have a share of rounding's size
+    mask = mean.weights > 1e-12 * mean.pupil_pitch**2
+    nodes = np.stack([mean.u[mask], mean.v[mask]], axis=1)
+    zoom = _zoom(scene)
+    step = mean.pupil_pitch / abs(zoom)
+    step *= float(np.linalg.norm(_optics(scene, np.zeros((1, 2))).footprint[0], 2))
+    if step > cell:
+        raise SamplingError(
+            f"neighbours of {samples} x {samples} pupil samples see the wall {step:.3g} m apart, "
+            f"limit cell = {cell:.3g} m; use {int(np.ceil(samples * step / cell)) + 1} samples"
+        )
+    table = np.zeros((*mask.shape, 2))
+    table[mask] = pupil_slopes(scene, slopes, positions, nodes)
+    rough, residual = integrated_slopes(table, mean.pupil_pitch, mask)
+    return replace(mean, aberration=mean.aberration + rough), residual
+
+
+def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: ArrayLike) -> Array:
+    """Slopes of the wave at fixed pupil points from the tilts of the wall's facets.
+
+    Parameters
+    ----------
+    scene : Scene
+    slopes : array_like, (ny, nx, 2)
+        Facet slopes against the mean wall, as of `raytrace.facet_angles`.
+    positions : array_like, (ny, nx, 3)
+        Centres of the cells, world, m.
+    nodes : array_like, (n, 2)
+        Points (u, v) of the exit pupil, m.
+
+    Returns
+    -------
+    ndarray, (n, 2)
+        What the facets add to dW/du and dW/dv, rad, in first order of their slopes.
+
+    Raises
+    ------
+    SamplingError
+        If a node sees the wall beyond the cells.
+    CausticError
+        If the mean wall's W is undefined.
+
+    Notes
+    -----
+    ``grad_p W = -(cos_i + cos_o) M^T grad h`` with
+    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``: the pupil point p sees the wall point
+    M p. P projects along the two legs, K is the mean wall's bend (positive hollow to the room) and
+    E takes the pupil's axes into the wall across the ray.
+    """
+    table, x, y = _lattice(slopes, positions)
+    points = np.asarray(nodes, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+        raise SceneError(f"nodes have shape {points.shape}; give (n, 2) finite u and v in m")
+    zoom = _zoom(scene)
+    seen = _optics(scene, points / zoom)
+    columns, rows = (_cell_index(axis, seen.points[:, k]) for k, axis in enumerate((x, y)))
+    outside = (columns < 0) | (columns >= len(x)) | (rows < 0) | (rows >= len(y))
+    if outside.any():
+        i = int(np.argmax(outside))
+        raise SamplingError(
+            f"pupil node {i} sees the wall at x = {seen.points[i, 0]:.6g} m, y = "
+            f"{seen.points[i, 1]:.6g} m, beyond the cells (x from {x[0]:.6g} to {x[-1]:.6g} m, y "
+            f"from {y[0]:.6g} to {y[-1]:.6g} m); give facets over all that the pupil sees"
+        )
+    tilt = table[rows, columns]
+    found = -seen.cosines[:, None] * np.einsum("nba,nb->na", seen.footprint, tilt)
+    return np.asarray(found / zoom)
+
+
+def _lattice(slopes: ArrayLike, positions: ArrayLike) -> tuple[Array, Array, Array]:
+    """Checked slopes and the coordinates of the cells' columns and rows, m."""
+    table, places = np.asarray(slopes, np.float64), np.asarray(positions, np.float64)
+    if table.ndim != 3 or table.shape[2] != 2 or places.shape != (*table.shape[:2], 3):
+        raise SceneError(
+            f"slopes have shape {table.shape} and positions {places.shape}; give (ny, nx, 2) and "
+            "(ny, nx, 3)"
+        )
+    if min(table.shape[:2]) < 2:
+        raise SceneError(f"slopes have shape {table.shape}; give two cells or more each way")
+    if not (np.isfinite(table).all() and np.isfinite(places).all()):
+        raise SceneError("slopes or positions hold NaN or infinity; give finite facets")
+    x, y = places[0, :, 0], places[:, 0, 1]
+    for axis, found in ((x, places[..., 0]), (y[:, None], places[..., 1])):
+        step = (axis.ravel()[-1] - axis.ravel()[0]) / (axis.size - 1)
+        even = axis.ravel()[0] + step * np.arange(axis.size)
+        error = max(float(np.abs(found - axis).max()), float(np.abs(axis.ravel() - even).max()))
+        if not (step > 0 and error <= 1e-6 * step):
+            raise SceneError(
+                f"positions are {error:.3g} m off a lattice of {step:.3g} m; take them from "
+                "raytrace.facet_angles"
+            )
+    return table, x, y
+
+
+def _cell_index(centres: Array, at: Array) -> NDArray[np.int64]:
+    """Index of the cell that holds each coordinate; beyond the ends for those outside."""
+    step = (centres[-1] - centres[0]) / (len(centres) - 1)
+    return np.asarray(np.floor((at - centres[0]) / step + 0.5), dtype=np.int64)

@@ -1,0 +1,68 @@
+"""Occluders in the cone of light that makes a point spread."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SceneError
+from ...raytrace import occluded
+from ...scene import Scene
+from .aiming import aim, pupil_points
+
+Array = NDArray[np.float64]
+
+RINGS, SPOKES = 6, 24  # sample rays over the lens, its rim included
+
+
+def check_cone(scene: Scene) -> bool:
+    """Whether the occluders hide the object's reference point from the whole lens.
+
+    Raises
+    ------
+    SceneError
+        If they hide it from a part of the lens: the point spread knows no such pupil.
+    """
+    radii = scene.camera.stop_diameter / 2 * np.arange(1, RINGS + 1)[:, None] / RINGS
+    angles = 2 * math.pi * np.arange(SPOKES) / SPOKES
+    nodes = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
+    nodes = np.concatenate([np.zeros((1, 2)), nodes])
+    axis = scene.camera.axis
+    lens = pupil_points(np.array(scene.camera.position), axis, nodes)
+    rays = aim(scene.wall, scene.object_point, lens, axis)
+    return hides(scene, scene.object_point, rays.points, lens)
+
+
+def hides(scene: Scene, object_point: Array, on_wall: Array, on_lens: Array) -> bool:
+    """Whether the occluders cut every path from a point by the wall to the lens.
+
+    Parameters
+    ----------
+    scene : Scene
+    object_point : ndarray, (3,)
+        World, m.
+    on_wall, on_lens : ndarray, (n, 3)
+        Where the paths meet the wall and the lens, world, m; those beyond the wall's edge are left
+        out.
+
+    Raises
+    ------
+    SceneError
+        If some paths are cut and some are not.
+    """
+    mesh = scene.occluding_mesh
+    if mesh is None:
+        return False
+    kept = scene.wall.contains(on_wall[:, 0], on_wall[:, 1])
+    on_wall, on_lens = on_wall[kept], on_lens[kept]
+    cut = occluded(mesh, object_point, on_wall) | occluded(mesh, on_wall, on_lens)
+    if cut.any() and not cut.all():
+        point = tuple(round(float(c), 6) for c in object_point)
+        raise SceneError(
+            f"scene.occluders cut {100 * cut.mean():.2g} % of the cone of light from the object "
+            f"point {point} m by the wall to the lens, limit 0 or 100 %: a point spread has the "
+            "whole pupil; move the occluder, or make camera.stop_diameter smaller"
+        )
+    return bool(cut.size) and bool(cut.all())

@@ -1,0 +1,1 @@
+"""Point spread functions of rough walls: mean, samples, two scales."""

@@ -1,0 +1,262 @@
+"""Mean point spread of a rough wall, without drawing one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import fits_memory, in_range, one_of, positive
+from ...errors import SamplingError
+from ...scene import Scene
+from ..pupil.scene_optics import SceneOptics
+from ..transform.point_spread import (
+    NORMALISATIONS,
+    Normalisation,
+    PointSpread,
+    detilted_point_spread,
+)
+from ..transform.wide_pixels import detilted_wide_spread
+from ..wave.detilted import Residual
+from ..wave.regime import regime
+from ..wave.wavefront import Wavefront
+from ..window.error_bounds import rounded_up
+from ..window.window import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
+from .roughness import Roughness
+from .scattered_light import EPSILON, PIXEL_BYTES, scattered_light
+from .view import RoughView, rough_source
+
+Array = NDArray[np.float64]
+
+#: Rayleigh parameter beyond which the smooth core, exp(-s^2), is below rounding.
+ALL_DIFFUSE: Final = 6.2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RoughPointSpread(PointSpread):
+    """Mean image of a point by a rough wall, over all walls of the same statistics.
+
+    Parameters
+    ----------
+    coherent : ndarray
+        (ny, nx), read-only: the part of ``intensity`` in the smooth core, which has the shape of
+        the smooth wall's point spread; the rest is `diffuse`.
+    rayleigh_parameter : float
+        ``s = k (cos_i + cos_o) height_rms``, rad: rms of the phase that the heights give.
+    """
+
+    coherent: Array
+    rayleigh_parameter: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        coherent = np.array(self.coherent, dtype=np.float64, order="C")
+        coherent.setflags(write=False)
+        object.__setattr__(self, "coherent", coherent)
+
+    @property
+    def diffuse(self) -> Array:
+        """The part of ``intensity`` that the roughness scatters."""
+        return self.intensity - self.coherent
+
+    @property
+    def coherent_fraction(self) -> float:
+        """``exp(-s^2)``, the share of the light in the smooth core."""
+        return math.exp(-(self.rayleigh_parameter**2))
+
+    @property
+    def total_integrated_scatter(self) -> float:
+        """``1 - exp(-s^2)``, the share that is scattered, into any angle."""
+        return -math.expm1(-(self.rayleigh_parameter**2))
+
+
+def mean_point_spread(
+    source: Wavefront | Scene | SceneOptics,
+    roughness: Roughness,
+    *,
+    footprint: ArrayLike | None = None,
+    cos_sum: float | None = None,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+    normalisation: Normalisation = "unit-sum",
+    pixel_integrated: bool = False,
+) -> RoughPointSpread:
+    """Mean point spread over all rough walls of the same statistics, in closed form.
+
+    Parameters
+    ----------
+    source : Wavefront, Scene or SceneOptics
+        The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
+        The pupil of a scene is sampled as finely as ``tol`` takes.
+    roughness : Roughness
+    footprint : float or array_like (2, 2), optional
+        M, from a step in the exit pupil to the step seen in the wall; ``d1/(d1 + d2)`` at normal
+        incidence. Needed with a wavefront, taken from `wall_view` with a scene.
+    cos_sum : float, optional
+        Sum of the cosines of incidence and exitance, above 0 to 2; as ``footprint``.
+    tol : float
+        Largest error of the result, relative to its peak.
+    pitch : float, optional
+        Image sampling or pixel side, m. Default a quarter of lambda N.
+    shape : int or (int, int), optional
+        (ny, nx). Default at least 256 a side with all rays, their tails and the halo inside.
+    normalisation : {"unit-sum", "ideal-peak", "flux"}
+        As of `point_spread`. The whole plane carries what the smooth wall sends.
+    pixel_integrated : bool
+        Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
+
+    Returns
+    -------
+    RoughPointSpread
+
+    Raises
+    ------
+    SceneError
+        If ``footprint`` or ``cos_sum`` is missing, or given with a scene.
+    SamplingError
+        As of `point_spread`, or if the sum over separations does not reach ``tol``.
+
+    Notes
+    -----
+    ``OTF_mean(d) = OTF_0(d) exp(-s^2 [1 - C(M d)])``, d the separation of exit-pupil points [1]_:
+    exact for a thin screen of Gaussian heights in first order, large against the footprint; without
+    shadowing or multiple scattering, so not for white foam. The plateau ``exp(-s^2)`` is the smooth
+    point spread; the rest is summed over lags M d with nodes of their own, which resolve a C that
+    is narrow against the pupil, and is exact in a window of any size.
+
+    References
+    ----------
+    .. [1] Goodman, Statistical Optics, 2nd ed., sec. 8.3.
+    """
+    one_of("normalisation", normalisation, NORMALISATIONS)
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    smooth = rough_source(source, roughness, footprint, cos_sum)
+    step, size = image_sampling(smooth.residual, smooth.view, pitch, shape)
+    return smooth.refined(
+        lambda residual: detilted_mean(
+            residual,
+            smooth.view,
+            tol,
+            step,
+            size,
+            normalisation=normalisation,
+            pixel_integrated=pixel_integrated,
+        )
+    )
+
+
+def detilted_mean(
+    residual: Residual,
+    view: RoughView,
+    tol: float,
+    pitch: float,
+    shape: tuple[int, int],
+    *,
+    normalisation: Normalisation = "unit-sum",
+    pixel_integrated: bool = False,
+) -> RoughPointSpread:
+    """`mean_point_spread` of a wave whose piston and tilt are already separated.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall.
+    view : RoughView
+        Roughness as the wave's pupil sees it.
+    tol, pitch, shape, normalisation, pixel_integrated
+        The options of `mean_point_spread`, already checked; the window holds the rays.
+
+    Returns
+    -------
+    RoughPointSpread
+    """
+    wave = residual.wavefront
+    fits_memory(
+        f"a point spread of {shape[0]} x {shape[1]} samples",
+        PIXEL_BYTES * shape[0] * shape[1],
+        "use a larger tol or wider pixels",
+    )
+    core = None
+    if view.rayleigh_parameter < ALL_DIFFUSE:
+        if pixel_integrated:
+            core = detilted_wide_spread(residual, pitch, shape, tol)
+        else:
+            core = detilted_point_spread(residual, tol=tol, pitch=pitch, shape=shape)
+    share = math.exp(-(view.rayleigh_parameter**2))
+    coherent = np.zeros(shape) if core is None else share * core.intensity
+    diffuse, error = np.zeros(shape), 0.0
+    if view.rayleigh_parameter > 0:
+        window = Window.centred(pitch, shape)
+        diffuse, error = scattered_light(residual, view, window, pixel_integrated, coherent, tol)
+    # a mean of intensities is at least 0; what lies below is less than the error
+    total = np.maximum(coherent + diffuse, 0.0)
+    peak = float(total.max())
+    error = error / peak + 10 * EPSILON
+    if core is not None:
+        error += core.error_estimate * float(coherent.max()) / peak
+    if error > tol:
+        raise SamplingError(
+            f"the mean of the rough wall reaches an error of {error:.2g}, limit tol = {tol:g}; use "
+            f"tol = {rounded_up(1.5 * error)}, or a wavefront of more pupil nodes"
+        )
+    scale = {
+        "unit-sum": 1.0,
+        "flux": wave.flux,
+        "ideal-peak": 1 / residual.pixel_share(pitch),
+    }[normalisation]
+    return RoughPointSpread(
+        intensity=total * scale,
+        coherent=coherent * scale,
+        pitch=pitch,
+        method="separations" if core is None else f"{core.method} + separations",
+        error_estimate=error,
+        normalisation=normalisation,
+        wavelength=wave.wavelength,
+        f_number=wave.f_number,
+        pixel_integrated=pixel_integrated,
+        enclosed_energy=float(total.sum()),
+        rayleigh_parameter=view.rayleigh_parameter,
+        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
+        reason=_reason(view, core),
+    )
+
+
+def _reason(view: RoughView, core: PointSpread | None) -> str:
+    """Why halo and core were computed as they were."""
+    s = view.rayleigh_parameter
+    if s == 0:
+        halo = "the wall is smooth"
+    else:
+        halo = f"separations carry {100 * -math.expm1(-(s**2)):.3g} % of the light, s = {s:.3g} rad"
+    if core is None:
+        return f"{halo}; no core: exp(-s^2) is below rounding"
+    return f"{halo}; core: {core.reason}"
+
+
+def image_sampling(
+    residual: Residual,
+    view: RoughView,
+    pitch: float | None,
+    shape: int | tuple[int, int] | None,
+) -> tuple[float, tuple[int, int]]:
+    """Pitch and shape, given or by default; a given window must hold the rays."""
+    if pitch is None:
+        pitch = min(residual.airy_unit / 4, residual.nyquist_pitch / 2)
+    pitch = positive("pitch", pitch, unit="m")
+    if shape is not None:
+        shape = shape_of(shape)
+        check_rays(residual, pitch, shape)
+        return pitch, shape
+    n = default_shape(residual, pitch)[0]
+    halo = view.halo(residual.wavefront)
+    n = max(n, n - 256 + 2 * math.ceil(halo / pitch))
+    if n > WIDEST_DEFAULT:
+        raise SamplingError(
+            f"the halo reaches {halo:.3g} m from the axis, {n} samples of {pitch:.3g} m across, "
+            f"limit {WIDEST_DEFAULT}; give a wider pitch with pixel_integrated=True, or a shape"
+        )
+    return pitch, (n, n)

@@ -1,0 +1,306 @@
+"""Rough wall in two scales: long waves drawn at random, short ones as statistics."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import chain, islice
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import in_range, one_of, positive, whole
+from ...errors import SamplingError, SceneError
+from ...scene import Scene
+from ..pupil.scene_optics import SceneOptics
+from ..transform import mdft
+from ..transform.point_spread import NORMALISATIONS, Normalisation
+from ..wave.detilted import Residual, split
+from ..wave.regime import regime
+from ..wave.wavefront import Wavefront
+from ..window.error_bounds import rounded_up
+from ..window.grids import PupilGrid, pupil_grid, pupil_grid_from_polar
+from ..window.window import Window
+from .mean import ALL_DIFFUSE, RoughPointSpread, detilted_mean, image_sampling
+from .otf import ORDER, LatticeRatio, transfer
+from .roughness import Roughness
+from .sample import (
+    Propagation,
+    seen_through,
+    speckle_error,
+    speckle_pupil,
+    speckle_samples,
+    spilled,
+    wall_fields,
+)
+from .scattered_light import Halo, Separations
+from .view import RoughView, rough_source
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+#: Standard deviations of a drawn wall's phase step that the spline's error is taken for.
+STEEP: Final = 3.0
+#: Nodes to start with, relative to the rule of thumb: every wall pays for them.
+FINENESS: Final = 0.3
+
+
+def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 0.1) -> float:
+    """Period of the ripples above which a wall is geometry to the pupil.
+
+    Parameters
+    ----------
+    wavelength : float
+        m.
+    effective_distance : float or array_like (2, 2)
+        m, as of `WallView`; of a matrix the largest.
+    turn : float
+        q, rad: a ripple comes to the pupil as phase times cos(q) and amplitude times sin(q).
+
+    Returns
+    -------
+    float
+        ``sqrt(pi lambda d_eff/q)``, m.
+
+    Raises
+    ------
+    SceneError
+        If a number is not above 0.
+    """
+    positive("wavelength", wavelength, unit="m")
+    positive("turn", turn)
+    distance = np.asarray(effective_distance, dtype=np.float64)
+    if distance.shape not in ((), (2, 2)) or not np.isfinite(distance).all():
+        raise SceneError(
+            f"effective_distance has shape {distance.shape}; give a number or a finite (2, 2), m"
+        )
+    longest = abs(float(distance)) if distance.ndim == 0 else float(np.linalg.norm(distance, 2))
+    positive("effective_distance", longest, unit="m")
+    return math.sqrt(math.pi * wavelength * longest / turn)
+
+
+def two_scale_point_spread(
+    source: Wavefront | Scene | SceneOptics,
+    roughness: Roughness,
+    *,
+    seed: int,
+    cutoff: float | None = None,
+    independent_patterns: int = 1,
+    footprint: ArrayLike | None = None,
+    cos_sum: float | None = None,
+    effective_distance: ArrayLike | None = None,
+    propagation: Propagation = "geometric",
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+    normalisation: Normalisation = "unit-sum",
+    pixel_integrated: bool = False,
+) -> RoughPointSpread:
+    """Point spread of drawn long waves of a rough wall, the mean over its short ones.
+
+    Parameters
+    ----------
+    source : Wavefront, Scene or SceneOptics
+        The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
+        The pupil of a scene is sampled as finely as the screen, its halo and ``tol`` take.
+    roughness : Roughness
+    seed : int
+        The same seed and sampling give the same long waves.
+    cutoff : float, optional
+        m, 0 to infinity, as of `Roughness.split`. Default `split_scale` of the effective distance.
+        At 0 all is drawn, as by `sample_point_spread`; at infinity nothing is, which is
+        `mean_point_spread`.
+    independent_patterns : int
+        Drawn walls over which is averaged; the first is that of a single one.
+    footprint, cos_sum, effective_distance
+        As of `sample_point_spread`.
+    propagation : {"geometric", "fresnel"}
+        How the long waves come to the pupil, as of `sample_point_spread`.
+    tol : float
+        Largest error of the short waves' part, relative to the peak.
+    pitch, shape, normalisation, pixel_integrated
+        As of `mean_point_spread`.
+
+    Returns
+    -------
+    RoughPointSpread
+        ``coherent`` is the drawn waves' own pattern, less what the short ones scatter of it;
+        ``rayleigh_parameter`` and the shares that follow from it are those of the short waves.
+
+    Raises
+    ------
+    SceneError
+        As of `sample_point_spread` and `Roughness.split`.
+    SamplingError
+        As of `sample_point_spread` for the long waves, or if the short ones do not reach ``tol``.
+    MemoryLimitError
+        If the screen that the pupil needs does not fit.
+
+    Notes
+    -----
+    The transfer function of each drawn wall, times ``exp(-s^2 [1 - C(M d)])`` of the short waves.
+    That takes the light of both to add their slopes where they are, and leaves out by how far a
+    short wave throws the long ones' field sideways: 0 along rays, and small next to the long
+    waves as far as the cutoff is `split_scale` or more. Averaged over walls it is exact for any
+    cutoff, since both parts are independent and stationary. The sum over separations is that of
+    `mean_point_spread`, so a halo far wider than the window keeps its energy.
+    """
+    one_of("normalisation", normalisation, NORMALISATIONS)
+    one_of("propagation", propagation, ("fresnel", "geometric"))
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    count = whole("independent_patterns", independent_patterns)
+    seed = whole("seed", seed, 0, 2**64 - 1)
+    smooth = rough_source(source, roughness, footprint, cos_sum, effective_distance)
+    view, wave = smooth.view, smooth.residual.wavefront
+    if cutoff is None:
+        if view.effective_distance is None:
+            raise SceneError(
+                "effective_distance is missing, and cutoff is taken from it; give one of them"
+            )
+        cutoff = split_scale(wave.wavelength, view.effective_distance)
+    long, short = (view.of(part) for part in roughness.split(cutoff))
+    step, size = image_sampling(smooth.residual, view, pitch, shape)
+    if long.rayleigh_parameter == 0:
+        return smooth.refined(
+            lambda residual: detilted_mean(
+                residual,
+                view,
+                tol,
+                step,
+                size,
+                normalisation=normalisation,
+                pixel_integrated=pixel_integrated,
+            )
+        )
+    window = Window.centred(step, size)
+
+    def drawn(residual: Residual) -> tuple[Residual, Array, Array, float]:
+        walls = _Walls(residual, long, short, window, pixel_integrated, tol)
+        return residual, *walls.mean(seed, count, propagation)
+
+    residual, coherent, diffuse, error = smooth.refined(drawn)
+    wave, level = residual.wavefront, residual.pixel_share(step)
+    scale = {"unit-sum": 1.0, "flux": wave.flux, "ideal-peak": 1 / level}[normalisation]
+    return RoughPointSpread(
+        intensity=(coherent + diffuse) * scale,
+        coherent=coherent * scale,
+        pitch=step,
+        method=f"{propagation} screen + mdft + separations",
+        error_estimate=error,
+        normalisation=normalisation,
+        wavelength=wave.wavelength,
+        f_number=wave.f_number,
+        pixel_integrated=pixel_integrated,
+        enclosed_energy=float((coherent + diffuse).sum()),
+        rayleigh_parameter=short.rayleigh_parameter,
+        regime=regime(residual, step, rayleigh_parameter=view.rayleigh_parameter),
+        reason=f"two scales were asked for: {propagation} screens of the long waves, "
+        "separations of the short",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Walls:
+    """Both parts of a rough wall, and where they are looked at."""
+
+    residual: Residual
+    long: RoughView
+    short: RoughView
+    window: Window
+    pixel_integrated: bool
+    tol: float
+
+    def mean(self, seed: int, count: int, propagation: str) -> tuple[Array, Array, float]:
+        """Drawn pattern and its halo, averaged, the whole plane 1, and the expected error."""
+        samples, rule = speckle_samples(self.residual, self.window, self.pixel_integrated)
+        grid = speckle_pupil(self.residual, self.long, samples)
+        s = self.short.rayleigh_parameter
+        level = math.exp(-(s**2)) * self.residual.pixel_share(self.window.pitch)
+        fields, between = wall_fields(self.residual, self.long, grid, seed, propagation)
+        first = next(fields)
+        coherent, diffuse, error = np.zeros(self.window.shape), np.zeros(self.window.shape), 0.0
+        scattering = None
+        for field in chain([first], islice(fields, count - 1)):
+            seen = seen_through(grid, field, between)
+            if s < ALL_DIFFUSE:
+                coherent += level * mdft.intensity_in(self.residual, seen, samples, rule)
+            if s > 0:
+                scattering = scattering or self._scattering(seen, coherent, spilled(first))
+                diffuse += scattering.image(seen)
+        coherent, diffuse = coherent / count, diffuse / count
+        peak = float((coherent + diffuse).max())
+        if scattering is not None:
+            error = scattering.error / peak
+        if s < ALL_DIFFUSE:
+            drawn = speckle_error(
+                self.residual,
+                grid,
+                self.window,
+                coherent / level,
+                spilled(first),
+                self.pixel_integrated,
+            )
+            error += drawn * float(coherent.max()) / peak
+        return coherent, diffuse, error
+
+    def _scattering(self, seen: PupilGrid, coherent: Array, spill: float) -> _Scattering:
+        """Separations enough for the first wall, which serve the others too."""
+        wave = self.residual.wavefront
+        flat = split(replace(wave, aberration=np.zeros_like(wave.aberration)))
+        polar = wave.layout == "polar"
+        # a softened rim passes below 0, so moduli are not the clear pupil's
+        plain = pupil_grid_from_polar(flat, seen.pitch) if polar else pupil_grid(flat)
+        clear, ratios = transfer(flat), LatticeRatio(plain.values.real, seen.pitch)
+        ratio = ratios.of(seen.values)
+        spread = self.residual.rays.reach + self.long.halo(wave)
+        halo = Halo(
+            self.residual, self.short, self.window, self.pixel_integrated, clear.reach, spread
+        )
+        found, nodes, smooth, missed = halo.converged(
+            lambda du, dv: clear.at(du, dv) * ratio(du, dv), coherent, self.tol, FINENESS
+        )
+        lag = seen.pitch * float(np.linalg.norm(self.long.footprint, 2))
+        variance = 2 * self.long.rayleigh_parameter**2 * float(self.long.roughness.structure(lag))
+        step = STEEP * math.sqrt(variance) + 2 * math.pi * seen.jump
+        # as of `transfer`
+        n = 2 * wave.pupil_radius / seen.pitch
+        lattice = step ** (ORDER + 1) / 3e4 + 0.25 / n**1.5 + 0.6 * step / (2 * math.pi * n)
+        share = clear.error + lattice + spill
+        error = missed + share * float(np.abs(nodes.factor * smooth).sum())
+        peak = float((coherent + found).max())
+        if error > self.tol * peak:
+            raise SamplingError(
+                f"the mean over the short waves reaches an error of {error / peak:.2g}, limit tol "
+                f"= {self.tol:g}; use tol = {rounded_up(1.5 * error / peak)}, or a wavefront of "
+                "more pupil nodes"
+            )
+        return _Scattering(halo, nodes, clear.at(nodes.du, nodes.dv), ratios, error)
+
+
+@dataclass(frozen=True, eq=False)
+class _Scattering:
+    """The halo that short waves make of each drawn wall's pattern.
+
+    Parameters
+    ----------
+    halo : Halo
+    nodes : Separations
+    clear : ndarray
+        Transfer function at the nodes of the pupil without phases.
+    ratios : LatticeRatio
+        From that to the drawn walls'.
+    error : float
+        Expected error, energy per sample.
+    """
+
+    halo: Halo
+    nodes: Separations
+    clear: ComplexArray
+    ratios: LatticeRatio
+    error: float
+
+    def image(self, seen: PupilGrid) -> Array:
+        """Halo of a pupil function, energy per sample."""
+        ratio = self.ratios.of(seen.values)
+        return self.halo.image(self.nodes, self.clear * ratio(self.nodes.du, self.nodes.dv))

@@ -1,0 +1,1 @@
+"""From a wave to its point spread function."""

@@ -1,0 +1,299 @@
+"""Pupil functions of polynomial waves on a grid, and phasors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ..wave._wave_kernels import phasors
+
+
+@njit(cache=True)
+def _profile(r, low, steps, table):
+    """Softened rim at the radius ``r`` by six points of its table, ``steps`` a cell from ``low``.
+
+    The table has two points more at either end; 1 below it and 0 beyond.
+    """
+    place = (r - low) * steps
+    if place < 0.0:
+        return 1.0
+    at = int(place)
+    if at + 6 > table.shape[0]:
+        return 0.0
+    t = place - at
+    # Lagrange's weights of the points -2 to 3
+    a, b, d, e, f = t + 2.0, t + 1.0, t - 1.0, t - 2.0, t - 3.0
+    value = table[at] * (b * t * d * e * f) / -120.0 + table[at + 1] * (a * t * d * e * f) / 24.0
+    value += (
+        table[at + 2] * (a * b * d * e * f) / -12.0 + table[at + 3] * (a * b * t * e * f) / 12.0
+    )
+    value += (
+        table[at + 4] * (a * b * t * d * f) / -24.0 + table[at + 5] * (a * b * t * d * e) / 120.0
+    )
+    return value
+
+
+@njit(cache=True)
+def _cut(y, lows, highs, steps, tables, size):
+    """Fill ``size`` (2 centre + 1,) with softened rims on the line at ``y``; return its half width.
+
+    The half width is that of its lit part, cells.
+    """
+    centre = size.shape[0] // 2
+    half = min(centre, int(math.sqrt(highs[0] * highs[0] - y * y)))
+    flat = -1
+    if y < lows[0]:
+        flat = int(math.sqrt(lows[0] * lows[0] - y * y))
+    for x in range(half + 1):
+        if x < flat:
+            size[centre + x] = 1.0
+        else:
+            size[centre + x] = _profile(math.sqrt(x * x + y * y), lows[0], steps, tables[0])
+    if tables.shape[0] > 1 and y < highs[1]:
+        inside = int(math.sqrt(highs[1] * highs[1] - y * y))
+        for x in range(min(half, inside) + 1):
+            size[centre + x] -= _profile(math.sqrt(x * x + y * y), lows[1], steps, tables[1])
+    for x in range(1, half + 1):
+        size[centre - x] = size[centre + x]
+    return half
+
+
+@njit(cache=True)
+def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centre, out):
+    """Add a pupil with softened rims to ``out`` (rows, columns), wrapped; return its sum.
+
+    The phase, turns, is ``sum coefficients[i, j] u^i v^j``, u and v in ``step`` a cell from
+    ``centre``, and so is the amplitude, 1 where there are no such ``amplitudes``. ``tables`` (1 or
+    2, n) are the softened rims, outer and inner, of `_profile`.
+    """
+    rows, columns = out.shape
+    n = 2 * centre + 1
+    degree = coefficients.shape[0] - 1
+    turns, rim, size = np.empty(n), np.empty(n), np.empty(n)
+    real, imaginary = np.empty(n), np.empty(n)
+    across = np.empty(max(degree + 1, amplitudes.shape[0]))
+    total = 0.0
+    for line in range(2 * centre + 1):
+        y = (line + 1) // 2 * (2 * (line % 2) - 1)  # 0, 1, -1, 2, -2, ...
+        if abs(y) >= highs[0]:
+            break
+        if y >= 0:
+            half = _cut(float(y), lows, highs, steps, tables, rim)
+        first, last = centre - half, centre + half + 1
+        if amplitudes.shape[0] > 0:
+            _along_row(amplitudes, y * step, step, centre, across, size[first:last], first)
+            for column in range(first, last):
+                size[column] *= rim[column]
+        else:
+            size[first:last] = rim[first:last]
+        _along_row(coefficients, y * step, step, centre, across, turns[first:last], first)
+        for column in range(first, last):
+            total += size[column]
+        phasors(turns[first:last], size[first:last], real[first:last], imaginary[first:last])
+        wrapped = out[(centre + y) % rows]
+        start = first
+        while start < last:
+            lap = start // columns
+            end = min(last, (lap + 1) * columns)
+            for column in range(start, end):
+                wrapped[column - lap * columns] += complex(real[column], imaginary[column])
+            start = end
+    return total
+
+
+@njit(cache=True)
+def _along_row(coefficients, y, step, centre, across, out, first):
+    """Fill ``out`` with ``sum coefficients[i, j] u^i y^j`` at the columns from ``first`` on."""
+    degree = coefficients.shape[0] - 1
+    for i in range(degree + 1):
+        across[i] = coefficients[i, degree - i]
+        for j in range(degree - i - 1, -1, -1):
+            across[i] = across[i] * y + coefficients[i, j]
+    for k in range(out.shape[0]):
+        out[k] = across[degree]
+    for i in range(degree - 1, -1, -1):
+        for k in range(out.shape[0]):
+            out[k] = out[k] * ((first + k - centre) * step) + across[i]
+
+
+@njit(cache=True)
+def turned(values, out):
+    """Fill ``out`` (columns, n) with the transpose of ``values`` (rows, columns), then with 0."""
+    rows, columns = values.shape
+    for i in range(columns):
+        for j in range(rows):
+            out[i, j] = values[j, i]
+        for j in range(rows, out.shape[1]):
+            out[i, j] = 0.0
+
+
+@njit(cache=True)
+def squares(field, scale, out):
+    """Fill ``out`` (rows, n) with ``scale |field|^2`` of the first n columns of ``field``."""
+    for i in range(out.shape[0]):
+        line = out[i]
+        for j in range(line.shape[0]):
+            value = field[i, j]
+            line[j] = scale * (value.real * value.real + value.imag * value.imag)
+
+
+@njit(cache=True)
+def waves(first, step, cosines, sines):
+    """Fill ``cosines`` (m, c + 1) of 2 pi x k, x = first, first + step, ... and ``sines`` (m, c).
+
+    k counts from 0, or from 1 for sines; ``first`` and ``step`` in turns.
+    """
+    count = sines.shape[1]
+    turns, size = np.empty(count), np.ones(count)
+    real, imaginary = np.empty(count), np.empty(count)
+    for i in range(sines.shape[0]):
+        for k in range(count):
+            turns[k] = (first + i * step) * (k + 1)
+        phasors(turns, size, real, imaginary)
+        cosines[i, 0] = 1.0
+        cosines[i, 1:] = real
+        sines[i] = imaginary
+
+
+@njit(cache=True)
+def folded(values, even, odd):
+    """Fill ``even`` (c + 1, n) and ``odd`` (c, n) with sums and differences of opposite rows.
+
+    The rows of ``values`` (2 c + 1, n) count from -c.
+    """
+    centre = odd.shape[0]
+    even[0] = values[centre]
+    for k in range(centre):
+        one, other = values[centre + 1 + k], values[centre - 1 - k]
+        for j in range(values.shape[1]):
+            even[k + 1, j] = one[j] + other[j]
+            odd[k, j] = one[j] - other[j]
+
+
+@njit(cache=True)
+def refolded(even, odd, out_even, out_odd):
+    """Fold rows (m, 2 c + 1) along their other axis, each to its columns of both signs of x.
+
+    ``even - i odd`` is that of +x, from the middle of ``out_even`` (c + 1, n) and ``out_odd``
+    (c, n) on, ``even + i odd`` that of -x, back from there.
+    """
+    centre, columns = out_odd.shape[0], out_even.shape[1]
+    for i in range(even.shape[0]):
+        a, b = even[i, centre], odd[i, centre]
+        out_even[0, columns // 2 + i] = complex(a.real + b.imag, a.imag - b.real)
+        out_even[0, (columns - 1) // 2 - i] = complex(a.real - b.imag, a.imag + b.real)
+    for k in range(centre):
+        line, other = out_even[k + 1], out_odd[k]
+        for i in range(even.shape[0]):
+            above, below = columns // 2 + i, (columns - 1) // 2 - i
+            a, b = even[i, centre + 1 + k], odd[i, centre + 1 + k]
+            c, d = even[i, centre - 1 - k], odd[i, centre - 1 - k]
+            p, q = a + c, b + d
+            line[above] = complex(p.real + q.imag, p.imag - q.real)
+            line[below] = complex(p.real - q.imag, p.imag + q.real)
+            p, q = a - c, b - d
+            other[above] = complex(p.real + q.imag, p.imag - q.real)
+            other[below] = complex(p.real - q.imag, p.imag + q.real)
+
+
+@njit(cache=True)
+def split_squares(even, odd, scale, above, below):
+    """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the other sign.
+
+    The rows of ``below`` are in the opposite order.
+    """
+    last = above.shape[0] - 1
+    for i in range(above.shape[0]):
+        up, down = above[i], below[last - i]
+        for j in range(above.shape[1]):
+            a, b = even[i, j], odd[i, j]
+            real, imaginary = a.real + b.imag, a.imag - b.real
+            up[j] = scale * (real * real + imaginary * imaginary)
+            real, imaginary = a.real - b.imag, a.imag + b.real
+            down[j] = scale * (real * real + imaginary * imaginary)
+
+
+@njit(cache=True)
+def densest(x, y, energy, reach, side):
+    """Most energy in a square of ``side``, of squares that cover ``reach`` either way."""
+    n = int(2.0 * reach / side + 0.5) + 2
+    bins = np.zeros((n, n))
+    for i in range(x.size):
+        bins[int((y[i] + reach) / side + 0.5), int((x[i] + reach) / side + 0.5)] += energy[i]
+    return bins.max()
+
+
+@njit(cache=True)
+def _leak(s, width):
+    """`antialiased_disc.leak` of a step of a width."""
+    return 0.5 * math.erfc((0.5 - s) / width)
+
+
+@njit(cache=True)
+def rim_errors(distance, period, reach, edges, zones, landing, width, out):
+    """Fill ``out`` (n,) with the error of a softened rim up to each of the rising distances.
+
+    Lengths in Airy units, a period of which holds ``period / 2`` cells a radius. ``zones`` (m, 2)
+    are cells beyond the rim and the strength of each, ``landing`` (2, k) radii from the axis and
+    how far a ray from there lands at most; see `antialiased_pupil`.
+    """
+    cells = 0.5 * period
+    base = 2.0 * _leak(reach / period, width) / max(math.pi * reach, 1.0) * edges
+    for i in range(zones.shape[0]):
+        lands = np.interp(1.0 + zones[i, 0] / cells, landing[0], landing[1])
+        base += zones[i, 1] / cells * _leak(lands / period, width)
+    most = 0.0
+    for i in range(distance.shape[0]):
+        far = distance[i] + reach
+        tail = min(1.0, math.sqrt(8.0 / (math.pi * max(math.pi * far, 1.0) ** 3)))
+        most = max(most, 3.0 * _leak(far / period, width) * tail * edges)
+        out[i] = most + base
+
+
+@njit(cache=True)
+def least_period(least, widest, light, goal, distance, reach, edges, zones, landing, width):
+    """Period whose `rim_errors` change the ``light`` by less than ``goal``, to a hundredth.
+
+    From ``least`` on; the ``widest`` where none does.
+    """
+    error = np.empty_like(distance)
+    low, high, period = least, widest, least
+    while True:
+        rim_errors(distance, period, reach, edges, zones, landing, width, error)
+        if np.max(2.0 * light * error + error * error) < goal:
+            high = period
+        else:
+            low = period
+        if high <= 1.01 * low or high == least:
+            return high
+        period = math.sqrt(low * high)
+
+
+@njit(cache=True)
+def block_maxima(intensity, first, pitch, strongest, far):
+    """Fill ``strongest`` and ``far`` (blocks, blocks) with the most of each block of an image.
+
+    ``far`` is the distance from [0, 0] of its farthest sample, ``first`` (x, y) the place of the
+    first one.
+    """
+    ny, nx = intensity.shape
+    down, along = strongest.shape
+    line = np.empty(nx)
+    for i in range(down):
+        top, bottom = (i * ny + down - 1) // down, ((i + 1) * ny - 1) // down
+        y = max(abs(first[1] + top * pitch), abs(first[1] + bottom * pitch))
+        line[:] = 0.0
+        for row in range(top, bottom + 1):
+            for column in range(nx):  # whole rows at once, so that the loop keeps vectors
+                value = intensity[row, column]
+                line[column] = value if value > line[column] else line[column]
+        for j in range(along):
+            left, right = (j * nx + along - 1) // along, ((j + 1) * nx - 1) // along
+            x = max(abs(first[0] + left * pitch), abs(first[0] + right * pitch))
+            most = 0.0
+            for column in range(left, right + 1):
+                most = max(most, line[column])
+            strongest[i, j] = most
+            far[i, j] = math.hypot(x, y)

@@ -1,0 +1,102 @@
+"""Sums over pupil nodes and rays into the image."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit, prange
+
+from ...kernels.parallel import threaded
+
+
+@njit(cache=True)
+def _disc(v, steps, table):
+    """2 J1(v)/v by the Taylor series about the nearest of ``steps`` points a radian."""
+    row = int(v * steps + 0.5)
+    t = v - row / steps
+    value = table[row, table.shape[1] - 1]
+    for k in range(table.shape[1] - 2, -1, -1):
+        value = value * t + table[row, k]
+    return value
+
+
+@njit(cache=True)
+def airy_quarter(pitch, obscuration, steps, table, out):
+    """Fill ``out`` (n, n) with the intensity about the peak, at [0, 0], ``pitch`` rad a sample."""
+    n = out.shape[0]
+    share = obscuration * obscuration
+    for j in range(n):
+        for i in range(j + 1):
+            v = pitch * math.sqrt(float(i * i + j * j))
+            field = _disc(v, steps, table)
+            if obscuration > 0.0:
+                field = (field - share * _disc(obscuration * v, steps, table)) / (1.0 - share)
+            out[j, i] = field * field
+            out[i, j] = field * field
+
+
+@njit(cache=True)
+def mirrored(quarter, row, column, out):
+    """Fill ``out`` with a quarter of the plane and its reflections, its corner at a sample."""
+    for j in range(out.shape[0]):
+        line, source = out[j], quarter[abs(j - row)]
+        for i in range(column):
+            line[i] = source[column - i]
+        for i in range(column, out.shape[1]):
+            line[i] = source[i - column]
+
+
+@threaded()
+def huygens_field(points, u, v, w, path, size, distance, wavenumber, curved, out):
+    """Fill ``out`` (n, 2) with the real and imaginary field at points (n, 3), m.
+
+    Each node (u, v, w) sends ``size exp(ik path)`` as a spherical wave of amplitude 1/r whose
+    phase is counted from the point (0, 0, distance). Every point adds its nodes in order, so that
+    the sums do not depend on the threads.
+    """
+    side = math.copysign(1.0, distance)
+    for i in prange(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        real = imaginary = 0.0
+        for j in range(u.shape[0]):
+            a, b, e = x - u[j], y - v[j], z - w[j]
+            r = math.sqrt(a * a + b * b + e * e)
+            f = distance - w[j]
+            c = math.sqrt(u[j] * u[j] + v[j] * v[j] + f * f)
+            # r - c as (r^2 - c^2)/(r + c), the squares' common part left out
+            along = (z - distance) * (e + f)
+            longer = (x * (x - 2.0 * u[j]) + y * (y - 2.0 * v[j]) + along) / (r + c)
+            phase = wavenumber * (path[j] + side * longer)
+            # obliquity: about the axis on the plane, toward the reference point on the sphere
+            strength = size[j] / r
+            if curved:
+                strength *= abs(e * f - a * u[j] - b * v[j]) / (r * c)
+            else:
+                strength *= abs(e) / r
+            real += strength * math.cos(phase)
+            imaginary += strength * math.sin(phase)
+        out[i, 0], out[i, 1] = real, imaginary
+
+
+@njit(cache=True)
+def splat(x, y, width_x, width_y, energy, out):
+    """Add boxes to the pixels ``out`` (ny, nx) in shares of their area, what is outside left out.
+
+    Coordinates and widths (n,) are in pixels, pixel [0, 0] reaching from 0 to 1.
+    """
+    ny, nx = out.shape
+    for i in range(x.shape[0]):
+        wx, wy = max(width_x[i], 1e-9), max(width_y[i], 1e-9)
+        left, low = x[i] - 0.5 * wx, y[i] - 0.5 * wy
+        if left >= nx or low >= ny or left + wx <= 0.0 or low + wy <= 0.0:
+            continue
+        first_row, last_row = max(0, int(math.floor(low))), min(ny - 1, int(math.floor(low + wy)))
+        first, last = max(0, int(math.floor(left))), min(nx - 1, int(math.floor(left + wx)))
+        for row in range(first_row, last_row + 1):
+            # differences of one rising function, so that the shares add up to 1
+            above = min(1.0, max(0.0, (row + 1 - low) / wy))
+            below = min(1.0, max(0.0, (row - low) / wy))
+            strength = energy[i] * (above - below)
+            for column in range(first, last + 1):
+                right = min(1.0, max(0.0, (column + 1 - left) / wx))
+                out[row, column] += strength * (right - min(1.0, max(0.0, (column - left) / wx)))

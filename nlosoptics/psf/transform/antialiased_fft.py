@@ -1,0 +1,342 @@
+"""Images of polynomial waves on softened grids, by two ways to transform them.
+
+Fast transforms padded to a period of whole samples; or, for a pupil of few cells, products with
+cosines and sines. A matrix transform to points that lie the same on either side of the middle, of
+cells that do so too, is a product of even and one of odd parts: a quarter of the work.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import ducc0
+import numpy as np
+from numpy.polynomial import chebyshev
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory
+from ..wave.detilted import Residual
+from ..window import antialiased_disc
+from ..window.pixels import PixelRule
+from ..window.window import Window
+from .antialiased_pupil import SoftWave
+
+Array = NDArray[np.float64]
+
+#: Field error of single precision: 1e-7 measured.
+SINGLE_ERROR = 1e-6
+#: Table points of a softened rim per cell: six of them interpolate it to 2e-15.
+STEPS = 256
+#: Largest array that is kept for the next call.
+WORKSPACE_BYTES = 2**22
+#: Memory of a block of columns, few enough to stay in the cache.
+BLOCK_BYTES = 2**19
+#: Multiplications of a block of a product: below what OpenBLAS shares among threads, so that their
+#: number changes no bit.
+BLOCK_PRODUCT = 2**18
+
+_own = threading.local()
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Cells of a softened pupil and what they repeat.
+
+    Parameters
+    ----------
+    period : float
+        Of the image, m.
+    radius : float
+        Of the pupil, cells.
+    single : bool
+        Whether to transform in single precision, and to soften the rim over fewer cells.
+    """
+
+    period: float
+    radius: float
+    single: bool
+
+    @property
+    def reach(self) -> int:
+        """Cells on either side of the rim over which it is softened."""
+        return antialiased_disc.SHORT_REACH if self.single else antialiased_disc.REACH
+
+    @property
+    def centre(self) -> int:
+        """Cells on either side of the middle one, the softened rim among them."""
+        return math.ceil(self.radius) + self.reach
+
+    @property
+    def kind(self) -> np.dtype[Any]:
+        """Type of the pupil's values."""
+        return np.dtype("c8" if self.single else "c16")
+
+    @property
+    def error(self) -> float:
+        """Field error for the rim's cut and the rounding of single precision."""
+        return antialiased_disc.cut(self.radius, self.reach) + (
+            SINGLE_ERROR if self.single else 0.0
+        )
+
+
+def padded(residual: Residual, samples: Window, period: float, single: bool) -> Grid:
+    """Grid whose period is a fast number of samples and no less than the given, Airy units."""
+    unit = residual.airy_unit
+    # multiples of four are transformed fastest
+    size = 4 * int(ducc0.fft.good_size(math.ceil(period * unit / samples.pitch / 4)))
+    return Grid(size * samples.pitch, size * samples.pitch / (2 * unit), single)
+
+
+def whole(residual: Residual, period: float, single: bool) -> Grid:
+    """Grid of whole cells in the radius, whose softened rim is then often at hand."""
+    cells = math.ceil(period / 2)
+    return Grid(2 * cells * residual.airy_unit, cells, single)
+
+
+def padded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
+    """Peak memory of `padded_image`: columns, and rows of the image averaged over pixels."""
+    size = round(grid.period / samples.pitch)
+    rows = min(size, 2 * grid.centre + 1)
+    return _image_bytes(samples, rule) + float(grid.kind.itemsize) * rows * size
+
+
+def folded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
+    """The same of `folded_image`."""
+    rows, (ny, nx) = 2 * grid.centre + 1, samples.shape
+    cells = rows * (rows + 2 * nx) + (ny + nx) * grid.centre
+    return _image_bytes(samples, rule) + float(grid.kind.itemsize) * cells
+
+
+def _image_bytes(samples: Window, rule: PixelRule | None) -> float:
+    ny, nx = samples.shape
+    return 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor) + 2**26
+
+
+def padded_image(
+    residual: Residual,
+    wave: SoftWave,
+    samples: Window,
+    grid: Grid,
+    rule: PixelRule | None,
+) -> Array:
+    """Image intensity in a window, 1 at the ideal peak, by fast transforms."""
+    size = round(grid.period / samples.pitch)
+    rows = min(size, 2 * grid.centre + 1)
+    fits_memory(
+        f"the transform of {rows} x {size} samples",
+        padded_bytes(samples, grid, rule),
+        "use a smaller shape",
+    )
+    # Rows are u, so that the second transform gives rows of the image.
+    values = _workspace("values", (rows, size), grid.kind)
+    values[...] = 0.0
+    total = _fill(values[:, :rows], residual, wave, samples, grid, (0.0, 0.0))
+    return _padded_intensity(
+        values, samples.shape, residual.wavefront.image_distance > 0, rule, 1 / total**2
+    )
+
+
+def folded_image(
+    residual: Residual,
+    wave: SoftWave,
+    samples: Window,
+    grid: Grid,
+    rule: PixelRule | None,
+) -> Array:
+    """The same by products with cosines and sines."""
+    from . import _antialiased_kernels
+
+    ny, nx = samples.shape
+    centre = grid.centre
+    rows = 2 * centre + 1
+    fits_memory(
+        f"the transform of {rows} x {rows} samples",
+        folded_bytes(samples, grid, rule),
+        "use a smaller shape",
+    )
+    kind = grid.kind
+    values = _workspace("values", (rows, rows), kind)
+    values[...] = 0.0
+    total = _fill(values, residual, wave, samples, grid, ((ny - 1) / 2, (nx - 1) / 2))
+    even = _workspace("even", (centre + 1, rows), kind)
+    odd = _workspace("odd", (centre, rows), kind)
+    _antialiased_kernels.folded(values, even, odd)
+    side = math.copysign(samples.pitch / grid.period, residual.wavefront.image_distance)
+    half_even = _workspace("half even", ((nx + 1) // 2, rows), kind)
+    half_odd = _workspace("half odd", ((nx + 1) // 2, rows), kind)
+    waves = _waves(nx, centre, side, half_even.real.dtype)
+    for part, source, out in zip(waves, (even, odd), (half_even, half_odd), strict=True):
+        reals, out = source.view(part.dtype), out.view(part.dtype)
+        for start, stop in _blocks(len(part), rows, centre):
+            np.matmul(part[start:stop], reals, out=out[start:stop])
+    even = _workspace("even", (centre + 1, nx), kind)
+    odd = _workspace("odd", (centre, nx), kind)
+    _antialiased_kernels.refolded(half_even, half_odd, even, odd)
+    if ny != nx:
+        waves = _waves(ny, centre, side, half_even.real.dtype)
+    return _unfolded(waves, even, odd, ny, rule, 1 / total**2)
+
+
+def _unfolded(
+    waves: tuple[NDArray[np.floating], NDArray[np.floating]],
+    even: NDArray[np.complexfloating],
+    odd: NDArray[np.complexfloating],
+    ny: int,
+    rule: PixelRule | None,
+    scale: float,
+) -> Array:
+    """``scale`` |transform|^2 of folded columns (c + 1, nx) and (c, nx) to ``ny`` rows."""
+    from . import _antialiased_kernels
+
+    nx = even.shape[1]
+    # rows are averaged along as they come: the fine image need not fit the memory
+    across = nx if rule is None else rule.count(nx)
+    half = np.empty((ny, across))
+    blocks = _blocks((ny + 1) // 2, nx, len(odd))
+    rows = blocks[0][1]
+    part_even = _workspace("part even", (rows, nx), even.dtype)
+    part_odd = _workspace("part odd", (rows, nx), even.dtype)
+    fine = np.empty((0 if rule is None else 2, rows, nx))
+    real = waves[0].dtype
+    evens, odds = even.view(real), odd.view(real)
+    for start, stop in blocks:
+        a, b = part_even[: stop - start], part_odd[: stop - start]
+        np.matmul(waves[0][start:stop], evens, out=a.view(real))
+        np.matmul(waves[1][start:stop], odds, out=b.view(real))
+        above = half[ny // 2 + start : ny // 2 + stop]
+        below = half[(ny + 1) // 2 - stop : (ny + 1) // 2 - start]
+        if rule is None:
+            _antialiased_kernels.split_squares(a, b, scale, above, below)
+            continue
+        up, down = fine[:, : stop - start]
+        _antialiased_kernels.split_squares(a, b, scale, up, down)
+        above[...], below[...] = rule.mean(up), rule.mean(down)
+    return half if rule is None else rule.mean_down(half)
+
+
+def _waves(
+    count: int, centre: int, step: float, kind: np.dtype[Any]
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Cosines ((count + 1) // 2, centre + 1) and sines (.., centre) of half a row's points.
+
+    ``step``, turns from point to point and cell to cell; negative for sines of the other sign.
+    """
+    from . import _antialiased_kernels
+
+    half = (count + 1) // 2
+    cosines = _workspace("cosines", (half, centre + 1), kind)
+    sines = _workspace("sines", (half, centre), kind)
+    _antialiased_kernels.waves(0.0 if count % 2 else step / 2, step, cosines, sines)
+    return cosines, sines
+
+
+def _blocks(rows: int, columns: int, inner: int) -> list[tuple[int, int]]:
+    """Rows of a product of complex columns, `BLOCK_PRODUCT` multiplications at a time."""
+    step = max(1, BLOCK_PRODUCT // (2 * columns * (inner + 1)))
+    return [(start, min(start + step, rows)) for start in range(0, rows, step)]
+
+
+def _fill(
+    values: NDArray[np.complexfloating],
+    residual: Residual,
+    wave: SoftWave,
+    samples: Window,
+    grid: Grid,
+    origin: tuple[float, float],
+) -> float:
+    """Add the pupil to ``values``, its middle cell `Grid.centre`, and return its sum.
+
+    The image's sample ``origin`` (row, column) becomes the transform's 0.
+    """
+    from . import _antialiased_kernels
+
+    pupil = residual.wavefront
+    found = [_rim_table(grid.radius, grid.reach)]
+    if pupil.obscuration > 0:
+        found.append(_rim_table(pupil.obscuration * grid.radius, grid.reach))
+    lows, highs = (np.array([rim[i] for rim in found]) for i in (0, 1))
+    width = max(rim[2].size for rim in found)
+    tables = np.zeros((len(found), width))
+    for row, rim in zip(tables, found, strict=True):
+        row[: rim[2].size] = rim[2]
+    turns = wave.aberration / pupil.wavelength
+    per_length = math.copysign(grid.radius / grid.period, pupil.image_distance)
+    for axis, place in (((1, 0), 0), ((0, 1), 1)):
+        first = samples.first[place] + origin[1 - place] * samples.pitch
+        turns[axis] -= per_length * (first - residual.shift[place])
+    return float(
+        _antialiased_kernels.soft_pupil(
+            np.ascontiguousarray(turns.T),
+            np.ascontiguousarray(wave.amplitude.T),
+            1 / grid.radius,
+            lows,
+            highs,
+            float(STEPS),
+            tables,
+            grid.centre,
+            values,
+        )
+    )
+
+
+def _padded_intensity(
+    values: NDArray[np.complexfloating],
+    shape: tuple[int, int],
+    forward: bool,
+    rule: PixelRule | None,
+    scale: float,
+) -> Array:
+    """``scale`` |transform|^2 of columns (u) as long as the period, of rows (v) padded to the same.
+
+    The first samples of the given shape, averaged over pixels when a rule is given; ``values`` is
+    overwritten.
+    """
+    from . import _antialiased_kernels
+
+    size = values.shape[1]
+    ny, nx = shape
+    ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
+    step = max(8, BLOCK_BYTES // (16 * size))
+    # rows are averaged along as they come: the fine image need not fit the memory
+    across = nx if rule is None else rule.count(nx)
+    half = np.empty((ny, across))
+    energy = np.empty((0 if rule is None else step, nx))
+    padded = _workspace("padded", (step, size), values.dtype)
+    for start in range(0, ny, step):
+        part = padded[: min(step, ny - start)]
+        _antialiased_kernels.turned(values[:, start : start + step], part)
+        ducc0.fft.c2c(part, axes=(1,), forward=forward, out=part, nthreads=1)
+        if rule is None:
+            _antialiased_kernels.squares(part, scale, half[start : start + step])
+            continue
+        fine = energy[: len(part)]
+        _antialiased_kernels.squares(part, scale, fine)
+        half[start : start + step] = rule.mean(fine)
+    return half if rule is None else rule.mean_down(half)
+
+
+@lru_cache(maxsize=16)
+def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
+    """Where a softened rim begins and ends, cells, and its values, two points wider each way."""
+    disc = antialiased_disc.SoftDisc(radius, reach)
+    r = np.abs(disc.low + (np.arange(math.ceil((disc.high - disc.low) * STEPS) + 6) - 2) / STEPS)
+    place = (2 * r - disc.low - disc.high) / (disc.high - disc.low)
+    table = chebyshev.chebval(place, disc.series)
+    table.setflags(write=False)
+    return disc.low, disc.high, table
+
+
+def _workspace(name: str, shape: tuple[int, int], kind: np.dtype[Any]) -> NDArray[Any]:
+    """Array of a thread's own, kept for the next call if small: new pages cost another pass."""
+    need = shape[0] * shape[1] * kind.itemsize
+    if need > WORKSPACE_BYTES:
+        return np.empty(shape, dtype=kind)
+    held = getattr(_own, name, None)
+    if held is None or held.nbytes < need:
+        held = np.empty(need, dtype=np.uint8)
+        setattr(_own, name, held)
+    return np.asarray(held[:need].view(kind).reshape(shape))

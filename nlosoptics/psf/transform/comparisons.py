@@ -1,0 +1,181 @@
+"""All transforms of one wave side by side."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..._checks import in_range, positive, whole
+from ...errors import MemoryLimitError, SamplingError
+from ..wave.detilted import Residual, split
+from ..wave.wavefront import Wavefront
+from ..window.window import Window
+from . import huygens
+from .point_spread import METHODS, PointSpread, _sampling, point_spread
+
+
+@dataclass(frozen=True, kw_only=True)
+class ComparisonRow:
+    """One transform.
+
+    Parameters
+    ----------
+    method : str
+    seconds : float or None
+        Least of the runs; None where it did not run, as the other numbers.
+    error_estimate : float or None
+        As of `PointSpread`.
+    difference : float or None
+        max |dI|/max I against the row of the least estimate, ``huygens`` left out, 0 for that row.
+    reason : str
+        Why it did not run.
+    """
+
+    method: str
+    seconds: float | None = None
+    error_estimate: float | None = None
+    difference: float | None = None
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Table of transforms of one wave on one window; ``str`` draws it.
+
+    Parameters
+    ----------
+    rows : tuple of ComparisonRow
+    best : str
+        Method of the least error estimate, empty where none ran; ``huygens`` only where it is
+        alone, since its model is not paraxial.
+    pitch : float
+        m.
+    shape : (int, int)
+        (ny, nx).
+    """
+
+    rows: tuple[ComparisonRow, ...]
+    best: str
+    pitch: float
+    shape: tuple[int, int]
+
+    def __str__(self) -> str:
+        ny, nx = self.shape
+        lines = [
+            f"{ny} x {nx} samples of {self.pitch:.4g} m, against {self.best or 'none'}",
+            f"{'method':<12}{'seconds':>10}{'estimate':>10}{'max dI':>10}",
+        ]
+        for row in self.rows:
+            if row.seconds is None:
+                lines.append(f"{row.method:<12}{row.reason}")
+            else:
+                lines.append(
+                    f"{row.method:<12}{row.seconds:>10.2g}{row.error_estimate:>10.1e}"
+                    f"{row.difference:>10.1e}"
+                )
+        return "\n".join(lines)
+
+
+def compare(
+    wavefront: Wavefront,
+    *,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+    pixel_integrated: bool = False,
+    repeats: int = 1,
+    longest: float = 60.0,
+) -> Comparison:
+    """Run every transform of a wave and say how long it took and how they differ.
+
+    Parameters
+    ----------
+    wavefront : Wavefront
+    tol : float
+        As of `point_spread`.
+    pitch, shape, pixel_integrated
+        As of `point_spread`; by default those of ``fft`` for a grid wavefront, for all.
+    repeats : int
+        Runs of each, of which the fastest counts; the first may hold compilation.
+    longest : float
+        Seconds beyond which ``huygens`` is left out, by its own prediction.
+
+    Returns
+    -------
+    Comparison
+    """
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    repeats = whole("repeats", repeats)
+    positive("longest", longest, unit="s")
+    residual = split(wavefront)
+    pitch, size = _sampling(residual, "fft", tol, pitch, shape, pixel_integrated)
+    done: dict[str, tuple[float, PointSpread]] = {}
+    reasons: dict[str, str] = {}
+    for method in METHODS[1:]:
+        if method == "huygens" and not pixel_integrated:
+            expected = _huygens_seconds(residual, pitch, size)
+            if expected > longest:
+                reasons[method] = f"would take about {expected:.2g} s, limit {longest:.2g} s"
+                continue
+        best = math.inf
+        try:
+            for _ in range(repeats):
+                start = time.perf_counter()
+                spread = point_spread(
+                    wavefront,
+                    method=method,  # type: ignore[arg-type]  # one of its literals
+                    tol=tol,
+                    pitch=pitch,
+                    shape=size,
+                    pixel_integrated=pixel_integrated,
+                )
+                best = min(best, time.perf_counter() - start)
+        except (SamplingError, MemoryLimitError) as refusal:
+            reasons[method] = str(refusal)
+            continue
+        done[method] = best, spread
+    return _table(done, reasons, pitch, size)
+
+
+def _table(
+    done: dict[str, tuple[float, PointSpread]],
+    reasons: dict[str, str],
+    pitch: float,
+    shape: tuple[int, int],
+) -> Comparison:
+    """Rows in the order of the methods, against the least estimate."""
+    # spherical waves are another model: beyond the paraxial one they differ by more than they err
+    alike = [m for m in done if m != "huygens"] or list(done)
+    truth = min(alike, key=lambda m: done[m][1].error_estimate, default="")
+    rows = []
+    for method in METHODS[1:]:
+        if method in reasons:
+            rows.append(ComparisonRow(method=method, reason=reasons[method]))
+            continue
+        seconds, spread = done[method]
+        reference = done[truth][1].intensity
+        difference = float(np.abs(spread.intensity - reference).max() / reference.max())
+        rows.append(
+            ComparisonRow(
+                method=method,
+                seconds=seconds,
+                error_estimate=spread.error_estimate,
+                difference=difference,
+            )
+        )
+    return Comparison(rows=tuple(rows), best=truth, pitch=pitch, shape=shape)
+
+
+def _huygens_seconds(residual: Residual, pitch: float, shape: tuple[int, int]) -> float:
+    window = Window.centred(pitch, shape)
+    corners = np.array(
+        [
+            (x, y, residual.wavefront.image_distance)
+            for x in window.x[[0, -1]]
+            for y in window.y[[0, -1]]
+        ]
+    )
+    return huygens.seconds(residual, corners) * shape[0] * shape[1] / len(corners)

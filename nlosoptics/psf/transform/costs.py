@@ -1,0 +1,114 @@
+"""Seconds that a transform takes on one core, predicted before anything is computed.
+
+Constants are fits to runs on one core of a two-core virtual machine; they order the transforms and
+keep absurd ones from being started, and hold within a factor of about three.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..wave.detilted import Residual
+from ..window.grids import grid_size
+from ..window.window import Window
+from . import quadrature
+from .antialiased_fft import Grid
+from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
+
+#: Calls, checks, small arrays and the regime of any transform.
+CALL = 1.2e-3
+
+
+def airy(window: Window) -> float:
+    """Of the closed form: a Bessel function a point."""
+    return CALL + 3e-8 * _points(window)
+
+
+def sum_over_nodes(n_nodes: float, window: Window) -> float:
+    """Of a non-uniform transform of ``n_nodes`` to a window."""
+    return CALL + 1.4e-7 * n_nodes + 3e-8 * _points(window)
+
+
+def polar_sum(residual: Residual, window: Window) -> float:
+    """Of quadrature, its nodes' aberration included."""
+    return sum_over_nodes(math.prod(quadrature.node_counts(residual, window)), window)
+
+
+def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int) -> float:
+    """Of a polar wave put on a grid of the pupil and padded to ``size``."""
+    n = grid_size(residual.wavefront.pupil_radius, pupil_pitch)
+    ny, nx = window.shape
+    each = 1.4e-7 if residual.is_uniform else 1.9e-7
+    return 1e-2 + each * n * n + 2.2e-8 * size * (n + nx) + 6e-9 * ny * nx
+
+
+def soft_padded(window: Window, grid: Grid) -> float:
+    """Of a polynomial wave's grid, its cells a few nanoseconds each, by fast transforms."""
+    size = round(grid.period / window.pitch)
+    columns = min(size, 2 * grid.centre) + window.shape[1]
+    return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
+
+
+def soft_folded(window: Window, grid: Grid) -> float:
+    """The same by products with cosines and sines."""
+    ny, nx = window.shape
+    return CALL + 3e-8 * grid.radius**2 + 1.5e-10 * grid.centre * nx * (2 * grid.centre + ny)
+
+
+def map_fft(residual: Residual, window: Window, size: int) -> float:
+    """Of a grid's own samples, padded to ``size``."""
+    n = len(residual.wavefront.u)
+    return CALL + 3.6e-8 * n * n + 1e-8 * size * (n + window.shape[1])
+
+
+def map_chirp(residual: Residual, window: Window) -> float:
+    """Of a grid's own samples to any pitch."""
+    return map_sums(len(residual.wavefront.u), window)
+
+
+def map_sums(n: int, window: Window) -> float:
+    """The same of a grid of ``n`` cells across."""
+    ny, nx = window.shape
+    return CALL + 3.6e-8 * n * n + 1.8e-8 * (n * (n + nx) + nx * (n + ny))
+
+
+def scattered_sum(residual: Residual, window: Window) -> float:
+    """Of scattered nodes, and of the same wave on polar nodes that tells their error."""
+    v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
+    v += residual.wavenumber * residual.rays.slope * residual.wavefront.pupil_radius
+    nodes = (0.29 * v + 19) * (v + 12 * math.cbrt(v) + 24)
+    return (
+        sum_over_nodes(float(len(residual.wavefront.u)), window)
+        + sum_over_nodes(nodes, window)
+        + 1.3e-6 * nodes
+    )
+
+
+def rays(residual: Residual, window: Window) -> float:
+    """Of landing rays, twice, the second time in nine parts of half as many each way."""
+    if residual.wavefront.layout == "polar":
+        n_r, n_theta = ray_counts(residual, window)
+        return 3e-3 + 4e-7 * n_r * n_theta
+    wave = residual.wavefront
+    if wave.layout == "cells":
+        return 3e-3 + 4e-7 * len(wave.u) * patch_rays(residual, window) ** 2
+    if wave.layout == "scattered":
+        n_nodes, cells = len(residual.local.indices), most_cells(residual, window)
+    else:
+        # their fits take longer than any guess of what they would say
+        n_nodes = int(np.count_nonzero(wave.amplitude * wave.weights))
+        step = 8 * residual.rays.reach / len(wave.u)
+        most = math.isqrt(max(1, MOST_RAYS // n_nodes))
+        cells = max(min(most, math.ceil(2 * step / window.pitch)), 1)
+    return 5e-3 + (3e-5 + 1e-6 * cells**2) * n_nodes
+
+
+def scattered(cells: float, nodes: float, points: float, pixels: float) -> float:
+    """Of light that roughness scatters: cells of all lattices, and nodes of all sums."""
+    return 1.2e-2 + 9e-7 * cells + 6.2e-7 * nodes + 2.4e-7 * points + 5e-7 * pixels
+
+
+def _points(window: Window) -> float:
+    return float(window.shape[0]) * window.shape[1]

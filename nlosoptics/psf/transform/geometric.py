@@ -1,0 +1,290 @@
+"""Density of the rays that land in the image, diffraction left out.
+
+A ray through the pupil point p lands at ``d grad W``. Every small cell of the pupil carries its
+energy to a box about where its ray lands, as wide as the cell's image; where rays cross, boxes pile
+up, and nothing is divided by the Jacobian.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory
+from ...errors import SamplingError
+from ..aperture.curves import cross
+from ..aperture.quadrature_nodes import gauss_legendre
+from ..wave.cell_series import NEAREST
+from ..wave.detilted import Residual
+from ..wave.scattered_fits import LocalFits, terms
+from ..window.window import Window
+
+Array = NDArray[np.float64]
+
+#: Widths of the blur that stands for diffraction: of sqrt(lambda d^2 W''), of lambda N.
+FRESNEL, AIRY = 1.5, 2.0
+#: Part of the peak pixel that a focused rim may move, times lambda N over the pixel.
+RIM: Final = 2.0
+#: What the blur changes counts this many times.
+SAFETY: Final = 2.0
+MOST_RADII: Final = 700
+MOST_RAYS: Final = 4_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class _Boxes:
+    """Where light lands, all (n,): centres and widths, m, and energy.
+
+    ``blur`` (2, 2, n) holds the two directions in which diffraction spreads it, each as (x, y) of
+    the full width, m.
+    """
+
+    x: Array
+    y: Array
+    width_x: Array
+    width_y: Array
+    blur: Array
+    energy: Array
+
+    def spread(self) -> Iterator[_Boxes]:
+        """Nine parts of every box, beside each other over the widths of the blur."""
+        part_x, part_y = np.hypot(*self.blur[:, 0]) / 3, np.hypot(*self.blur[:, 1]) / 3
+        width_x, width_y = np.hypot(self.width_x, part_x), np.hypot(self.width_y, part_y)
+        for a in (-1, 0, 1):
+            for b in (-1, 0, 1):
+                step_x, step_y = (a * self.blur[0] + b * self.blur[1]) / 3
+                yield _Boxes(
+                    self.x + step_x,
+                    self.y + step_y,
+                    width_x,
+                    width_y,
+                    self.blur,
+                    self.energy / 9,
+                )
+
+
+def least_error(residual: Residual, pitch: float) -> float:
+    """What the estimate of `density` is at least, without any ray."""
+    return RIM * residual.airy_unit / pitch
+
+
+def density(residual: Residual, window: Window) -> tuple[Array, float]:
+    """Share of the light in each pixel of a window, and its error against the wave.
+
+    Returns
+    -------
+    energy : ndarray, (ny, nx)
+        Sum 1 where the window holds every ray.
+    error : float
+        Bound of max |dI|/max I: what a blur by the width of diffraction changes, twice, and the
+        light that a rim sends elsewhere.
+
+    Notes
+    -----
+    A wave of curvature W'' spreads the edge of a shadow, or a caustic, over about
+    ``sqrt(lambda d^2 W'')``, and any edge over lambda N. Where a rim focuses, as in the middle of
+    a symmetric spot, it adds up to about ``lambda N/pitch`` to a pixel.
+    """
+    sharp, soft = np.zeros(window.shape), np.zeros(window.shape)
+    # half as many rays for the soft one, so that their number shows too
+    for boxes in _boxes(residual, window, 1.0):
+        _splat(boxes, residual, window, sharp)
+    for boxes in _boxes(residual, window, 0.5):
+        for part in boxes.spread():
+            _splat(part, residual, window, soft)
+    change = float(np.abs(sharp - soft).max() / sharp.max())
+    return sharp, SAFETY * change + least_error(residual, window.pitch)
+
+
+def _splat(boxes: _Boxes, residual: Residual, window: Window, out: Array) -> None:
+    from . import _transform_kernels
+
+    pitch = window.pitch
+    left = window.first[0] - pitch / 2 - residual.shift[0]
+    low = window.first[1] - pitch / 2 - residual.shift[1]
+    _transform_kernels.splat(
+        (boxes.x - left) / pitch,
+        (boxes.y - low) / pitch,
+        boxes.width_x / pitch,
+        boxes.width_y / pitch,
+        boxes.energy,
+        out,
+    )
+
+
+def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
+    """Boxes of all rays, or of a share of them along each side."""
+    if residual.is_flat:
+        return iter([_single_box(residual)])
+    if residual.wavefront.layout == "polar":
+        return _polar_boxes(residual, window, share)
+    if residual.wavefront.layout == "cells":
+        return _cell_boxes(residual, window, share)
+    if residual.wavefront.aperture is not None and len(residual.wavefront.aperture.cells) > 1:
+        raise SamplingError(
+            "the rays of a grid have slopes between neighbours, which the cells of its aperture "
+            "do not share; sample it with nodes='cells'"
+        )
+    return _local_boxes(residual, window, share)
+
+
+def _single_box(residual: Residual) -> _Boxes:
+    """All light of a wave without aberration, whose rays land in one point."""
+    none = np.zeros(1)
+    return _Boxes(none, none, none, none, _blur(residual, none, none, none, 0.0), np.ones(1))
+
+
+def ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:
+    """Rings and spokes whose rays land about a quarter of a pixel apart."""
+    n_r = 4 * residual.rays.reach / window.pitch + 64
+    n_r = max(residual.series.n_r, math.ceil(share * min(n_r, MOST_RADII)))
+    return n_r, max(residual.series.n_theta, 4 * n_r)
+
+
+def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
+    """Cells of a fine polar mesh."""
+    wave = residual.wavefront
+    n_r, n_theta = ray_counts(residual, window, share)
+    fits_memory(f"{n_r} x {n_theta} rays", 250.0 * n_r * n_theta, "use a wider pitch")
+    rays = residual.traced(n_r, n_theta)
+    fraction, weights = gauss_legendre(n_r)
+    inner = wave.obscuration**2
+    r = wave.pupil_radius * np.sqrt(inner + (1 - inner) * np.append(fraction, 1.0))
+    # width of the rings in r
+    edges = np.sqrt(inner + (1 - inner) * np.append(0.0, np.cumsum(weights)))
+    ring = (wave.pupil_radius * np.diff(edges))[:, None]
+    arc = (2 * math.pi / n_theta) * r[:-1, None]
+    over_r = [np.gradient(a, r, axis=0)[:-1] for a in (rays.x, rays.y)]
+    over_arc = [
+        ((np.roll(a, -1, axis=1) - np.roll(a, 1, axis=1))[:-1]) / (2 * arc)
+        for a in (rays.x, rays.y)
+    ]
+    width_x, width_y = (np.hypot(a * ring, b * arc) for a, b in zip(over_r, over_arc, strict=True))
+    angle = 2 * math.pi * np.arange(n_theta) / n_theta
+    c, t = np.cos(angle), np.sin(angle)
+    d = wave.image_distance
+    uu, uv, vv = (
+        (c * over_r[0] - t * over_arc[0]) / d,
+        (t * over_r[0] + c * over_arc[0]) / d,
+        (t * over_r[1] + c * over_arc[1]) / d,
+    )
+    doubt = abs(d) * residual.series.truncation() * residual.series.n_r / wave.pupil_radius
+    yield _Boxes(
+        rays.x[:-1].ravel(),
+        rays.y[:-1].ravel(),
+        width_x.ravel(),
+        width_y.ravel(),
+        _blur(residual, uu.ravel(), uv.ravel(), vv.ravel(), doubt),
+        rays.energy[:-1].ravel(),
+    )
+
+
+def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
+    """Cells of a fine mesh of every patch."""
+    wave, aperture = residual.wavefront, residual.aperture
+    n = patch_rays(residual, window, share)
+    n_patches = len(residual.aberration)
+    fits_memory(f"{n_patches} x {n} x {n} rays", 400.0 * n_patches * n * n, "use a wider pitch")
+    rays = residual.traced(n_patches, n, n)
+    fraction, weights = gauss_legendre(n)
+    s, t = np.concatenate([[NEAREST], fraction, [1.0]]), np.concatenate([[0.0], fraction, [1.0]])
+    _, along_s, along_t = (a[:, 1:-1, 1:-1] for a in aperture.map(s, t))
+    inner = np.s_[:, 1:-1, 1:-1]
+    over_s = [np.gradient(a, s, axis=1)[inner] for a in (rays.x, rays.y)]
+    over_t = [np.gradient(a, t, axis=2)[inner] for a in (rays.x, rays.y)]
+    width_x, width_y = (
+        np.hypot(a * weights[:, None], b * weights) for a, b in zip(over_s, over_t, strict=True)
+    )
+    d = wave.image_distance
+    scale = d * cross(along_s, along_t)
+    uu, uv, vv = (
+        (over_s[0] * along_t[..., 1] - over_t[0] * along_s[..., 1]) / scale,
+        (over_t[0] * along_s[..., 0] - over_s[0] * along_t[..., 0]) / scale,
+        (over_t[1] * along_s[..., 0] - over_s[1] * along_t[..., 0]) / scale,
+    )
+    most, least = max(residual.aberration.shape[1:]), min(aperture.patch_size)
+    doubt = abs(d) * residual.series.truncation() * most / least
+    yield _Boxes(
+        rays.x[inner].ravel(),
+        rays.y[inner].ravel(),
+        width_x.ravel(),
+        width_y.ravel(),
+        _blur(residual, uu.ravel(), uv.ravel(), vv.ravel(), doubt),
+        rays.energy[inner].ravel(),
+    )
+
+
+def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
+    """Rays along each side of a patch, about a quarter of a pixel apart."""
+    n_patches, *own = residual.aberration.shape
+    n = 4 * residual.rays.reach / window.pitch + 64
+    wanted = math.ceil(share * min(n, 2 * MOST_RADII / math.sqrt(n_patches)))
+    return int(max(*own, wanted))
+
+
+def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
+    """Square cells about the nodes of a grid or of scattered nodes, divided as pixels need."""
+    wave, fits = residual.wavefront, residual.local
+    weights = wave.weights.ravel()[fits.indices]
+    energy = weights * wave.amplitude.ravel()[fits.indices] ** 2
+    energy /= energy.sum()
+    side = np.sqrt(weights)
+    d = wave.image_distance
+    uu, uv, vv = fits.bends.T
+    wide = side * np.hypot(uu, uv), side * np.hypot(uv, vv)
+    cells = most_cells(residual, window, share)
+    doubt = abs(d) * fits.misfit / side.clip(min=1e-12 * wave.pupil_radius)
+    blur = _blur(residual, uu, uv, vv, doubt)
+    steps = (np.arange(cells) + 0.5) / cells - 0.5
+    for a in steps:
+        for b in steps:
+            du, dv = _slopes(fits, a * side / fits.scale, b * side / fits.scale)
+            width_x, width_y = (abs(d) * w / cells for w in wide)
+            yield _Boxes(d * du, d * dv, width_x, width_y, blur, energy / cells**2)
+
+
+def most_cells(residual: Residual, window: Window, share: float = 1.0) -> int:
+    """Parts along each side of a node's cell, so that rays land half a pixel apart."""
+    wave, fits = residual.wavefront, residual.local
+    uu, uv, vv = fits.bends.T
+    wide = np.maximum(np.hypot(uu, uv), np.hypot(uv, vv))
+    widest = float(np.max(np.sqrt(wave.weights.ravel()[fits.indices]) * wide))
+    cells = math.ceil(2 * abs(wave.image_distance) * widest / window.pitch)
+    most = math.isqrt(max(1, MOST_RAYS // len(fits.indices)))
+    return max(math.ceil(share * min(most, cells)), 1)
+
+
+def _slopes(fits: LocalFits, x: Array, y: Array) -> tuple[Array, Array]:
+    """Gradient of the aberration a step (x, y), in units of each fit's scale, from the nodes."""
+    one, zero, square = np.ones_like(x), np.zeros_like(x), terms(x, y)
+    _, _, _, xx, xy, yy = square[:6]
+    along_u = np.stack([zero, one, zero, 2 * x, y, zero, 3 * xx, 2 * xy, yy, zero])
+    along_v = np.stack([zero, zero, one, zero, x, 2 * y, zero, xx, 2 * xy, 3 * yy])
+    return (
+        np.einsum("tn,tn->n", along_u, fits.aberration) / fits.scale,
+        np.einsum("tn,tn->n", along_v, fits.aberration) / fits.scale,
+    )
+
+
+def _blur(residual: Residual, uu: Array, uv: Array, vv: Array, doubt: Array | float) -> Array:
+    """Widths of diffraction and of what is not known of the slopes, (2, 2, n), m.
+
+    Along the two axes of the wave's curvature (uu, uv, vv), 1/m.
+    """
+    wave = residual.wavefront
+    middle, half = (uu + vv) / 2, np.hypot((uu - vv) / 2, uv)
+    angle = np.arctan2(2 * uv, uu - vv) / 2
+    axes = np.stack([np.cos(angle), np.sin(angle)]), np.stack([-np.sin(angle), np.cos(angle)])
+    floor = (AIRY * residual.airy_unit) ** 2 + np.square(4 * np.asarray(doubt))
+    fresnel = FRESNEL**2 * wave.wavelength * wave.image_distance**2
+    return np.stack(
+        [
+            np.sqrt(fresnel * np.abs(bend) + floor) * axis
+            for bend, axis in zip((middle + half, middle - half), axes, strict=True)
+        ]
+    )

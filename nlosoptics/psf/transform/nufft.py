@@ -1,0 +1,144 @@
+"""Sum over pupil nodes of any layout to a window, by a non-uniform fast Fourier transform.
+
+Every node, or traced ray, counts with amplitude times area.
+"""
+
+from __future__ import annotations
+
+import math
+
+import ducc0
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory
+from ..wave.detilted import Residual
+from ..window.window import Window
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+#: Nodes and points up to which all digits are worth their time; beyond, `FAST` at most.
+SMALL = 200_000
+BEST, FAST = 2e-13, 1e-8
+
+
+def epsilon(n_nodes: int, window: Window, tol: float) -> float:
+    """Relative accuracy to ask of the transform: all digits where they cost little."""
+    if n_nodes + window.shape[0] * window.shape[1] <= SMALL:
+        return BEST
+    return max(min(FAST, tol / 100), BEST)
+
+
+def n_bytes(n_nodes: int, window: Window) -> float:
+    """Peak memory: 100 bytes a node, 64 an image point (the oversampled grid's too)."""
+    return 100.0 * n_nodes + 64.0 * window.shape[0] * window.shape[1]
+
+
+def image_field(
+    residual: Residual,
+    u: Array,
+    v: Array,
+    path: Array,
+    size: Array,
+    window: Window,
+    epsilon: float,
+) -> ComplexArray:
+    """``sum size exp(ik path) exp(-2 pi i x.p/(lambda d))``, x counted from the tilt's shift.
+
+    Parameters
+    ----------
+    residual : Residual
+        For the wavelength, the distance and the shift.
+    u, v, path, size : ndarray
+        Nodes and aberration, m, and weights; of one shape.
+    window : Window
+    epsilon : float
+        Error of the transform, rms relative to the field's.
+
+    Returns
+    -------
+    ndarray of complex, (ny, nx)
+    """
+    wave = residual.wavefront
+    from ..wave import _wave_kernels
+
+    per_metre = 1 / (wave.wavelength * wave.image_distance)
+    ny, nx = window.shape
+    # The transform's modes run from -n//2, so its mode 0 is sample n//2.
+    x = window.first[0] + (nx // 2) * window.pitch - residual.shift[0]
+    y = window.first[1] + (ny // 2) * window.pitch - residual.shift[1]
+    turns = (-per_metre * x) * u
+    turns -= (per_metre * y) * v
+    turns += path / wave.wavelength
+    points = np.empty(u.size, dtype=np.complex128)
+    _wave_kernels.phasors(turns.ravel(), size.ravel(), points.real, points.imag)
+    coord = np.empty((u.size, 2))
+    coord[:, 0], coord[:, 1] = v.ravel(), u.ravel()
+    coord *= 2 * math.pi * per_metre * window.pitch
+    image = np.empty(window.shape, dtype=np.complex128)
+    ducc0.nufft.nu2u(
+        points=points,
+        coord=coord,
+        forward=True,
+        epsilon=epsilon,
+        nthreads=1,
+        out=image,
+    )
+    return image
+
+
+def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexArray:
+    """Image field of the wavefront's own nodes, 1 at the axis without aberration."""
+    wave = residual.wavefront
+    size = wave.amplitude * wave.weights
+    lit = size > 0
+    count = int(np.count_nonzero(lit))
+    fits_memory(
+        f"the sum over {count} nodes to {window.shape[0]} x {window.shape[1]} points",
+        n_bytes(count, window),
+        "use a smaller shape",
+    )
+    return image_field(
+        residual,
+        wave.u[lit],
+        wave.v[lit],
+        residual.aberration[lit],
+        size[lit] / residual.amplitude_sum,
+        window,
+        epsilon,
+    )
+
+
+def reference(
+    residual: Residual, window: Window, epsilon: float
+) -> tuple[ComplexArray, float, float, float]:
+    """Field of the same wave without the error of its scattered nodes.
+
+    The wave is interpolated to polar nodes of the round or annular pupil that it samples.
+
+    Returns
+    -------
+    field : ndarray of complex, (ny, nx)
+        1 at the axis without aberration.
+    total, energy : float
+        Integrals of the amplitude and of its square, m^2.
+    doubt : float
+        Error of the field for that of the interpolation.
+    """
+    wave = residual.wavefront
+    v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
+    v += residual.wavenumber * residual.rays.slope * wave.pupil_radius
+    # a dozen degrees for the bends of a smooth amplitude
+    n_r, n_theta = math.ceil(0.29 * v + 19), math.ceil(v + 12 * v ** (1 / 3) + 24)
+    fits_memory(
+        f"the error estimate by {n_r} x {n_theta} nodes",
+        600.0 * n_r * n_theta + n_bytes(0, window),
+        "use a smaller shape",
+    )
+    u, v_, weights, path, amplitude, doubt = residual.local.on_polar(wave, n_r, n_theta)
+    total = float(np.sum(amplitude * weights))
+    share = amplitude * weights / total
+    image = image_field(residual, u, v_, path, share, window, epsilon)
+    energy = float(np.sum(amplitude**2 * weights))
+    return image, total, energy, residual.wavenumber * float(np.sum(share * doubt))

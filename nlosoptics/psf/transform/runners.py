@@ -1,0 +1,454 @@
+"""One runner for each transform; `selection` picks among them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory
+from ...errors import SamplingError
+from ..wave.detilted import Residual
+from ..window import error_bounds
+from ..window.grids import PupilGrid, pupil_grid, pupil_grid_from_polar
+from ..window.pixels import PixelRule
+from ..window.window import Window
+from . import (
+    airy,
+    antialiased_fft,
+    antialiased_pupil,
+    fft,
+    geometric,
+    huygens,
+    mdft,
+    nufft,
+    quadrature,
+)
+
+Array = NDArray[np.float64]
+#: Height of the image surface over the image plane, m, at (x, y).
+Surface = Callable[[Array, Array], Array]
+
+#: Fewest pupil samples across when a polar wave is put on a grid.
+LEAST_SAMPLES = 512
+#: Pixel in Airy units, up to which beats are taken not to average out.
+NO_BEATS = 0.8
+#: Times tol up to which an error of the polynomial fft is met by padding more.
+NEAR_MISS = 8.0
+#: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
+NEGLIGIBLE = 1e-10
+
+
+class SoftTask(NamedTuple):
+    """A polynomial wave, its rim and the period its image needs, Airy units."""
+
+    wave: antialiased_pupil.SoftWave
+    rim: antialiased_pupil.Rim
+    period: float
+
+    def grid(self, task: Task, method: str) -> antialiased_fft.Grid:
+        """Grid of the ``fft`` or, of whole cells in the radius, of the ``mdft``."""
+        single = task.tol >= antialiased_pupil.SINGLE
+        if method == "fft":
+            return antialiased_fft.padded(task.residual, task.samples, self.period, single)
+        return antialiased_fft.whole(task.residual, self.period, single)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What every transform is asked for."""
+
+    residual: Residual
+    tol: float
+    pitch: float
+    shape: tuple[int, int]
+    rule: PixelRule | None
+    surface: Surface | None = None
+
+    @property
+    def pixels(self) -> Window:
+        """Image points of the result."""
+        return Window.centred(self.pitch, self.shape)
+
+    @property
+    def samples(self) -> Window:
+        """Points at which the intensity is needed."""
+        return self.pixels if self.rule is None else self.rule.window(self.pitch, self.shape)
+
+    @property
+    def level(self) -> float:
+        """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
+        return self.residual.pixel_share(self.pitch)
+
+    @property
+    def pixel(self) -> float:
+        """Pixel side, Airy units; 0 for point samples.
+
+        Of an aperture at most `NO_BEATS`: its lobes may be wider than the Airy unit says.
+        """
+        pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
+        return pixel if self.residual.wavefront.aperture is None else min(pixel, NO_BEATS)
+
+    @cached_property
+    def soft(self) -> SoftTask | None:
+        """What the transforms of a polynomial wave's softened grid need; None for another."""
+        found = antialiased_pupil.soft_wave(self.residual, self.tol)
+        if found is None:
+            return None
+        rim = antialiased_pupil.rim_of(self.residual, found)
+        period = antialiased_pupil.period_of(self.residual, rim, self.samples, self.tol)
+        return SoftTask(found, rim, period)
+
+    def bound(
+        self,
+        intensity: Array,
+        field_error: Array | float,
+        energy_error: float,
+        spill: Array | float = 0.0,
+    ) -> float:
+        """`error_bounds.intensity_error` on these pixels."""
+        return error_bounds.intensity_error(
+            intensity,
+            field_error,
+            energy_error,
+            spill=spill,
+            pixel=self.pixel,
+            level=self.level,
+        )
+
+    def transform_error(self, mean: Array, epsilon: float) -> float:
+        """`error_bounds.transform_error` on these pixels."""
+        return error_bounds.transform_error(mean, epsilon, pixel=self.pixel)
+
+    def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
+        """Intensity of a field at `samples`, averaged over pixels where asked."""
+        fine = field.real**2
+        if np.iscomplexobj(field):
+            fine += field.imag**2
+        return self.averaged(fine)
+
+    def averaged(self, fine: Array) -> Array:
+        """Intensity at `samples`, averaged over pixels where asked."""
+        if self.rule is None:
+            return fine
+        return self.rule.mean_down(self.rule.mean(fine))
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a transform gives.
+
+    Parameters
+    ----------
+    method : str
+    mean : ndarray, (ny, nx)
+        1 at the ideal peak.
+    error : float
+        Bound of max |dI|/max I.
+    level : float
+        See `Task.level`.
+    """
+
+    method: str
+    mean: Array
+    error: float
+    level: float
+
+
+def transform(task: Task, method: str) -> Result:
+    """Run one transform."""
+    if method in ("fft", "mdft") and task.residual.wavefront.layout == "cells":
+        raise SamplingError(
+            f"{method} needs a grid, and this wavefront is sampled on cells; use "
+            "method='quadrature', or sample it with nodes='grid'"
+        )
+    if method == "huygens":
+        return _huygens(task)
+    run: dict[str, Callable[[Task], tuple[Array, float]]] = {
+        "airy": _airy,
+        "quadrature": _quadrature,
+        "fft": _fft,
+        "mdft": _mdft,
+        "nufft": _nufft,
+        "geometric": _geometric,
+    }
+    mean, error = run[method](task)
+    return Result(method, mean, error, task.level)
+
+
+def _airy(task: Task) -> tuple[Array, float]:
+    residual = task.residual
+    if residual.wavefront.layout != "polar":
+        raise SamplingError(
+            "the closed form needs a polar wavefront, whose rim is a circle; sample it with "
+            f"nodes='polar', or use method='{_sum_of(residual)}'"
+        )
+    bound = airy.error_bound(residual)
+    if math.isinf(bound):
+        raise SamplingError(
+            f"the residual aberration reaches {_waves(residual):.3g} waves, too much for the "
+            "closed form; use method='quadrature'"
+        )
+    samples = task.samples
+    fits_memory("the closed form", 64.0 * samples.shape[0] * samples.shape[1], "use fewer pixels")
+    filtering = 0.0 if task.rule is None else error_bounds.FILTER
+    return task.averaged(airy.intensity(residual, samples)), bound + filtering
+
+
+def _quadrature(task: Task) -> tuple[Array, float]:
+    residual = task.residual
+    if not residual.wavefront.is_spectral:
+        raise SamplingError(
+            "quadrature needs a polar wavefront, or one of cells, and this one is "
+            f"{residual.wavefront.layout}, which has lost its rim; sample it with "
+            f"nodes='cells' or nodes='polar', or use method='{_sum_of(residual)}'"
+        )
+    epsilon = quadrature.epsilon(residual, task.samples, task.tol)
+    mean = task.means(quadrature.field(residual, task.samples, epsilon))
+    lost = residual.truncation
+    return mean, task.bound(mean, lost, lost**2) + task.transform_error(mean, epsilon)
+
+
+def _fft(task: Task) -> tuple[Array, float]:
+    residual, samples = task.residual, task.samples
+    _check_not_scattered(residual, "fft")
+    soft = _soft(task, "fft")
+    if soft is not None:
+        return soft
+    fft.check_padding(residual, samples.pitch)
+    if residual.wavefront.layout == "polar":
+        size = polar_size(task)
+        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, size))
+        _check_jump(task, grid.jump, None)
+    else:
+        if task.rule is not None:
+            raise SamplingError(
+                "the fft of a grid wavefront has its own image pitch, which does not divide "
+                "pixels; use method='mdft' for pixel_integrated=True"
+            )
+        size = fft.padded_size(residual, samples.pitch)
+        _check_jump(task, *residual.grid_jump())
+        _check_period(task)
+        grid = pupil_grid(residual)
+    fits_memory(
+        f"the transform of {grid.values.shape[0]} x {size} samples",
+        48.0 * grid.values.shape[0] * size,
+        "use a smaller shape",
+    )
+    mean = fft.intensity_in(residual, grid, samples, size, task.rule)
+    return mean, _grid_bound(task, mean, grid)
+
+
+def _soft(task: Task, method: str) -> tuple[Array, float] | None:
+    """Either transform of a polynomial wave, which goes on beyond its softened rim; else None."""
+    soft = task.soft
+    if soft is None:
+        return None
+    found = _soft_image(task, soft, method)
+    if task.tol < found[1] < NEAR_MISS * task.tol:
+        # its peak is lower than was expected
+        tol = task.tol / NEAR_MISS
+        period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, tol)
+        found = _soft_image(task, soft._replace(period=period), method)
+    return found
+
+
+def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
+    """Image of a polynomial wave on its grid, and its error."""
+    residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
+    run = antialiased_fft.padded_image if method == "fft" else antialiased_fft.folded_image
+    mean = run(residual, wave, task.samples, grid, task.rule)
+    half = 0.0 if task.rule is None else task.pitch / 2
+    strongest, error = antialiased_pupil.block_errors(
+        residual, soft.rim, task.pixels, mean, grid.period, half
+    )
+    lost = residual.truncation + wave.misfit * wave.strength + grid.error
+    return mean, task.bound(strongest, error + lost, math.inf)
+
+
+def _mdft(task: Task) -> tuple[Array, float]:
+    residual, samples = task.residual, task.samples
+    _check_not_scattered(residual, "mdft")
+    soft = _soft(task, "mdft")
+    if soft is not None:
+        return soft
+    if residual.wavefront.layout == "polar":
+        grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
+        _check_jump(task, grid.jump, None)
+    else:
+        _check_jump(task, *residual.grid_jump())
+        _check_period(task)
+        grid = pupil_grid(residual)
+    n = grid.values.shape[0]
+    fits_memory(
+        f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
+        48.0 * n * (n + max(samples.shape)),
+        "use a smaller shape",
+    )
+    mean = mdft.intensity_in(residual, grid, samples, task.rule)
+    return mean, _grid_bound(task, mean, grid)
+
+
+def _check_not_scattered(residual: Residual, method: str) -> None:
+    if residual.wavefront.layout == "scattered":
+        raise SamplingError(
+            f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
+            "sample it with nodes='polar' or 'grid'"
+        )
+
+
+def _sum_of(residual: Residual) -> str:
+    """Transform that takes a layout's nodes as they are."""
+    layout = residual.wavefront.layout
+    return {"cells": "quadrature", "grid": "mdft"}.get(layout, "nufft")
+
+
+def _nufft(task: Task) -> tuple[Array, float]:
+    residual, samples = task.residual, task.samples
+    wave = residual.wavefront
+    if wave.is_spectral:
+        need = quadrature.node_counts(residual, samples, NEGLIGIBLE)
+        if need != wave.u.shape:
+            now, wanted = (" x ".join(map(str, n)) for n in (wave.u.shape, need))
+            raise SamplingError(
+                f"{now} {wave.layout} nodes are too few for this window, which needs {wanted}; use "
+                f"wavefront.resampled{need[-2:]}, a smaller shape, or method='quadrature'"
+            )
+    else:
+        _check_jump(task, *residual.grid_jump())
+        _check_period(task)
+    epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
+    mean = task.means(nufft.field(residual, samples, epsilon))
+    rounding = task.transform_error(mean, epsilon)
+    if wave.is_spectral:
+        lost = residual.truncation + 10 * NEGLIGIBLE
+        return mean, task.bound(mean, lost, lost**2) + rounding
+    if wave.layout == "grid":
+        return mean, _grid_bound(task, mean, pupil_grid(residual)) + rounding
+    return mean, _scattered_bound(task, mean, epsilon) + rounding
+
+
+def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
+    """What the nodes' own areas err by, from the same wave on polar nodes."""
+    wave = task.residual.wavefront
+    field, total, true_energy, doubt = nufft.reference(task.residual, task.samples, epsilon)
+    better = task.means(field)
+    energy = float(np.sum(wave.amplitude**2 * wave.weights))
+    flux = (total / task.residual.amplitude_sum) ** 2
+    # relative to the ideal peak, to the clear disc's light, and to the light that passes
+    levels = (1.0, flux, flux * energy / true_energy)
+    worst = max(float(np.abs(better * level - mean).max()) for level in levels)
+    return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
+
+
+def _huygens(task: Task) -> Result:
+    residual, window = task.residual, task.pixels
+    wave = residual.wavefront
+    if task.rule is not None:
+        raise SamplingError(
+            "huygens gives the intensity at points, and a surface knows no band limit to integrate "
+            "pixels by; use pixel_integrated=False"
+        )
+    ny, nx = window.shape
+    fits_memory(f"{ny} x {nx} image points", 120.0 * ny * nx, "use a smaller shape")
+    y, x = np.meshgrid(window.y, window.x, indexing="ij")
+    points = np.stack([x, y, np.full_like(x, wave.image_distance)], axis=-1).reshape(-1, 3)
+    if task.surface is not None:
+        height = np.asarray(task.surface(x, y), dtype=np.float64)
+        points[:, 2] += np.broadcast_to(height, x.shape).ravel()
+    found = huygens.surface_field(residual, points)
+    mean = found.intensity.reshape(window.shape)
+    return Result("huygens", mean, found.error, found.density * task.pitch**2)
+
+
+def _geometric(task: Task) -> tuple[Array, float]:
+    if task.rule is None:
+        raise SamplingError(
+            "rays have a density over pixels and no intensity at points; use pixel_integrated=True"
+        )
+    energy, error = geometric.density(task.residual, task.pixels)
+    return energy / task.level, error
+
+
+def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
+    half = 0.0 if task.rule is None else task.pitch / 2
+    found = error_bounds.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y, half)
+    lost = task.residual.truncation
+    bound = task.bound(mean, found.field + lost, found.energy + lost**2, found.spill)
+    if task.rule is None:
+        return bound
+    return bound + error_bounds.damping_error(task.residual, grid, task.pitch)
+
+
+def polar_size(task: Task) -> int:
+    """Padded size for a polar wave: period over image samples, wide enough for window and rays."""
+    residual, samples = task.residual, task.samples
+    reach = max(samples.reach_from(residual.shift))
+    # The window within the half period, the spot's far rim within that of its near one (see
+    # `antialiased_disc.leak`), and the rim no coarser than the least samples.
+    period = max(
+        2 * reach,
+        4.4 * residual.rays.reach + 16 * residual.airy_unit,
+        LEAST_SAMPLES * residual.airy_unit,
+    )
+    return int(np.ceil(period / samples.pitch - 1e-9))
+
+
+def grid_period_pitch(task: Task, size: int) -> float:
+    """Pupil pitch of a polar wave on a grid whose image repeats after ``size`` samples, m."""
+    wave = task.residual.wavefront
+    return wave.wavelength * abs(wave.image_distance) / (size * task.samples.pitch)
+
+
+def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
+    if jump > 0.5:
+        wave = task.residual.wavefront
+        n = wave.u.shape[0]
+        where, need = "", math.ceil(n * jump / 0.5)
+        if wave.layout != "polar":
+            where = f" at {'pixel' if wave.layout == 'grid' else 'node'} {pixel}"
+            power = 2 if wave.layout == "scattered" else 1
+            # as many as the window takes, too
+            more = max(jump / 0.5, _period_share(task))
+            # others of scattered nodes are the ones farthest apart, when there are more of them
+            more *= 1.2 if power == 2 else 1.0
+            need = math.ceil(n * more**power)
+        raise SamplingError(
+            f"aberration jumps {jump:.2f} waves{where}, limit 0.50; use {need} or more pupil "
+            f"samples (now {n}), or polar nodes"
+        )
+
+
+def _period_share(task: Task) -> float:
+    """Distance from which the window needs the repeats to stay away, over theirs."""
+    residual = task.residual
+    wave = residual.wavefront
+    need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
+    if task.rule is not None:  # as far as the pixels' edges, and the core of the repeat itself
+        need += task.pitch / 2 + residual.airy_unit
+    return need * residual.spacing / (wave.wavelength * abs(wave.image_distance))
+
+
+def _check_period(task: Task) -> None:
+    """The window clear of the repeats that the pupil's samples make of the spot."""
+    residual = task.residual
+    wave = residual.wavefront
+    period = wave.wavelength * abs(wave.image_distance) / residual.spacing
+    need = _period_share(task) * period
+    if need > period * (1 + 1e-9):
+        n = wave.u.shape[0]
+        more = (need / period) ** (2 if wave.layout == "scattered" else 1)
+        raise SamplingError(
+            f"the pupil samples repeat the spot every {period:.3g} m, inside the window, which "
+            f"needs {need:.3g} m; use {math.ceil(n * more)} or more pupil samples (now "
+            f"{n}), or a smaller shape"
+        )
+
+
+def _waves(residual: Residual) -> float:
+    return float(np.abs(residual.aberration).max()) / residual.wavefront.wavelength

@@ -1,0 +1,1 @@
+"""From a whole scene to its point spread function."""

@@ -1,0 +1,299 @@
+"""Point spreads that vary over the hidden object, as a few modes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import carried, fits_memory, in_range, is_single, positive, whole
+from ..._nouns import Noun
+from ..._progress import Progress
+from ..._random import generator
+from ...errors import SamplingError, SceneError
+from ...raytrace.intersection.meshes import worker_pool
+from ...scene import PlanarObject, Scene
+from ..pupil.scene_optics import SceneOptics, optics_of
+from ..transform.point_spread import PointSpread
+from .scene_psf import point_image, point_window
+
+Array = NDArray[np.float64]
+HELD_OUT = 501  # stream of the points that check a field
+AVERAGED = 32  # points along each side of the picture over which a field is averaged
+FINEST = 1e-3  # of the object's size, the smallest radius that `isoplanatic_radius` tells
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PointSpreadField(Noun):
+    """Point spreads over a picture: ``sum_k weights[k] modes[k]`` at every point.
+
+    Parameters
+    ----------
+    modes : ndarray, (K, py, px)
+        Energy per pixel, centre at ``[py//2, px//2]``, which lies on the chief ray of the point.
+    weights : ndarray, (K, ny, nx)
+        At the nodes ``across`` and ``up``.
+    across, up : ndarray, (nx,) and (ny,)
+        Chebyshev nodes over the picture, -1 to 1: from its left to its right edge, and from its
+        lower to its upper one.
+    pitch : float
+        Image pixel, m.
+    truncation_error : float
+        Largest max |dI|/max I at the nodes that leaving out the other modes makes.
+    error_estimate : float
+        Largest max |dI|/max I at points between the nodes, chosen at random and computed anew,
+        with the transforms' own estimates added.
+    normalisation : str
+        Of the modes' sums, ``"unit-sum"``.
+    """
+
+    modes: Array
+    weights: Array
+    across: Array
+    up: Array
+    pitch: float
+    truncation_error: float
+    error_estimate: float
+    normalisation: str = "unit-sum"
+
+    def __post_init__(self) -> None:
+        for array in (self.modes, self.weights, self.across, self.up):
+            array.flags.writeable = False
+
+    def at(self, across: ArrayLike, up: ArrayLike) -> Array:
+        """Weights at points of the picture.
+
+        Parameters
+        ----------
+        across, up : array_like, (...)
+            -1 to 1 over the picture; the shapes broadcast. What lies beyond takes the weights of
+            the nearest edge.
+
+        Returns
+        -------
+        ndarray, (K, ...)
+        """
+        x, y = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (across, up)))
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise SamplingError("across or up holds NaN or infinity; give points of the picture")
+        on_x = _chebyshev(len(self.across), x.ravel())
+        on_y = _chebyshev(len(self.up), y.ravel())
+        # einsum's own loops: BLAS could round otherwise on another number of threads
+        half = np.einsum("kyx,nx->kyn", self.weights, on_x)
+        weights = np.einsum("kyn,ny->kn", half, on_y)
+        return np.asarray(weights.reshape(len(self.weights), *x.shape))
+
+    def point_spread(self, across: float, up: float) -> Array:
+        """Point spread at one point of the picture, (py, px)."""
+        return np.asarray(np.tensordot(self.at(across, up), self.modes, 1))
+
+    def mean(self) -> Array:
+        """Mean point spread over the picture, (py, px)."""
+        steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
+        weights = self.at(steps[None, :], steps[:, None]).mean(axis=(1, 2))
+        return np.asarray(np.tensordot(weights, self.modes, 1))
+
+
+def point_spread_field(
+    scene: Scene | SceneOptics,
+    grid: int | tuple[int, int] = 5,
+    *,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    checks: int = 6,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> PointSpreadField:
+    """Point spreads over the hidden picture, compressed to a few modes.
+
+    Parameters
+    ----------
+    scene : Scene or SceneOptics
+        With a `PlanarObject`.
+    grid : int or (int, int)
+        Nodes over the picture, (ny, nx); one number for both, 1 to 64.
+    tol : float
+        Wanted error of every point spread, max |dI|/max I: half of it for the transforms, half for
+        the modes left out.
+    pitch : float, optional
+        Pixel, m; the camera's image pixel by default. Values are integrals over pixels.
+    checks : int
+        Points between the nodes at which the field is checked; 0 leaves ``error_estimate`` to what
+        the nodes tell.
+    seed : int
+        Of these points.
+    progress : callable(str, float), optional
+        Told "field" and the fraction done.
+
+    Returns
+    -------
+    PointSpreadField
+
+    Raises
+    ------
+    SceneError
+        If the object is a mesh or an option is out of range.
+    CausticError, NotWaveGradeError, SamplingError
+        Where a node has no wave or no transform reaches ``tol``.
+    MemoryLimitError
+        If the point spreads of all nodes would not fit.
+
+    Notes
+    -----
+    The modes are the leading right singular vectors of the matrix of all point spreads, as many as
+    ``tol`` takes; the weights are interpolated by Chebyshev polynomials over the picture. Point
+    spreads are computed on as many threads as there are cores, with the same bits on any number.
+    """
+    optics = optics_of(scene)
+    scene = optics.scene
+    hidden = _picture(scene)
+    ny, nx = _grid_counts(grid)
+    in_range("tol", tol, 1e-9, 0.1)
+    checks = whole("checks", checks, 0)
+    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
+    up, across = _nodes(ny), _nodes(nx)
+    corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
+    # what is seen from these is kept for the point spreads of the nodes among them
+    seen = {
+        place: optics.at(picture_point(hidden, *place)) for place in sorted(corners | {(0.0, 0.0)})
+    }
+    side = max(point_window(one, pitch, tol / 2) for one in seen.values())
+    fits_memory(
+        f"{ny} x {nx} point spreads of {side} x {side} pixels",
+        40.0 * ny * nx * side * side,
+        "use a larger tol, or fewer nodes",
+    )
+    points = [(x, y) for y in up.tolist() for x in across.tolist()]
+    held_out = generator(seed, HELD_OUT).uniform(-1.0, 1.0, size=(checks, 2)).tolist()
+
+    def spread(place: tuple[float, float]) -> PointSpread:
+        one = seen.get(place) or optics.at(picture_point(hidden, *place))
+        return point_image(one, pitch, (side, side), tol / 2)[1]
+
+    found = []
+    for one in worker_pool().map(carried(spread), [*points, *map(tuple, held_out)]):
+        found.append(one)
+        if progress is not None:
+            progress("field", len(found) / (ny * nx + checks))
+    spreads = np.array([one.intensity for one in found[: ny * nx]])
+    modes, weights, lost = _compressed(spreads.reshape(ny * nx, -1), tol / 2)
+    worst = max(one.error_estimate for one in found)
+    field = PointSpreadField(
+        modes=modes.reshape(-1, side, side),
+        weights=np.ascontiguousarray(weights.T).reshape(-1, ny, nx),
+        across=across,
+        up=up,
+        pitch=pitch,
+        truncation_error=lost,
+        error_estimate=lost + worst,
+    )
+    rest = zip(held_out, found[ny * nx :], strict=True)
+    error = max((_off(field.point_spread(x, y), one.intensity) for (x, y), one in rest), default=0)
+    return replace(field, error_estimate=max(error, lost) + worst)
+
+
+def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> float:
+    """Distance on the object within which one point spread stands for all, m.
+
+    Parameters
+    ----------
+    scene : Scene or SceneOptics
+        With a `PlanarObject`.
+    tol : float
+        Largest max |dI|/max I between the point spread there and at the centre.
+
+    Returns
+    -------
+    float
+        The smallest over eight directions in the picture's plane, found by bisection along each
+        within the picture; inf where the point spread stays within ``tol`` all over it, and 0 where
+        it does so for less than 1e-3 of the picture.
+    """
+    optics = optics_of(scene)
+    hidden, pitch = _picture(optics.scene), optics.scene.camera.image_pitch
+    in_range("tol", tol, 1e-6, 1.0)
+    ends = [optics.at(picture_point(hidden, x, x)) for x in (0.0, 1.0, -1.0)]
+    side = max(point_window(one, pitch, tol / 10) for one in ends)
+
+    def spread(x: float, y: float) -> Array:
+        one = optics.at(picture_point(hidden, x, y))
+        return point_image(one, pitch, (side, side), tol / 10)[1].intensity
+
+    centre, radius = spread(0.0, 0.0), math.inf
+    for k in range(8):
+        x, y = math.cos(math.pi * k / 4), math.sin(math.pi * k / 4)
+        edge = 1.0 / max(abs(x), abs(y))  # of the picture along this direction
+        reach = math.hypot(x * hidden.size[0], y * hidden.size[1]) / 2
+        high = min(edge, radius / reach)
+        if _off(spread(high * x, high * y), centre) <= tol:
+            continue
+        low = 0.0
+        while high - low > FINEST:
+            middle = 0.5 * (low + high)
+            within = _off(spread(middle * x, middle * y), centre) <= tol
+            low, high = (middle, high) if within else (low, middle)
+        radius = low * reach
+    return radius
+
+
+def _picture(scene: Scene) -> PlanarObject:
+    if not isinstance(scene.hidden, PlanarObject):
+        raise SceneError("scene.hidden is a mesh; point spreads over a field need a PlanarObject")
+    return scene.hidden
+
+
+def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
+    counts = (grid, grid) if isinstance(grid, int) or is_single(grid) else grid
+    if not hasattr(counts, "__len__") or len(counts) != 2:
+        raise SceneError(f"grid = {grid!r}; give one whole number or (ny, nx)")
+    ny, nx = (whole("grid", n, 1, 64) for n in counts)
+    return ny, nx
+
+
+def _nodes(count: int) -> Array:
+    """Chebyshev points of the first kind, rising; the middle one of an odd count is exactly 0."""
+    nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    if count % 2:
+        nodes[count // 2] = 0.0
+    return nodes
+
+
+def _chebyshev(count: int, at: Array) -> Array:
+    """Weights (n, count) of the nodes at points, taken to the nearest edge."""
+    angles = np.pi * (np.arange(count) + 0.5) / count
+    orders = np.arange(count)
+    from_nodes = np.cos(orders[:, None] * (np.pi - angles)) * (2.0 / count)
+    from_nodes[0] /= 2.0
+    terms = np.cos(orders * np.arccos(np.clip(at, -1.0, 1.0))[:, None])
+    return np.asarray(np.einsum("nj,jk->nk", terms, from_nodes))
+
+
+def picture_point(hidden: PlanarObject, across: float, up: float) -> Array:
+    """World point, m, at coordinates -1 to 1 of the picture."""
+    right, upward, _ = hidden.axes
+    half = 0.5 * np.array(hidden.size)
+    return np.asarray(hidden.position + across * half[0] * right + up * half[1] * upward)
+
+
+def _off(found: Array, exact: Array) -> float:
+    return float(np.abs(found - exact).max() / exact.max())
+
+
+def _compressed(spreads: Array, tol: float) -> tuple[Array, Array, float]:
+    """Fewest modes (K, p) and weights (n, K) within ``tol``, and their error.
+
+    Of every row's peak, sample by sample, and of its sum in all samples together: the first is
+    what is told, the second is what an image may change by.
+    """
+    left, values, modes = np.linalg.svd(spreads, full_matrices=False)
+    peaks, sums = spreads.max(axis=1), np.abs(spreads).sum(axis=1)
+    rest = spreads.copy()
+    for count in range(1, len(values) + 1):
+        rest -= np.outer(left[:, count - 1] * values[count - 1], modes[count - 1])
+        size = np.abs(rest)
+        error = float((size.max(axis=1) / peaks).max())
+        if max(error, float((size.sum(axis=1) / sums).max())) <= tol or count == len(values):
+            break
+    return np.ascontiguousarray(modes[:count]), left[:, :count] * values[:count], error

@@ -1,0 +1,432 @@
+"""Point spread of a whole wall material: waves for its mirror-like lobes, rays for the rest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import fits_memory, in_range, one_of, positive, whole
+from ..._progress import Progress
+from ..._random import checked_seed
+from ...errors import SamplingError, SceneError
+from ...raytrace import PointTrace, ray_plan, trace_point
+from ...raytrace.light.trace import MOST, MOST_BOUNCES
+from ...raytrace.light.trace_point import EMISSIONS, Emission, point_normal, point_scene
+from ...scene import MirrorLobe, Scene
+from ..pupil.scene_optics import PointOptics, SceneOptics
+from ..pupil.wall_wavefront import AimedWave
+from ..rough.otf import transfer
+from ..rough.roughness import Roughness
+from ..rough.scattered_light import Halo
+from ..rough.view import RoughView, rough_view
+from ..transform.point_spread import PointSpread, detilted_point_spread
+from ..wave.regime import regime
+from ..wave.wavefront import Wavefront
+from ..window.error_bounds import rounded_up
+from ..window.window import Window, check_rays, middle, shape_of, window_side
+from .lobe_psf import ROUGH, lobe_roughness, split_lobes
+
+Array = NDArray[np.float64]
+#: Radius of the halo's window over `RoughView.halo`, 3 standard deviations of a Gaussian C.
+REACH: Final = 1.5
+WIDE: Final = 6.0  # the same of any other C
+
+
+@dataclass(frozen=True, eq=False)
+class MirrorImage:
+    """The wall as a mirror of reflectance 1, seen from one object point.
+
+    Parameters
+    ----------
+    aimed : AimedWave
+        Wave and rays of the object point.
+    flux : float
+        Power through the lens from a point of 1 W, W.
+    image : (float, float)
+        Where the chief ray meets the detector, from the camera's axis, m.
+    """
+
+    aimed: AimedWave
+    flux: float
+    image: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class WaveParts:
+    """What waves tell of the mirror image, W, and their largest error, W a pixel."""
+
+    coherent: Array
+    halo: Array
+    error: float
+    coherent_flux: float
+    halo_flux: float
+    reason: str
+
+
+def image_lobes(
+    scene: Scene, roughness: Roughness | None
+) -> tuple[float, list[tuple[float, Roughness | MirrorLobe]]]:
+    """Reflectance of the smooth mirrors, and (reflectance, roughness or lobe) of rough ones."""
+    if roughness is not None:
+        total = scene.wall_material.specular_reflectance
+        return 0.0, [(total, roughness)] if total > 0.0 else []
+    rough, smooth = split_lobes(scene)
+    return smooth, [(lobe.specular_reflectance, lobe) for lobe in rough]
+
+
+def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
+    """Flux and place of the mirror image of an object point.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    aimed : AimedWave
+        Its wave.
+    normal : ndarray, (3,), or None
+        Direction about which the point shines as a Lambert emitter; None for even light.
+
+    Returns
+    -------
+    MirrorImage
+    """
+    scene, wave, rays = seen.scene, aimed.wave, aimed.rays
+    lit = wave.weights > 0.0
+    light = np.zeros(int(lit.sum()))
+    if not aimed.hidden:
+        mine = lit[aimed.in_lens]
+        hits, lens = rays.points[1:][mine], aimed.on_lens[1:][mine]
+        light = _intensity(hits - seen.object_point, normal) * rays.spreading[1:][mine]
+        light *= _past_the_field_stop(scene, hits, lens)
+    area = wave.weights[lit] / seen.zoom**2
+    toward = rays.points[0] - np.array(scene.camera.position)
+    e1, e2, axis = scene.camera.frame
+    scale = -scene.image_distance / float(toward @ axis)
+    return MirrorImage(
+        aimed,
+        scene.camera.transmission * float(np.sum(area * light)),
+        (scale * float(toward @ e1), scale * float(toward @ e2)),
+    )
+
+
+def _intensity(lines: Array, normal: Array | None) -> Array:
+    """Radiant intensity along lines (n, 3) from a point of 1 W, W/sr; even without a normal."""
+    if normal is None:
+        return np.full(len(lines), 0.25 / math.pi)
+    cosines = lines @ normal / np.linalg.norm(lines, axis=1)
+    return np.asarray(np.maximum(cosines, 0.0) / math.pi)
+
+
+def _past_the_field_stop(scene: Scene, on_wall: Array, on_lens: Array) -> float:
+    """Whether the camera's baffle lets the mirror image pass, 1 or 0."""
+    if scene.camera.field_stop is None:
+        return 1.0
+    lines = on_wall - on_lens
+    cosines = lines @ scene.camera.axis / np.linalg.norm(lines, axis=1)
+    passed = cosines >= math.cos(scene.camera.field_stop / 2)
+    if passed.any() and not passed.all():
+        raise SceneError(
+            f"camera.field_stop = {scene.camera.field_stop:g} rad cuts "
+            f"{100 - 100 * passed.mean():.2g} % of the mirror image's light, limit 0 or 100 %; "
+            "open it or aim the camera elsewhere"
+        )
+    return float(passed.all())
+
+
+def wave_parts(
+    seen: PointOptics,
+    mirror: MirrorImage,
+    smooth: float,
+    rough: list[tuple[float, Roughness | MirrorLobe]],
+    pitch: float,
+    shape: tuple[int, int],
+    tol: float,
+) -> WaveParts:
+    """Coherent part and halo of a mirror image.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    mirror : MirrorImage
+    smooth, rough
+        Lobes, from `image_lobes`.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Largest error relative to the peak.
+
+    Returns
+    -------
+    WaveParts
+    """
+    coherent, halo, error = np.zeros(shape), np.zeros(shape), 0.0
+    fluxes = [0.0, 0.0]
+    if mirror.flux == 0.0 or (smooth == 0.0 and not rough):
+        return WaveParts(coherent, halo, error, 0.0, 0.0, "no mirror image reaches the lens")
+    residual = mirror.aimed.residual
+    check_rays(residual, pitch, shape)
+    side = window_side(residual, pitch, tol, mirror.aimed.outline)
+    core = None
+    wave = residual.wavefront
+    views = [(r * mirror.flux, _view(seen, wave, given)) for r, given in rough]
+    bright = smooth * mirror.flux
+    bright += sum(w * math.exp(-(v.rayleigh_parameter**2)) for w, v in views)
+    if bright > 0.0:
+        inner = (min(side, shape[0]), min(side, shape[1]))
+        core = detilted_point_spread(
+            residual, tol=tol, pitch=pitch, shape=inner, pixel_integrated=True
+        )
+        coherent[middle(shape, inner)] = bright * core.intensity
+        fluxes[0], error = bright, core.error_estimate * float(coherent.max())
+    smooth_transfer = transfer(residual)
+    for watts, view in views:
+        if view.rayleigh_parameter == 0.0:
+            continue
+        named = isinstance(view.roughness.autocorrelation, str)
+        gaussian = named and view.roughness.autocorrelation == "gaussian"
+        half = math.ceil((REACH if gaussian else WIDE) * view.halo(wave) / pitch)
+        inner = (min(side + 2 * half, shape[0]), min(side + 2 * half, shape[1]))
+        window = Window.centred(pitch, inner)
+        sum_over = Halo(residual, view, window, True, smooth_transfer.reach)
+        found, nodes, _, missed = sum_over.converged(smooth_transfer.at, np.zeros(inner), tol)
+        missed += float(np.abs(nodes.factor).sum()) * smooth_transfer.error
+        missed /= float(found.max())
+        if missed > tol:
+            raise SamplingError(
+                f"the halo of the rough mirror reaches an error of {missed:.2g}, limit tol = "
+                f"{tol:g}; use tol = {rounded_up(1.5 * missed)}"
+            )
+        halo[middle(shape, inner)] += watts * found
+        fluxes[1] += watts * -math.expm1(-(view.rayleigh_parameter**2))
+        error += watts * missed * float(found.max())
+    reason = "waves for the mirror image, rays for all other light"
+    if core is not None:
+        reason += f"; core: {core.reason}"
+    return WaveParts(coherent, halo, error, fluxes[0], fluxes[1], reason)
+
+
+def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:
+    """Roughness, or that of a lobe's slopes alone, as the pupil sees it."""
+    if not isinstance(given, Roughness):
+        per_metre = 2 * math.pi / wave.wavelength * seen.view.cos_sum
+        given = lobe_roughness(given, ROUGH, ROUGH / per_metre)
+    return rough_view(wave, seen.view, given)
+
+
+NORMALISATIONS: Final = ("unit-sum", "flux")
+#: Turns the seed into that of the check's rays, which must not be those of the result.
+OTHER: Final = 1 << 63
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HybridPointSpread(PointSpread):
+    """Image of a point by a wall of several lobes, with its parts.
+
+    Parameters
+    ----------
+    coherent : ndarray
+        (ny, nx), read-only: light of the smooth mirror, by waves.
+    halo : ndarray
+        What the roughness of the mirror-like lobes scatters, on average over walls.
+    diffuse : ndarray
+        All other light, traced: of diffuse lobes, and of more than one reflection.
+    standard_error : ndarray
+        Of ``diffuse``.
+    coherent_flux, halo_flux, diffuse_flux : float
+        Light of each part in the whole image plane, in the unit of ``normalisation``.
+    diffuse_flux_error : float
+        Its standard error.
+    traced_flux, traced_flux_error : float
+        The same light by a trace of all lobes with rays of its own, and its standard error: a check
+        of the sum of the three. 0 and infinity where it was not asked for.
+    flux : float
+        Power through the lens of a point that shines with 1 W, W.
+    """
+
+    coherent: Array
+    halo: Array
+    diffuse: Array
+    standard_error: Array
+    coherent_flux: float
+    halo_flux: float
+    diffuse_flux: float
+    diffuse_flux_error: float
+    traced_flux: float
+    traced_flux_error: float
+    flux: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("coherent", "halo", "diffuse", "standard_error"):
+            array = np.array(getattr(self, name), dtype=np.float64, order="C")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+
+def hybrid_point_spread(
+    scene: Scene,
+    object_point: ArrayLike | None = None,
+    *,
+    roughness: Roughness | None = None,
+    emission: Emission = "lambertian",
+    tol: float = 1e-3,
+    n_rays: int = 1 << 16,
+    max_bounces: int = 3,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+    normalisation: Literal["unit-sum", "flux"] = "unit-sum",
+    check: bool = True,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> HybridPointSpread:
+    """Image of an object point by all that the wall's material does.
+
+    Parameters
+    ----------
+    scene : Scene
+    object_point : array_like, (3,), optional
+        World, m; by default the hidden object's reference point.
+    roughness : Roughness, optional
+        Heights on the mirror-like lobes, in place of the slopes that the material gives them. By
+        default a lobe without slope is smooth, and one with a slope scatters all its light by its
+        slopes, as of `lobe_point_spread`.
+    emission : {"lambertian", "isotropic"}
+        As of `raytrace.trace_point`.
+    tol : float
+        Largest error of the wave part, relative to its peak.
+    n_rays, max_bounces, seed
+        As of `raytrace.trace_point`.
+    pitch : float, optional
+        Pixel side, m; by default the camera's image pixel.
+    shape : int or (int, int), optional
+        Pixels (ny, nx); by default the camera's.
+    normalisation : {"unit-sum", "flux"}
+        What 1 means: all that passes the lens, wherever it lands; or what a smooth wall of
+        reflectance 1 would send through it.
+    check : bool
+        Whether to trace all lobes as well, for ``traced_flux``.
+    progress : callable(str, float), optional
+        Told the stage and the fraction done.
+
+    Returns
+    -------
+    HybridPointSpread
+        Integrated over pixels; the chief ray's image is the centre of pixel [ny//2, nx//2].
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range, or an occluder or the field stop cuts a part of the mirror
+        image.
+    CausticError, NotWaveGradeError, SamplingError
+        Where the mirror image has no wave, or no transform reaches ``tol``.
+    MemoryLimitError
+        If the pixels would not fit in memory.
+
+    Notes
+    -----
+    One reflection by the mirror-like lobes sends ``R T Int I(p) s(p) dp`` through the lens, I the
+    radiant intensity toward the pupil point p and s the spreading of ray tubes (`psf.wavefront`
+    has its root as the amplitude). Of this ``exp(-s^2)`` is coherent and the rest is halo
+    (`mean_point_spread`). A rough wall sends the pupil what a smooth one does, to second order in
+    the slope: light that is scattered out is made up for by light scattered in, as long as the
+    wall reaches far enough. All other light is traced. The parts' energies add, for a rough
+    surface and the body below it share no phase.
+    """
+    one_of("normalisation", normalisation, NORMALISATIONS)
+    one_of("emission", emission, EMISSIONS)
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    whole("n_rays", n_rays, 1, MOST)
+    whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
+    seed = checked_seed(seed)
+    alone = point_scene(scene, object_point)
+    pitch = alone.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
+    size = alone.camera.shape if shape is None else shape_of(shape)
+    fits_memory(f"parts of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
+    smooth, rough = image_lobes(alone, roughness)
+    normal = point_normal(scene) if emission == "lambertian" else None
+    seen = SceneOptics(alone).reference
+
+    def parts(aimed: AimedWave) -> tuple[MirrorImage, WaveParts]:
+        mirror = mirror_image(seen, aimed, normal)
+        return mirror, wave_parts(seen, mirror, smooth, rough, pitch, size, tol)
+
+    mirror, waves = seen.refined(parts)[1]
+    run = partial(
+        trace_point,
+        scene,
+        alone.object_point,
+        emission=emission,
+        n_rays=n_rays,
+        max_bounces=max_bounces,
+        progress=progress,
+    )
+    traced = every = None
+    if alone.wall_material.diffuse is not None or ray_plan(alone).wall_to_wall:
+        first = (mirror.image[0] - size[1] // 2 * pitch, mirror.image[1] - size[0] // 2 * pitch)
+        traced = run(mirror_image=False, pitch=pitch, shape=size, first=first, seed=seed)
+    if check:
+        every = run(shape=(1, 1), seed=seed ^ OTHER)
+    found = _assembled(mirror, waves, traced, every, pitch, normalisation)
+    if progress is not None:
+        progress("hybrid", 1.0)
+    return found
+
+
+def _assembled(
+    mirror: MirrorImage,
+    waves: WaveParts,
+    traced: PointTrace | None,
+    every: PointTrace | None,
+    pitch: float,
+    normalisation: str,
+) -> HybridPointSpread:
+    """All parts in the unit that was asked for."""
+    dark = np.zeros(waves.coherent.shape)
+    diffuse, spread = (dark, dark) if traced is None else (traced.energy, traced.energy_error)
+    diffuse_flux = (0.0, 0.0) if traced is None else (traced.flux, traced.flux_error)
+    found = (0.0, math.inf) if every is None else (every.flux, every.flux_error)
+    flux = waves.coherent_flux + waves.halo_flux + diffuse_flux[0]
+    if flux == 0.0:
+        raise SceneError(
+            "no light of the object point passes the lens; check camera.aim, wall_material and "
+            "what stands in the way"
+        )
+    unit = flux if normalisation == "unit-sum" else mirror.flux
+    if unit == 0.0:
+        raise SceneError(
+            "normalisation = 'flux' needs a mirror image, and none reaches the lens; use 'unit-sum'"
+        )
+    total = waves.coherent + waves.halo + diffuse
+    return HybridPointSpread(
+        intensity=total / unit,
+        pitch=pitch,
+        method="hybrid",
+        error_estimate=waves.error / float(total.max()) if waves.error > 0.0 else 0.0,
+        normalisation=normalisation,
+        wavelength=mirror.aimed.wave.wavelength,
+        f_number=mirror.aimed.wave.f_number,
+        pixel_integrated=True,
+        enclosed_energy=float(total.sum()) / flux,
+        coherent=waves.coherent / unit,
+        halo=waves.halo / unit,
+        diffuse=diffuse / unit,
+        standard_error=spread / unit,
+        coherent_flux=waves.coherent_flux / unit,
+        halo_flux=waves.halo_flux / unit,
+        diffuse_flux=diffuse_flux[0] / unit,
+        diffuse_flux_error=diffuse_flux[1] / unit,
+        traced_flux=found[0] / unit,
+        traced_flux_error=found[1] / unit,
+        flux=flux,
+        regime=regime(mirror.aimed.residual, pitch),
+        reason=waves.reason,
+    )

@@ -1,0 +1,261 @@
+"""The mirror-like lobes of a wall: their roughness, and the point spread they give together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+import scipy  # loads scipy.special on first use
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import in_range, positive
+from ...scene import MirrorLobe, Scene
+from ..aperture.aperture import Aperture
+from ..pupil.wall_view import WallView, wall_view
+from ..rough.mean import detilted_mean
+from ..rough.roughness import Roughness
+from ..rough.view import RoughView, rough_view
+from ..transform.point_spread import PointSpread
+from ..transform.wide_pixels import detilted_wide_spread
+from ..wave.detilted import Residual, split
+from ..wave.wavefront import Wavefront
+from ..window.window import check_rays, middle, shape_of, window_side
+
+Array = NDArray[np.float64]
+#: Phase rms of a lobe's heights, rad: its point spread is that of its slopes to 1/s^2.
+ROUGH: Final = 1e3
+
+
+def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: float) -> Roughness:
+    """Heights whose slopes are those of a lobe, in the rough limit.
+
+    Parameters
+    ----------
+    lobe : SpecularMicrofacet or Ward
+        Of a slope above 0.
+    rayleigh_parameter : float
+        rms of the phase that the heights give, rad, far above 1.
+    height_rms : float
+        The same as a height, m.
+
+    Returns
+    -------
+    Roughness
+        Gaussian but for GGX, whose slopes have the characteristic function x K1(x), x = alpha
+        times the wave number: C = 1 + ln(x K1(x))/s^2.
+    """
+    length = math.sqrt(2) * height_rms / lobe.slope_rms
+    if getattr(lobe, "distribution", "beckmann") == "beckmann":
+        return Roughness(height_rms, length)
+
+    def correlation(lags: Array) -> Array:
+        # alpha = sqrt(2) slope_rms, and s/height_rms is the wave number times both cosines
+        x = np.maximum(2 * rayleigh_parameter * np.asarray(lags) / length, 1e-12)
+        fall = np.log(x * scipy.special.k1e(x)) - x
+        return np.where(np.asarray(lags) == 0, 1.0, np.maximum(1 + fall / rayleigh_parameter**2, 0))
+
+    return Roughness(height_rms, length, correlation)
+
+
+def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -> float:
+    """Distance in the image, m, at which the blur by a lobe's slopes falls to ``tol`` of its peak.
+
+    Slopes t have the density exp(-t^2/(2 sigma^2)), of GGX (1 + t^2/alpha^2)^-2, and turn the wave
+    by (cos_i + cos_o) M^T t.
+    """
+    far = math.sqrt(2 * math.log(1 / tol))
+    if getattr(lobe, "distribution", "") == "ggx":
+        far = math.sqrt(2 * (tol**-0.5 - 1))
+    turn = view.cos_sum * float(np.linalg.norm(view.footprint, 2)) * lobe.slope_rms
+    return far * turn * abs(wave.image_distance)
+
+
+@dataclass(frozen=True, eq=False)
+class MirrorLobes:
+    """Mirror-like lobes of a wall, as the pupil sees them.
+
+    Parameters
+    ----------
+    rough : list of MirrorLobe
+        Those with a slope.
+    smooth : float
+        Reflectance of those without.
+    view : WallView or None
+        How the pupil sees the wall; None where no lobe has a slope.
+    """
+
+    rough: list[MirrorLobe]
+    smooth: float
+    view: WallView | None
+
+    def window(
+        self, residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
+    ) -> int:
+        """Odd side of a window outside which `point_spread` stays below ``tol``, pixels."""
+        side = window_side(residual, pitch, tol, outline)
+        if self.view is None:
+            return side
+        wave = residual.wavefront
+        halo = max(halo_radius(lobe, self.view, wave, tol) for lobe in self.rough)
+        return side + 2 * math.ceil(halo / pitch)
+
+    def views(self, residual: Residual) -> list[RoughView]:
+        """Heights for every lobe with a slope, in the rough limit, as the pupil sees them."""
+        if self.view is None:
+            return []
+        wave = residual.wavefront
+        height = ROUGH * wave.wavelength / (2 * math.pi * self.view.cos_sum)
+        return [rough_view(wave, self.view, lobe_roughness(r, ROUGH, height)) for r in self.rough]
+
+    def point_spread(
+        self, residual: Residual, pitch: float, shape: tuple[int, int], tol: float
+    ) -> PointSpread:
+        """Point spread by all lobes, integrated over pixels; see `lobe_point_spread`."""
+        if self.view is None:
+            return detilted_wide_spread(residual, pitch, shape, tol)
+        check_rays(residual, pitch, shape)
+        parts: list[tuple[float, PointSpread]] = []
+        for lobe, seen in zip(self.rough, self.views(residual), strict=True):
+            mean = detilted_mean(residual, seen, tol, pitch, shape, pixel_integrated=True)
+            parts.append((lobe.specular_reflectance, mean))
+        if self.smooth > 0:
+            parts.append((self.smooth, _within(residual, pitch, shape, tol)))
+        return _together(parts)
+
+
+def lobes_of(scene: Scene, view: Callable[[], WallView]) -> MirrorLobes:
+    """Mirror-like lobes of a scene's wall.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the wall's material.
+    view : callable
+        Returns the `WallView`; called where a lobe has a slope.
+
+    Returns
+    -------
+    MirrorLobes
+    """
+    rough, smooth = split_lobes(scene)
+    return MirrorLobes(rough, smooth, view() if rough else None)
+
+
+def lobe_window(
+    scene: Scene,
+    wave: Wavefront,
+    *,
+    object_point: ArrayLike | None = None,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+) -> int:
+    """Odd side of a window outside which `lobe_point_spread` stays below ``tol`` of its peak.
+
+    Parameters
+    ----------
+    scene, wave, object_point, tol, pitch
+        As of `lobe_point_spread`.
+
+    Returns
+    -------
+    int
+        Pixels per side.
+    """
+    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
+    return lobes.window(split(wave), pitch, tol)
+
+
+def lobe_point_spread(
+    scene: Scene,
+    wave: Wavefront,
+    *,
+    object_point: ArrayLike | None = None,
+    tol: float = 1e-3,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+) -> PointSpread:
+    """Point spread of a given wave by all mirror-like lobes of the wall.
+
+    `scene_point_spread` takes the wave from the scene itself, at as many nodes as it needs.
+
+    Parameters
+    ----------
+    scene : Scene
+        A wall without such a lobe is taken as a smooth mirror.
+    wave : Wavefront
+        Of the smooth wall, from `wavefront`.
+    object_point : array_like, (3,), optional
+        That of the wave, world, m; by default the hidden object's reference point.
+    tol : float
+        Wanted error, max |dI|/max I.
+    pitch : float, optional
+        Pixel side, m; the camera's image pixel by default. Values are integrals over pixels.
+    shape : int or (int, int), optional
+        (ny, nx). By default that of `lobe_window`.
+
+    Returns
+    -------
+    PointSpread
+        ``"unit-sum"``; the lobes count by their reflectances.
+
+    Raises
+    ------
+    NlosError
+        As of `point_spread`, `wall_view` and `mean_point_spread`.
+
+    Notes
+    -----
+    Microfacets are geometric optics, heights of many waves. So a lobe with a slope is the rough
+    limit of `mean_point_spread`, the wave's point spread blurred by the facets' slopes, and a
+    smooth one is the wave's alone.
+    """
+    pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    lobes = lobes_of(scene, partial(wall_view, scene, object_point))
+    residual = split(wave)
+    size = shape_of(lobes.window(residual, pitch, tol) if shape is None else shape)
+    return lobes.point_spread(residual, pitch, size, tol)
+
+
+def _within(residual: Residual, pitch: float, shape: tuple[int, int], tol: float) -> PointSpread:
+    """Smooth wall's point spread, 0 beyond the window outside which it is below ``tol``."""
+    side = window_side(residual, pitch, tol)
+    ny, nx = (min(n, side + (n - side) % 2) for n in shape)
+    core = detilted_wide_spread(residual, pitch, (ny, nx), tol)
+    intensity = np.zeros(shape)
+    intensity[middle(shape, core.shape)] = core.intensity
+    return replace(core, intensity=intensity)
+
+
+def split_lobes(scene: Scene) -> tuple[list[MirrorLobe], float]:
+    """Mirror-like lobes with a slope, and the reflectance of those without."""
+    lobes = scene.wall_material.mirror_lobes
+    smooth = sum(lobe.specular_reflectance for lobe in lobes if lobe.slope_rms == 0)
+    return [lobe for lobe in lobes if lobe.slope_rms > 0], smooth
+
+
+def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
+    """Sum of point spreads on the same pixels by their shares."""
+    total = sum(share for share, _ in parts)
+    intensity = np.sum([share / total * part.intensity for share, part in parts], axis=0)
+    first = parts[0][1]
+    errors = (share * part.error_estimate * float(part.intensity.max()) for share, part in parts)
+    return PointSpread(
+        intensity=intensity,
+        pitch=first.pitch,
+        method=" + ".join(dict.fromkeys(part.method for _, part in parts)),
+        error_estimate=sum(errors) / (total * float(intensity.max())),
+        normalisation=first.normalisation,
+        wavelength=first.wavelength,
+        f_number=first.f_number,
+        pixel_integrated=True,
+        enclosed_energy=float(intensity.sum()),
+        regime=first.regime,
+        reason="; ".join(dict.fromkeys(part.reason for _, part in parts)),
+    )

@@ -1,0 +1,154 @@
+"""What a scene's point spread takes, seconds and bytes, from the steps that computing it takes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from ..._checks import memory_limit
+from ..pupil.scene_optics import PointOptics
+from ..rough.otf import CELL_BYTES
+from ..rough.scattered_light import (
+    NODE_BYTES,
+    PIXEL_BYTES,
+    Halo,
+    first_cells,
+    inner_halves,
+    inner_window,
+)
+from ..rough.view import RoughView
+from ..transform import antialiased_fft, costs, geometric, quadrature
+from ..transform.runners import Task, grid_period_pitch, polar_size
+from ..transform.selection import able
+from ..transform.wide_pixels import inner_parts
+from ..wave.detilted import Residual
+from ..wave.regime import regime
+from ..window.grids import grid_size
+from ..window.pixels import pixel_rule
+from ..window.window import Window
+from .lobe_psf import lobes_of
+
+#: What Python, numpy and the interpreter's caches hold beside arrays, bytes.
+HELD: Final = 4e6
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a computation takes.
+
+    Parameters
+    ----------
+    seconds : float
+        On one core.
+    n_bytes : float
+        At the peak.
+    """
+
+    seconds: float
+    n_bytes: float
+
+
+def point_cost(
+    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
+) -> Cost:
+    """What `point_image` takes with the nodes of the wave at hand.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Wanted error of the image, max |dI|/max I.
+    cells : int
+        Those across a grid finer than the wave's own, for which the cost is asked; 0 for its own.
+
+    Returns
+    -------
+    Cost
+
+    Raises
+    ------
+    NlosError
+        What the transforms would raise before they compute anything.
+    """
+    residual = seen.first.residual
+    lobes = lobes_of(seen.scene, lambda: seen.view)
+    if residual.wavefront.layout == "grid":
+        cells = cells or len(residual.wavefront.u)
+    window = Window.centred(pitch, shape)
+    found = [_scattered_cost(residual, one, window, tol, cells) for one in lobes.views(residual)]
+    if not found or lobes.smooth > 0:
+        found.append(smooth_cost(residual, pitch, shape, tol, cells))
+    return Cost(sum(c.seconds for c in found), HELD + max(c.n_bytes for c in found))
+
+
+def smooth_cost(
+    residual: Residual, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
+) -> Cost:
+    """What `wide_point_spread` takes, or what it would raise before it computes anything."""
+    inner = inner_parts(residual, pitch, shape, tol)
+    whole = Cost(0.0, 0.0)
+    if inner is not None:
+        n, parts = inner
+        whole = Cost(3e-8 * n**2 + 2e-7 * math.prod(shape), 32.0 * n**2 + 60.0 * math.prod(shape))
+        pitch, shape, tol = pitch / parts, (n, n), tol / 30
+    rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
+    task = Task(residual, tol, pitch, shape, rule)
+    if cells:
+        samples = task.samples.shape
+        n_bytes = 48.0 * cells * (cells + max(samples)) + 16.0 * math.prod(samples)
+        return Cost(costs.map_sums(cells, task.samples), n_bytes + 32.0 * math.prod(shape))
+    ways = [
+        Cost(way.seconds + whole.seconds, _transform_bytes(task, way.method) + whole.n_bytes)
+        for way in able(task, regime(residual, pitch))
+    ]
+    return next((way for way in ways if way.n_bytes <= memory_limit()), ways[0])
+
+
+def _transform_bytes(task: Task, method: str) -> float:
+    """Bytes of one transform at the peak."""
+    samples = float(math.prod(task.samples.shape))
+    held = 32.0 * math.prod(task.shape)
+    if method == "airy":
+        return held + 64.0 * samples
+    if method == "geometric":
+        if task.residual.wavefront.layout == "polar":
+            return held + 250.0 * math.prod(geometric.ray_counts(task.residual, task.pixels))
+        return held + 1e9
+    if method == "quadrature":
+        return held + quadrature.n_bytes(task.residual, task.samples)
+    if task.soft is not None:
+        need = antialiased_fft.padded_bytes if method == "fft" else antialiased_fft.folded_bytes
+        return held + float(need(task.samples, task.soft.grid(task, method), task.rule))
+    n = task.residual.wavefront.u.shape[0]
+    if task.residual.wavefront.layout == "polar":
+        size = polar_size(task)
+        n = grid_size(task.residual.wavefront.pupil_radius, grid_period_pitch(task, size))
+        return held + 48.0 * n * size + 16.0 * samples
+    return float(held + 48.0 * n * (n + max(task.samples.shape)) + 16.0 * samples)
+
+
+def _scattered_cost(
+    residual: Residual, view: RoughView, window: Window, tol: float, cells: int
+) -> Cost:
+    """What `scattered_light` takes with pixels, by its first cells."""
+    polar = residual.wavefront.layout == "polar"
+    across = first_cells(residual, view, window.pitch, tol) or cells
+    edge = 2 * residual.wavefront.pupil_radius
+    half = next(inner_halves(residual, view, window, tol), None)
+    inner = window if half is None else inner_window(window, half)[0]
+    halo = Halo(residual, view, inner, True, edge)
+    nodes = [sum(runs) * n for runs, n in (halo.counts(f) for f in (0.7, 1.0))]
+    points = math.prod(inner.shape)
+    lattices = across**2 * (1.25 if polar else 2.0)
+    again = nodes[0] + nodes[1] * (2.0 if polar else 1.0)
+    seconds = costs.scattered(
+        lattices, again, points, 0 if half is None else math.prod(window.shape)
+    )
+    n_bytes = max(CELL_BYTES * across**2, NODE_BYTES * nodes[1] + PIXEL_BYTES * points)
+    return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))

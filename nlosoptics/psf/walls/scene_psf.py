@@ -1,0 +1,158 @@
+"""Point spread of a scene: the one place that decides how a scene's pupil is sampled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from ..._checks import in_range, positive
+from ..._nouns import Noun
+from ..._progress import Progress
+from ...scene import Scene
+from ..pupil.exit_pupil import ExitPupil
+from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
+from ..pupil.wall_wavefront import AimedWave
+from ..transform.point_spread import PointSpread
+from ..wave.wavefront import Wavefront
+from ..window.window import shape_of
+from .lobe_psf import lobes_of
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScenePointSpread(Noun):
+    """Image of an object point by the relay wall's mirror-like lobes.
+
+    Parameters
+    ----------
+    exit_pupil : ExitPupil
+        Exit pupil of lens and wall.
+    wavefront : Wavefront
+        Wave in it, of the smooth wall.
+    point_spread : PointSpread
+        Point spread of that wave, blurred by the slopes of the wall's lobes; energy per pixel.
+    """
+
+    exit_pupil: ExitPupil
+    wavefront: Wavefront
+    point_spread: PointSpread
+
+
+def scene_point_spread(
+    scene: Scene | SceneOptics,
+    tol: float = 1e-3,
+    *,
+    object_point: ArrayLike | None = None,
+    pitch: float | None = None,
+    shape: int | tuple[int, int] | None = None,
+    progress: Progress | None = None,
+) -> ScenePointSpread:
+    """Point spread of a scene, with its wave and its exit pupil.
+
+    Parameters
+    ----------
+    scene : Scene or SceneOptics
+        A wall without mirror-like lobes is taken as a smooth mirror.
+    tol : float
+        Wanted error of the point spread, max |dI|/max I, above 0 and at most 1.
+    object_point : array_like, (3,), optional
+        World, m; by default the hidden object's reference point.
+    pitch : float, optional
+        Pixel side, m; by default the camera's image pixel. Values are integrals over pixels.
+    shape : int or (int, int), optional
+        Pixels (ny, nx). By default the odd square outside which the point spread stays below
+        ``tol`` of its peak.
+    progress : callable(str, float), optional
+        Called with "wave aberration" and "point spread" as each begins.
+
+    Returns
+    -------
+    ScenePointSpread
+
+    Raises
+    ------
+    CausticError, NotWaveGradeError
+        Where the wave is undefined or the wall is not known well enough.
+    SamplingError
+        If no transform reaches ``tol``, or none within a minute.
+    MemoryLimitError
+        If the point spread's window takes more than there is.
+    SceneError
+        If an option is out of range, or occluders cut a part of the cone of light.
+
+    Notes
+    -----
+    The pupil has polar nodes where the lens stop is the rim of the light, and a grid where the
+    wall's edge vignettes it or is the stop (`wavefront`, ``nodes="auto"``). Both are refined until
+    a transform reaches ``tol``.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, psf
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> found = psf.scene_point_spread(scene, tol=1e-2)
+    >>> found.wavefront.layout, found.point_spread.pitch == scene.camera.image_pitch
+    ('polar', True)
+    """
+    optics = optics_of(scene)
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    if pitch is None:
+        pitch = optics.scene.camera.image_pitch
+    pitch = positive("pitch", pitch, unit="m")
+    if shape is not None:
+        shape = shape_of(shape)
+    if progress is not None:
+        progress("wave aberration", 0.0)
+    seen = optics.at(object_point)
+    if progress is not None:
+        progress("point spread", 0.0)
+    if shape is None:
+        side = point_window(seen, pitch, tol)
+        shape = (side, side)
+    aimed, spread = point_image(seen, pitch, shape, tol)
+    return ScenePointSpread(exit_pupil=optics.exit_pupil, wavefront=aimed.wave, point_spread=spread)
+
+
+def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
+    """Odd side of a window outside which a point's image stays below ``tol`` of its peak, pixels.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    pitch : float
+        Pixel side, m.
+    tol : float
+        Relative to the peak.
+
+    Returns
+    -------
+    int
+    """
+    lobes = lobes_of(seen.scene, lambda: seen.view)
+    return lobes.window(seen.first.residual, pitch, tol, seen.first.outline)
+
+
+def point_image(
+    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float
+) -> tuple[AimedWave, PointSpread]:
+    """Wave and image of an object point, with as many pupil nodes as ``tol`` takes.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Wanted error of the image, max |dI|/max I.
+
+    Returns
+    -------
+    aimed : AimedWave
+    spread : PointSpread
+    """
+    lobes = lobes_of(seen.scene, lambda: seen.view)
+    return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol))

@@ -1,0 +1,1 @@
+"""The sampled wave in the exit pupil."""

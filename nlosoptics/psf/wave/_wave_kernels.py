@@ -1,0 +1,192 @@
+"""Compiled loops over sampled waves: phasors, polar fits, slopes and moments."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+#: Adding it rounds a double of less than 2^51 to a whole number; no call, so loops keep vectors.
+WHOLE = 6755399441055744.0
+
+
+@njit(cache=True)
+def phasors(turns, size, real, imaginary):
+    """Fill ``real`` and ``imaginary`` (n,) with ``size exp(2 pi i turns)``, to 3e-16.
+
+    Half turns are taken off, which is exact, and the rest is a Taylor series up to pi/2.
+    """
+    for i in range(turns.shape[0]):
+        halves = (2.0 * turns[i] + WHOLE) - WHOLE
+        odd = halves - 2.0 * ((0.5 * halves + WHOLE) - WHOLE)
+        strength = size[i] * (1.0 - 2.0 * odd * odd)
+        x = 2.0 * math.pi * (turns[i] - 0.5 * halves)
+        s = x * x
+        cosine = 1.0 / 1124000727777607680000.0
+        cosine = 1.0 / 2432902008176640000.0 - s * cosine
+        cosine = 1.0 / 6402373705728000.0 - s * cosine
+        cosine = 1.0 / 20922789888000.0 - s * cosine
+        cosine = 1.0 / 87178291200.0 - s * cosine
+        cosine = 1.0 / 479001600.0 - s * cosine
+        cosine = 1.0 / 3628800.0 - s * cosine
+        cosine = 1.0 / 40320.0 - s * cosine
+        cosine = 1.0 / 720.0 - s * cosine
+        cosine = 1.0 / 24.0 - s * cosine
+        cosine = 0.5 - s * cosine
+        cosine = 1.0 - s * cosine
+        sine = 1.0 / 51090942171709440000.0
+        sine = 1.0 / 121645100408832000.0 - s * sine
+        sine = 1.0 / 355687428096000.0 - s * sine
+        sine = 1.0 / 1307674368000.0 - s * sine
+        sine = 1.0 / 6227020800.0 - s * sine
+        sine = 1.0 / 39916800.0 - s * sine
+        sine = 1.0 / 362880.0 - s * sine
+        sine = 1.0 / 5040.0 - s * sine
+        sine = 1.0 / 120.0 - s * sine
+        sine = 1.0 / 6.0 - s * sine
+        sine = x * (1.0 - s * sine)
+        real[i] = strength * cosine
+        imaginary[i] = strength * sine
+
+
+@njit(cache=True)
+def polar_fit(values, waves, weights, modes, heights):
+    """Fill ``heights`` (orders, terms) with the terms of ``values`` (rings, spokes).
+
+    ``waves`` (orders, spokes) along the angle, ``weights`` and ``modes`` (orders, terms, rings)
+    along the radius. Returns the largest misfit and the largest value.
+    """
+    rings, spokes = values.shape
+    orders, terms = heights.shape
+    heights[:] = 0.0
+    # spokes first, so that the loops over the orders keep vectors
+    turned = np.ascontiguousarray(waves.T)
+    share, height = np.empty(orders), np.zeros((terms, orders))
+    along = np.ascontiguousarray(weights.transpose(2, 1, 0))
+    most = 0.0
+    for i in range(rings):
+        share[:] = 0.0
+        for j in range(spokes):
+            value = values[i, j]
+            most = max(most, abs(value))
+            for m in range(orders):
+                share[m] += turned[j, m] * value
+        for k in range(terms):
+            for m in range(orders):
+                height[k, m] += along[i, k, m] * share[m]
+    misfit = 0.0
+    line = np.empty(spokes)
+    for i in range(rings):
+        line[:] = values[i]
+        for m in range(orders):
+            part = 0.0
+            for k in range(terms):
+                part += height[k, m] * modes[m, k, i]
+            for j in range(spokes):
+                line[j] -= part * waves[m, j]
+        for j in range(spokes):
+            misfit = max(misfit, abs(line[j]))
+    heights[:] = height.T
+    return misfit, most
+
+
+@njit(cache=True)
+def polynomial(powers, rho, cosine, sine, out):
+    """Fill ``out`` (radii, angles) with ``sum powers[i, j] u^i v^j``."""
+    n = powers.shape[0]
+    for k in range(rho.shape[0]):
+        for m in range(cosine.shape[0]):
+            u, v = rho[k] * cosine[m], rho[k] * sine[m]
+            total = 0.0
+            for i in range(n - 1, -1, -1):
+                value = 0.0
+                for j in range(n - 1 - i, -1, -1):
+                    value = value * v + powers[i, j]
+                total = total * u + value
+            out[k, m] = total
+
+
+@njit(cache=True)
+def slopes(powers, rho, cosine, sine, du, dv):
+    """Fill ``du`` and ``dv`` (radii, angles) with the slopes of ``sum powers[i, j] u^i v^j``."""
+    n = powers.shape[0]
+    u, v = np.empty(cosine.shape[0]), np.empty(cosine.shape[0])
+    value, slope = np.empty_like(u), np.empty_like(u)
+    for k in range(rho.shape[0]):
+        u[:] = rho[k] * cosine
+        v[:] = rho[k] * sine
+        along, across = du[k], dv[k]
+        along[:] = 0.0
+        across[:] = 0.0
+        for i in range(n - 1, -1, -1):
+            value[:] = 0.0
+            slope[:] = 0.0
+            for j in range(n - 1 - i, -1, -1):
+                for m in range(u.shape[0]):
+                    slope[m] = slope[m] * v[m] + value[m]
+                    value[m] = value[m] * v[m] + powers[i, j]
+            for m in range(u.shape[0]):
+                across[m] = across[m] * u[m] + slope[m]
+            if i > 0:
+                for m in range(u.shape[0]):
+                    along[m] = along[m] * u[m] + i * value[m]
+
+
+@njit(cache=True)
+def moments(path, share):
+    """Lowest and highest of ``path``, its mean and its rms about that, where ``share`` is lit."""
+    low, high, mean, square, total = math.inf, -math.inf, 0.0, 0.0, 0.0
+    for i in range(path.size):
+        if share[i] > 0.0:
+            low, high = min(low, path[i]), max(high, path[i])
+            mean += share[i] * path[i]
+            total += share[i]
+    mean /= total
+    for i in range(path.size):
+        square += share[i] * (path[i] - mean) ** 2
+    return low, high, mean, math.sqrt(square / total)
+
+
+@njit(cache=True)
+def landing(du, dv, distance, x, y):
+    """Fill ``x`` and ``y`` with slopes times the distance; return the steepest, the farthest."""
+    steepest = farthest = 0.0
+    for i in range(du.shape[0]):
+        steepest = max(steepest, du[i] * du[i] + dv[i] * dv[i])
+        x[i], y[i] = du[i] * distance, dv[i] * distance
+        farthest = max(farthest, abs(x[i]), abs(y[i]))
+    return math.sqrt(steepest), farthest
+
+
+@njit(cache=True)
+def jacobian_extremes(x, y, r, apart):
+    """Least and most of the area of the image of the cells between rings and spokes, over theirs.
+
+    ``x`` and ``y`` (rings, spokes) are the landing points, ``r`` the rings' radii; of rings less
+    than ``apart`` from each other differences would be rounding.
+    """
+    rings, spokes = x.shape
+    low, high = math.inf, -math.inf
+    turn = math.sin(2 * math.pi / spokes)
+    for i in range(rings - 1):
+        if r[i + 1] - r[i] <= apart:
+            continue
+        own = (r[i + 1] * r[i + 1] - r[i] * r[i]) * turn
+        for j in range(spokes):
+            k = j + 1 if j + 1 < spokes else 0
+            # diagonals of the cells: their cross product is twice the area
+            first_x, first_y = x[i + 1, k] - x[i, j], y[i + 1, k] - y[i, j]
+            second_x, second_y = x[i + 1, j] - x[i, k], y[i + 1, j] - y[i, k]
+            area = (first_x * second_y - first_y * second_x) / own
+            low, high = min(low, area), max(high, area)
+    return low, high
+
+
+@njit(cache=True)
+def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
+    """Fill ``du`` and ``dv`` (rings, spokes) from the slopes along the radius and across it."""
+    for i in range(d_r.shape[0]):
+        for j in range(d_r.shape[1]):
+            du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]
+            dv[i, j] = sine[j] * d_r[i, j] + cosine[j] * d_theta[i, j]

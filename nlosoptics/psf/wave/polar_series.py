@@ -1,0 +1,288 @@
+"""Spectral interpolation on the polar nodes of a pupil.
+
+A function that is smooth on the disc has, for each angular order m, a radial part that is
+r^(m mod 2) times a smooth function of r^2. On Gauss-Legendre nodes of r^2 and equal steps in angle
+that makes a Legendre-Fourier series, which converges exponentially and is exact for polynomials.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import ducc0
+import numpy as np
+from numpy.typing import NDArray
+
+from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class PolarSpectrum:
+    """Legendre-Fourier series of samples on `polar_nodes`.
+
+    Parameters
+    ----------
+    values : ndarray
+        (n_r, n_theta), real.
+    radius : float
+        Outer radius, m.
+    obscuration : float
+        Inner radius as a fraction of the outer.
+    """
+
+    def __init__(self, values: Array, radius: float, obscuration: float) -> None:
+        self.n_r, self.n_theta = values.shape
+        self.radius, self.obscuration = radius, obscuration
+        waves = np.fft.rfft(values, axis=1, norm="forward")
+        if self.n_theta % 2 == 0:
+            waves[:, -1] /= 2  # the highest order stands for both +m and -m
+        fraction, _ = gauss_legendre(self.n_r)
+        waves[:, 1::2] /= self._rho(fraction)[:, None]
+        # einsum without BLAS: the same bits for any thread count.
+        self.coefficients = _product(_analysis(self.n_r), waves)
+
+    def truncation(self) -> float:
+        """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
+        size = self._sizes.copy()
+        size[:, 1:] *= 2
+        # Four angular orders: a function of period pi/2 has only every fourth.
+        n_k = max(2, self.n_r // 8)
+        n_m = max(4, size.shape[1] // 8)
+        return float(size[-n_k:].sum() + size[:-n_k, -n_m:].sum())
+
+    def degrees(self, threshold: float) -> tuple[int, int]:
+        """Highest Legendre degree and angular order whose coefficient passes the threshold."""
+        above = self._sizes > threshold
+        radii, orders = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
+        return int(radii.max(initial=0)), int(orders.max(initial=0))
+
+    def at_nodes(self, n_r: int, n_theta: int) -> Array:
+        """Values on the polar nodes (n_r, n_theta), neither fewer than the samples given."""
+        fraction, _ = gauss_legendre(n_r)
+        rho = self._rho(fraction)
+        value = self._sum(_legendre(self._counts[0], self._fraction(rho)))
+        value[:, 1::2] *= rho[:, None]
+        return self._synthesis(value, n_theta)
+
+    def slopes(self, n_r: int, n_theta: int) -> tuple[Array, Array, Array]:
+        """Gradient on the polar nodes and, as the last row, on the rim.
+
+        Returns
+        -------
+        du, dv : ndarray
+            Derivatives, (n_r + 1, n_theta), 1/m times the unit of the values.
+        weights : ndarray
+            (n_r + 1, n_theta), sum 1, 0 on the rim.
+        """
+        from . import _wave_kernels
+
+        # of a wave of few terms the rest is rounding, which steep polynomials would multiply
+        n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
+        ring = ring_of(n_r, n_theta, self.obscuration)
+        tables = _kept_tables(n_k, n_r) if n_r <= KEPT else _tables(n_k, ring.fraction)
+        coefficients = self.coefficients[:n_k, :n_m]
+        value, per_r = (_product(table.T, coefficients) for table in tables)
+        per_r *= ring.bend
+        per_r[:, 1::2] = ring.rho * per_r[:, 1::2] + value[:, 1::2]
+        value[:, ::2] /= ring.rho
+        value *= 1j * np.arange(n_m)
+        d_r, d_theta = self._synthesis(np.stack([per_r, value]) / self.radius, n_theta)
+        du, dv = np.empty_like(d_r), np.empty_like(d_r)
+        _wave_kernels.turned_gradient(d_r, d_theta, ring.cosine, ring.sine, du, dv)
+        return du, dv, ring.share
+
+    def at(self, u: Array, v: Array, epsilon: float) -> Array:
+        """Values at any points, see `values_at`."""
+        return values_at(self, None, u, v, epsilon)[0]
+
+    def disc_series(self) -> ComplexArray:
+        """Fourier series in psi and angle, r = middle + half cos(psi) over the whole span.
+
+        (4 n_r, 2 n_m), orders from the most negative.
+        """
+        n = 2 * self.n_r
+        middle, half = self.span()
+        lobes = math.pi * (np.arange(n) + 0.5) / n
+        # Chebyshev in r over the diameter (disc) or the ring's width; degree 2 n_r - 1 is exact.
+        radial = self._polynomial((middle + half * np.cos(lobes)) / self.radius)[0]
+        n_m = radial.shape[1]
+        cosines = np.cos(np.outer(np.arange(n), lobes)) * (2 / n)
+        cosines[0] /= 2
+        chebyshev = np.einsum("ji,im->jm", cosines, radial)
+        # cos(j psi) has both signs of j, a real function both signs of m.
+        grid = np.zeros((2 * n, 2 * n_m), dtype=np.complex128)
+        grid[n:, n_m:] = chebyshev / 2
+        grid[n:0:-1, n_m:] += chebyshev / 2
+        grid[:, n_m - 1 : 0 : -1] = np.conj(grid[:, n_m + 1 :])
+        return grid
+
+    def span(self) -> tuple[float, float]:
+        """Middle and half width of r: over the diameter of a disc, the width of a ring."""
+        low = self.obscuration * self.radius if self.obscuration > 0 else -self.radius
+        return (self.radius + low) / 2, (self.radius - low) / 2
+
+    def rim_series(self, rho: float) -> ComplexArray:
+        """Fourier series in angle of the derivative with r at r = rho * radius, (2 n_m,)."""
+        waves = self._polynomial(np.array([rho]))[1][0]
+        n_m = waves.size
+        series = np.zeros(2 * n_m, dtype=np.complex128)
+        series[n_m:] = waves
+        series[n_m - 1 : 0 : -1] = np.conj(waves[1:])
+        return series
+
+    def _rho(self, fraction: Array) -> Array:
+        inner = self.obscuration**2
+        return np.asarray(np.sqrt(inner + (1 - inner) * fraction))
+
+    def _fraction(self, rho: Array) -> Array:
+        inner = self.obscuration**2
+        return np.asarray((rho**2 - inner) / (1 - inner))
+
+    def _sum(self, table: Array) -> ComplexArray:
+        """Radial sums of the coefficients, without BLAS as above."""
+        n_k, n_m = self._counts
+        sums = np.zeros((table.shape[1], self.coefficients.shape[1]), dtype=np.complex128)
+        sums[:, :n_m] = _product(table[:n_k].T, self.coefficients[:n_k, :n_m])
+        return sums
+
+    @cached_property
+    def _sizes(self) -> Array:
+        """Magnitudes of the coefficients."""
+        return np.asarray(np.abs(self.coefficients))
+
+    @cached_property
+    def _counts(self) -> tuple[int, int]:
+        """Degrees and orders that hold more than the rounding of the largest term."""
+        degree, order = self.degrees(1e-17 * float(self._sizes.max()))
+        return degree + 1, order + 1
+
+    def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
+        tables = _tables(self._counts[0], self._fraction(rho))
+        value, slope = (self._sum(table) for table in tables)
+        slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
+        slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]
+        value[:, 1::2] *= rho[:, None]
+        return value, slope / self.radius
+
+    def _synthesis(self, waves: ComplexArray, n_theta: int) -> Array:
+        full = np.zeros((*waves.shape[:-1], n_theta // 2 + 1), dtype=np.complex128)
+        full[..., : waves.shape[-1]] = waves
+        if n_theta % 2 == 0 and waves.shape[-1] == full.shape[-1]:
+            full[..., -1] *= 2
+        return np.fft.irfft(full, n_theta, axis=-1, norm="forward")
+
+
+def values_at(
+    first: PolarSpectrum, second: PolarSpectrum | None, u: Array, v: Array, epsilon: float
+) -> tuple[Array, Array | None]:
+    """One or two functions of the same pupil at any points, in one non-uniform transform.
+
+    Beyond the rims they are continued along the radial derivative. ``epsilon`` is the error
+    relative to the largest value, 1e-13 at best.
+    """
+    r, angle = np.hypot(u, v), np.arctan2(v, u)
+    radius, inner = first.radius, first.obscuration * first.radius
+    middle, half = first.span()
+    coord = np.empty((*u.shape, 2))
+    np.arccos(np.clip((np.clip(r, inner, radius) - middle) / half, -1.0, 1.0), out=coord[..., 0])
+    coord[..., 1] = angle
+
+    def transform(series: list[ComplexArray], points: Array) -> ComplexArray:
+        # Both functions are real: one is carried as the imaginary part of the other.
+        grid = series[0] if len(series) == 1 else series[0] + 1j * series[1]
+        image: ComplexArray = ducc0.nufft.u2nu(
+            grid=grid, coord=points, forward=False, epsilon=epsilon, nthreads=1
+        )
+        return image
+
+    pair = [first] if second is None else [first, second]
+    values = transform([s.disc_series() for s in pair], coord.reshape(-1, 2)).reshape(u.shape)
+    for rim, outside in ((1.0, r > radius), (first.obscuration, r < inner)):
+        if np.any(outside):
+            slope = transform([s.rim_series(rim) for s in pair], angle[outside][:, None])
+            values[outside] += slope * (r[outside] - rim * radius)
+    return values.real, None if second is None else values.imag
+
+
+@lru_cache(maxsize=16)
+def _analysis(n: int) -> Array:
+    """Legendre series of samples at ``n`` nodes, as a matrix (n, n) that is kept, read-only."""
+    fraction, weights = gauss_legendre(n)
+    norms = 2 * np.arange(n) + 1
+    return frozen(_legendre(n, fraction) * weights * norms[:, None])
+
+
+def _product(table: Array, waves: ComplexArray) -> ComplexArray:
+    """Matrix product of a real with a complex matrix; einsum without BLAS, as above."""
+    parts = np.ascontiguousarray(waves).view(np.float64)
+    return np.asarray(np.einsum("ij,jk->ik", table, parts)).view(np.complex128)
+
+
+class Ring(NamedTuple):
+    """What slopes on (n_r + 1) x n_theta nodes, those of the rim the last, take of their places."""
+
+    fraction: Array
+    rho: Array
+    bend: Array
+    cosine: Array
+    sine: Array
+    share: Array
+
+
+def _ring(n_r: int, n_theta: int, obscuration: float) -> Ring:
+    fraction, weights = gauss_legendre(n_r)
+    fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
+    clear = 1 - obscuration**2
+    rho = np.sqrt(obscuration**2 + clear * fraction)[:, None]
+    angle = 2 * math.pi * np.arange(n_theta) / n_theta
+    share = np.repeat(weights[:, None] / n_theta, n_theta, axis=1)
+    parts = fraction, rho, 2 * rho / clear, np.cos(angle), np.sin(angle), share
+    return Ring(*map(frozen, parts))
+
+
+_kept_ring = lru_cache(maxsize=16)(_ring)
+
+
+def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
+    """Places of slopes, kept for few nodes."""
+    return (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, obscuration)
+
+
+@lru_cache(maxsize=32)
+def _kept_tables(n: int, n_r: int) -> tuple[Array, Array]:
+    """`_tables` of ``n_r`` nodes and the rim, kept and read-only."""
+    table, slopes = _tables(n, np.append(gauss_legendre(n_r)[0], 1.0))
+    return frozen(table), frozen(slopes)
+
+
+def _tables(n: int, fraction: Array) -> tuple[Array, Array]:
+    """Legendre polynomials and their slopes, (n, len(fraction))."""
+    table = _legendre(n, fraction)
+    return table, _legendre_slopes(table)
+
+
+def _legendre(n: int, fraction: Array) -> Array:
+    """P_k(2 f - 1) for k < n, (n, len(f))."""
+    x = 2 * fraction - 1
+    table = np.ones((n, x.size))
+    if n > 1:
+        table[1] = x
+    for k in range(1, n - 1):
+        table[k + 1] = ((2 * k + 1) * x * table[k] - k * table[k - 1]) / (k + 1)
+    return table
+
+
+def _legendre_slopes(table: Array) -> Array:
+    """Slopes d P_k(2 f - 1)/df of its table, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
+    n = len(table)
+    slopes = np.zeros_like(table)
+    if n > 1:
+        slopes[1] = 1.0
+    for k in range(1, n - 1):
+        slopes[k + 1] = slopes[k - 1] + (2 * k + 1) * table[k]
+    return 2 * slopes

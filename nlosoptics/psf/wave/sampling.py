@@ -1,0 +1,218 @@
+"""Nodes of a pupil of any kind, and functions of u and v sampled on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import one_of, whole
+from ...errors import SamplingError, SceneError
+from ..aperture.aperture import Aperture
+from ..aperture.quadrature_nodes import grid_nodes, polar_nodes
+from .cell_series import CellSpectrum
+from .polar_series import PolarSpectrum
+
+Array = NDArray[np.float64]
+Nodes = Literal["polar", "cells", "grid"]
+#: W(u, v), m, or A(u, v), of arrays of u and v, m.
+PupilFunction = Callable[[Array, Array], ArrayLike]
+
+#: Cells of a grid, per side.
+GRID_SAMPLES: Final = 512
+#: Nodes per patch and side that are tried in turn.
+SIDES: Final = (12, 16, 24, 32, 48, 64)
+#: Nodes in all that such a trial may take, beyond the first.
+MOST_NODES: Final = 1_000_000
+#: Radii that are tried in turn on polar nodes, with four times as many angles.
+RADII: Final = (24, 48, 96, 192)
+#: What the series may lack of the phase, rad, and of the amplitude.
+NEGLIGIBLE: Final = 1e-11
+
+
+@dataclass(frozen=True, eq=False)
+class PupilNodes:
+    """Places and areas of the nodes of one layout, of one shape.
+
+    ``owners``, of a shape that broadcasts, holds the aperture's cell of each.
+    """
+
+    layout: Nodes
+    u: Array
+    v: Array
+    weights: Array
+    owners: NDArray[np.int64]
+
+
+def nodes_of(
+    nodes: str | None, aperture: Aperture | None, obscuration: float, samples: Any
+) -> Nodes:
+    """Layout asked for, or by default, that fits the aperture."""
+    if aperture is not None and not isinstance(aperture, Aperture):
+        raise SceneError(f"aperture is a {type(aperture).__name__}; give a psf.Aperture")
+    if isinstance(samples, tuple) and len(samples) != 2:
+        raise SceneError(f"samples = {samples}; give one whole number or two")
+    if nodes is None:
+        nodes = "polar" if aperture is None else "cells"
+    one_of("nodes", nodes, ("polar", "cells", "grid"))
+    if aperture is None and nodes == "cells":
+        raise SceneError("nodes = 'cells' without an aperture; give one, or use 'polar' or 'grid'")
+    if aperture is not None and nodes == "polar":
+        raise SceneError("nodes = 'polar' know the round pupil alone; use 'cells' or 'grid'")
+    if aperture is not None and obscuration != 0:
+        raise SceneError(
+            f"obscuration = {obscuration:g} beside an aperture, which has its own outline; give "
+            "the obscuration to the aperture"
+        )
+    if nodes == "grid" and isinstance(samples, tuple):
+        raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
+    return nodes  # type: ignore[return-value]  # one of its literals
+
+
+def pupil_nodes(
+    layout: Nodes,
+    samples: int | tuple[int, int],
+    radius: float,
+    obscuration: float,
+    aperture: Aperture | None,
+) -> PupilNodes:
+    """Nodes of a layout, as many as ``samples`` says (see `Wavefront.from_function`)."""
+    none = np.zeros((), dtype=np.int64)
+    if layout == "grid":
+        count = whole("samples", samples, 2)
+        if aperture is None:
+            return PupilNodes(layout, *grid_nodes(radius, count, obscuration), none)
+        return PupilNodes(layout, *aperture.grid_nodes(count))
+    if layout == "cells" and aperture is not None:
+        n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
+        return PupilNodes(layout, *aperture.nodes(n_s, n_t), aperture.owners[:, None, None])
+    n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
+    return PupilNodes(layout, *polar_nodes(radius, n_r, n_theta, obscuration), none)
+
+
+def segment_terms(
+    aperture: Aperture | None, pistons: ArrayLike | None, tilts: ArrayLike | None
+) -> Callable[[PupilNodes], Array]:
+    """Path of the nodes, m, by piston and tilt of every cell about its centroid.
+
+    Raises
+    ------
+    SceneError
+        If there is not one finite value, or pair of slopes, for every cell.
+    """
+    if aperture is None:
+        if pistons is not None or tilts is not None:
+            raise SceneError("pistons or tilts without an aperture, whose cells they move; give it")
+        return lambda nodes: np.zeros_like(nodes.u)
+    n = len(aperture.cells)
+    heights = _per_cell("pistons", pistons, (n,), "m")
+    slopes = _per_cell("tilts", tilts, (n, 2), "slopes dW/du and dW/dv")
+    centres = np.array([cell.centroid for cell in aperture.cells])
+
+    def path(nodes: PupilNodes) -> Array:
+        k = nodes.owners
+        along_u = slopes[k, 0] * (nodes.u - centres[k, 0])
+        return np.asarray(heights[k] + along_u + slopes[k, 1] * (nodes.v - centres[k, 1]))
+
+    return path
+
+
+def _per_cell(name: str, values: ArrayLike | None, shape: tuple[int, ...], unit: str) -> Array:
+    if values is None:
+        return np.zeros(shape)
+    try:
+        given = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{name} are not numbers; give {shape}, {unit}") from None
+    if given.shape != shape:
+        raise SceneError(f"{name} have shape {given.shape}; give {shape}, {unit} of every cell")
+    if not np.isfinite(given).all():
+        worst = int(np.argmin(np.isfinite(given.reshape(shape[0], -1)).all(axis=1)))
+        raise SceneError(f"{name}[{worst}] = {given[worst]}; give finite numbers, {unit}")
+    return given
+
+
+def values_on(name: str, function: PupilFunction, nodes: PupilNodes) -> Array:
+    """A function's values on the nodes that stand for any area, 0 elsewhere."""
+    lit = nodes.weights > 0
+    u, v = nodes.u[lit], nodes.v[lit]
+    try:
+        given = function(u, v)
+        if np.iscomplexobj(given):  # numpy would drop the imaginary part with a mere warning
+            raise TypeError("they are complex, a phase belongs to the aberration")
+        found = np.broadcast_to(np.asarray(given, dtype=np.float64), u.shape)
+    except SceneError:  # of Zernike coefficients, which says all
+        raise
+    except (TypeError, ValueError) as error:
+        raise SceneError(
+            f"{name}(u, v) of {u.size} nodes gives no real number for each: {error}"
+        ) from error
+    finite = np.isfinite(found)
+    if not finite.all():
+        worst = int(np.argmin(finite))
+        raise SceneError(
+            f"{name}(u, v) = {found[worst]} at u = {u[worst]:.4g} m, v = {v[worst]:.4g} m; give "
+            "finite numbers all over the pupil"
+        )
+    values = np.zeros_like(nodes.u)
+    values[lit] = found
+    return values
+
+
+def sampled(
+    layout: Nodes,
+    samples: int | tuple[int, int] | None,
+    fill: Callable[[PupilNodes], tuple[Array, Array]],
+    *,
+    wavenumber: float,
+    radius: float,
+    obscuration: float,
+    aperture: Aperture | None,
+) -> tuple[PupilNodes, Array, Array]:
+    """Nodes, aberration and amplitude; without ``samples`` as many as hold both functions.
+
+    ``fill`` gives the two on any nodes.
+    """
+    found: tuple[PupilNodes, Array, Array] | None = None
+    for count in _trials(layout, samples, aperture):
+        nodes = pupil_nodes(layout, count, radius, obscuration, aperture)
+        path, amplitude = fill(nodes)
+        found = nodes, path, amplitude
+        if layout == "grid" or samples is not None:
+            break
+        lack = 0.0
+        for values, scale in ((path, wavenumber), (amplitude, 1.0)):
+            # rounding of many waves is no lack of nodes
+            least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
+            lack = max(lack, scale * _truncation(values, radius, obscuration, aperture) / least)
+        if lack <= 1:
+            break
+    if found is None:  # a tuple of trials is never empty
+        raise SamplingError("no nodes to try")
+    return found
+
+
+def _trials(
+    layout: Nodes, samples: int | tuple[int, int] | None, aperture: Aperture | None
+) -> Iterator[int | tuple[int, int]]:
+    if samples is not None:
+        yield samples
+    elif layout == "grid":
+        yield GRID_SAMPLES
+    elif aperture is None:
+        yield from RADII
+    else:
+        n = len(aperture.owners)
+        yield SIDES[0]
+        yield from (side for side in SIDES[1:] if n * side**2 <= MOST_NODES)
+
+
+def _truncation(
+    values: Array, radius: float, obscuration: float, aperture: Aperture | None
+) -> float:
+    if aperture is None:
+        return PolarSpectrum(values, radius, obscuration).truncation()
+    return CellSpectrum(values, aperture).truncation()

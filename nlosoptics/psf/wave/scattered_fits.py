@@ -1,0 +1,261 @@
+"""Cubics through the nearest nodes: slopes, bends and values between nodes of any layout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SamplingError
+from ..aperture.quadrature_nodes import polar_nodes
+from .wavefront import Wavefront
+
+Array = NDArray[np.float64]
+
+FAR: Final = 12.0  # disc radii, where a ring of further points closes the outermost cells
+RING: Final = 64
+
+
+def cell_areas(sites: Array, radius: float) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Areas of Voronoi cells, their areas within a disc, and which cells are neighbours.
+
+    Parameters
+    ----------
+    sites : ndarray, (n, 2)
+        m, within 3 radii of the origin.
+    radius : float
+        Of the disc about the origin, m.
+
+    Returns
+    -------
+    whole : ndarray, (n,)
+        m^2; the outermost cells end half way to a ring of 12 radii.
+    within : ndarray, (n,)
+        m^2; they add up to the disc's area. A site that coincides with another has 0 of both.
+    neighbours : ndarray of int, (m, 2)
+        Pairs of sites whose cells share an edge.
+    """
+    from scipy.spatial import Voronoi
+
+    n = len(sites)
+    angle = 2 * np.pi * (np.arange(RING) + 0.5) / RING
+    ring = FAR * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = np.concatenate([sites / radius, ring])
+    diagram = Voronoi(points)
+    pairs = np.asarray(diagram.ridge_points, dtype=np.int64)
+    corners = np.asarray(diagram.ridge_vertices, dtype=np.int64)
+    closed = (corners >= 0).all(axis=1)
+    pairs, corners = pairs[closed], corners[closed]
+    start, end = diagram.vertices[corners[:, 0]], diagram.vertices[corners[:, 1]]
+    whole, within = np.zeros(n + RING), np.zeros(n + RING)
+    for side in (0, 1):
+        owner = pairs[:, side]
+        a, b = start - points[owner], end - points[owner]
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        turn = np.sign(cross)
+        whole += np.bincount(owner, np.abs(cross) / 2, minlength=n + RING)
+        within += np.bincount(owner, turn * _sectors(start, end), minlength=n + RING)
+    inner = (pairs < n).all(axis=1)
+    scale = radius**2
+    return whole[:n] * scale, np.maximum(within[:n], 0.0) * scale, pairs[inner]
+
+
+def _sectors(a: Array, b: Array) -> Array:
+    """Signed area of the triangle from the origin to a and b, (n, 2), within the unit disc."""
+    d = b - a
+    square = np.sum(d * d, axis=1)
+    along = -np.sum(a * d, axis=1)
+    # |a + t d| = 1
+    root = along**2 - square * (np.sum(a * a, axis=1) - 1)
+    crosses = (root > 0) & (square > 0)
+    half = np.sqrt(np.where(crosses, root, 0.0))
+    safe = np.where(square > 0, square, 1.0)
+    enter, leave = ((along + s * half) / safe for s in (-1, 1))
+    crosses &= (enter < 1) & (leave > 0)
+    enter, leave = np.clip(enter, 0, 1), np.clip(leave, 0, 1)
+    p, q = a + enter[:, None] * d, a + leave[:, None] * d
+    cut = _angle(a, p) / 2 + _cross(p, q) / 2 + _angle(q, b) / 2
+    return np.where(crosses, cut, _angle(a, b) / 2)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+
+
+def _angle(a: Array, b: Array) -> Array:
+    """Signed angle from a to b, rad."""
+    return np.asarray(np.arctan2(_cross(a, b), np.sum(a * b, axis=1)))
+
+
+Indices = NDArray[np.int64]
+
+NEAREST: Final = (24, 96, 384)  # nodes that a cubic's nine terms are fitted to, more if in lines
+#: Log determinant of the terms' correlations below which nodes lie in lines; -21 for random ones.
+IN_LINES: Final = -30.0
+CLOSE: Final = 6  # of them are neighbours, between which the aberration must not jump
+BLOCK: Final = 4096  # nodes fitted at a time, few enough to stay in the cache
+FAINT: Final = 1e-12  # of the strongest node, below which one counts as dark
+RIDGE: Final = 1e-13  # of the mean moment; it settles nodes on a line
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFits:
+    """Taylor series of aberration and amplitude about every lit node.
+
+    Parameters
+    ----------
+    places : ndarray, (n, 2)
+        Lit nodes, m.
+    indices : ndarray of int, (n,)
+        Their places in the flattened wavefront.
+    aberration : ndarray, (10, n)
+        Coefficients of `terms`: W at the node, m, and its slopes, bends and twists over steps in
+        units of ``scale``.
+    amplitude : ndarray, (10, n)
+        The same of the amplitude.
+    scale : ndarray, (n,)
+        Distance to the farthest node of each fit, m.
+    misfit : ndarray, (n,)
+        rms of what the cubic misses of the aberration, m.
+    jump : float
+        Largest difference of the aberration between close nodes, m.
+    jump_at : int
+        Which of the lit nodes has it.
+    """
+
+    places: Array
+    indices: Indices
+    aberration: Array
+    amplitude: Array
+    scale: Array
+    misfit: Array
+    jump: float
+    jump_at: int
+
+    @property
+    def slopes(self) -> Array:
+        """Gradient of the aberration at the nodes, (n, 2)."""
+        return np.asarray((self.aberration[1:3] / self.scale).T)
+
+    @property
+    def bends(self) -> Array:
+        """Second derivatives W_uu, W_uv, W_vv at the nodes, (n, 3), 1/m."""
+        return np.asarray(((2.0, 1.0, 2.0) * self.aberration[3:6].T) / self.scale[:, None] ** 2)
+
+    def on_polar(
+        self, wave: Wavefront, n_r: int, n_theta: int
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """The wave on polar nodes of its pupil, blended from the three nearest cubics.
+
+        Returns
+        -------
+        u, v, weights, aberration, amplitude, doubt : ndarray, (n_r n_theta,)
+            ``doubt`` is the spread of the three predictions of the aberration, m.
+        """
+        u, v, weights = (
+            a.ravel() for a in polar_nodes(wave.pupil_radius, n_r, n_theta, wave.obscuration)
+        )
+        count = min(4, len(self.places))
+        distance, owner = _nearest(self.places, np.stack([u, v], axis=1), count)
+        used = max(1, count - 1)
+        share = (1 - distance[:, :used] / (distance[:, -1:] * (1 + 1e-9) + 1e-300)) ** 2
+        share /= share.sum(axis=1, keepdims=True)
+        path, height = np.empty_like(share), np.empty_like(share)
+        for i in range(used):
+            site = owner[:, i]
+            step = terms(
+                (u - self.places[site, 0]) / self.scale[site],
+                (v - self.places[site, 1]) / self.scale[site],
+            )
+            path[:, i] = np.einsum("tn,tn->n", step, self.aberration[:, site])
+            height[:, i] = np.einsum("tn,tn->n", step, self.amplitude[:, site])
+        mean = np.einsum("ni,ni->n", share, path)
+        doubt = np.sqrt(np.einsum("ni,ni->n", share, (path - mean[:, None]) ** 2))
+        amplitude = np.maximum(np.einsum("ni,ni->n", share, height), 0.0)
+        return u, v, weights, mean, amplitude, doubt
+
+
+def terms(x: Array, y: Array) -> Array:
+    """The ten monomials up to the third degree, (10, ...)."""
+    one = np.ones_like(x)
+    return np.stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
+
+
+def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
+    """Fit cubics to the lit nodes of a grid or of scattered nodes.
+
+    Each passes through its own node; its neighbours weigh less the farther they are.
+
+    Raises
+    ------
+    SamplingError
+        If nodes lie in a line, so that they have no slopes across it.
+    """
+    strength = (wave.amplitude * wave.weights).ravel()
+    indices = np.flatnonzero(strength > FAINT * strength.max())
+    places = np.stack([wave.u.ravel()[indices], wave.v.ravel()[indices]], axis=1)
+    values = np.stack([aberration.ravel()[indices], wave.amplitude.ravel()[indices]])
+    n = len(indices)
+    series, misfit = np.zeros((2, 10, n)), np.zeros(n)
+    series[:, 0] = values
+    scale = np.full(n, wave.pupil_radius)
+    rise = np.zeros(n)
+    left = np.arange(n if n > 1 else 0)
+    for count in NEAREST:
+        k, again = min(count, n - 1), []
+        for start in range(0, len(left), BLOCK):
+            block = left[start : start + BLOCK]
+            distance, near = _nearest(places, places[block], k + 1)
+            near = near[:, 1:]
+            scale[block] = np.maximum(distance[:, -1], 1e-12 * wave.pupil_radius)
+            step = (places[near] - places[block, None]) / scale[block, None, None]
+            change = values[:, near] - values[:, block, None]
+            series[:, 1:, block], misfit[block], volume = _solved(step, change)
+            rise[block] = np.maximum(rise[block], np.abs(change[0, :, :CLOSE]).max(axis=1))
+            again.append(block[volume < IN_LINES])
+        left = np.concatenate(again) if again else left
+    if left.size:
+        raise SamplingError(
+            f"wavefront node {int(indices[left[0]])} and the {k} nearest to it lie in a few lines, "
+            "across which the wave is not known; spread more nodes over the pupil"
+        )
+    return LocalFits(
+        places,
+        indices,
+        series[0],
+        series[1],
+        scale,
+        misfit,
+        float(rise.max()),
+        int(np.argmax(rise)),
+    )
+
+
+def _nearest(places: Array, points: Array, count: int) -> tuple[Array, Indices]:
+    """Distances and indices (m, count) of the places nearest to the points (m, 2)."""
+    from scipy.spatial import cKDTree
+
+    found = cKDTree(places).query(points, k=list(range(1, count + 1)))
+    return np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+
+
+def _solved(step: Array, rise: Array) -> tuple[Array, Array, Array]:
+    """Nine coefficients of two functions (2, 9, b), misfit of the first, and volume.
+
+    The misfit (b,) and the log determinant of the terms' correlations (b,), see `IN_LINES`.
+    """
+    basis = np.moveaxis(terms(step[..., 0], step[..., 1])[1:], 0, 2)
+    weight = np.maximum(1.1 - np.sum(step**2, axis=2), 0.0) ** 2
+    # einsum without BLAS: the same bits for any thread count
+    moments = np.einsum("bkt,bk,bks->bts", basis, weight, basis)
+    right = np.einsum("bkt,bk,fbk->btf", basis, weight, rise)
+    size = np.sqrt(np.einsum("btt->bt", moments)).clip(min=1e-150)
+    volume = np.linalg.slogdet(moments / (size[:, :, None] * size[:, None, :]))[1]
+    trace = np.einsum("btt->b", moments) / 9
+    moments[:, np.arange(9), np.arange(9)] += RIDGE * trace[:, None]
+    found = np.linalg.solve(moments, right)
+    rest = rise[0] - np.einsum("bkt,bt->bk", basis, found[..., 0])
+    rms = np.sqrt(np.sum(weight * rest**2, axis=1) / np.sum(weight, axis=1))
+    return np.moveaxis(found, (2, 1), (0, 1)), rms, np.asarray(volume)

@@ -1,0 +1,137 @@
+"""Zernike polynomials in the Noll, OSA and Fringe orders."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import one_of, real, whole
+from ...errors import SceneError
+from ..aperture.quadrature_nodes import frozen, kept_polar_nodes
+
+Array = NDArray[np.float64]
+Ordering = Literal["noll", "osa", "fringe"]
+ORDERINGS = ("noll", "osa", "fringe")
+
+
+def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
+    """Radial degree n and angular frequency m of a Zernike index.
+
+    Parameters
+    ----------
+    index : int
+        From 1 for Noll and Fringe, from 0 for OSA. Fringe has 37.
+    ordering : {"noll", "osa", "fringe"}
+        Noll, JOSA 66, 207 (1976); OSA, also ANSI Z80.28; Fringe, also University of Arizona, whose
+        term 37 is the twelfth-degree spherical one.
+
+    Returns
+    -------
+    n, m : int
+        m >= 0 is a cosine, m < 0 a sine.
+    """
+    one_of("ordering", ordering, ORDERINGS)
+    whole(f"{ordering} index", index, 0 if ordering == "osa" else 1)
+    if ordering == "osa":
+        n = (math.isqrt(8 * index + 1) - 1) // 2
+        return n, 2 * index - n * (n + 2)
+    if ordering == "noll":
+        n = (math.isqrt(8 * index - 7) - 1) // 2
+        place = index - n * (n + 1) // 2  # 1 .. n + 1
+        m = 2 * (place // 2) if n % 2 == 0 else 2 * ((place - 1) // 2) + 1
+        return n, m if index % 2 == 0 else -m
+    if index > 37:
+        raise SceneError(f"fringe index = {index} is out of range, must be 1 to 37; use noll")
+    if index == 37:
+        return 12, 0
+    half = math.isqrt(index - 1)  # (n + |m|)/2
+    place = index - half**2 - 1
+    m = half - place // 2
+    return 2 * half - m, -m if place % 2 else m
+
+
+def radial(n: int, m: int, rho: ArrayLike) -> Array:
+    """Radial Zernike polynomial R_n^|m|, 1 at rho = 1.
+
+    Evaluated as rho^m P_k^(0, m)(2 rho^2 - 1), k = (n - m)/2, by the Jacobi recurrence, which keeps
+    its digits where the textbook sum of factorials cancels (from n = 30 on).
+    """
+    rho = np.asarray(rho, dtype=np.float64)
+    m = abs(m)
+    x = 2 * rho**2 - 1
+    before, now = np.zeros_like(x), np.ones_like(x)
+    for k in range(1, (n - m) // 2 + 1):
+        # Abramowitz & Stegun 22.7.1 with alpha = 0, beta = m.
+        s = 2 * k + m
+        scale = 2 * k * (k + m) * max(s - 2, 1)
+        linear = (s - 1) * (s * (s - 2) * x - m**2)
+        if s == 2:  # k = 1, m = 0: the general line is 0/0, and P_1 = x
+            before, now = now, x * now
+            continue
+        before, now = now, (linear * now - 2 * (k - 1) * (k + m - 1) * s * before) / scale
+    return np.asarray(rho**m * now)
+
+
+def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering = "noll") -> Array:
+    """Zernike polynomial at polar points of the unit disc.
+
+    Parameters
+    ----------
+    index : int
+        In the given order.
+    rho, theta : array_like
+        Radius over pupil radius, and angle from u toward v, rad.
+    ordering : {"noll", "osa", "fringe"}
+        Noll and OSA polynomials have rms 1 over the disc; Fringe ones are not normalised, their
+        radial part is 1 at the rim.
+
+    Returns
+    -------
+    ndarray
+        Of the broadcast shape.
+    """
+    n, m = zernike_order(index, ordering)
+    theta = np.asarray(theta, dtype=np.float64)
+    value = radial(n, m, rho)
+    if m != 0:
+        value = value * (np.cos(m * theta) if m > 0 else np.sin(-m * theta))
+    if ordering != "fringe":
+        value = value * math.sqrt((n + 1) * (1 if m == 0 else 2))
+    return np.asarray(value)
+
+
+def zernike_basis(
+    indices: Sequence[int], rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering = "noll"
+) -> Array:
+    """Stack of `zernike` for several indices, (len(indices), ...)."""
+    return np.stack([zernike(index, rho, theta, ordering=ordering) for index in indices])
+
+
+@lru_cache(maxsize=8)
+def kept_zernikes(
+    indices: tuple[int, ...], ordering: Ordering, n_r: int, n_theta: int, obscuration: float
+) -> Array:
+    """Zernike polynomials (n, n_r, n_theta) on at most `KEPT` polar nodes, kept and read-only."""
+    u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
+    rho, theta = np.hypot(u, v), np.arctan2(v, u)
+    modes = np.empty((len(indices), n_r, n_theta))
+    for mode, index in zip(modes, indices, strict=True):
+        mode[...] = zernike(index, rho, theta, ordering=ordering)
+    return frozen(modes)
+
+
+def zernike_sum(
+    coefficients: Mapping[int, float], u: Array, v: Array, radius: float, ordering: Ordering
+) -> Array:
+    """Sum of Zernike polynomials of the unit disc of a radius, m, at (u, v), m."""
+    rho, theta = np.hypot(u, v) / radius, np.arctan2(v, u)
+    total = np.zeros_like(u)
+    for index, value in coefficients.items():
+        height = real(f"coefficients[{index}]", value)
+        total += height * zernike(index, rho, theta, ordering=ordering)
+    return total

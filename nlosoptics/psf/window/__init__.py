@@ -1,0 +1,1 @@
+"""Window and pixels of a point spread function, and bounds of its errors."""

@@ -1,0 +1,106 @@
+"""How far the rims of a pupil send light, as bounds by their straight edges and arcs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..aperture.aperture import Aperture
+from ..aperture.curves import Curve, cross, lengths
+from ..wave.wavefront import Wavefront
+
+Array = NDArray[np.float64]
+
+#: Of sqrt(rho/f), the most that an arc of curvature radius rho adds up to.
+ARC = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Straight edges of like direction (n, 2) and length (n,), m, with their number (n,)."""
+
+    direction: Array
+    length: Array
+    number: Array
+
+
+def edge_ratio(wave: Wavefront, outline: Aperture | None = None) -> float:
+    """Length of all rims over the area, against that of a clear disc of the pupil radius.
+
+    ``outline`` is that of the pupil where the wave does not hold it itself.
+    """
+    aperture = outline or wave.aperture
+    if aperture is None:
+        return 1 / (1 - wave.obscuration)
+    return aperture.perimeter * wave.pupil_radius / (2 * aperture.area)
+
+
+def tail(aperture: Aperture, x: Array, y: Array) -> Array:
+    """Bound of the field of a clear aperture, 1 at its peak, at spatial frequencies (x, y), 1/m.
+
+    The transform is a sum over the rim, ``L sinc(f_t L) f_n/(2 pi f^2 A)`` for a straight edge
+    (Komrska, JOSA 72, 1382 (1982)), and ``sqrt(rho/f)/(2 pi f A)`` where an arc faces f. Frequency
+    is position over wavelength times distance.
+    """
+    f = np.hypot(x, y)
+    f = np.maximum(f, 1e-3 / aperture.bounding_radius)  # the bound is 1 there
+    edges, arcs = _split(aperture)
+    total = np.zeros(np.broadcast(x, y).shape)
+    for (along_u, along_v), length, number in zip(
+        edges.direction, edges.length, edges.number, strict=True
+    ):
+        along = np.maximum(math.pi * np.abs(x * along_u + y * along_v), 1 / length)
+        total += number / along
+    for length, rho in arcs:
+        total += np.minimum(length, ARC * np.sqrt(rho / f))
+    return np.asarray(np.minimum(total / (2 * math.pi * f * aperture.area), 1.0))
+
+
+def reach(aperture: Aperture, scale: float, pitch: float, share: float) -> float:
+    """Distance beyond which the light of straight edges is below ``share`` of all in a pixel, m.
+
+    Square to edges of one direction, of length L each and S in all, it is ``S^2/(4 pi^2 A r^2)``
+    per area, within about ``2 scale/L``; ``scale`` is wavelength times distance, m^2.
+    """
+    edges, _ = _split(aperture)
+    farthest = 0.0
+    for length, number in zip(edges.length, edges.number, strict=True):
+        covered = pitch * min(pitch, 2 * scale / length)
+        square = (length * number) ** 2 * covered / (4 * math.pi**2 * aperture.area * share)
+        farthest = max(farthest, math.sqrt(square))
+    return farthest
+
+
+@lru_cache(maxsize=8)
+def _split(aperture: Aperture) -> tuple[_Edges, list[tuple[float, float]]]:
+    """Straight edges in groups, and the arcs' lengths and largest curvature radii, m."""
+    rims, size = aperture.rims, lengths(aperture.rims)
+    bent = rims.turn != 0
+    found: dict[tuple[int, int, int], int] = {}
+    for step, length in zip(rims.step[~bent], size[~bent], strict=True):
+        a, b = (round(1e6 * x / length) for x in step)
+        if (a, b) < (0, 0):  # rounded first, or rounding would tell upright edges apart
+            a, b = -a, -b
+        key = (a, b, round(1e6 * length / aperture.bounding_radius))
+        found[key] = found.get(key, 0) + 1
+    keys = np.array(list(found), dtype=np.float64).reshape(-1, 3) / 1e6
+    edges = _Edges(
+        keys[:, :2],
+        np.maximum(keys[:, 2], 1e-6) * aperture.bounding_radius,
+        np.array(list(found.values()), dtype=np.float64),
+    )
+    arcs = [
+        (float(n), rho) for n, rho in zip(size[bent], _curvature_radii(rims, bent), strict=True)
+    ]
+    return edges, arcs
+
+
+def _curvature_radii(rims: Curve, bent: NDArray[np.bool_]) -> list[float]:
+    """Largest |r'|^3/|r' x r''| of arcs, m."""
+    rate = np.hypot(*np.moveaxis(rims.rate(np.linspace(0, 1, 33)), -1, 0))[bent].max(axis=1)
+    bend = np.abs(rims.turn[bent]) ** 3 * np.abs(cross(rims.cosine, rims.sine))[bent]
+    return [float(r) for r in rate**3 / bend]

@@ -1,0 +1,211 @@
+"""Windows of the image plane: their coordinates, their defaults and what they must hold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import in_range, is_single, positive, whole
+from ...errors import SamplingError, SceneError
+from ..aperture.aperture import Aperture
+from ..wave.detilted import Residual, split
+from ..wave.wavefront import Wavefront
+from . import rim_tails
+
+Array = NDArray[np.float64]
+
+#: Share of the rays that a window may leave out.
+LOST_RAYS = 0.01
+#: Widest default window, samples per side.
+WIDEST_DEFAULT = 4096
+
+
+@dataclass(frozen=True)
+class Window:
+    """Equidistant image points.
+
+    Parameters
+    ----------
+    pitch : float
+        m.
+    shape : (int, int)
+        (ny, nx).
+    first : (float, float)
+        Coordinates (x, y) of sample [0, 0], m.
+    """
+
+    pitch: float
+    shape: tuple[int, int]
+    first: tuple[float, float]
+
+    @classmethod
+    def centred(cls, pitch: float, shape: tuple[int, int]) -> Window:
+        """Sample [ny//2, nx//2] on the axis."""
+        ny, nx = shape
+        return cls(pitch, shape, (-(nx // 2) * pitch, -(ny // 2) * pitch))
+
+    @property
+    def x(self) -> Array:
+        """Coordinates along a row, m."""
+        return self.first[0] + np.arange(self.shape[1], dtype=np.float64) * self.pitch
+
+    @property
+    def y(self) -> Array:
+        """Coordinates along a column, m."""
+        return self.first[1] + np.arange(self.shape[0], dtype=np.float64) * self.pitch
+
+    def reach_from(self, point: tuple[float, float]) -> tuple[float, float]:
+        """Largest |x - point| and |y - point| over the window, m."""
+        far = []
+        for first, n, centre in zip(self.first, self.shape[::-1], point, strict=True):
+            far.append(max(abs(first - centre), abs(first + (n - 1) * self.pitch - centre)))
+        return far[0], far[1]
+
+
+def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
+    """Check a shape; one number stands for both sides."""
+    if isinstance(shape, int) or is_single(shape):
+        return (whole("shape", shape),) * 2
+    if isinstance(shape, str) or not hasattr(shape, "__len__") or len(shape) != 2:
+        raise SceneError(f"shape = {shape!r}; give one whole number or (ny, nx)")
+    return whole("shape", shape[0]), whole("shape", shape[1])
+
+
+def middle(shape: tuple[int, ...], inner: tuple[int, ...]) -> tuple[slice, slice]:
+    """Where a window lies in a larger one of the same centre."""
+    rows, columns = (
+        slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, inner, strict=True)
+    )
+    return rows, columns
+
+
+def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
+    """Window of at least 256 samples that holds the rays and 16 Airy units of tail.
+
+    Raises
+    ------
+    SamplingError
+        If it would need more than 4096 samples a side.
+    """
+    half = ray_reach(residual) + 16 * residual.airy_unit
+    n = max(256, 2 * math.ceil(half / pitch))
+    if n > WIDEST_DEFAULT:
+        raise SamplingError(
+            f"the spot reaches {half:.3g} m from the axis, {n} samples of {pitch:.3g} m across; "
+            "give a wider pitch with pixel_integrated=True, or a shape"
+        )
+    return n, n
+
+
+def check_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> None:
+    """Refuse a window that leaves out more than one ray in a hundred."""
+    rays, (shift_x, shift_y) = residual.rays, residual.shift
+    ny, nx = shape
+    # An Airy unit of slack: rays closer than that do not tell a spot from a point.
+    slack = max(pitch / 2, residual.airy_unit)
+    half_x, half_y = (nx // 2) * pitch + slack, (ny // 2) * pitch + slack
+    if abs(shift_x) + rays.reach <= half_x and abs(shift_y) + rays.reach <= half_y:
+        return
+    x, y = rays.x + shift_x, rays.y + shift_y
+    inside = (np.abs(x) <= half_x) & (np.abs(y) <= half_y)
+    lost = float(rays.energy[~inside].sum())
+    if lost > LOST_RAYS:
+        need = 2 * math.ceil(max(np.abs(x).max(), np.abs(y).max()) / pitch) + 1
+        raise SamplingError(
+            f"the geometric spot reaches x = {_widest(x):.3g} m, y = {_widest(y):.3g} m and the "
+            f"window of {ny} x {nx} samples of {pitch:.3g} m loses {100 * lost:.3g} % of its "
+            f"rays, limit {100 * LOST_RAYS:g} %; use shape = ({need}, {need}) or more"
+        )
+
+
+def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> int:
+    """Odd side of a window outside which a point spread stays below ``tol`` of its peak.
+
+    Rays are binned into pixels, and beyond the last of them the diffraction tail of a round pupil,
+    at most 2 lambda N/(pi^3 r^3) per area, or the spikes of an aperture's straight edges, is
+    followed until a pixel of it is below ``tol``.
+
+    Parameters
+    ----------
+    wavefront : Wavefront
+        Of any layout.
+    pitch : float
+        Pixel side, m.
+    tol : float
+        Of the brightest pixel.
+
+    Returns
+    -------
+    int
+        Pixels per side, centred on the reference point, a tilt's shift included.
+    """
+    positive("pitch", pitch, unit="m")
+    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    return window_side(split(wavefront), pitch, tol)
+
+
+def window_side(
+    residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
+) -> int:
+    """`window_shape` of a wave whose piston and tilt are already separated.
+
+    Parameters
+    ----------
+    residual : Residual
+    pitch, tol : float
+        As of `window_shape`.
+    outline : Aperture, optional
+        Outline of the pupil, where the wave does not hold it itself.
+
+    Returns
+    -------
+    int
+    """
+    peak = peak_pixel(residual, pitch)
+    # Energy per pixel at the distance r from the last ray, and solved for r.
+    tail = (2 * residual.airy_unit * pitch**2 / (math.pi**3 * tol * peak)) ** (1 / 3)
+    wave = residual.wavefront
+    outline = outline or wave.aperture
+    if outline is not None:
+        scale = wave.wavelength * abs(wave.image_distance)
+        tail *= rim_tails.edge_ratio(wave, outline) ** (1 / 3)
+        tail = max(tail, rim_tails.reach(outline, scale, pitch, tol * peak))
+    half = ray_reach(residual) + tail
+    return int(2 * math.ceil(max(half / pitch - 0.5, 0.0)) + 1)
+
+
+def peak_pixel(residual: Residual, pitch: float) -> float:
+    """Energy of the brightest pixel, estimated from the rays and the Airy disc."""
+    rays, unit = residual.rays, residual.airy_unit
+    # Bins no finer than the Airy disc, which blurs the rays.
+    side = max(pitch, 2 * unit)
+    if residual.wavefront.layout == "polar":
+        # Several rays a bin, or single rays pass for peaks.
+        n_r = min(max(24, math.ceil(4 * rays.reach / side)), 400)
+        rays = residual.traced(n_r, 4 * n_r)
+    elif residual.wavefront.layout == "cells":
+        shape = residual.wavefront.u.shape
+        n = min(max(shape[1], math.ceil(4 * rays.reach / side)), math.ceil(700 / shape[0] ** 0.5))
+        rays = residual.traced(shape[0], n, n)
+    columns = np.round(rays.x / side).astype(np.int64)
+    rows = np.round(rays.y / side).astype(np.int64)
+    columns, rows = columns - columns.min(), rows - rows.min()
+    index = rows * (columns.max() + 1) + columns
+    bins = np.bincount(index.ravel(), weights=rays.energy.ravel())
+    airy = min(1.0, math.pi / 4 * (pitch / unit) ** 2)
+    if residual.wavefront.aperture is not None:
+        airy = min(1.0, residual.pixel_share(pitch))
+    return float(min(bins.max() * min(1.0, (pitch / side) ** 2), airy))
+
+
+def ray_reach(residual: Residual) -> float:
+    """Half the side of the square about the axis that holds every ray, m."""
+    shift = residual.shift
+    return residual.rays.reach + max(abs(shift[0]), abs(shift[1]))
+
+
+def _widest(values: Array) -> float:
+    return float(values.flat[int(np.argmax(np.abs(values)))])

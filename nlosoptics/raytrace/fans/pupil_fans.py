@@ -1,0 +1,171 @@
+"""Rays from one object point by the wall, used as a mirror, to the lens."""
+
+from __future__ import annotations
+
+import math
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import fits_memory, vector, whole
+from ..._random import checked_seed, philox
+from ...scene import Scene, pupil_frame
+from ..intersection.intersections import intersect
+from .footprints import lens_footprint, lens_plane, reflected
+from .paths import DETECTED, ESCAPED, LEFT, STATUS, RayPaths
+
+Array = NDArray[np.float64]
+
+FANS: Final = 402  # stream of the random generator
+MARGIN: Final = 0.05  # of the fan's width, beyond each of its sides
+ABOVE: Final = 1e-9  # m, where reflected rays start over the wall they leave
+
+
+def pupil_rays(
+    scene: Scene, *, object_point: ArrayLike | None = None, n_rays: int, seed: int = 0
+) -> RayPaths:
+    """Launch a fan of rays at the wall, a mirror of its true shape, and follow it to the lens.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its wall may be smooth or a height map; the material is not used.
+    object_point : array_like, (3,), optional
+        World, m; by default the hidden object's reference point.
+    n_rays : int
+        At least 16.
+    seed : int
+        Shifts the lattice of launch directions.
+
+    Returns
+    -------
+    RayPaths
+        ``points`` (n_rays, 3, 3): object point, wall point, point in the plane of the lens.
+        ``status`` is 0 within the lens, 3 where the wall would be met again, and 1 elsewhere;
+        rays that meet no wall, or leave it away from the lens, repeat their last vertex.
+        ``weight`` is in W for a point source of 1 W/sr; reflection and lens lose nothing.
+        ``standard_error`` is that of independent rays, which those of a lattice stay below.
+
+    Raises
+    ------
+    SceneError
+        If no light from the point is reflected into the lens.
+
+    Notes
+    -----
+    The fan covers the light from the point to the lens, and a margin. Its directions form a rank-1
+    lattice in the plane of Lambert's equal-area map about the fan's axis, so that every ray has
+    the same solid angle, and a smooth wall lays them out on the lens as a smoothly bent lattice.
+    """
+    o = scene.object_point
+    if object_point is not None:
+        o = np.array(vector("object_point", object_point))
+    n_rays = whole("n_rays", n_rays, 16)
+    fits_memory(f"{n_rays} rays", 400.0 * n_rays, "launch fewer")
+    directions, solid_angle = _fan(scene, o, n_rays, checked_seed(seed))
+    points = np.repeat(o[None, None], 3, axis=1).repeat(n_rays, axis=0)
+    n_bounces = np.zeros(n_rays, dtype=np.int32)
+    status = np.full(n_rays, ESCAPED, dtype=np.int8)
+    path_length = np.zeros(n_rays)
+    hits = intersect(scene.wall, o, directions)
+    met = np.flatnonzero(hits.hit)
+    wall_points, normals = hits.points[met], hits.normals[met]
+    onward = reflected(directions[met], normals)
+    ends, reach = lens_plane(wall_points, onward, scene.camera)
+    points[met, 1:] = wall_points[:, None]
+    path_length[met], n_bounces[met] = hits.distance[met], 1
+    again = _met_again(scene, wall_points + ABOVE * normals, onward, reach)
+    status[met[again]] = LEFT
+    arrived = ~np.isnan(reach) & ~again
+    points[met[arrived], 2] = ends[arrived]
+    path_length[met[arrived]] += reach[arrived]
+    across = np.linalg.norm(ends[arrived] - np.array(scene.camera.position), axis=1)
+    status[met[arrived]] = np.where(across <= scene.camera.stop_diameter / 2, DETECTED, ESCAPED)
+    return _with_ledger(points, path_length, n_bounces, status, solid_angle)
+
+
+def _fan(scene: Scene, o: Array, n_rays: int, seed: int) -> tuple[Array, float]:
+    """Unit directions (n_rays, 3) that cover the lens by way of the wall, and the solid angle."""
+    toward = lens_footprint(scene.wall, o, scene.camera).points - o
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    axis = toward.mean(axis=0)
+    axis /= np.linalg.norm(axis)
+    e1, e2, _ = pupil_frame(axis)
+    # Lambert's map: 2 sin(theta/2) from the axis, equal areas for equal solid angles
+    flat = np.stack([toward @ e1, toward @ e2], axis=1)
+    flat *= np.sqrt(2 / (1 + toward @ axis))[:, None]
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    # one and a half rays outside the light, so that those at the rim have neighbours
+    margin = max(MARGIN, 1.5 / (math.sqrt(n_rays) - 3))
+    width = (1 + 2 * margin) * (high - low)
+    middle = (low + high) / 2
+    # the map ends at 2, the direction backward
+    width = np.minimum(width, 2 * (1.4 - np.abs(middle)))
+    places = middle + (_lattice(n_rays, seed) - 0.5) * width
+    square = np.sum(places**2, axis=1)
+    directions = (np.sqrt(1 - square / 4)[:, None] * places) @ np.stack([e1, e2])
+    directions += (1 - square / 2)[:, None] * axis
+    return directions, float(width.prod())
+
+
+def _lattice(n: int, seed: int) -> Array:
+    """Points (n, 2) of a rank-1 lattice in the unit square, shifted by a draw."""
+    near = round(n / ((1 + math.sqrt(5)) / 2))
+    best, generator = -1.0, 1
+    multiple = np.arange(1, min(n, 4 * math.isqrt(n) + 2))
+    for candidate in range(max(1, near - 16), min(n, near + 17)):
+        if math.gcd(candidate, n) != 1:
+            continue
+        x = multiple / n
+        y = (multiple * candidate % n) / n
+        shortest = float((x**2 + np.minimum(y, 1 - y) ** 2).min())
+        if shortest > best:
+            best, generator = shortest, candidate
+    words = philox(np.array([0, 0, 0, FANS], dtype=np.uint32), seed)
+    index = np.arange(n, dtype=np.int64)
+    places = np.stack([index / n, (index * generator % n) / n], axis=1)
+    return np.asarray((places + words[:2] / 2.0**32) % 1.0)
+
+
+def _met_again(scene: Scene, starts: Array, directions: Array, reach: Array) -> NDArray[np.bool_]:
+    """Whether reflected rays meet the wall a second time before the plane of the lens."""
+    if scene.wall.is_flat or not len(starts):
+        return np.zeros(len(starts), dtype=bool)
+    second = intersect(scene.wall, starts, directions)
+    far = np.where(np.isnan(reach), np.inf, reach)
+    distance = np.where(second.hit, second.distance, np.inf)
+    return np.asarray(distance < far)
+
+
+def _with_ledger(
+    points: Array,
+    path_length: Array,
+    n_bounces: NDArray[np.int32],
+    status: NDArray[np.int8],
+    solid_angle: float,
+) -> RayPaths:
+    n = len(status)
+    counts = np.bincount(status, minlength=len(STATUS))
+    share = counts / n
+    errors = solid_angle * np.sqrt(share * (1 - share) / n)
+    flux = float(solid_angle * share[DETECTED])
+    named = {name: k for k, name in enumerate(STATUS) if counts[k]}
+    detected = status == DETECTED
+    error = float(errors[DETECTED])
+    return RayPaths(
+        points=points,
+        path_length=path_length,
+        weight=np.full(n, solid_angle / n),
+        n_bounces=n_bounces,
+        status=status,
+        ledger=MappingProxyType({k: float(solid_angle * share[i]) for k, i in named.items()}),
+        ledger_error=MappingProxyType({k: float(errors[i]) for k, i in named.items()}),
+        flux=flux,
+        standard_error=error,
+        by_bounce=np.array([0.0, flux]),
+        by_bounce_error=np.array([0.0, error]),
+        mean_path_length=float(path_length[detected].mean()) if detected.any() else 0.0,
+        n_rays=n,
+    )

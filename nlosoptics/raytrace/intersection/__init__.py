@@ -1,0 +1,1 @@
+"""Where rays meet walls and triangle meshes, in float64."""

@@ -1,0 +1,334 @@
+"""Where rays meet curved relay walls and triangles, compiled.
+
+Every ray is o + t d with unit d and t in m. ``box`` holds the half sizes in x and y that bound a
+search, inf where there is no bound.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from ...kernels.codes import CYLINDER, GRID, SPHERE, WAVE
+from ...kernels.heights import surface
+from ...kernels.parallel import threaded
+
+HIT, MISS, OUTSIDE, UNRESOLVED, BEHIND = 0, 1, 2, 3, 4
+MAX_STEPS = 500
+BLOCK = 64  # rays at a time
+OX, OY, OZ, DX, DY, DZ, T, HX, HY, MIDDLE, REACH, ERROR, SINE, P, Q = range(0, 15 * BLOCK, BLOCK)
+ROWS = 15
+TOLERANCE = 1e-13  # of the height above the wall, relative to the ray's scale
+
+
+@njit(cache=True)
+def conic_hit(row, box, o, d):
+    """Distance and status of one ray at a single sphere or cylinder.
+
+    The surface is g = c |p|^2 - 2 z = 0 in the coordinates that are curved, with g < 0 on the room
+    side, so the wanted root is the one at which g rises. In this form c -> 0 loses no digits.
+    """
+    curvature = row[1]
+    oo, od, dd = o[2] * o[2], o[2] * d[2], d[2] * d[2]
+    o_s, d_s = row[2] * o[0] + row[3] * o[1], row[2] * d[0] + row[3] * d[1]
+    if row[0] == SPHERE:
+        oo += o[0] * o[0] + o[1] * o[1]
+        od += o[0] * d[0] + o[1] * d[1]
+        dd = 1.0
+    else:
+        oo += o_s * o_s
+        od += o_s * d_s
+        dd += d_s * d_s
+    a, b, c = curvature * dd, curvature * od - d[2], curvature * oo - 2.0 * o[2]
+    within = abs(o[0]) <= box[0] and abs(o[1]) <= box[1]
+    slack = TOLERANCE * (1.0 + abs(curvature) * oo + abs(o[2]))
+    missed = OUTSIDE if d[2] < 0.0 else MISS
+    discriminant = b * b - a * c
+    if not discriminant > 0.0 or a == 0.0:
+        return math.nan, missed
+    root = math.sqrt(discriminant)
+    if b > 0.0:
+        t, entry = -c / (b + root), -(b + root) / a
+    else:
+        t, entry = (root - b) / a, c / (root - b)
+    if c > slack:  # not on the room side of the surface, or above a hollow's opening
+        if curvature < 0.0:
+            return math.nan, BEHIND
+        if t < 0.0:
+            return math.nan, BEHIND if within and curvature * o[2] < 1.0 else missed
+        through_back = curvature * (o[2] + entry * d[2]) < 1.0
+        x, y = o[0] + entry * d[0], o[1] + entry * d[1]
+        if through_back and abs(x) <= box[0] and abs(y) <= box[1]:
+            return math.nan, BEHIND
+    if curvature * curvature * oo > 64.0:
+        # from many radii away the squares above cancel; Newton's step from near the root does not
+        z, across, along = o[2] + t * d[2], 0.0, 0.0
+        if row[0] == SPHERE:
+            x, y = o[0] + t * d[0], o[1] + t * d[1]
+            across, along = x * x + y * y, x * d[0] + y * d[1]
+        else:
+            s = o_s + t * d_s
+            across, along = s * s, s * d_s
+        g = curvature * (across + z * z) - 2.0 * z
+        t -= 0.5 * g / (curvature * (along + z * d[2]) - d[2])
+    if t < -slack or curvature * (o[2] + t * d[2]) >= 1.0:
+        return math.nan, missed
+    x, y = o[0] + t * d[0], o[1] + t * d[1]
+    if abs(x) > box[0] or abs(y) > box[1]:
+        return math.nan, missed
+    return max(t, 0.0), HIT
+
+
+@njit(cache=True)
+def _span(half, o, d, low, high):
+    """Part of [low, high] in which |o + t d| <= half."""
+    if d == 0.0:
+        return (low, high) if abs(o) <= half else (1.0, 0.0)
+    first, last = (-half - o) / d, (half - o) / d
+    return max(low, min(first, last)), min(high, max(first, last))
+
+
+@njit(cache=True)
+def _search_interval(box, slab, rim, o, d):
+    """Interval of t in which the ray is over the wall and between its height limits."""
+    low, high = 0.0, math.inf
+    for i in range(2):
+        if box[i] < math.inf:
+            low, high = _span(box[i], o[i], d[i], low, high)
+    if rim < math.inf:
+        across = d[0] * d[0] + d[1] * d[1]
+        b, c = o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - rim * rim
+        if across > 0.0:
+            discriminant = b * b - across * c
+            if discriminant <= 0.0:
+                return 1.0, 0.0
+            root = math.sqrt(discriminant)
+            low, high = max(low, (-b - root) / across), min(high, (-b + root) / across)
+        elif c > 0.0:
+            return 1.0, 0.0
+    middle = 0.5 * (slab[0] + slab[1])
+    return _span(0.5 * (slab[1] - slab[0]), o[2] - middle, d[2], low, high)
+
+
+@njit(cache=True)
+def _curvature_bound(terms, grid_bounds, o, d, low, high):
+    """Bound on |d2 h/dt2| along the ray between t = low and high."""
+    across = d[0] * d[0] + d[1] * d[1]
+    bound = 0.0
+    for i in range(terms.shape[0]):
+        row = terms[i]
+        if row[0] == WAVE:
+            k = row[2] * d[0] + row[3] * d[1]
+            bound += abs(row[1]) * k * k
+        elif row[0] == GRID:
+            bound += grid_bounds[i] * across
+        elif row[0] == SPHERE or row[0] == CYLINDER:
+            far = 0.0
+            for t in (low, high):
+                x, y = o[0] + t * d[0], o[1] + t * d[1]
+                s = row[2] * x + row[3] * y
+                far = max(far, x * x + y * y if row[0] == SPHERE else s * s)
+            s = row[2] * d[0] + row[3] * d[1]
+            root = math.sqrt(max(1.0 - row[1] * row[1] * far, 1e-6))
+            bound += abs(row[1]) / root**3 * (across if row[0] == SPHERE else s * s)
+    return bound
+
+
+@njit(cache=True)
+def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
+    """Distance and status of the first crossing with any wall, never overshot.
+
+    With M a bound on |f''|, f has no root nearer than that of f + f' s - M s^2/2: the step is safe
+    as a bracket and, as f -> 0, quadratic as Newton's.
+    """
+    missed = OUTSIDE if d[2] < 0.0 else MISS
+    low, high = _search_interval(box, slab, rim, o, d)
+    if not low <= high:
+        over = abs(o[0]) <= box[0] and abs(o[1]) <= box[1]
+        return math.nan, BEHIND if over and o[2] < slab[0] else missed
+    bound = _curvature_bound(terms, grid_bounds, o, d, low, high)
+    scale = TOLERANCE * max(math.sqrt(o[0] * o[0] + o[1] * o[1] + o[2] * o[2]), 1e-3)
+    t = low
+    for step in range(MAX_STEPS):
+        h, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+        f, slope = o[2] + t * d[2] - h, d[2] - hx * d[0] - hy * d[1]
+        if not math.isfinite(f):
+            return math.nan, UNRESOLVED
+        if step == 0 and f < -scale:
+            return math.nan, BEHIND if low == 0.0 or o[2] < slab[0] else missed
+        if f <= scale:
+            if slope < 0.0:
+                return max(t - f / slope, 0.0), HIT
+            if t > 0.0:
+                return math.nan, UNRESOLVED  # touches, without going through
+            f = 0.0
+        if t >= high:
+            return math.nan, missed
+        root = math.sqrt(slope * slope + 2.0 * bound * f)
+        if slope < 0.0:
+            advance = 2.0 * f / (root - slope)
+        elif bound > 0.0:
+            advance = (slope + root) / bound
+        else:
+            return math.nan, missed
+        if not t + advance > t:
+            return math.nan, UNRESOLVED
+        t = min(t + advance, high)
+    return math.nan, UNRESOLVED
+
+
+@njit(cache=True, inline="always")
+def _sin_cos(x):
+    """Sine and cosine by one reduction and no jump, to an ulp or so; |x| <= 1e5."""
+    turns = math.floor(x * 0.6366197723675814 + 0.5)
+    # pi/2 in three parts, of which the products with a whole number are exact (fdlibm)
+    r = x - turns * 1.57079632673412561417e00
+    r -= turns * 6.07710050630396597660e-11
+    r -= turns * 2.02226624879595063154e-21
+    z = r * r
+    s = -2.50507602534068634195e-08 + z * 1.58969099521155010221e-10
+    s = -1.98412698298579493134e-04 + z * (2.75573137070700676789e-06 + z * s)
+    s = r + r * z * (-1.66666666666666324348e-01 + z * (8.33333333332248946124e-03 + z * s))
+    c = 2.08757232129817482790e-09 - z * 1.13596475577881948265e-11
+    c = 2.48015872894767294178e-05 + z * (-2.75573143513906633035e-07 + z * c)
+    c = 4.16666666666666019037e-02 + z * (-1.38888888888741095749e-03 + z * c)
+    c = 1.0 - 0.5 * z + z * z * c
+    quarter = turns - 4.0 * math.floor(0.25 * turns)
+    odd = quarter == 1.0 or quarter == 3.0
+    sine = c if odd else s
+    cosine = s if odd else c
+    sine = -sine if quarter >= 2.0 else sine
+    cosine = -cosine if (quarter == 1.0 or quarter == 2.0) else cosine
+    return sine, cosine
+
+
+@njit(cache=True, inline="always")
+def _unit(d):
+    """Unit vector along d, of any finite length; NaN where there is none."""
+    largest = max(abs(d[0]), abs(d[1]), abs(d[2]))
+    # first, so that squares neither overflow nor vanish
+    x, y, z = d[0] / largest, d[1] / largest, d[2] / largest
+    norm = math.sqrt(x * x + y * y + z * z)
+    return x / norm, y / norm, z / norm
+
+
+@njit(cache=True, error_model="numpy")
+def wave_hits(row, box, w, state):
+    """Distance, slopes and status of a block of rays at a single wave; status -1: to be marched.
+
+    ``w`` holds the rays' numbers in rows of BLOCK, OX to Q. Rows of one array at fixed distances
+    and loops without jumps let the compiler work on several rays at once.
+
+    Along a ray f = z + t dz - a cos(p + t q). With |a q| < |dz| it falls all the way, so that its
+    only zero is within |a / dz| of the mean plane's.
+    """
+    a, kx, ky, phase = row[1], row[2], row[3], row[4]
+    for i in range(BLOCK):
+        q = kx * w[DX + i] + ky * w[DY + i]
+        p = kx * w[OX + i] + ky * w[OY + i] + phase
+        t, reach = -w[OZ + i] / w[DZ + i], abs(a / w[DZ + i])
+        # half of |dz| keeps Halley's step, f f'' < f'^2, of one sign with Newton's
+        good = (w[DZ + i] < 0.0) & (abs(a * q) < -0.5 * w[DZ + i]) & (w[OZ + i] > abs(a))
+        good &= abs(p) + abs(q * (t + reach)) < 1e5
+        w[P + i], w[Q + i], w[T + i], w[MIDDLE + i], w[REACH + i] = p, q, t, t, reach
+        w[ERROR + i] = math.inf if good else -1.0
+    for _ in range(12):
+        for i in range(BLOCK):
+            t, q, middle, error = w[T + i], w[Q + i], w[MIDDLE + i], w[ERROR + i]
+            sine, cosine = _sin_cos(w[P + i] + t * q)
+            f = w[OZ + i] + t * w[DZ + i] - a * cosine
+            slope, bend = w[DZ + i] + a * q * sine, a * q * q * cosine
+            aim = t - 2.0 * f * slope / (2.0 * slope * slope - f * bend)
+            low, high = middle - w[REACH + i], middle + w[REACH + i]
+            aim = low if aim < low else aim
+            aim = high if aim > high else aim
+            turn, curved = (aim - t) * q, (aim - t) * bend / slope
+            t2 = turn * turn
+            moved = sine * (1.0 - t2 * (0.5 - t2 / 24.0)) + cosine * turn * (1.0 - t2 / 6.0)
+            # a ray stays where it has converged, whatever the others of its block need
+            busy = error > 1e-16 * (middle if middle > 1e-3 else 1e-3)
+            w[T + i] = aim if busy else t
+            w[SINE + i] = moved if busy else w[SINE + i]
+            # Halley's step leaves less than this, the cube of the step over lengths squared
+            w[ERROR + i] = abs(aim - t) * (t2 + curved * curved) if busy else error
+        left = 0
+        for i in range(BLOCK):
+            middle = w[MIDDLE + i]
+            left += int(w[ERROR + i] > 1e-16 * (middle if middle > 1e-3 else 1e-3))
+        if left == 0:
+            break
+    for i in range(BLOCK):
+        t, sine = w[T + i], w[SINE + i]
+        w[HX + i], w[HY + i] = -a * kx * sine, -a * ky * sine
+        x, y = w[OX + i] + t * w[DX + i], w[OY + i] + t * w[DY + i]
+        state[i] = HIT if abs(x) <= box[0] and abs(y) <= box[1] else OUTSIDE
+        if not 0.0 <= w[ERROR + i] <= 1e-16 * max(w[MIDDLE + i], 1e-3):
+            state[i] = -1
+
+
+@njit(cache=True)
+def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
+    """Distance, status and slopes of the height where one ray first meets a wall."""
+    if terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
+        t, condition = conic_hit(terms[0], box, o, d)
+    else:
+        t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+    hx = hy = 0.0
+    if condition == HIT:
+        _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+        if not math.isfinite(hx):
+            condition = UNRESOLVED
+    return t, condition, hx, hy
+
+
+@threaded(error_model="numpy")
+def intersect(
+    terms,
+    tables,
+    grid_bounds,
+    box,
+    slab,
+    rim,
+    origins,
+    directions,
+    distance,
+    points,
+    normals,
+    status,
+):
+    """Fill distance (n,), points and normals (n, 3) and status (n,); return the bad rays' number.
+
+    Directions have any length; a ray is bad with NaN, infinity or no direction.
+    """
+    waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
+    count = distance.size
+    bad = 0
+    for block in prange((count + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        n = min(BLOCK, count - start)
+        w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
+        for i in range(n):
+            j = start + i
+            x, y, z = origins[j, 0], origins[j, 1], origins[j, 2]
+            dx, dy, dz = _unit((directions[j, 0], directions[j, 1], directions[j, 2]))
+            bad += 0 if math.isfinite(x + y + z + dx + dy + dz) else 1
+            w[OX + i], w[OY + i], w[OZ + i] = x, y, z
+            w[DX + i], w[DY + i], w[DZ + i] = dx, dy, dz
+        if waved:
+            wave_hits(terms[0], box, w, state)
+        for i in range(n):
+            o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
+            t, condition, hx, hy = w[T + i], state[i], w[HX + i], w[HY + i]
+            if condition < 0:
+                t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+            norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
+            if condition != HIT:
+                t = norm = math.nan
+            j = start + i
+            distance[j], status[j] = t, condition
+            for k in range(3):
+                points[j, k] = o[k] + t * d[k]
+            normals[j, 0], normals[j, 1], normals[j, 2] = -hx * norm, -hy * norm, norm
+    return bad

@@ -1,0 +1,273 @@
+"""First hit of rays on the relay wall."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._nouns import Noun
+from ...errors import SceneError
+from ...kernels.codes import CYLINDER, GRID, SPHERE, WAVE
+from ...scene.walls.analytic import Wall
+from ...scene.walls.height_maps import CallableWall, grid_limits
+
+Array = NDArray[np.float64]
+
+HIT: Final = 0
+MISS: Final = 1
+OUTSIDE: Final = 2
+UNRESOLVED: Final = 3
+BEHIND: Final = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Hits(Noun):
+    """Where rays meet a wall; read-only arrays of the rays' shape.
+
+    Parameters
+    ----------
+    distance : ndarray, (...)
+        From the origin along the unit direction, m; NaN where there is no hit.
+    points : ndarray, (..., 3)
+        World, m; NaN where there is no hit.
+    normals : ndarray, (..., 3)
+        Unit normals toward the room; NaN where there is no hit.
+    status : ndarray of int8, (...)
+        0 hit; 1 no hit, the ray does not go down toward the mean plane; 2 it does, but beyond the
+        wall's edges; 3 it touches the wall or grazes it too long to be resolved; 4 it starts
+        behind the wall or comes through its back.
+    """
+
+    distance: Array
+    points: Array
+    normals: Array
+    status: NDArray[np.int8]
+
+    def __post_init__(self) -> None:
+        for array in (self.distance, self.points, self.normals, self.status):
+            array.flags.writeable = False
+
+    @property
+    def hit(self) -> NDArray[np.bool_]:
+        """Whether each ray meets the wall."""
+        return np.asarray(self.status == HIT)
+
+
+def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
+    """First hit of every ray on the wall, from its room side.
+
+    Parameters
+    ----------
+    wall : Wall
+    origins : array_like, (..., 3)
+        World, m.
+    directions : array_like, (..., 3)
+        World, of any length but zero; the shapes broadcast.
+
+    Returns
+    -------
+    Hits
+        Distances good to 1e-12 of the ray's length, except where rays graze.
+
+    Raises
+    ------
+    SceneError
+        If a ray holds NaN or infinity, or a direction is zero.
+
+    Notes
+    -----
+    Planes, spheres and cylinders are closed forms. Other walls are marched: with M a bound on the
+    second derivative of the height above the wall along the ray, the root of f + f' s - M s^2/2 is
+    a step that never passes a crossing and turns into Newton's near one.
+
+    A sum of walls that has a curved term and no size is searched to 0.999 of its radius.
+    """
+    if wall.is_flat:
+        return _plane(wall, *_rays(origins, directions))
+    if isinstance(wall, CallableWall):
+        return _callable(wall, *_rays(origins, directions))
+    from . import _wall_kernels
+
+    o, d, shape = flat_rays(origins, directions)
+    terms, tables = wall.compiled()
+    count = math.prod(shape)
+    distance, status = np.empty(count), np.empty(count, dtype=np.int8)
+    points, normals = np.empty((count, 3)), np.empty((count, 3))
+    curvature, box, slab, rim = search_bounds(wall, terms, tables)
+    bad = _wall_kernels.intersect(
+        terms,
+        tables,
+        curvature,
+        box,
+        slab,
+        rim,
+        o,
+        d,
+        distance,
+        points,
+        normals,
+        status,
+    )
+    if bad:
+        _rays(origins, directions)  # names the first one
+    return Hits(
+        distance.reshape(shape),
+        points.reshape(*shape, 3),
+        normals.reshape(*shape, 3),
+        status.reshape(shape),
+    )
+
+
+def flat_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
+    """Origins and directions as (n, 3) of values not yet checked, and the shape of the rays."""
+    o, d = (np.asarray(v, dtype=np.float64) for v in (origins, directions))
+    if min(o.ndim, d.ndim) == 0 or (o.shape[-1], d.shape[-1]) != (3, 3) or o.shape != d.shape:
+        o, d = _rays(o, d)
+    shape = o.shape[:-1]
+    # compiled code knows one layout only: writeable and contiguous
+    o, d = (np.require(v.reshape(-1, 3), requirements=("C", "W")) for v in (o, d))
+    return o, d, shape
+
+
+def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
+    """Origins and unit directions of one shape (..., 3), checked."""
+    o, d = (np.asarray(v, dtype=np.float64) for v in (origins, directions))
+    for name, v in (("origins", o), ("directions", d)):
+        if v.ndim == 0 or v.shape[-1] != 3:
+            raise SceneError(f"{name} has shape {v.shape}; give (..., 3), x, y and z in m")
+        if not np.isfinite(v).all():
+            place = np.argwhere(~np.isfinite(v))[0][:-1].tolist()
+            raise SceneError(f"{name}{place} holds NaN or infinity; give finite components")
+    largest = np.abs(d).max(axis=-1)
+    if (largest == 0.0).any():
+        place = np.argwhere(largest == 0.0)[0].tolist()
+        raise SceneError(f"directions{place} is zero; a ray needs a direction")
+    d = d / largest[..., None]  # first, so that squares neither overflow nor vanish
+    d = d / np.sqrt((d * d).sum(axis=-1))[..., None]
+    try:
+        o, d = np.broadcast_arrays(o, d)
+    except ValueError:
+        raise SceneError(
+            f"origins {o.shape} and directions {d.shape} do not broadcast; give equal shapes"
+        ) from None
+    # copies: a broadcast of one ray is contiguous and yet not its own
+    return np.array(o, order="C"), np.array(d, order="C")
+
+
+def _plane(wall: Wall, o: Array, d: Array) -> Hits:
+    """Hits on the plane z = 0, without compiled code."""
+    status = np.where(o[..., 2] < 0, BEHIND, np.where(d[..., 2] < 0, HIT, MISS)).astype(np.int8)
+    down = status == HIT
+    distance = np.full(status.shape, np.nan)
+    np.divide(o[..., 2], -d[..., 2], out=distance, where=down)
+    points = o + distance[..., None] * d
+    points[..., 2] = np.where(down, 0.0, np.nan)
+    status[down & ~wall.contains(points[..., 0], points[..., 1])] = OUTSIDE
+    missed = status != HIT
+    distance[missed] = np.nan
+    points[missed] = np.nan
+    normals = np.zeros_like(points)
+    normals[..., 2] = 1.0
+    normals[missed] = np.nan
+    return Hits(distance, points, normals, status)
+
+
+def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
+    """Hits on a wall of Python functions: the compiled march, for all rays at once."""
+    shape = origins.shape[:-1]
+    o, d = origins.reshape(-1, 3), directions.reshape(-1, 3)
+    half = (math.inf, math.inf) if wall.size is None else (wall.size[0] / 2, wall.size[1] / 2)
+    top = wall.max_height + 1e-9  # rounding must not cut a crest
+    low, high = np.zeros(len(o)), np.full(len(o), math.inf)
+    for axis, reach in enumerate((*half, top)):
+        if reach == math.inf:
+            continue
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = (np.array([[-reach], [reach]]) - o[:, axis]) / d[:, axis]
+        level, inside = d[:, axis] == 0, np.abs(o[:, axis]) <= reach
+        low = np.where(level, np.where(inside, low, math.inf), np.maximum(low, ends.min(axis=0)))
+        high = np.where(level, high, np.minimum(high, ends.max(axis=0)))
+    over = (np.abs(o[:, :2]) <= half).all(axis=1)
+    missed = np.where(d[:, 2] < 0, OUTSIDE, MISS)
+    status = np.where(over & (o[:, 2] < -top), BEHIND, missed)
+    scale = 1e-13 * np.maximum(np.sqrt((o * o).sum(axis=1)), 1e-3)
+    bound = wall.max_curvature * (d[:, 0] ** 2 + d[:, 1] ** 2)
+    t, distance = low.copy(), np.full(len(o), np.nan)
+    active = np.flatnonzero(low <= high)
+    status[active] = UNRESOLVED
+    for step in range(500):
+        if not len(active):
+            break
+        x, y, z = (o[active] + t[active, None] * d[active]).T
+        surface = wall.derivatives(x, y)
+        f = z - surface[:, 0]
+        slope = d[active, 2] - (surface[:, 1:3] * d[active, :2]).sum(axis=1)
+        touching = f <= scale[active]
+        going = np.ones(len(active), dtype=bool)
+        if step == 0:
+            under = f < -scale[active]
+            back = under & ((low[active] == 0) | (o[active, 2] < -top))
+            status[active[under]] = np.where(back, BEHIND, missed[active])[under]
+            going &= ~under
+        landed = going & touching & (slope < 0)
+        rows = active[landed]
+        distance[rows] = np.maximum(t[rows] - f[landed] / slope[landed], 0.0)
+        status[rows] = HIT
+        going &= ~landed & ~(touching & (t[active] > 0))  # or touches, without going through
+        f = np.where(touching, 0.0, f)
+        gone = going & (t[active] >= high[active])
+        m = bound[active]
+        root = np.sqrt(slope * slope + 2.0 * m * f)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ahead = np.where(slope < 0, 2.0 * f / (root - slope), (slope + root) / m)
+        gone |= going & (slope >= 0) & (m == 0)
+        status[active[gone]] = missed[active[gone]]
+        nearer = np.minimum(t[active] + ahead, high[active])
+        going &= ~gone & (nearer > t[active])
+        active, nearer = active[going], nearer[going]
+        t[active] = nearer
+    points = o + distance[:, None] * d
+    normals = np.full_like(points, np.nan)
+    hit = status == HIT
+    normals[hit] = wall.normal(points[hit, 0], points[hit, 1])
+    return Hits(
+        distance.reshape(shape),
+        points.reshape(*shape, 3),
+        normals.reshape(*shape, 3),
+        status.astype(np.int8).reshape(shape),
+    )
+
+
+def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
+    """Limits of a search: curvature of gridded terms, box, height slab and rim."""
+    margin = 0.999  # of a radius: at the rim itself the slope is infinite
+    size = wall.size
+    box = np.array([math.inf, math.inf] if size is None else [size[0] / 2, size[1] / 2])
+    single = len(terms) == 1
+    rim = math.inf
+    for row in terms if not single else ():
+        if row[0] == SPHERE:
+            rim = min(rim, margin / abs(row[1]))
+        elif row[0] == CYLINDER:
+            along = 0 if row[2] else 1
+            box[along] = min(box[along], margin / abs(row[1]))
+    if np.hypot(*box) <= rim:
+        rim = math.inf
+    slab = np.zeros(2)
+    curvature = np.zeros(len(terms))
+    for i, row in enumerate(terms):
+        if row[0] == WAVE:
+            slab += (-abs(row[1]), abs(row[1]))
+        elif row[0] in (SPHERE, CYLINDER):
+            slab += (min(0.0, 1 / row[1]), max(0.0, 1 / row[1]))
+        elif row[0] == GRID:
+            low, high, curvature[i] = grid_limits(row, tables)
+            slab += (low, high)
+    pad = 1e-9 + 1e-12 * np.abs(slab).max()  # rounding must not cut a crest
+    slab[0] -= pad
+    slab[1] += pad
+    return curvature, box, slab, rim

@@ -1,0 +1,214 @@
+"""Triangles of a mesh as rays meet them: Embree's scene, float64 rows and a tree of boxes.
+
+Embree, which computes in float32, says which triangle; float64 says where. Where Embree's answer
+is within its own rounding of an edge, or it sees nothing near an edge, a float64 search decides.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SceneError
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+ASIDE: Final = 1e-6  # of half the mesh's extent: sixteen roundings of float32
+MARGIN: Final = 3e-6  # of the same: ASIDE, and Embree's rounding
+FEW: Final = 256  # triangles, among which a float64 search costs less than to ask Embree around
+TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # about a ray, where Embree is asked
+
+
+class _Room(threading.local):
+    """A thread's arrays of intermediate values, kept: fresh memory costs a fifth of a trace."""
+
+    count = -1
+    kept: tuple[NDArray[Any], ...] = ()
+
+    def arrays(self, count: int) -> tuple[NDArray[Any], ...]:
+        """Desk, rays as they come, their bins, and rays sorted."""
+        if count > self.count:
+            self.count = count
+            self.kept = (
+                _aligned((count, 8), np.float64),
+                _aligned((count, 8), np.float32),
+                np.empty(count, dtype=np.int16),
+                _aligned((count, 8), np.float32),
+            )
+        return tuple(array[:count] for array in self.kept)
+
+
+def _aligned(shape: tuple[int, int], kind: type) -> NDArray[Any]:
+    """An empty array of which rows of 64 bytes, or pairs of 32, are cache lines."""
+    size = shape[0] * shape[1] * np.dtype(kind).itemsize
+    whole = np.empty(size + 64, dtype=np.uint8)
+    start = -whole.ctypes.data % 64
+    return whole[start : start + size].view(kind).reshape(shape)
+
+
+_room = _Room()
+_NO_LIMIT: Final = np.empty(0)
+
+
+class NoRayError(Exception):
+    """A ray that is no ray; the shell finds and names it."""
+
+
+class Facets:
+    """Embree's scene of a mesh's triangles, float64 rows and a tree of boxes over them."""
+
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
+        if not np.isfinite(corners).all():
+            raise SceneError("the mesh has NaN or infinite vertices; mend it")
+        a, first, second = corners[:, 0], corners[:, 1], corners[:, 2]
+        across = np.cross(first - a, second - a)
+        proper = np.flatnonzero((across != 0).any(axis=1))
+        if not len(proper):
+            raise SceneError("the mesh has no triangle with an area; give a surface mesh")
+        corners = corners[proper]
+        low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+        self.centre = 0.5 * (low + high)
+        self.reach = 0.5 * float((high - low).max())
+        order = _along_a_curve(corners.mean(axis=1), low, high)
+        corners = corners[order]
+        self.names = proper[order].astype(np.int32)
+        sides = corners - corners[:, [1, 2, 0]]
+        self.edges = np.sqrt((sides * sides).sum(axis=-1).max(axis=1))
+        self.rows = np.ascontiguousarray(
+            np.concatenate(
+                [corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]],
+                axis=1,
+            )
+        )
+        rounding = 1e-15 * float(np.abs(corners).max())
+        self.boxes = _tree(corners, rounding)
+        pad = 4 * MARGIN * self.reach + rounding
+        self.limits = np.concatenate([low - pad, high + pad])[None]
+        self.scene = self._scene(corners)
+
+    def _scene(self, corners: Array) -> Any:
+        from embreex.mesh_construction import TriangleMesh
+        from embreex.rtcore_scene import EmbreeScene
+
+        # the robust flag closes the gaps between triangles
+        scene = EmbreeScene(robust=True)
+        TriangleMesh(scene, ((corners - self.centre) / self.reach).astype(np.float32))
+        # builds, which must not happen in two threads at once
+        scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+        return scene
+
+    def first(
+        self, origins: Array, directions: Array, nearest: float, farthest: Array = _NO_LIMIT
+    ) -> Array:
+        """Rows of point, unit normal, distance and name of the first triangle between limits, m.
+
+        The name is an integer, of the same 8 bytes, -1 where there is none and the row is void. The
+        array is the thread's own and is written over by its next call.
+        """
+        from . import _triangle_kernels
+
+        desk, loose, bins, rays = _room.arrays(len(origins))
+        kept = _triangle_kernels.enter(
+            origins,
+            directions,
+            self.limits,
+            self.centre,
+            self.reach,
+            ASIDE * self.reach,
+            desk,
+            loose,
+            bins,
+            rays,
+        )
+        if kept < 0:
+            raise NoRayError
+        if not kept:
+            return desk
+        rays = rays[:kept]
+        ids = self.scene.run(rays[:, :3], rays[:, 3:6])
+        facets = (self.rows, self.edges, self.names)
+        margin = MARGIN * self.reach
+        doubtful = _triangle_kernels.place(*facets, desk, rays, ids, margin, nearest, farthest)
+        rays, ids = rays[:doubtful], ids[:doubtful]
+        unsure = ids >= 0
+        missed = np.flatnonzero(~unsure)
+        if len(self.rows) <= FEW:
+            unsure[:] = True
+        elif len(missed):
+            unsure[missed] = self._near(rays[missed])
+        index = rays.view(np.int32)[unsure, _triangle_kernels.INDEX]
+        _triangle_kernels.search(*facets, self.boxes, desk, index, nearest, farthest)
+        return desk
+
+    def _near(self, rays: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Whether rays that Embree lets through pass near an edge, as it sees from around them."""
+        from . import _triangle_kernels
+
+        near = np.zeros(len(rays), dtype=bool)
+        moved = np.empty((len(rays), 6), np.float32)
+        for turn in TURNS:
+            _triangle_kernels.aside(rays, 3 * MARGIN, turn, moved)
+            near |= self.scene.run(moved[:, :3], moved[:, 3:]) >= 0
+        return near
+
+    def all(
+        self, origins: Array, directions: Array, nearest: float
+    ) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.int32]]:
+        """Numbers of hits of the rays, then distances, points and triangles of all, in order."""
+        from . import _triangle_kernels
+
+        counts, units = np.empty(len(origins), dtype=np.int64), np.empty((len(origins), 3))
+        hits = _triangle_kernels.search_all(
+            self.rows, self.edges, self.boxes, origins, directions, nearest, units, counts
+        )
+        if (counts < 0).any():
+            raise NoRayError
+        distance = hits[:, 0].copy()
+        points = np.repeat(origins, counts, axis=0)
+        points += distance[:, None] * np.repeat(units, counts, axis=0)
+        return counts, distance, points, self.names[hits[:, 2].astype(np.int64)]
+
+
+def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:
+    """Order of points along a Morton curve, by which neighbours in space are neighbours."""
+    span = np.where(high > low, high - low, 1.0)
+    cells = ((points - low) / span * (2**20 - 1)).astype(np.uint64)
+    code = np.zeros(len(points), dtype=np.uint64)
+    for axis in range(3):
+        bits = cells[:, axis]
+        # spreads twenty bits to every third place
+        for shift, mask in (
+            (32, 0x1F00000000FFFF),
+            (16, 0x1F0000FF0000FF),
+            (8, 0x100F00F00F00F00F),
+            (4, 0x10C30C30C30C30C3),
+            (2, 0x1249249249249249),
+        ):
+            bits = (bits | (bits << np.uint64(shift))) & np.uint64(mask)
+        code |= bits << np.uint64(axis)
+    return np.argsort(code, kind="stable")
+
+
+def _tree(corners: Array, rounding: float) -> Array:
+    """Boxes of a complete binary tree with four triangles a leaf, root first."""
+    leaves = 1 << max(0, math.ceil(math.log2(max(1, math.ceil(len(corners) / 4)))))
+    # leaves that hold none are a point, which little meets, and which widens no box
+    fill = np.broadcast_to(corners[-1, 0], (4 * leaves - len(corners), 3))
+    low = np.concatenate([corners.min(axis=1) - rounding, fill])
+    high = np.concatenate([corners.max(axis=1) + rounding, fill])
+    levels = []
+    width = 4
+    while True:
+        low = low.reshape(-1, width, 3).min(axis=1)
+        high = high.reshape(-1, width, 3).max(axis=1)
+        levels.append(np.concatenate([low, high], axis=1))
+        if len(low) == 1:
+            return np.ascontiguousarray(np.concatenate(levels[::-1]))
+        width = 2

@@ -1,0 +1,536 @@
+"""Light from vertex to vertex, compiled: starts, scattering, arrivals and connections.
+
+A vertex is a row of VERTEX numbers. ``incident`` points back to where the path came from, ``power``
+is what arrives (for paths from the lens: watts detected per unit radiance), ``density`` is the
+sampling density of the vertex per area, or -1 where a mirror or the laser decided it. Bit 0 of
+``history`` tells that for this vertex, bit 1 for the one before.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from ...kernels.brdf import is_mirror, lobe_pdf, material, sample_lobe, total_strength
+from ...kernels.codes import GROUPS, UNIT
+from ...kernels.random import draw
+from ..fans import paths
+from ._surround_kernels import (
+    DRAW_THIN,
+    LENS,
+    LOST,
+    NOTHING,
+    OBJECT,
+    OCCLUDER,
+    WALL,
+    dot,
+    object_point,
+    on_detector,
+    three,
+)
+
+VERTEX = 18
+P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
+POWER, DENSITY, SURFACE, SCALE, LENGTH, MET, HISTORY, BEFORE = range(9, 17)
+LEAVE = 9
+LOBE, PDF, MIRROR, AIMED, REACH, APART = range(3, 9)
+
+# columns of the sums after flux by bounce
+STRAY, LENGTHS, ABSORBED_WALL, ABSORBED_OBJECT, ABSORBED_OCCLUDERS = range(5)
+ESCAPED, BLOCKED, LEFT, UNRESOLVED_LIGHT, WALL_TO_WALL, TRAPPED = range(5, 11)
+SUMS = 11
+
+
+@njit(cache=True, inline="always")
+def _sums(path_sums, first, i):
+    """Row of a ray's unit and group; ``first`` is a multiple of UNIT."""
+    return path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
+
+
+@njit(cache=True, inline="always")
+def _lobes(world, kind):
+    return world.wall if kind == WALL else world.thing
+
+
+@njit(cache=True)
+def tangents(n):
+    """Two unit vectors across n: Duff et al., J. Comput. Graph. Tech. 6(1), 2017."""
+    sign = math.copysign(1.0, n[2])
+    p = -1.0 / (sign + n[2])
+    q = n[0] * n[1] * p
+    return (1.0 + sign * n[0] * n[0] * p, sign * q, -sign * n[0]), (
+        q,
+        sign + n[1] * n[1] * p,
+        -n[1],
+    )
+
+
+@njit(cache=True)
+def _chance(lobes, j, total, eye):
+    """Probability of drawing lobe j: by strength; from the lens half of that, half evenly.
+
+    The light's walk must follow the power, but a faint mirror can make all of the picture.
+    """
+    strength = lobes[j, 1] * lobes[j, 3]
+    if strength <= 0.0:
+        return 0.0
+    if not eye:
+        return strength / total
+    some = 0
+    for k in range(lobes.shape[0]):
+        some += 1 if lobes[k, 1] * lobes[k, 3] > 0.0 else 0
+    return 0.5 * strength / total + 0.5 / some
+
+
+@njit(cache=True)
+def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
+    """Density of `_lobe_direction` per solid angle, mirrors left out."""
+    total = total_strength(lobes)
+    density = 0.0
+    for j in range(lobes.shape[0]):
+        chance = _chance(lobes, j, total, eye)
+        if chance > 0.0:
+            density += chance * lobe_pdf(lobes, j, mu_i, mu_o, cos_between)
+    return density
+
+
+@njit(cache=True)
+def _lobe_direction(lobes, incident, n, u, v, w, eye):
+    """Direction drawn from the lobes, and the weight of a mirror that was chosen, else -1."""
+    a, b = tangents(n)
+    ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
+    total = total_strength(lobes)
+    chosen, left = -1, w
+    for j in range(lobes.shape[0]):
+        chance = _chance(lobes, j, total, eye)
+        if chance > 0.0 and (chosen < 0 or left >= 0.0):
+            chosen = j
+        left -= chance
+    if chosen < 0:
+        return n, 0.0
+    x, y, z, _ = sample_lobe(lobes, chosen, ix, iy, iz, u, v)
+    d = (
+        x * a[0] + y * b[0] + z * n[0],
+        x * a[1] + y * b[1] + z * n[1],
+        x * a[2] + y * b[2] + z * n[2],
+    )
+    if is_mirror(lobes, chosen):
+        return d, lobes[chosen, 1] * lobes[chosen, 3] / _chance(lobes, chosen, total, eye)
+    return d, -1.0
+
+
+@njit(cache=True, inline="always")
+def _aimed(world, vertex, eye):
+    """Share of the light leaving a vertex that is sent to the object."""
+    if vertex[SURFACE] != WALL:
+        return 0.0
+    return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
+
+
+@njit(cache=True, inline="always")
+def _far(world, p):
+    """Whether aiming alone may bring light from here to the object."""
+    ball = world.ball
+    away = (p[0] - ball[0], p[1] - ball[1], p[2] - ball[2])
+    return not world.glossy and dot(away, away) > 2.25 * ball[3] * ball[3]
+
+
+@njit(cache=True, nogil=True)
+def scatter(world, sampler, first, number, eye, vertices, leave, origins, directions, live):
+    """Draw where light goes from vertices: along a lobe, or from the wall to the object.
+
+    ``eye`` tells that the vertices are seen from the lens. ``leave`` gets the direction, lobes
+    times cosine, the lobes' density, the weight of a mirror or -1, the share aimed at the object,
+    and the distance of the point aimed at or -1.
+    """
+    for i in range(vertices.shape[0]):
+        vertex = vertices[i]
+        kind = int(vertex[SURFACE])
+        live[i] = kind >= 0 and vertex[POWER] > 0.0
+        if not live[i]:
+            continue
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        u = draw(sampler, group, index, ray, number)
+        v = draw(sampler, group, index, ray, number + 1)
+        lobes = _lobes(world, kind)
+        p, n, incident = three(vertex, 0), three(vertex, 3), three(vertex, 6)
+        mirror, reach = -1.0, -1.0
+        share = _aimed(world, vertex, eye)
+        if share > 0.0 and draw(sampler, group, index, ray, number + 2) < share:
+            to, _ = object_point(world, u, v)
+            d = (to[0] - p[0], to[1] - p[1], to[2] - p[2])
+            reach = math.sqrt(dot(d, d))
+            d = (d[0] / reach, d[1] / reach, d[2] / reach)
+        else:
+            # one lobe needs no choice
+            w = draw(sampler, group, index, ray, number + 3) if lobes.shape[0] > 1 else 0.0
+            d, mirror = _lobe_direction(lobes, incident, n, u, v, w, eye)
+        cosine = dot(d, n)
+        f = density = 0.0
+        if mirror < 0.0 and cosine > 0.0:
+            mu, between = dot(incident, n), dot(incident, d)
+            f = material(lobes, mu, cosine, between) * cosine
+            density = _lobe_density(lobes, mu, cosine, between, eye)
+        for k in range(3):
+            leave[i, k] = directions[i, k] = d[k]
+            origins[i, k] = p[k]
+        leave[i, LOBE], leave[i, PDF], leave[i, MIRROR] = f, density, mirror
+        leave[i, AIMED], leave[i, REACH] = share, reach
+        leave[i, APART] = 1.0 if share > 0.0 and _far(world, p) else 0.0
+        live[i] = cosine > 0.0
+
+
+@njit(cache=True, inline="always")
+def _passed_on(world, leave, distance, kind, normal, scale):
+    """Share of the power that goes along a ray drawn by `scatter`, and its density per area.
+
+    Lobes and aiming stand in for each other wherever both reach: one-sample balance heuristic. Far
+    from the object and without gloss, all light to it is aimed, which leaves nothing but a smooth
+    function of the numbers drawn.
+    """
+    d, aimed = three(leave, 0), leave[AIMED]
+    if leave[MIRROR] >= 0.0:
+        return leave[MIRROR] / (1.0 - aimed), -1.0
+    cosine = abs(dot(d, normal))
+    at_object = 0.0
+    if kind == OBJECT and aimed > 0.0:
+        at_object = aimed * world.norm * scale * distance * distance / cosine
+    astray = kind != OBJECT or abs(distance - leave[REACH]) > 1e-6 * leave[REACH]
+    if leave[REACH] >= 0.0 and astray:
+        return 0.0, 0.0  # aimed at what something else hides
+    if leave[APART] > 0.0 and at_object > 0.0:
+        if leave[REACH] < 0.0:
+            return 0.0, 0.0
+        return leave[LOBE] / at_object, at_object * cosine / (distance * distance)
+    density = (1.0 - aimed) * leave[PDF] + at_object
+    if density <= 0.0:
+        return 0.0, 0.0
+    # a ray that could not be resolved has gone no distance
+    square = distance * distance
+    return leave[LOBE] / density, density * cosine / square if square > 0.0 else math.inf
+
+
+@njit(cache=True)
+def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, density):
+    """Fill the vertex at which a ray arrives."""
+    for k in range(3):
+        new[k] = origin[k] + distance * direction[k]
+        new[3 + k], new[6 + k] = normal[k], -direction[k]
+    new[POWER], new[DENSITY], new[SURFACE], new[SCALE] = power, density, kind, scale
+    new[LENGTH] = old[LENGTH] + distance
+    new[MET] = 1.0 if kind == OBJECT else old[MET]
+    new[HISTORY] = float((int(old[HISTORY]) * 2 + (1 if density < 0.0 else 0)) & 3)
+    new[BEFORE] = old[SURFACE]
+
+
+@njit(cache=True)
+def _end(old, new, origin, direction, distance, power):
+    """Fill a vertex at which a path may end; one that leaves the scene ends after a metre."""
+    t = distance if distance < math.inf else 1.0
+    for k in range(3):
+        new[k] = origin[k] + t * direction[k]
+    new[POWER], new[LENGTH], new[MET] = power, old[LENGTH] + t, old[MET]
+
+
+@njit(cache=True, nogil=True)
+def thin(sampler, first, share, vertices):
+    """Leave a share of the vertices, at random, with the power of all."""
+    for i in range(vertices.shape[0]):
+        if vertices[i, SURFACE] >= 0.0:
+            ray = first + i
+            group, index = ray % GROUPS, ray // GROUPS
+            if draw(sampler, group, index, ray, DRAW_THIN) < share:
+                vertices[i, POWER] /= share
+            else:
+                vertices[i, SURFACE] = NOTHING
+
+
+@njit(cache=True, nogil=True)
+def land(
+    world, sampler, first, settings, old, leave, origins, directions, hits, new, path_sums, fates
+):
+    """Bring light from vertices to the next ones and tell the ledger what is lost.
+
+    ``settings`` is (bounce, max_bounces, analog, roulette's draw or -1); ``hits`` are (distance,
+    kind, normal, scale); ``fates`` gets the status of paths that end, else -1.
+    """
+    bounce, most, analog, roulette = settings
+    distance, kind, normal, scale = hits
+    tail = most + 1
+    for i in range(old.shape[0]):
+        new[i, SURFACE], fates[i] = NOTHING, -1
+        power, at = old[i, POWER], int(old[i, SURFACE])
+        if at < 0 or power <= 0.0:
+            continue
+        ray = first + i
+        sums = _sums(path_sums, first, i)
+        where = int(kind[i])
+        n = three(normal[i], 0)
+        passed, density = 0.0, 0.0
+        if dot(three(leave[i], 0), three(old[i], 3)) > 0.0:
+            passed, density = _passed_on(world, leave[i], distance[i], where, n, scale[i])
+            if at == OBJECT:
+                passed *= old[i, SCALE]
+        sent = power * passed
+        sums[tail + (ABSORBED_OBJECT if at == OBJECT else ABSORBED_WALL)] += power - sent
+        if at == WALL and old[i, BEFORE] == WALL:
+            sums[tail + TRAPPED] += power - sent
+        if sent > 0.0 and roulette >= 0:
+            group, index = ray % GROUPS, ray // GROUPS
+            stay = min(1.0, max(0.1, passed))
+            sent = sent / stay if draw(sampler, group, index, ray, roulette) < stay else 0.0
+        d, o = three(directions[i], 0), three(origins[i], 0)
+        _end(old[i], new[i], o, d, distance[i] if sent > 0.0 else 0.0, sent)
+        if sent <= 0.0:
+            fates[i] = paths.ABSORBED
+        elif where == NOTHING:
+            sums[tail + ESCAPED] += sent
+            fates[i] = paths.ESCAPED
+        elif where == LENS:
+            kept = _enter_lens(
+                world, sums, tail, old[i], leave[i], bounce, distance[i], sent, analog
+            )
+            fates[i] = paths.DETECTED if kept > 0.0 else paths.BLOCKED
+            if kept > 0.0:
+                new[i, POWER] = kept
+        elif where in (WALL, OBJECT):
+            if where == WALL and at == WALL:
+                sums[tail + WALL_TO_WALL] += sent
+            _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], sent, density)
+            if bounce == most:
+                sums[tail + LEFT] += sent
+                new[i, SURFACE] = NOTHING
+                fates[i] = paths.LEFT
+        else:
+            fate = ABSORBED_OCCLUDERS if where == OCCLUDER else ABSORBED_OBJECT
+            sums[tail + (UNRESOLVED_LIGHT if where == LOST else fate)] += sent
+            fates[i] = paths.ABSORBED
+
+
+@njit(cache=True, inline="always")
+def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
+    """Book light that a walk brings to the lens; what of it is detected.
+
+    Unless the walk is analog, connections count the light, all but what mirrors alone bring.
+    """
+    d = three(leave, 0)
+    point = (old[0] + distance * d[0], old[1] + distance * d[1], old[2] + distance * d[2])
+    seen = on_detector(world.camera, point, (-d[0], -d[1], -d[2])) > 0.0
+    kept = sent * world.camera[18] if seen else 0.0
+    by_mirrors = leave[MIRROR] >= 0.0 and old[HISTORY] > 0.0
+    if analog or by_mirrors:
+        if old[MET] > 0.0:
+            sums[bounce] += kept
+            sums[tail + LENGTHS] += kept * (old[LENGTH] + distance)
+        else:
+            sums[tail + STRAY] += kept
+    sums[tail + BLOCKED] += sent - kept
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def start(world, first, most, origins, directions, hits, new, path_sums, fates):
+    """First vertices of the laser's light."""
+    distance, kind, normal, scale = hits
+    source = np.zeros(VERTEX)
+    source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
+    tail, power = most + 1, world.laser[13]
+    for i in range(new.shape[0]):
+        sums = _sums(path_sums, first, i)
+        new[i, SURFACE], fates[i] = NOTHING, -1
+        where = int(kind[i])
+        _end(source, new[i], three(origins[i], 0), three(directions[i], 0), distance[i], power)
+        if where == NOTHING:
+            sums[tail + ESCAPED] += power
+            fates[i] = paths.ESCAPED
+        elif where in (WALL, OBJECT):
+            _arrive(
+                source,
+                new[i],
+                three(origins[i], 0),
+                three(directions[i], 0),
+                distance[i],
+                where,
+                three(normal[i], 0),
+                scale[i],
+                power,
+                -1.0,
+            )
+        elif where == LENS:
+            sums[tail + BLOCKED] += power
+            fates[i] = paths.BLOCKED
+        else:
+            fate = ABSORBED_OCCLUDERS if where == OCCLUDER else ABSORBED_OBJECT
+            sums[tail + (UNRESOLVED_LIGHT if where == LOST else fate)] += power
+            fates[i] = paths.ABSORBED
+
+
+@njit(cache=True, nogil=True)
+def look(origins, directions, powers, densities, hits, new):
+    """First vertices seen from the lens."""
+    distance, kind, normal, scale = hits
+    source = np.zeros(VERTEX)
+    source[BEFORE], source[SURFACE] = NOTHING, NOTHING
+    for i in range(new.shape[0]):
+        new[i, SURFACE] = NOTHING
+        where = int(kind[i])
+        if powers[i] > 0.0 and where in (WALL, OBJECT):
+            d, n = three(directions[i], 0), three(normal[i], 0)
+            density = densities[i] * abs(dot(d, n)) / distance[i] ** 2
+            o = three(origins[i], 0)
+            _arrive(source, new[i], o, d, distance[i], where, n, scale[i], powers[i], density)
+
+
+@njit(cache=True, nogil=True)
+def look_on(world, old, leave, origins, directions, hits, new):
+    """Second vertices seen from the lens, by way of the first."""
+    distance, kind, normal, scale = hits
+    for i in range(new.shape[0]):
+        new[i, SURFACE] = NOTHING
+        where = int(kind[i])
+        if old[i, SURFACE] < 0.0 or where not in (WALL, OBJECT):
+            continue
+        if dot(three(leave[i], 0), three(old[i], 3)) <= 0.0:
+            continue
+        d, n = three(directions[i], 0), three(normal[i], 0)
+        passed, density = _passed_on(world, leave[i], distance[i], where, n, scale[i])
+        if old[i, SURFACE] == OBJECT:
+            passed *= old[i, SCALE]
+        if passed > 0.0:
+            o = three(origins[i], 0)
+            power = old[i, POWER] * passed
+            _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], power, density)
+
+
+@njit(cache=True, inline="always")
+def reflected(world, vertex, direction, cosine):
+    """Lobes at a vertex toward a direction, mirrors left out, 1/sr."""
+    kind = int(vertex[SURFACE])
+    incident = three(vertex, 6)
+    mu = dot(incident, three(vertex, 3))
+    f = material(_lobes(world, kind), mu, cosine, dot(incident, direction))
+    return f * vertex[SCALE] if kind == OBJECT else f
+
+
+@njit(cache=True, inline="always")
+def next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
+    """Density per area with which `scatter` would go from a vertex to a target."""
+    kind = int(vertex[SURFACE])
+    n = three(vertex, 3)
+    mu, between = dot(incident, n), dot(incident, direction)
+    density = _lobe_density(_lobes(world, kind), mu, cosine, between, eye)
+    share = _aimed(world, vertex, eye)
+    density *= (1.0 - share) * target_cosine / square
+    if target[SURFACE] == OBJECT:
+        density += share * world.norm * target[SCALE]
+    return density
+
+
+@njit(cache=True)
+def between(a, b):
+    """Unit vector from vertex a to b, squared distance, cosines at both."""
+    d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
+    square = dot(d, d)
+    if square == 0.0:
+        return d, 1.0, 0.0, 0.0
+    r = math.sqrt(square)
+    d = (d[0] / r, d[1] / r, d[2] / r)
+    return d, square, dot(d, three(a, 3)), -dot(d, three(b, 3))
+
+
+@njit(cache=True, nogil=True)
+def connect(world, light, eye, seen, second, glossy, value, length, starts, ends):
+    """Power that light vertices send to the detector by way of vertices seen from the lens.
+
+    ``second`` tells that ``eye`` holds second vertices, ``seen`` the first ones. With glossy lobes
+    three strategies make the same paths and share them by the balance heuristic: the light's walk
+    up to the last vertex but two (second), but one (not second), or to the last (`to_lens`).
+    """
+    for i in range(light.shape[0]):
+        value[i] = 0.0
+        a, b = light[i], eye[i]
+        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
+            continue
+        d, square, cos_a, cos_b = between(a, b)
+        if cos_a <= 0.0 or cos_b <= 0.0:
+            continue
+        back = (-d[0], -d[1], -d[2])
+        f = reflected(world, a, d, cos_a) * reflected(world, b, back, cos_b)
+        if f <= 0.0:
+            continue
+        f *= a[POWER] * b[POWER] * cos_a * cos_b / square
+        if glossy:
+            onward = next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
+            x = seen[i]
+            if second:
+                if b[DENSITY] > 0.0:
+                    # the first vertex seen, as the light's walk would find it
+                    to, r2, cos_1, cos_2 = between(b, x)
+                    last = next_density(world, b, back, to, cos_1, x, cos_2, r2, False)
+                    f /= 1.0 + onward / b[DENSITY] * (1.0 + last / x[DENSITY])
+            else:
+                others = onward / b[DENSITY]
+                if a[DENSITY] > 0.0:
+                    upstream = next_density(
+                        world, b, three(b, 6), back, cos_b, a, cos_a, square, True
+                    )
+                    others += upstream / a[DENSITY]
+                f /= 1.0 + others
+        value[i] = f
+        length[i] = a[LENGTH] + math.sqrt(square) + b[LENGTH]
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], b[k]
+
+
+@njit(cache=True, nogil=True)
+def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
+    """Power that light vertices send straight to points of the lens, with glossy lobes shared."""
+    camera = world.camera
+    area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
+    for i in range(light.shape[0]):
+        value[i] = 0.0
+        a, p = light[i], three(lens[i], 0)
+        if a[SURFACE] < 0.0:
+            continue
+        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
+        square = dot(d, d)
+        r = math.sqrt(square)
+        d = (d[0] / r, d[1] / r, d[2] / r)
+        cosine = dot(d, three(a, 3))
+        if cosine <= 0.0:
+            continue
+        seen = on_detector(camera, p, (-d[0], -d[1], -d[2]))
+        if seen <= 0.0:
+            continue
+        f = reflected(world, a, d, cosine) * cosine * a[POWER] * area * -dot(d, axis) / square
+        if f <= 0.0:
+            continue
+        if glossy and a[DENSITY] > 0.0:
+            here = seen * cosine / square
+            ratio = here / a[DENSITY]
+            b = before[i]
+            if b[DENSITY] > 0.0:
+                to, r2, cos_a, cos_b = between(a, b)
+                upstream = next_density(world, a, d, to, cos_a, b, cos_b, r2, True)
+                ratio += ratio * upstream / b[DENSITY]
+            f /= 1.0 + ratio
+        value[i] = f
+        length[i] = a[LENGTH] + r
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], p[k]
+
+
+@njit(cache=True, nogil=True)
+def book(light, eye, bounce, most, first, value, length, path_sums):
+    """Add connections to the sums of their bounce, or to stray light."""
+    for i in range(value.size):
+        if value[i] > 0.0:
+            sums = _sums(path_sums, first, i)
+            if light[i, MET] > 0.0 or eye[i, MET] > 0.0:
+                sums[bounce] += value[i]
+                sums[most + 1 + LENGTHS] += value[i] * length[i]
+            else:
+                sums[most + 1 + STRAY] += value[i]

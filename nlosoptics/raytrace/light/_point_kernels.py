@@ -1,0 +1,488 @@
+"""Light of a single point: its start, what of it enters the lens, and where that lands, compiled.
+
+A source is a row (position, normal, 1 if it shines alike into all directions else 0), of 1 W.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from ...kernels.brdf import is_mirror, material, material_pdf
+from ...kernels.codes import GROUPS, UNIT
+from ...kernels.random import disc, draw
+from ..fans import paths
+from ._light_kernels import (
+    BEFORE,
+    DENSITY,
+    LOBE,
+    MET,
+    MIRROR,
+    PDF,
+    POWER,
+    SCALE,
+    SURFACE,
+    between,
+    next_density,
+    reflected,
+    tangents,
+)
+from ._surround_kernels import (
+    DRAW_BEAM,
+    DRAW_LENS,
+    DRAW_PIXEL,
+    LENS,
+    NOTHING,
+    OBJECT,
+    WALL,
+    dot,
+    object_point,
+    three,
+)
+
+
+@njit(cache=True, nogil=True)
+def glow(world, sampler, first, power, new):
+    """Vertices on the object's front, in proportion to area times brightness, lit from above."""
+    for i in range(new.shape[0]):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        u = draw(sampler, group, index, ray, DRAW_PIXEL)
+        v = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
+        point, normal = object_point(world, u, v)
+        for k in range(3):
+            new[i, k], new[i, 3 + k], new[i, 6 + k] = point[k], normal[k], normal[k]
+        new[i, POWER], new[i, DENSITY], new[i, SURFACE], new[i, SCALE] = power, -1.0, OBJECT, 1.0
+        new[i, MET], new[i, BEFORE] = 1.0, NOTHING
+
+
+@njit(cache=True)
+def spots(sampler, first, corner, size, xy):
+    """Points (n, 2) evenly over the rectangle from ``corner`` on."""
+    for i in range(xy.shape[0]):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        for k in range(2):
+            u = draw(sampler, group, index, ray, DRAW_LENS + k)
+            xy[i, k] = corner[k] + u * size[k]
+
+
+@njit(cache=True, nogil=True)
+def to_wall(world, light, targets, value, starts, ends):
+    """Power that light vertices send to wall points, vertices with their DENSITY and 1/DENSITY.
+
+    Walks that arrive by themselves are the other strategy, by the balance heuristic.
+    """
+    for i in range(light.shape[0]):
+        value[i] = 0.0
+        a, b = light[i], targets[i]
+        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
+            continue
+        d, square, cos_a, cos_b = between(a, b)
+        if cos_a <= 0.0 or cos_b <= 0.0:
+            continue
+        f = reflected(world, a, d, cos_a) * a[POWER] * cos_a * cos_b / square
+        if f <= 0.0:
+            continue
+        walked = next_density(world, a, three(a, 6), d, cos_a, b, cos_b, square, False)
+        value[i] = f / (b[DENSITY] + walked)
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], b[k]
+
+
+@njit(cache=True, nogil=True)
+def arrivals(vertices, evenly, power):
+    """Powers of walks that arrive at the wall, shared with `to_wall` of density ``evenly``.
+
+    That density is per mean-plane area, so that the wall's tilt takes part.
+    """
+    for i in range(vertices.shape[0]):
+        power[i] = 0.0
+        if vertices[i, SURFACE] == WALL:
+            power[i] = vertices[i, POWER]
+            if vertices[i, DENSITY] >= 0.0:
+                walked = vertices[i, DENSITY]
+                power[i] *= walked / (walked + evenly * vertices[i, 5])
+
+
+@njit(cache=True, nogil=True)
+def cells_of(points, power, first, corner, step, shape, cells, powers):
+    """Cells (group, row and column as one number) and powers of light at points; their number."""
+    count = 0
+    ny, nx = shape
+    for i in range(power.size):
+        if power[i] > 0.0:
+            column = int(math.floor((points[i, 0] - corner[0]) / step[0]))
+            row = int(math.floor((points[i, 1] - corner[1]) / step[1]))
+            if 0 <= column < nx and 0 <= row < ny:
+                cells[count] = ((first + i) % GROUPS * ny + row) * nx + column
+                powers[count] = power[i]
+                count += 1
+    return count
+
+
+@njit(cache=True, inline="always")
+def _intensity(source, d):
+    """Radiant intensity of a source along a direction, W/sr."""
+    if source[6] > 0.0:
+        return 0.25 / math.pi
+    return max(0.0, dot(d, three(source, 3))) / math.pi
+
+
+@njit(cache=True, inline="always")
+def _along(a, b, n, x, y, z):
+    """Vector of the components (x, y, z) along a, b and n."""
+    return (
+        x * a[0] + y * b[0] + z * n[0],
+        x * a[1] + y * b[1] + z * n[1],
+        x * a[2] + y * b[2] + z * n[2],
+    )
+
+
+@njit(cache=True, nogil=True)
+def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
+    """Directions of light that leaves a source, or points (x, y) of the wall that it is aimed at.
+
+    ``box`` is (low x, low y, width, height) of the part of the wall that the ``share`` is aimed at;
+    the rest goes evenly over all of the wall, ``whole``, or as it shines where that has no width.
+    """
+    n = three(source, 3)
+    a, b = tangents(n)
+    for i in range(directions.shape[0]):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        u = draw(sampler, group, index, ray, DRAW_BEAM)
+        v = draw(sampler, group, index, ray, DRAW_BEAM + 1)
+        aimed[i] = u < share
+        if aimed[i]:
+            aims[i, 0], aims[i, 1] = box[0] + u / share * box[2], box[1] + v * box[3]
+            continue
+        u = (u - share) / (1.0 - share)
+        if whole[2] > 0.0:
+            aimed[i] = True
+            aims[i, 0], aims[i, 1] = whole[0] + u * whole[2], whole[1] + v * whole[3]
+            continue
+        if source[6] > 0.0:
+            z, turn = 1.0 - 2.0 * u, 2.0 * math.pi * v
+            r = math.sqrt(max(0.0, 1.0 - z * z))
+            x, y = r * math.cos(turn), r * math.sin(turn)
+        else:
+            x, y = disc(u, v)
+            z = math.sqrt(max(0.0, 1.0 - x * x - y * y))
+        d = _along(a, b, n, x, y, z)
+        for k in range(3):
+            directions[i, k] = d[k]
+
+
+@njit(cache=True, nogil=True)
+def toward(source, aims, aimed, directions, reach, live):
+    """Directions from a source to the points (n, 3) of the wall that light is aimed at."""
+    for i in range(live.size):
+        live[i], reach[i] = True, -1.0
+        if not aimed[i]:
+            continue
+        d = (aims[i, 0] - source[0], aims[i, 1] - source[1], aims[i, 2] - source[2])
+        reach[i] = math.sqrt(dot(d, d))
+        live[i] = math.isfinite(reach[i])  # the wall may have no height there
+        for k in range(3):
+            directions[i, k] = d[k] / reach[i] if live[i] else 0.0
+
+
+@njit(cache=True, nogil=True)
+def arrive(source, whole, box, share, directions, reach, live, hits, new):
+    """First vertices of a source's light; both ways of drawing them share it by the balance."""
+    distance, kind, normal, _ = hits
+    for i in range(new.shape[0]):
+        new[i, SURFACE] = NOTHING
+        if not live[i] or kind[i] != WALL:
+            continue
+        if reach[i] >= 0.0 and abs(distance[i] - reach[i]) > 1e-6 * reach[i]:
+            continue  # aimed at what something else hides
+        d, n, t = three(directions[i], 0), three(normal[i], 0), distance[i]
+        cosine, intensity = -dot(d, n), _intensity(source, d)
+        if cosine <= 0.0 or intensity <= 0.0:
+            continue
+        p = (source[0] + t * d[0], source[1] + t * d[1], source[2] + t * d[2])
+        upright = n[2] * t * t / cosine  # solid angle over mean-plane area, inverted
+        density = intensity
+        if whole[2] > 0.0:
+            density = upright / (whole[2] * whole[3])
+        density *= 1.0 - share
+        x, y = p[0] - box[0], p[1] - box[1]
+        if share > 0.0 and 0.0 <= x <= box[2] and 0.0 <= y <= box[3]:
+            density += share / (box[2] * box[3]) * upright
+        if density <= 0.0:
+            continue  # aimed light that rounding takes out of its box
+        for k in range(3):
+            new[i, k], new[i, 3 + k], new[i, 6 + k] = p[k], n[k], -d[k]
+        new[i, POWER], new[i, DENSITY] = intensity / density, density * cosine / (t * t)
+        new[i, SURFACE], new[i, BEFORE] = WALL, NOTHING
+
+
+@njit(cache=True, inline="always")
+def _lens_point(camera, sampler, group, index, ray):
+    """Even point of the lens."""
+    u, v = disc(
+        draw(sampler, group, index, ray, DRAW_LENS),
+        draw(sampler, group, index, ray, DRAW_LENS + 1),
+    )
+    u, v = u * camera[12], v * camera[12]
+    return (
+        camera[0] + u * camera[3] + v * camera[6],
+        camera[1] + u * camera[4] + v * camera[7],
+        camera[2] + u * camera[5] + v * camera[8],
+    )
+
+
+@njit(cache=True, inline="always")
+def _landing(camera, point, d):
+    """Where light comes to the detector's plane from along d, through a point of the lens."""
+    cosine = dot(d, three(camera, 9))
+    apart = (point[0] - camera[0], point[1] - camera[1], point[2] - camera[2])
+    far, zoom = camera[13] / cosine, camera[14] / camera[13]
+    e1, e2 = three(camera, 3), three(camera, 6)
+    return (
+        -(dot(apart, e1) + far * dot(d, e1)) * zoom,
+        -(dot(apart, e2) + far * dot(d, e2)) * zoom,
+    )
+
+
+@njit(cache=True, nogil=True)
+def look_around(world, sampler, first, origins, directions, powers):
+    """Rays from the lens over its whole front, and what the lens passes per unit radiance, W."""
+    camera = world.camera
+    axis, e1, e2 = three(camera, 9), three(camera, 3), three(camera, 6)
+    for i in range(powers.size):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        point = _lens_point(camera, sampler, group, index, ray)
+        x, y = disc(
+            draw(sampler, group, index, ray, DRAW_PIXEL),
+            draw(sampler, group, index, ray, DRAW_PIXEL + 1),
+        )
+        cosine = math.sqrt(max(0.0, 1.0 - x * x - y * y))
+        d = _along(e1, e2, axis, x, y, cosine)
+        for k in range(3):
+            origins[i, k], directions[i, k] = point[k], d[k]
+        seen = cosine > 0.0 and cosine >= camera[17]
+        powers[i] = (math.pi * camera[12]) ** 2 * camera[18] if seen else 0.0
+
+
+@njit(cache=True, nogil=True)
+def look_at_pixels(world, sampler, first, each, window, origins, directions, powers):
+    """Rays from the lens to what pixels see, ``each`` rays a pixel; W per unit radiance.
+
+    Every other ray starts and lands opposite to the one before, about the centres of lens and
+    pixel: what varies evenly over a pixel cancels in such a pair.
+    ``window`` is (low x, low y, pitch, columns) on the detector's plane.
+    """
+    camera = world.camera
+    zoom, c = camera[13] / camera[14], camera[13]
+    low_x, low_y, pitch, columns = window
+    area = math.pi * (camera[12] * pitch / camera[14]) ** 2 * camera[18]
+    for i in range(powers.size):
+        ray = first + i
+        row, column = ray // each // columns, ray // each % columns
+        sign = 1.0
+        if ray % 2 == 1:
+            sign, ray = -1.0, ray - 1
+        group, index = ray % GROUPS, ray // GROUPS
+        u, v = disc(
+            draw(sampler, group, index, ray, DRAW_LENS),
+            draw(sampler, group, index, ray, DRAW_LENS + 1),
+        )
+        u, v = sign * camera[12] * u, sign * camera[12] * v
+        x = sign * (draw(sampler, group, index, ray, DRAW_PIXEL) - 0.5)
+        y = sign * (draw(sampler, group, index, ray, DRAW_PIXEL + 1) - 0.5)
+        x, y = low_x + pitch * (column + 0.5 + x), low_y + pitch * (row + 0.5 + y)
+        # toward where the pixel's point is in focus
+        a, b = -x * zoom - u, -y * zoom - v
+        norm = math.sqrt(a * a + b * b + c * c)
+        cosine = c / norm
+        d = _along(three(camera, 3), three(camera, 6), three(camera, 9), a, b, c)
+        for k in range(3):
+            origins[i, k] = camera[k] + u * camera[3 + k] + v * camera[6 + k]
+            directions[i, k] = d[k] / norm
+        powers[i] = area * cosine**4 if cosine >= camera[17] else 0.0
+
+
+@njit(cache=True, nogil=True)
+def mirrored(world, eye, origins, directions, powers, live):
+    """Rays from vertices that the lens sees, on by the wall's smooth mirror lobes."""
+    strength = 0.0
+    for j in range(world.wall.shape[0]):
+        if is_mirror(world.wall, j):
+            strength += world.wall[j, 1] * world.wall[j, 3]
+    for i in range(live.size):
+        live[i] = eye[i, SURFACE] == WALL and eye[i, POWER] > 0.0
+        powers[i] = eye[i, POWER] * strength if live[i] else 0.0
+        cosine = dot(three(eye[i], 6), three(eye[i], 3))
+        for k in range(3):
+            origins[i, k] = eye[i, k]
+            directions[i, k] = 2.0 * cosine * eye[i, 3 + k] - eye[i, 6 + k]
+
+
+@njit(cache=True, nogil=True)
+def from_source(source, lobes, eye, value, starts, ends):
+    """Power that a source sends to the detector by way of vertices that the lens sees."""
+    for i in range(value.size):
+        value[i] = 0.0
+        b = eye[i]
+        if b[SURFACE] != WALL:
+            continue
+        d = (b[0] - source[0], b[1] - source[1], b[2] - source[2])
+        square = dot(d, d)
+        r = math.sqrt(square)
+        d = (d[0] / r, d[1] / r, d[2] / r)
+        cosine, incident = -dot(d, three(b, 3)), three(b, 6)
+        if cosine <= 0.0:
+            continue
+        f = material(lobes, cosine, dot(incident, three(b, 3)), -dot(incident, d))
+        value[i] = f * b[POWER] * _intensity(source, d) * cosine / square
+        for k in range(3):
+            starts[i, k], ends[i, k] = source[k], b[k]
+
+
+@njit(cache=True, inline="always")
+def _imaged(lobes, matt, mu, cosine, turn, f):
+    """Share of ``f``, the lobes' sum, that the mirror-like ones make."""
+    if matt.shape[0] == lobes.shape[0] or f <= 0.0:
+        return 0.0
+    return 1.0 - material(matt, mu, cosine, turn) / f
+
+
+@njit(cache=True, nogil=True)
+def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, x, y, imaged):
+    """Power that wall vertices send to points of the lens, where it lands, and the imaged share.
+
+    ``counted`` is (lobes, those of them that are not mirror-like). ``glossy`` tells that walks
+    which find the lens by themselves are the other strategy.
+    """
+    lobes, matt = counted
+    camera = world.camera
+    area, axis = math.pi * camera[12] ** 2, three(camera, 9)
+    for i in range(value.size):
+        value[i] = 0.0
+        a, ray = light[i], first + i
+        if a[SURFACE] != WALL:
+            continue
+        group, index = ray % GROUPS, ray // GROUPS
+        p = _lens_point(camera, sampler, group, index, ray)
+        d = (p[0] - a[0], p[1] - a[1], p[2] - a[2])
+        square = dot(d, d)
+        r = math.sqrt(square)
+        d = (d[0] / r, d[1] / r, d[2] / r)
+        cosine, at_lens = dot(d, three(a, 3)), -dot(d, axis)
+        if cosine <= 0.0 or at_lens <= 0.0 or at_lens < camera[17]:
+            continue
+        mu, turn = dot(three(a, 6), three(a, 3)), dot(three(a, 6), d)
+        f = material(lobes, mu, cosine, turn)
+        imaged[i] = _imaged(lobes, matt, mu, cosine, turn, f)
+        f *= cosine * a[POWER] * at_lens * area / square
+        if glossy:
+            here = square / (at_lens * area)
+            f /= 1.0 + material_pdf(world.wall, mu, cosine, turn) / here
+        value[i] = f * camera[18]
+        x[i], y[i] = _landing(camera, p, (-d[0], -d[1], -d[2]))
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], p[k]
+
+
+@njit(cache=True, nogil=True)
+def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
+    """Power of the mirror image's rays that enter the lens, and where they land."""
+    camera, axis = world.camera, three(world.camera, 9)
+    distance, kind = hits[0], hits[1]
+    for i in range(value.size):
+        value[i] = 0.0
+        d = three(directions[i], 0)
+        at_lens = -dot(d, axis)
+        if kind[i] != LENS or powers[i] <= 0.0 or at_lens <= 0.0 or at_lens < camera[17]:
+            continue
+        t = distance[i]
+        p = (origins[i, 0] + t * d[0], origins[i, 1] + t * d[1], origins[i, 2] + t * d[2])
+        value[i], imaged[i] = powers[i] * camera[18], 1.0
+        x[i], y[i] = _landing(camera, p, (-d[0], -d[1], -d[2]))
+
+
+@njit(cache=True, nogil=True)
+def lens_hits(
+    world, counted, glossy, first_one, old, leave, new, fates, by_mirrors, value, x, y, imaged
+):
+    """Power of walks that find the lens, where it lands, and the imaged share.
+
+    Of what smooth mirrors send, light that met nothing else (``by_mirrors``, kept up to date here)
+    counts from the second reflection on; `image_hits` has the first, and connections the rest.
+    """
+    lobes, matt = counted
+    camera = world.camera
+    area, axis = math.pi * camera[12] ** 2, three(camera, 9)
+    for i in range(value.size):
+        value[i] = 0.0
+        mirror = leave[i, MIRROR] >= 0.0
+        by_mirrors[i] = by_mirrors[i] and mirror
+        if fates[i] not in (paths.DETECTED, paths.BLOCKED) or old[i, SURFACE] != WALL:
+            continue
+        d = three(leave[i], 0)
+        at_lens = -dot(d, axis)
+        if at_lens <= 0.0 or at_lens < camera[17]:
+            continue
+        sent = new[i, POWER] * (1.0 if fates[i] == paths.DETECTED else camera[18])
+        if mirror:
+            value[i] = sent if by_mirrors[i] and not first_one else 0.0
+            imaged[i] = 1.0
+        elif glossy and leave[i, LOBE] > 0.0:
+            incident, n, p = three(old[i], 6), three(old[i], 3), three(old[i], 0)
+            cosine = dot(d, n)
+            away = (new[i, 0] - p[0], new[i, 1] - p[1], new[i, 2] - p[2])
+            here = dot(away, away) / (at_lens * area)
+            mu, turn = dot(incident, n), dot(incident, d)
+            f = material(lobes, mu, cosine, turn)
+            imaged[i] = _imaged(lobes, matt, mu, cosine, turn, f)
+            value[i] = sent * f * cosine / leave[i, LOBE]
+            value[i] *= leave[i, PDF] / (leave[i, PDF] + here)
+        x[i], y[i] = _landing(camera, three(new[i], 0), (-d[0], -d[1], -d[2]))
+
+
+@njit(cache=True, nogil=True)
+def connect(world, light, eye, value, starts, ends):
+    """Power that light vertices send to the detector by way of vertices that the lens sees."""
+    for i in range(value.size):
+        value[i] = 0.0
+        a, b = light[i], eye[i]
+        if a[SURFACE] < 0.0 or b[SURFACE] < 0.0:
+            continue
+        d, square, cos_a, cos_b = between(a, b)
+        if cos_a <= 0.0 or cos_b <= 0.0:
+            continue
+        f = reflected(world, a, d, cos_a)
+        f *= reflected(world, b, (-d[0], -d[1], -d[2]), cos_b)
+        value[i] = f * a[POWER] * b[POWER] * cos_a * cos_b / square
+        for k in range(3):
+            starts[i, k], ends[i, k] = a[k], b[k]
+
+
+@njit(cache=True, nogil=True)
+def landings(world, points, directions, x, y):
+    """Where light lands that comes along rays from points of the lens."""
+    for i in range(x.size):
+        x[i], y[i] = _landing(world.camera, three(points[i], 0), three(directions[i], 0))
+
+
+@njit(cache=True, nogil=True)
+def book(value, x, y, window, rows, bounce, most, first, path_sums, cells):
+    """Add light to the sums of its bounce; find its pixel, or add it to what misses the window."""
+    low_x, low_y, pitch, columns = window
+    for i in range(value.size):
+        cells[i] = -1
+        if value[i] <= 0.0:
+            continue
+        sums = path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
+        sums[bounce] += value[i]
+        column = math.floor((x[i] - low_x) / pitch)
+        row = math.floor((y[i] - low_y) / pitch)
+        if 0 <= column < columns and 0 <= row < rows:
+            cells[i] = row * columns + column
+        else:
+            sums[most + 1] += value[i]

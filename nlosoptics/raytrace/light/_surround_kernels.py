@@ -1,0 +1,320 @@
+"""What rays meet in a scene, and where they start, compiled."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ...kernels.codes import GROUPS, WAVE
+from ...kernels.heights import surface
+from ...kernels.random import disc, draw
+from ..intersection._wall_kernels import (
+    BLOCK,
+    DX,
+    DY,
+    DZ,
+    HIT,
+    HX,
+    HY,
+    OX,
+    OY,
+    OZ,
+    ROWS,
+    UNRESOLVED,
+    wall_hit,
+    wave_hits,
+)
+from ..intersection._wall_kernels import T as DISTANCE
+
+NOTHING, WALL, OBJECT, OCCLUDER, LENS, BACK, LOST = range(-1, 6)
+# numbers of a ray's draws; those that the detected light depends on most come first
+DRAW_PIXEL, DRAW_FIRST, DRAW_LENS, DRAW_BEAM, DRAW_EYE, DRAW_NEXT = 0, 2, 6, 8, 10, 14
+DRAWS_A_BOUNCE = 5
+DRAW_THIN = 1000  # beyond all bounces
+
+
+class World(NamedTuple):
+    """What kernels know of a scene; see `_world` for the contents."""
+
+    wall: NDArray[np.float64]
+    thing: NDArray[np.float64]
+    plate: NDArray[np.float64]
+    picture: NDArray[np.float64]
+    rows: NDArray[np.float64]
+    columns: NDArray[np.float64]
+    triangles: NDArray[np.float64]
+    areas: NDArray[np.float64]
+    norm: float
+    aimed: NDArray[np.float64]
+    glossy: bool
+    ball: NDArray[np.float64]
+    camera: NDArray[np.float64]
+    laser: NDArray[np.float64]
+
+
+@njit(cache=True, inline="always")
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True, inline="always")
+def three(row, start):
+    return row[start], row[start + 1], row[start + 2]
+
+
+@njit(cache=True, nogil=True)
+def beam(world, sampler, first, origins, directions):
+    """Rays of the laser, evenly over its disc."""
+    laser = world.laser
+    for i in range(origins.shape[0]):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        x, y = disc(
+            draw(sampler, group, index, ray, DRAW_BEAM),
+            draw(sampler, group, index, ray, DRAW_BEAM + 1),
+        )
+        for k in range(3):
+            origins[i, k] = laser[k] + laser[12] * (x * laser[6 + k] + y * laser[9 + k])
+            directions[i, k] = laser[3 + k]
+
+
+@njit(cache=True, nogil=True)
+def sight(world, sampler, first, origins, directions, powers, densities):
+    """Rays from the lens into the scene, evenly over lens and detector, or the baffle's disc.
+
+    Powers are what the detector gets per unit radiance; densities are per solid angle.
+    """
+    camera = world.camera
+    lens_area, zoom, baffle = math.pi * camera[12] ** 2, camera[13] / camera[14], camera[20]
+    for i in range(origins.shape[0]):
+        ray = first + i
+        group, index = ray % GROUPS, ray // GROUPS
+        x = draw(sampler, group, index, ray, DRAW_PIXEL)
+        y = draw(sampler, group, index, ray, DRAW_PIXEL + 1)
+        u, v = disc(
+            draw(sampler, group, index, ray, DRAW_LENS),
+            draw(sampler, group, index, ray, DRAW_LENS + 1),
+        )
+        u, v = u * camera[12], v * camera[12]
+        # toward where the detector's point is in focus
+        c = camera[13]
+        if baffle > 0.0:
+            a, b = disc(x, y)
+            a, b = a * baffle, b * baffle
+        else:
+            a = (1.0 - 2.0 * x) * camera[15] * zoom - u
+            b = (1.0 - 2.0 * y) * camera[16] * zoom - v
+        norm = math.sqrt(a * a + b * b + c * c)
+        cosine = c / norm
+        for k in range(3):
+            origins[i, k] = camera[k] + u * camera[3 + k] + v * camera[6 + k]
+            directions[i, k] = (a * camera[3 + k] + b * camera[6 + k] + c * camera[9 + k]) / norm
+        densities[i] = camera[14] ** 2 / (camera[19] * cosine**3)
+        seen = abs(a + u) <= camera[15] * zoom and abs(b + v) <= camera[16] * zoom
+        seen &= baffle > 0.0 or cosine >= camera[17]
+        powers[i] = lens_area * cosine * camera[18] / densities[i] if seen else 0.0
+
+
+@njit(cache=True, inline="always")
+def on_detector(camera, point, direction):
+    """Density per solid angle of `sight` along a direction from a point of the lens, or 0."""
+    cosine = dot(direction, three(camera, 9))
+    if cosine <= 0.0 or cosine < camera[17]:
+        return 0.0
+    apart = (point[0] - camera[0], point[1] - camera[1], point[2] - camera[2])
+    far, zoom = camera[13] / cosine, camera[14] / camera[13]
+    e1, e2 = three(camera, 3), three(camera, 6)
+    x = (dot(apart, e1) + far * dot(direction, e1)) * zoom
+    y = (dot(apart, e2) + far * dot(direction, e2)) * zoom
+    if abs(x) > camera[15] or abs(y) > camera[16]:
+        return 0.0
+    return camera[14] ** 2 / (camera[19] * cosine**3)
+
+
+@njit(cache=True, inline="always")
+def _plate(world, o, d, low, high):
+    """Distance at which a ray meets the plate between low and high; inf if it does not."""
+    plate = world.plate
+    along = dot(d, three(plate, 9))
+    if along == 0.0:
+        return math.inf
+    away = (plate[0] - o[0], plate[1] - o[1], plate[2] - o[2])
+    t = dot(away, three(plate, 9)) / along
+    if not low < t < high:
+        return math.inf
+    across = (o[0] + t * d[0] - plate[0], o[1] + t * d[1] - plate[1], o[2] + t * d[2] - plate[2])
+    if abs(dot(across, three(plate, 3))) > plate[12]:
+        return math.inf
+    return t if abs(dot(across, three(plate, 6))) <= plate[13] else math.inf
+
+
+@njit(cache=True, inline="always")
+def _texel(world, point):
+    """Brightness of the picture at a point of the plate."""
+    plate, picture = world.plate, world.picture
+    across = (point[0] - plate[0], point[1] - plate[1], point[2] - plate[2])
+    ny, nx = picture.shape
+    column = int((0.5 + 0.5 * dot(across, three(plate, 3)) / plate[12]) * nx)
+    row = int((0.5 - 0.5 * dot(across, three(plate, 6)) / plate[13]) * ny)
+    return picture[min(max(row, 0), ny - 1), min(max(column, 0), nx - 1)]
+
+
+@njit(cache=True, inline="always")
+def _lens(world, o, d, low, high):
+    """Distance at which a ray meets the lens from either side; inf if it does not."""
+    camera = world.camera
+    axis = three(camera, 9)
+    along = dot(d, axis)
+    if along == 0.0:
+        return math.inf
+    away = (camera[0] - o[0], camera[1] - o[1], camera[2] - o[2])
+    t = dot(away, axis) / along
+    if not low < t < high:
+        return math.inf
+    x, y, z = t * d[0] - away[0], t * d[1] - away[1], t * d[2] - away[2]
+    return t if x * x + y * y + z * z <= camera[12] ** 2 else math.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def wall_hits(walls, origins, directions, live, distance, kind, normal):
+    """First hits on a compiled wall, for live rays: distance, kind and normal; others stay."""
+    terms, tables, grid_bounds, box, slab, rim = walls
+    flat = terms.shape[0] == 0
+    waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
+    w, state = np.zeros(ROWS * BLOCK), np.full(BLOCK, -1)
+    count = distance.size
+    for start in range(0, count, BLOCK):
+        n = min(BLOCK, count - start)
+        if waved:
+            w[:] = 0.0
+            state[:] = -1
+            for i in range(n):
+                j = start + i
+                w[OX + i], w[OY + i], w[OZ + i] = three(origins[j], 0)
+                w[DX + i], w[DY + i], w[DZ + i] = three(directions[j], 0)
+            wave_hits(terms[0], box, w, state)
+        for i in range(n):
+            j = start + i
+            if not live[j]:
+                continue
+            o, d = three(origins[j], 0), three(directions[j], 0)
+            hx = hy = 0.0
+            if flat:
+                t = -o[2] / d[2] if d[2] < 0.0 else math.nan
+                on = abs(o[0] + t * d[0]) <= box[0] and abs(o[1] + t * d[1]) <= box[1]
+                condition = HIT if on and t >= 0.0 else -1
+            elif state[i] >= 0:
+                t, condition, hx, hy = w[DISTANCE + i], state[i], w[HX + i], w[HY + i]
+            else:
+                t, condition, hx, hy = wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+            if condition == HIT:
+                norm = 1.0 / math.sqrt(1.0 + hx * hx + hy * hy)
+                distance[j], kind[j] = t, WALL
+                normal[j, 0], normal[j, 1], normal[j, 2] = -hx * norm, -hy * norm, norm
+                if dot(d, three(normal[j], 0)) >= 0.0:
+                    kind[j] = LOST
+            elif condition == UNRESOLVED:
+                distance[j], kind[j] = 0.0, LOST
+
+
+@njit(cache=True, nogil=True)
+def settle(walls, points, on_wall):
+    """Put points that are on a compiled wall, to rounding, on it to the last digit."""
+    terms, tables = walls[0], walls[1]
+    for i in range(on_wall.size):
+        if on_wall[i]:
+            height = surface(terms, tables, points[i, 0], points[i, 1])[0]
+            if math.isfinite(height):
+                points[i, 2] = height
+
+
+@njit(cache=True, nogil=True)
+def plate_and_lens(world, origins, directions, live, distance, kind, normal, scale):
+    """Replace hits by nearer ones on the plate and, for light on its way, on the lens."""
+    has_plate = world.plate.size > 0
+    for i in range(distance.size):
+        if not live[i]:
+            continue
+        o, d = three(origins[i], 0), three(directions[i], 0)
+        if has_plate:
+            t = _plate(world, o, d, 1e-9, distance[i])
+            if t < distance[i]:
+                distance[i] = t
+                for k in range(3):
+                    normal[i, k] = world.plate[9 + k]
+                kind[i] = OBJECT if dot(d, three(world.plate, 9)) < 0.0 else BACK
+                scale[i] = _texel(world, (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]))
+        t = _lens(world, o, d, 1e-9, distance[i])
+        if t < distance[i]:
+            distance[i], kind[i] = t, LENS
+
+
+@njit(cache=True, nogil=True)
+def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kind, normal, scale):
+    """Replace hits of the rays ``rows`` by nearer ones on triangles ``found`` at ``away``."""
+    for j in range(rows.size):
+        i, k = rows[j], found[j]
+        # a face that lies on the wall covers nothing
+        limit = distance[i] * (1.0 - 1e-9) if kind[i] == WALL else distance[i]
+        if k < 0 or not away[j] < limit:
+            continue
+        distance[i], scale[i] = away[j], 1.0
+        for m in range(3):
+            normal[i, m] = normals[k, m]
+        if k >= thing_faces:
+            kind[i] = OCCLUDER
+        else:
+            kind[i] = OBJECT if dot(three(directions[i], 0), three(normals[k], 0)) < 0 else BACK
+
+
+@njit(cache=True, inline="always")
+def object_point(world, u, v):
+    """Point of the object's front, in proportion to area times brightness, and its normal."""
+    if world.plate.size > 0:
+        plate = world.plate
+        ny, nx = world.picture.shape
+        row = min(np.searchsorted(world.rows, u, side="right") - 1, ny - 1)
+        line = world.columns[row]
+        column = min(np.searchsorted(line, v, side="right") - 1, nx - 1)
+        y = row + (u - world.rows[row]) / (world.rows[row + 1] - world.rows[row])
+        x = column + (v - line[column]) / (line[column + 1] - line[column])
+        across, up = (2.0 * x / nx - 1.0) * plate[12], (1.0 - 2.0 * y / ny) * plate[13]
+        return (
+            plate[0] + across * plate[3] + up * plate[6],
+            plate[1] + across * plate[4] + up * plate[7],
+            plate[2] + across * plate[5] + up * plate[8],
+        ), three(plate, 9)
+    areas = world.areas
+    k = min(np.searchsorted(areas, u, side="right") - 1, areas.size - 2)
+    u = min((u - areas[k]) / (areas[k + 1] - areas[k]), 1.0)
+    row, root = world.triangles[k], math.sqrt(u)
+    b, c = root * (1.0 - v), root * v
+    point = (
+        row[0] + b * row[3] + c * row[6],
+        row[1] + b * row[4] + c * row[7],
+        row[2] + b * row[5] + c * row[8],
+    )
+    x = row[4] * row[8] - row[5] * row[7]
+    y = row[5] * row[6] - row[3] * row[8]
+    z = row[3] * row[7] - row[4] * row[6]
+    norm = math.sqrt(x * x + y * y + z * z)
+    return point, (x / norm, y / norm, z / norm)
+
+
+@njit(cache=True, nogil=True)
+def clear(world, starts, ends, value):
+    """Take out connections that the plate or the lens is in the way of."""
+    has_plate = world.plate.size > 0
+    for i in range(value.size):
+        if value[i] <= 0.0:
+            continue
+        o = three(starts[i], 0)
+        d = (ends[i, 0] - o[0], ends[i, 1] - o[1], ends[i, 2] - o[2])
+        low, high = 1e-9, 1.0 - 1e-9
+        hidden = _lens(world, o, d, low, high) < high
+        if hidden or (has_plate and _plate(world, o, d, low, high) < high):
+            value[i] = 0.0

@@ -1,0 +1,224 @@
+"""Blocks of rays: light from the laser, sight from the lens, and what joins them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...kernels.codes import GROUPS, UNIT
+from ...scene import Scene
+from ..fans.paths import DETECTED
+from . import _light_kernels as kernels
+from . import _surround_kernels as surround
+from .surroundings import Surroundings
+
+Array = NDArray[np.float64]
+LEDGER: Final = 0.25  # share of the rays that are followed for the ledger alone
+#: Points, lengths, powers, reflections and status of paths.
+Kept = tuple[Array, Array, Array, NDArray[np.int32], NDArray[np.int8]]
+#: Sums of units and groups, counted queries and kept paths of a block.
+Traced = tuple[Array, Counter[str], list[Kept]]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Job:
+    """What every block of rays needs."""
+
+    scene: Scene
+    around: Surroundings
+    sampler: tuple[Any, ...]
+    max_bounces: int
+    analog: bool
+    keep_paths: bool
+
+    @property
+    def columns(self) -> int:
+        """Number of sums: one for each count of reflections, and the ledger's."""
+        return self.max_bounces + 1 + kernels.SUMS
+
+
+def traced(job: Job, first: int, end: int) -> Traced:
+    """Trace the rays from ``first`` up to ``end``."""
+    block = Rays(job, first, end - first)
+    light = block.from_laser()
+    if not job.analog:
+        block.look()
+    before = np.zeros_like(light)
+    before[:, kernels.DENSITY] = -1.0
+    # without gloss, later vertices send nothing to the detector and serve the ledger alone
+    last_seen = 0 if job.around.plan.glossy else max(1, job.max_bounces - 1)
+    for bounce in range(1, job.max_bounces + 1):
+        block.walked.append(light[:, kernels.P])
+        if not (light[:, kernels.SURFACE] >= 0.0).any():
+            break
+        if not job.analog:
+            block.detect(light, before, bounce)
+            if bounce == last_seen:
+                kernels.thin(job.sampler, first, LEDGER, light)
+        before, light = light, block.onward(light, bounce)
+    units = block.sums.reshape(-1, GROUPS, job.columns)
+    return units, block.counts, block.kept
+
+
+class Rays:
+    """A block of rays: light from the laser, sight from the lens, and what joins them."""
+
+    def __init__(self, job: Job, first: int, n: int) -> None:
+        self.job, self.first, self.n, self.around = job, first, n, job.around
+        self.sums = np.zeros((-(-n // UNIT) * GROUPS, job.columns))
+        self.counts = Counter[str](rays=n)
+        self.origins, self.directions, self.starts, self.ends = np.empty((4, n, 3))
+        self.leave = np.empty((n, kernels.LEAVE))
+        self.live = np.ones(n, dtype=bool)
+        self.fates = np.empty(n, dtype=np.int8)
+        self.value, self.length = np.empty((2, n))
+        self.walked: list[Array] = []
+        self.kept: list[Kept] = []
+
+    def from_laser(self) -> Array:
+        """First vertices of the light."""
+        job, rays = self.job, (self.origins, self.directions)
+        surround.beam(self.around.world, job.sampler, self.first, *rays)
+        self.walked.append(self.origins.copy())
+        hits = self._hits(None)
+        new = np.zeros((self.n, kernels.VERTEX))
+        kernels.start(
+            self.around.world, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates
+        )
+        self._settle(new)
+        self._keep_ended(new, 0)
+        return new
+
+    def look(self) -> None:
+        """First vertices that the lens sees, and the second ones where lobes are glossy."""
+        job, world, rays = self.job, self.around.world, (self.origins, self.directions)
+        powers, densities = np.empty((2, self.n))
+        surround.sight(world, job.sampler, self.first, *rays, powers, densities)
+        self.lens = self.origins.copy()
+        np.greater(powers, 0.0, out=self.live)
+        self.seen, self.further = np.zeros((2, self.n, kernels.VERTEX))
+        kernels.look(*rays, powers, densities, self._hits(None), self.seen)
+        self._settle(self.seen)
+        if self.around.plan.glossy:
+            self._scatter(self.seen, surround.DRAW_EYE, True)
+            hits = self._hits(self.seen)
+            kernels.look_on(world, self.seen, self.leave, *rays, hits, self.further)
+            self._settle(self.further)
+
+    def onward(self, light: Array, bounce: int) -> Array:
+        """Vertices that the light of these goes to."""
+        job, number = self.job, surround.DRAW_FIRST
+        if bounce > 1:
+            number = surround.DRAW_NEXT + surround.DRAWS_A_BOUNCE * (bounce - 2)
+        self._scatter(light, number, False)
+        hits = self._hits(light)
+        roulette = number + 4 if bounce > 3 and not job.analog else -1
+        new = np.zeros((self.n, kernels.VERTEX))
+        kernels.land(
+            self.around.world,
+            job.sampler,
+            self.first,
+            (bounce, job.max_bounces, job.analog, roulette),
+            light,
+            self.leave,
+            self.origins,
+            self.directions,
+            hits,
+            new,
+            self.sums,
+            self.fates,
+        )
+        self._settle(new)
+        self._keep_ended(new, bounce)
+        return new
+
+    def detect(self, light: Array, before: Array, bounce: int) -> None:
+        """Add what vertices of the light send to the detector."""
+        world, glossy, most = self.around.world, self.around.plan.glossy, self.job.max_bounces
+        found = (self.value, self.length, self.starts, self.ends)
+        if bounce == 1 or glossy:
+            kernels.to_lens(world, light, before, self.lens, glossy, *found)
+            self._book(light, light, bounce, ())
+        if bounce + 1 <= most:
+            kernels.connect(world, light, self.seen, self.seen, False, glossy, *found)
+            self._book(light, self.seen, bounce + 1, (self.seen,))
+        if glossy and bounce + 2 <= most:
+            kernels.connect(world, light, self.further, self.seen, True, glossy, *found)
+            self._book(light, self.further, bounce + 2, (self.further, self.seen))
+
+    def _scatter(self, vertices: Array, number: int, eye: bool) -> None:
+        kernels.scatter(
+            self.around.world,
+            self.job.sampler,
+            self.first,
+            number,
+            eye,
+            vertices,
+            self.leave,
+            self.origins,
+            self.directions,
+            self.live,
+        )
+
+    def _settle(self, vertices: Array) -> None:
+        """Put vertices on a wall that sees itself to the last digit."""
+        if not self.around.plan.wall_to_wall:
+            return
+        on_wall = vertices[:, kernels.SURFACE] == surround.WALL
+        self.around.settle(vertices[:, kernels.P], on_wall)
+
+    def _hits(self, left: Array | None) -> Any:
+        """First hits of live rays, which leave the vertices ``left`` or come from elsewhere."""
+        on_wall = np.zeros(self.n, dtype=bool)
+        if left is not None:
+            np.equal(left[:, kernels.SURFACE], surround.WALL, out=on_wall)
+        return self.around.first_hits(
+            self.origins, self.directions, self.live, on_wall, self.counts
+        )
+
+    def _book(self, light: Array, eye: Array, bounce: int, seen: tuple[Array, ...]) -> None:
+        """Add connections that nothing stands in the way of."""
+        on_wall = light[:, kernels.SURFACE] == surround.WALL
+        self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
+        kernels.book(
+            light,
+            eye,
+            bounce,
+            self.job.max_bounces,
+            self.first,
+            self.value,
+            self.length,
+            self.sums,
+        )
+        if self.job.keep_paths:
+            rows = np.flatnonzero(self.value > 0.0)
+            parts = [*self.walked, *(vertices[:, kernels.P] for vertices in seen), self.lens]
+            status = np.full(len(rows), DETECTED, dtype=np.int8)
+            self._keep(rows, parts, self.length, self.value, bounce, status)
+
+    def _keep_ended(self, new: Array, bounce: int) -> None:
+        """Keep the analog walks that this step ended."""
+        if self.job.keep_paths and self.job.analog:
+            rows = np.flatnonzero(self.fates >= 0)
+            parts = [*self.walked, new[:, kernels.P]]
+            length, power = new[:, kernels.LENGTH], new[:, kernels.POWER]
+            self._keep(rows, parts, length, power, bounce, self.fates[rows])
+
+    def _keep(
+        self,
+        rows: NDArray[np.int64],
+        parts: list[Array],
+        length: Array,
+        power: Array,
+        bounce: int,
+        status: NDArray[np.int8],
+    ) -> None:
+        points = np.stack([part[rows] for part in parts], axis=1)
+        missing = self.job.max_bounces + 2 - points.shape[1]
+        points = np.concatenate([points, np.repeat(points[:, -1:], missing, axis=1)], axis=1)
+        bounces = np.full(len(rows), bounce, dtype=np.int32)
+        self.kept.append((points, length[rows], power[rows], bounces, status))

@@ -1,0 +1,216 @@
+"""Irradiance of the relay wall by light that comes back to it, as a map."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory, one_of, pair, whole
+from ..._nouns import Noun
+from ...errors import SceneError
+from ...kernels.codes import GROUPS
+from ...scene import Lambert, Scene
+from .trace import MOST, MOST_BOUNCES, in_blocks, job_of, mean_of
+
+if TYPE_CHECKING:
+    from .blocks import Job
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class WallIrradiance(Noun):
+    """Irradiance of the wall's cells.
+
+    Parameters
+    ----------
+    x, y : ndarray, (nx,) and (ny,)
+        Centres of the cells, world, m.
+    irradiance : ndarray, (ny, nx)
+        Power that arrives in a cell over the wall's area there, W/m^2; row 0 at the lowest y.
+    standard_error : ndarray, (ny, nx)
+        W/m^2.
+    power, power_error : float
+        Power on all cells and its standard error, W.
+    n_rays : int
+    seconds : float
+        Wall-clock time.
+    """
+
+    x: Array
+    y: Array
+    irradiance: Array
+    standard_error: Array
+    power: float
+    power_error: float
+    n_rays: int
+    seconds: float
+
+    def __post_init__(self) -> None:
+        for array in (self.x, self.y, self.irradiance, self.standard_error):
+            array.flags.writeable = False
+
+
+def wall_irradiance(
+    scene: Scene,
+    *,
+    shape: tuple[int, int] = (64, 64),
+    size: tuple[float, float] | None = None,
+    source: Literal["laser", "object"] = "laser",
+    n_rays: int = 1 << 18,
+    max_bounces: int = 2,
+    sampler: Literal["sobol", "philox"] = "sobol",
+    seed: int = 0,
+) -> WallIrradiance:
+    """Map the light that comes back to the relay wall.
+
+    Parameters
+    ----------
+    scene : Scene
+    shape : (int, int)
+        Cells (ny, nx).
+    size : (float, float), optional
+        Width and height of the map about the origin, m; by default the wall's.
+    source : {"laser", "object"}
+        The laser, whose own spot is left out; or the hidden object itself glowing with a radiant
+        exitance of 1 W/m^2 times its brightness, Lambertian, the laser off.
+    n_rays : int
+    max_bounces : int
+        Reflections before light is counted at the wall, at most; with ``source="object"`` 0 is the
+        object's own light alone.
+    sampler, seed
+        As for `trace`.
+
+    Returns
+    -------
+    WallIrradiance
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range, or the wall is unbounded and no size is given.
+
+    Notes
+    -----
+    Vertices of the light are joined to even points of the wall; light that finds the wall by itself
+    counts as well, and the balance heuristic shares what both find.
+    """
+    one_of("source", source, ("laser", "object"))
+    ny, nx = (whole("shape", n) for n in shape)
+    whole("n_rays", n_rays, 1, MOST)
+    whole("max_bounces", max_bounces, 0 if source == "object" else 1, MOST_BOUNCES - 2)
+    size = scene.wall.size if size is None else pair("size", size)
+    if size is None:
+        raise SceneError("wall.size is unbounded; give size, the width and height of the map in m")
+    fits_memory(f"a map of {nx} x {ny} cells (shape)", 8 * GROUPS * nx * ny, "map fewer cells")
+    begun = time.perf_counter()
+    if source == "object":
+        scene = replace(scene, hidden=replace(scene.hidden, material=Lambert(1.0)))
+    job = job_of(scene, max_bounces + 2, sampler, seed)  # the last arrival counts as well
+    step = np.divide(size, (nx, ny))
+    corner = -np.divide(size, 2)
+
+    def work(job: Job, first: int, end: int) -> tuple[NDArray[np.int64], Array]:
+        return _arrivals(job, first, end, source, max_bounces, (corner, step, (ny, nx)))
+
+    sums = np.zeros(GROUPS * ny * nx)
+    for cells, powers in in_blocks(work, job, 0, n_rays):
+        np.add.at(sums, cells, powers)
+    maps = sums.reshape(GROUPS, ny, nx)
+    x, y = (c + s * (np.arange(n) + 0.5) for c, s, n in zip(corner, step, (nx, ny), strict=True))
+    areas = step[0] * step[1] / _upright(scene, x, y)
+    groups = min(n_rays, GROUPS)
+    means = maps[:groups] * (groups / n_rays)
+    spread = ((means - means.mean(axis=0)) ** 2).sum(axis=0)
+    error = np.sqrt(spread / (groups * (groups - 3))) if groups > 3 else np.full(shape, np.inf)
+    power, power_error = mean_of(maps.sum(axis=(1, 2)), n_rays)
+    return WallIrradiance(
+        x=x,
+        y=y,
+        irradiance=maps.sum(axis=0) / n_rays / areas,
+        standard_error=error / areas,
+        power=power,
+        power_error=power_error,
+        n_rays=n_rays,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def _upright(scene: Scene, x: Array, y: Array) -> Array:
+    """Cosine of the wall's tilt at cell centres, (ny, nx); 1 where it has no height."""
+    if scene.wall.is_flat:
+        return np.ones((len(y), len(x)))
+    xs, ys = np.meshgrid(x, y)
+    cosines = np.asarray(scene.wall.normal(xs, ys))[..., 2]
+    return np.where(np.isfinite(cosines), cosines, 1.0)
+
+
+def _arrivals(
+    job: Job,
+    first: int,
+    end: int,
+    source: str,
+    max_bounces: int,
+    grid: tuple[Array, Array, tuple[int, int]],
+) -> tuple[NDArray[np.int64], Array]:
+    """Cells and powers of the light of a block of rays, in the order of its reflections."""
+    from . import _light_kernels as kernels
+    from . import _point_kernels as arriving
+    from . import _surround_kernels as surround
+    from .blocks import Rays
+
+    rays, n, around = Rays(job, first, end - first), end - first, job.around
+    if source == "laser":
+        light = rays.from_laser()
+    else:
+        light = np.zeros((n, kernels.VERTEX))
+        norm = around.world.norm
+        if norm > 0.0:
+            arriving.glow(around.world, job.sampler, first, 1.0 / norm, light)
+        else:
+            light[:, kernels.SURFACE] = surround.NOTHING
+    corner, step, shape = grid
+    area = float(np.prod(step * shape[::-1]))
+    targets = _targets(job, first, n, corner, step * shape[::-1])
+    found, power = [], np.empty(n)
+
+    def collect(points: Array, power: Array) -> None:
+        cells, powers = np.empty(n, dtype=np.int64), np.empty(n)
+        count = arriving.cells_of(points, power, first, *grid, cells, powers)
+        found.append((cells[:count], powers[:count]))
+
+    # one more step than reflections for a source that is no reflection itself
+    for bounce in range(1, max_bounces + (1 if source == "laser" else 2)):
+        arriving.to_wall(around.world, light, targets, power, rays.starts, rays.ends)
+        on_wall = light[:, kernels.SURFACE] == surround.WALL
+        around.clear(rays.starts, rays.ends, on_wall, power, rays.counts)
+        collect(targets, power)
+        light = rays.onward(light, bounce)
+        arriving.arrivals(light, 1.0 / area, power)
+        collect(light, power)
+    return np.concatenate([c for c, _ in found]), np.concatenate([p for _, p in found])
+
+
+def _targets(job: Job, first: int, n: int, corner: Array, size: Array) -> Array:
+    """Points of the wall, one for each ray, as vertices that are evenly spread in x and y."""
+    from . import _light_kernels as kernels
+    from . import _point_kernels as arriving
+    from . import _surround_kernels as surround
+
+    wall, xy = job.scene.wall, np.empty((n, 2))
+    arriving.spots(job.sampler, first, corner, size, xy)
+    targets = np.zeros((n, kernels.VERTEX))
+    targets[:, :2] = xy
+    targets[:, 5] = 1.0
+    on = np.asarray(wall.contains(xy[:, 0], xy[:, 1]))
+    if not wall.is_flat:
+        targets[:, 2] = wall.height(xy[:, 0], xy[:, 1])
+        targets[:, kernels.N] = wall.normal(xy[:, 0], xy[:, 1])
+        on &= np.isfinite(targets[:, :6]).all(axis=1)
+    targets[:, kernels.SURFACE] = np.where(on, surround.WALL, surround.NOTHING)
+    targets[:, kernels.DENSITY] = targets[:, 5] / float(size.prod())
+    return targets

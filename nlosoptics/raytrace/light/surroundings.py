@@ -1,0 +1,404 @@
+"""What rays of a scene can meet, and what the scene lets a tracer leave out."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...kernels.codes import BECKMANN
+from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
+from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
+from ..intersection.meshes import intersect_mesh, occluded
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from ._surround_kernels import World
+
+
+Array = NDArray[np.float64]
+Hits = tuple[Array, NDArray[np.int8], Array, Array]
+# Shares of the light leaving the wall that are sent to the object: from the laser's spot and what
+# the lens sees, and from elsewhere. A wall that sees itself needs more of the rest. Few binary
+# digits, by which Sobol points are divided exactly.
+AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RayPlan:
+    """What tracing a scene takes, known before it begins; `str` says why the rest is left out.
+
+    Parameters
+    ----------
+    wall_hits : {"closed form", "march", "python"}
+        How rays meet the wall.
+    embree : bool
+        Whether there are triangles: a mesh as object, or occluders.
+    wall_to_wall : bool
+        Whether light from the wall can meet the wall again.
+    wall_shadows : bool
+        Whether the wall can stand between two of its own points, or one and the room.
+    glossy : bool
+        Whether a lobe is narrow enough that paths are made in three ways instead of one.
+    """
+
+    wall_hits: str
+    embree: bool
+    wall_to_wall: bool
+    wall_shadows: bool
+    glossy: bool
+
+    def __str__(self) -> str:
+        rows = [
+            ("wall hits", True, self.wall_hits),
+            (
+                "triangles",
+                self.embree,
+                "object and occluders hold none"
+                if not self.embree
+                else "embree finds them, float64 places the hits",
+            ),
+            (
+                "wall to wall",
+                self.wall_to_wall,
+                "light from the wall may meet it again"
+                if self.wall_to_wall
+                else "no part of the wall sees another",
+            ),
+            (
+                "wall shadows",
+                self.wall_shadows,
+                "crests may hide what is behind them"
+                if self.wall_shadows
+                else "the room in front of the wall is convex, or the wall is",
+            ),
+            (
+                "three strategies",
+                self.glossy,
+                "a lobe is glossy"
+                if self.glossy
+                else "all lobes are wide: connecting with what the lens sees is enough",
+            ),
+        ]
+        return "\n".join(
+            f"{name:16s}  {'runs' if runs else 'skipped':7s}  {why}" for name, runs, why in rows
+        )
+
+
+def ray_plan(scene: Scene) -> RayPlan:
+    """Say what tracing a scene takes: which surfaces rays must be held against, and which not.
+
+    Parameters
+    ----------
+    scene : Scene
+
+    Notes
+    -----
+    No straight line joins two points of a flat or convex wall in front of it. A hollow sphere or
+    cylinder sees itself, and as the room in front of it is a convex body, nothing of it stands
+    between two points there; its rim may hide what stands beside it.
+    """
+    wall = scene.wall
+    convex = wall.is_flat or isinstance(wall, ConvexWall)
+    closed = wall.is_flat or isinstance(wall, ConvexWall | ConcaveWall)
+    beside = isinstance(wall, ConcaveWall) and not _within_hollow(wall, scene)
+    how = "python" if isinstance(wall, CallableWall) else "closed form" if closed else "march"
+    lobes = np.concatenate([scene.wall_material.lobe_table(), scene.hidden.material.lobe_table()])
+    return RayPlan(
+        wall_hits=how,
+        embree=bool(scene.occluders) or not isinstance(scene.hidden, PlanarObject),
+        wall_to_wall=not convex,
+        wall_shadows=beside or not closed,
+        glossy=bool((lobes[:, 0] >= BECKMANN).any()),
+    )
+
+
+def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
+    """Whether lens and object are inside a hollow wall, continued upward from where it is widest.
+
+    That room is convex.
+    """
+    hidden, camera = scene.hidden, scene.camera
+    thing = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
+    points = np.concatenate([[camera.position], np.asarray(thing, dtype=np.float64)])
+    margin = np.zeros(len(points))
+    margin[0] = camera.stop_diameter / 2
+    if wall.shape == "sphere":
+        across = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2)
+    else:
+        across = np.abs(points[:, 0 if wall.axis == "y" else 1])
+    below = np.maximum(wall.radius - points[:, 2] + margin, 0.0)
+    return bool(((across + margin) ** 2 + below**2 < wall.radius**2).all())
+
+
+class Surroundings:
+    """The surfaces of a scene, for blocks of rays; counts what it is asked.
+
+    Parameters
+    ----------
+    scene : Scene
+    analog : bool
+        Whether light goes only where it would go.
+    """
+
+    def __init__(self, scene: Scene, *, analog: bool = False) -> None:
+        self.plan = ray_plan(scene)
+        self.world = _world(scene, self.plan, analog)
+        self._wall = scene.wall
+        self._walls: Any = None
+        if self.plan.wall_hits != "python":
+            terms, tables = (np.zeros((0, 8)), np.zeros(0))
+            if not scene.wall.is_flat:
+                terms, tables = scene.wall.compiled()
+            self._walls = (terms, tables, *search_bounds(scene.wall, terms, tables))
+        self._mesh, self._thing_faces = _triangles(scene)
+        if self._mesh is not None:
+            self._normals = np.array(self._mesh.face_normals, dtype=np.float64)
+            reach = float(np.abs(self._mesh.bounds).max())
+            self._gap = 1e-9 * max(reach, 1e-3)
+
+    def first_hits(
+        self,
+        origins: Array,
+        directions: Array,
+        live: NDArray[np.bool_],
+        on_wall: NDArray[np.bool_],
+        counts: Counter[str],
+    ) -> Hits:
+        """Distance, kind, normal and brightness where live rays end.
+
+        Parameters
+        ----------
+        origins, directions : ndarray, (n, 3)
+            World, m; unit.
+        live : ndarray of bool, (n,)
+        on_wall : ndarray of bool, (n,)
+            Rays that leave the wall.
+        counts : Counter
+            Gets the number of rays held against each kind of surface.
+        """
+        from . import _surround_kernels as kernels
+
+        n = len(origins)
+        distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int8)
+        normal, scale = np.zeros((n, 3)), np.ones(n)
+        # rays that leave a wall that cannot see itself need not ask for it
+        asking = live
+        if on_wall.any():
+            leaving = live & on_wall
+            if self.plan.wall_to_wall:
+                counts["wall to wall"] += int(leaving.sum())
+            else:
+                asking = live & ~leaving
+        asked = int(asking.sum())
+        counts["wall"] += asked
+        if asked and self._walls is not None:
+            kernels.wall_hits(self._walls, origins, directions, asking, distance, kind, normal)
+        elif asked:
+            self._python_hits(origins, directions, asking, distance, kind, normal)
+        kernels.plate_and_lens(self.world, origins, directions, live, distance, kind, normal, scale)
+        if self._mesh is not None:
+            rows = np.flatnonzero(live)
+            counts["mesh"] += len(rows)
+            found = intersect_mesh(
+                self._mesh, origins[rows], directions[rows], min_distance=self._gap
+            )
+            kernels.mesh_hits(
+                rows,
+                found.triangle,
+                found.distance,
+                self._thing_faces,
+                self._normals,
+                directions,
+                distance,
+                kind,
+                normal,
+                scale,
+            )
+        return distance, kind, normal, scale
+
+    def _python_hits(
+        self,
+        origins: Array,
+        directions: Array,
+        asking: NDArray[np.bool_],
+        distance: Array,
+        kind: NDArray[np.int8],
+        normal: Array,
+    ) -> None:
+        from . import _surround_kernels as kernels
+
+        rows = np.flatnonzero(asking)
+        hits = intersect(self._wall, origins[rows], directions[rows])
+        met, lost = rows[hits.status == HIT], rows[hits.status == UNRESOLVED]
+        distance[met], normal[met] = hits.distance[hits.hit], hits.normals[hits.hit]
+        kind[met], kind[lost], distance[lost] = kernels.WALL, kernels.LOST, 0.0
+
+    def settle(self, points: Array, on_wall: NDArray[np.bool_]) -> None:
+        """Put points (n, 3) that are on the wall to rounding on it to the last digit.
+
+        A wall that sees itself would else be missed by rays that start a little behind it: rounding
+        is that of where a ray came from, and near the origin far more than that of the height.
+        """
+        from . import _surround_kernels as kernels
+
+        if self._walls is not None:
+            kernels.settle(self._walls, points, on_wall)
+        elif on_wall.any():
+            points[on_wall, 2] = self._wall.derivatives(*points[on_wall, :2].T)[:, 0]
+
+    def clear(
+        self,
+        starts: Array,
+        ends: Array,
+        on_wall: NDArray[np.bool_],
+        value: Array,
+        counts: Counter[str],
+    ) -> None:
+        """Set to zero the values of connections that something stands in the way of.
+
+        Parameters
+        ----------
+        starts, ends : ndarray, (n, 3)
+            World, m.
+        on_wall : ndarray of bool, (n,)
+            Whether the start is on the wall.
+        value : ndarray, (n,)
+        counts : Counter
+        """
+        from . import _surround_kernels as kernels
+
+        kernels.clear(self.world, starts, ends, value)
+        if not (self.plan.wall_shadows or self._mesh is not None):
+            return
+        rows = np.flatnonzero(value > 0.0)
+        if len(rows) and self._mesh is not None:
+            counts["shadow"] += len(rows)
+            hidden = occluded(self._mesh, starts[rows], ends[rows])
+            value[rows[hidden]] = 0.0
+            rows = rows[~hidden]
+        if len(rows) and self.plan.wall_shadows:
+            counts["wall shadow"] += len(rows)
+            # from the end on the wall, as rays see it from its front alone
+            turned = ~on_wall[rows, None]
+            near = np.where(turned, ends[rows], starts[rows])
+            far = np.where(turned, starts[rows], ends[rows])
+            value[rows[self._behind_wall(near, far)]] = 0.0
+
+    def _behind_wall(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
+        """Whether the wall stands between two points, of which the ends may lie on it."""
+        from . import _surround_kernels as kernels
+
+        lines = ends - starts
+        length = np.sqrt((lines * lines).sum(axis=1))
+        lines /= length[:, None]
+        if self._walls is None:
+            hits = intersect(self._wall, starts, lines)
+            near = hits.hit & (np.nan_to_num(hits.distance) < length * (1.0 - 1e-9))
+            return np.asarray(near | (hits.status == UNRESOLVED))
+        distance, kind = np.full(len(length), math.inf), np.full(len(length), -1, dtype=np.int8)
+        live = np.ones(len(length), dtype=bool)
+        kernels.wall_hits(self._walls, starts, lines, live, distance, kind, np.zeros_like(starts))
+        return np.asarray(distance < length * (1.0 - 1e-9))
+
+
+def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
+    """All triangles of a scene as one mesh, the object's first, and the number of those."""
+    thing = None if isinstance(scene.hidden, PlanarObject) else scene.hidden.surface
+    black = scene.occluding_mesh
+    if thing is None or black is None:
+        return (black, 0) if thing is None else (thing, len(thing.faces))
+    import trimesh
+
+    vertices = np.concatenate([np.asarray(thing.vertices), np.asarray(black.vertices)])
+    faces = np.concatenate([np.asarray(thing.faces), np.asarray(black.faces) + len(thing.vertices)])
+    return trimesh.Trimesh(vertices, faces, process=False), len(thing.faces)
+
+
+def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
+    """Numbers of a scene for compiled code."""
+    from ._surround_kernels import World
+
+    camera, laser = scene.camera, scene.laser
+    ny, nx = camera.shape
+    half = 0.5 * camera.image_pitch * np.array([nx, ny])
+    stop, area, baffle = -1.0, 4.0 * float(half.prod()), 0.0
+    if camera.field_stop is not None:
+        stop = math.cos(camera.field_stop / 2)
+        # what the baffle leaves of the detector's plane, where that is the smaller part
+        slope = math.tan(camera.field_stop / 2) if stop > 0.1 else math.inf
+        if math.pi * (slope * scene.image_distance) ** 2 < area:
+            area, baffle = math.pi * (slope * scene.image_distance) ** 2, slope
+    baffle *= scene.focus_distance
+    optics = (camera.stop_diameter / 2, scene.focus_distance, scene.image_distance)
+    axis = np.subtract(laser.aim, laser.position)
+    axis = axis / math.sqrt(float((axis * axis).sum()))
+    across = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
+    across /= math.sqrt(float((across * across).sum()))
+    picture, rows, columns = np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))
+    plate, triangles, areas = np.zeros(0), np.zeros((0, 9)), np.zeros(0)
+    if isinstance(scene.hidden, PlanarObject):
+        picture = np.array(scene.hidden.reflectance)
+        plate = np.concatenate(
+            [scene.hidden.position, scene.hidden.axes.ravel(), np.divide(scene.hidden.size, 2)]
+        )
+        rows, columns = _cumulative(picture.sum(axis=1)), _cumulative(picture)
+        total = float(picture.mean()) * scene.hidden.size[0] * scene.hidden.size[1]
+        outline = scene.hidden.corners
+    else:
+        corners = np.asarray(scene.hidden.surface.triangles, dtype=np.float64)
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        triangles = np.concatenate([corners[:, 0], first, second], axis=1)
+        across_faces = np.cross(first, second)
+        sizes = 0.5 * np.sqrt((across_faces * across_faces).sum(axis=1))
+        areas, total = _cumulative(sizes), float(sizes.sum())
+        outline = corners.reshape(-1, 3)
+    centre = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+    radius = float(np.sqrt(((outline - centre) ** 2).sum(axis=1).max()))
+    return World(
+        wall=scene.wall_material.lobe_table(),
+        thing=scene.hidden.material.lobe_table(),
+        plate=plate,
+        picture=picture,
+        rows=rows,
+        columns=columns,
+        triangles=np.ascontiguousarray(triangles),
+        areas=areas,
+        norm=1.0 / total if total > 0.0 else 0.0,
+        aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
+        glossy=plan.glossy,
+        ball=np.array([*centre, radius]),
+        camera=np.concatenate(
+            [
+                camera.position,
+                camera.frame.ravel(),
+                optics,
+                half,
+                [stop, camera.transmission, area, baffle],
+            ]
+        ),
+        laser=np.concatenate(
+            [
+                laser.position,
+                axis,
+                across,
+                np.cross(axis, across),
+                [laser.beam_diameter / 2, laser.power],
+            ]
+        ),
+    )
+
+
+def _cumulative(values: Array) -> Array:
+    """Shares of the values up to each along the last axis, 0 to 1; even shares where all are 0."""
+    total = values.sum(axis=-1, keepdims=True)
+    shares = np.where(total > 0.0, values, 1.0)
+    sums = np.cumsum(shares, axis=-1) / shares.sum(axis=-1, keepdims=True)
+    sums = np.minimum(np.insert(sums, 0, 0.0, axis=-1), 1.0)
+    sums[..., -1] = 1.0  # rounding must leave no number beyond the last
+    return np.asarray(sums)

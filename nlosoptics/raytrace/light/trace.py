@@ -1,0 +1,300 @@
+"""Tracing light through a scene: laser, wall, object, wall, lens, by any number of reflections."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Final, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory, in_range, one_of, positive, whole
+from ..._progress import Progress
+from ..._random import checked_seed, scrambled_sobol
+from ...errors import SceneError
+from ...kernels.codes import GROUPS
+from ...scene import Scene
+from ..fans.paths import RayPaths
+from ..intersection.meshes import worker_pool
+from .surroundings import Surroundings
+
+if TYPE_CHECKING:
+    from .blocks import Job, Kept
+
+Array = NDArray[np.float64]
+Found = TypeVar("Found")
+Given = TypeVar("Given")
+BLOCK: Final = 4096  # rays that one task traces, a multiple of the unit of the sums
+FIRST: Final = 1 << 10  # rays before the first look at the error, as well
+MOST: Final = 1 << 36
+GIVE_UP: Final = 1 << 18  # rays without any detected light after which tol cannot be meant
+MOST_BOUNCES: Final = 64
+
+
+def trace(
+    scene: Scene,
+    *,
+    n_rays: int | None = None,
+    tol: float | None = None,
+    max_seconds: float | None = None,
+    max_bounces: int = 5,
+    keep_paths: bool = False,
+    analog: bool = False,
+    sampler: Literal["sobol", "philox"] = "sobol",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> RayPaths:
+    """Follow the laser's light until it is detected, absorbed or gone.
+
+    Parameters
+    ----------
+    scene : Scene
+    n_rays : int, optional
+        Rays to trace; with ``tol`` or ``max_seconds`` the most of them. Default 65536 when neither
+        is given.
+    tol : float, optional
+        Wanted relative standard error of ``flux``, 1e-6 to 1.
+    max_seconds : float, optional
+        Time after which no further rays are begun; what was reached is returned.
+    max_bounces : int, default 5
+        Reflections followed, 1 to 64. Three are laser, wall, object, wall.
+    keep_paths : bool
+        Keep vertices, lengths and powers of single paths, for pictures; otherwise memory does not
+        grow with the rays. All paths of an analog trace, else the detected ones.
+    analog : bool
+        Let light go only where it would go, with no connections to object and lens and no roulette:
+        slow, and the ledger closes to rounding.
+    sampler : {"sobol", "philox"}
+        Scrambled Sobol points in 32 independent groups, or independent numbers.
+    seed : int
+        0 to 2^64 - 1. The same seed gives the same bits on any number of threads.
+    progress : callable(str, float), optional
+        Told "rays" and the fraction done.
+
+    Returns
+    -------
+    RayPaths
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range, something is behind the wall, or ``tol`` is wanted and no
+        light can arrive or none did.
+    MemoryLimitError
+        If the paths to keep would not fit in memory.
+
+    Notes
+    -----
+    Light leaves the wall along its lobes or toward the object, weighted by the one-sample balance
+    heuristic. Detected power is found by connecting its vertices with points of the scene that the
+    lens sees, drawn from detector and lens. Where a lobe is glossy, the lens looks a second
+    reflection far and vertices are also joined to the lens, the three strategies sharing every
+    path by the balance heuristic (Veach, Robust Monte Carlo methods for light transport simulation,
+    1997, ch. 9 and 10). From the fourth reflection on weak light ends by roulette. Standard errors
+    are those of the mean of the 32 groups.
+    """
+    from .blocks import traced
+
+    job = job_of(scene, max_bounces, sampler, seed, analog=analog, keep_paths=keep_paths)
+    if tol is not None:
+        in_range("tol", tol, 1e-6, 1.0)
+        _refuse_darkness(scene)
+    if max_seconds is not None:
+        positive("max_seconds", max_seconds, unit="s")
+    open_end = tol is not None or max_seconds is not None
+    most = whole("n_rays", n_rays, 1, MOST) if n_rays is not None else MOST if open_end else 1 << 16
+    if keep_paths:
+        fits_memory(
+            f"paths of {most} rays (n_rays)" if most < MOST else "paths without a limit (n_rays)",
+            most * (max_bounces + 4) * 24 * (1 if analog else max_bounces),
+            "trace fewer rays, or keep_paths=False",
+        )
+    begun = time.perf_counter()
+    total, counts, kept = np.zeros((GROUPS, job.columns)), Counter[str](), []
+    done, stopped = 0, "rays"
+    goal = min(most, FIRST) if open_end else most
+    while True:
+        for sums, asked, paths in in_blocks(traced, job, done, goal):
+            for unit in sums:
+                total += unit
+            counts += asked
+            kept += paths
+            spent = time.perf_counter() - begun
+            if progress is not None and tol is None:
+                share = spent / max_seconds if max_seconds is not None else 0.0
+                progress("rays", min(1.0, max(share, counts["rays"] / most)))
+            if max_seconds is not None and spent > max_seconds:
+                stopped = "time"
+                break
+        done = counts["rays"]
+        if stopped == "time" or done >= most:
+            break
+        if tol is not None:
+            flux, error = mean_of(total[:, : max_bounces + 1].sum(axis=1), done)
+            if flux > 0.0 and error <= tol * flux:
+                stopped = "tol"
+                break
+            if progress is not None:
+                progress("rays", min(0.99, (tol * flux / error) ** 2) if error > 0.0 else 0.0)
+            if flux == 0.0 and done >= GIVE_UP:
+                raise SceneError(
+                    f"no light of {done} rays came back from the hidden object to the detector, "
+                    "and tol needs some; check camera.aim and what stands in the way, or give "
+                    "n_rays instead"
+                )
+        goal = min(most, 2 * done)
+    if progress is not None:
+        progress("rays", 1.0)
+    return _result(job, total, counts, kept, stopped, time.perf_counter() - begun)
+
+
+def job_of(
+    scene: Scene,
+    max_bounces: int,
+    sampler: str,
+    seed: int,
+    *,
+    analog: bool = False,
+    keep_paths: bool = False,
+) -> Job:
+    """Check the options that all tracing has, and prepare the scene for it."""
+    from .blocks import Job
+
+    if not isinstance(scene, Scene):
+        raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
+    scene.check_in_front()
+    whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
+    one_of("sampler", sampler, ("sobol", "philox"))
+    seed = checked_seed(seed)
+    columns, shifts = scrambled_sobol(seed, 302, GROUPS)
+    if sampler == "philox":
+        columns, shifts = columns[:, :0], shifts[:, :0]
+    return Job(
+        scene=scene,
+        around=Surroundings(scene, analog=analog),
+        sampler=(np.uint64(seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)),
+        max_bounces=max_bounces,
+        analog=analog,
+        keep_paths=keep_paths,
+    )
+
+
+def _refuse_darkness(scene: Scene) -> None:
+    """Raise `SceneError` where a surface that all detected light meets is black."""
+    for name, material in (
+        ("wall_material", scene.wall_material),
+        ("hidden.material", scene.hidden.material),
+    ):
+        lobes = material.lobe_table()
+        if not (lobes[:, 1] * lobes[:, 3] > 0.0).any():
+            raise SceneError(f"{name} reflects nothing, so no light can arrive; raise its albedo")
+    if getattr(scene.hidden, "reflectance", np.ones(1)).max() == 0.0:
+        raise SceneError("hidden.image is black, so no light can arrive; give a picture")
+
+
+def in_blocks(
+    work: Callable[[Given, int, int], Found], job: Given, start: int, end: int
+) -> Iterator[Found]:
+    """What ``work`` finds for blocks of rays, in the order of the rays, on all cores."""
+    parts = [(a, min(a + BLOCK, end)) for a in range(start, end, BLOCK)]
+    if len(parts) == 1:
+        yield work(job, *parts[0])
+        return
+    pool, waiting = worker_pool(), []
+    try:
+        for part in parts:
+            waiting.append(pool.submit(work, job, *part))
+            if len(waiting) >= 8:
+                yield waiting.pop(0).result()
+        while waiting:
+            yield waiting.pop(0).result()
+    finally:
+        for task in waiting:
+            task.cancel()
+
+
+def mean_of(sums: Array, rays: int) -> tuple[float, float]:
+    """Mean over the rays and its standard error, from the sums of the groups.
+
+    The error has Student's factor sqrt((g - 1)/(g - 3)) of g groups, so that deviations measured in
+    it have unit variance.
+    """
+    # the groups' sizes differ by one ray at most
+    groups = min(rays, len(sums))
+    means = sums[:groups] * (groups / rays)
+    mean = math.fsum(sums) / rays
+    if groups < 4:
+        return mean, math.inf
+    return mean, math.sqrt(math.fsum((means - mean) ** 2) / (groups * (groups - 3)))
+
+
+def _result(
+    job: Job,
+    total: Array,
+    counts: Counter[str],
+    kept: list[Kept],
+    stopped: str,
+    seconds: float,
+) -> RayPaths:
+    from . import _light_kernels as kernels
+
+    rays, most = counts.pop("rays"), job.max_bounces
+    bounces = [mean_of(total[:, k], rays) for k in range(most + 1)]
+    flux = mean_of(total[:, : most + 1].sum(axis=1), rays)
+    tail = total[:, most + 1 :]
+    stray = mean_of(tail[:, kernels.STRAY], rays)
+    columns = {
+        "absorbed by wall": tail[:, kernels.ABSORBED_WALL],
+        "absorbed by object": tail[:, kernels.ABSORBED_OBJECT],
+        "absorbed by occluders": tail[:, kernels.ABSORBED_OCCLUDERS],
+        "escaped": tail[:, kernels.ESCAPED],
+        "detected": total[:, : most + 1].sum(axis=1) + tail[:, kernels.STRAY],
+        "blocked": tail[:, kernels.BLOCKED],
+        "left": tail[:, kernels.LEFT],
+        "unresolved": tail[:, kernels.UNRESOLVED_LIGHT],
+    }
+    ledger = {name: mean_of(column, rays) for name, column in columns.items()}
+    between = mean_of(tail[:, kernels.WALL_TO_WALL], rays)
+    trapped = mean_of(tail[:, kernels.TRAPPED], rays)
+    length = math.fsum(tail[:, kernels.LENGTHS]) / rays
+    if not kept:
+        empty = np.zeros(0)
+        kept = [
+            (
+                np.zeros((0, most + 2, 3)),
+                empty,
+                empty,
+                np.zeros(0, dtype=np.int32),
+                np.zeros(0, dtype=np.int8),
+            )
+        ]
+    points, lengths, powers, n_bounces, status = (
+        np.concatenate(part) for part in zip(*kept, strict=True)
+    )
+    return RayPaths(
+        points=points,
+        path_length=lengths,
+        weight=powers / rays,
+        n_bounces=n_bounces,
+        status=status,
+        ledger=MappingProxyType({name: mean for name, (mean, _) in ledger.items()}),
+        ledger_error=MappingProxyType({name: error for name, (_, error) in ledger.items()}),
+        flux=flux[0],
+        standard_error=flux[1],
+        by_bounce=np.array([mean for mean, _ in bounces]),
+        by_bounce_error=np.array([error for _, error in bounces]),
+        stray=stray[0],
+        stray_error=stray[1],
+        wall_to_wall=between[0],
+        trapped=trapped[0],
+        trapped_error=trapped[1],
+        mean_path_length=length / flux[0] if flux[0] > 0.0 else 0.0,
+        n_rays=rays,
+        stopped=stopped,
+        seconds=seconds,
+        queries=MappingProxyType(dict(counts)),
+    )

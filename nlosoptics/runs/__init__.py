@@ -1,0 +1,1 @@
+"""Whole runs: plan, simulate, reconstruct, and the record of a run."""

@@ -1,0 +1,79 @@
+"""What a run writes about itself: arrays, scene, versions, memory."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from .. import __version__
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+
+#: The page that `report` makes of a run's folder.
+PAGE = "report.html"
+#: Distributions whose versions decide a run's numbers.
+DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
+
+
+def arrays(noun: Any) -> dict[str, Any]:
+    """Entries of a dataclass or mapping, nested ones too, that need no pickle in an ``.npz``."""
+    from dataclasses import fields, is_dataclass
+
+    import numpy as np
+
+    entries = (
+        {entry.name: getattr(noun, entry.name) for entry in fields(noun)}
+        if is_dataclass(noun)
+        else noun
+    )
+    found: dict[str, Any] = {}
+    for name, value in entries.items():
+        if is_dataclass(value) or isinstance(value, Mapping):
+            found |= {f"{name}_{key}": inner for key, inner in arrays(value).items()}
+        elif not (array := np.asarray(value)).dtype.hasobject:
+            found[name] = array
+    return found
+
+
+def scene_hash(scene: Scene) -> str:
+    """SHA-256 of the scene's own text and of all files that it names, wherever they lie."""
+    import hashlib
+
+    from ..scene.file.scene_file import scene_files
+
+    digest = hashlib.sha256()
+    for name, content in scene_files(scene).items():
+        digest.update(f"{name} {len(content)} ".encode())
+        digest.update(content)
+    return digest.hexdigest()
+
+
+def now() -> str:
+    """Date and time, UTC, ISO 8601 to the second."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, of this package and of the packages that decide its numbers."""
+    found = {"python": ".".join(map(str, sys.version_info[:3])), "nlosoptics": __version__}
+    for name in DECIDING:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def peak_memory() -> float | None:
+    """Largest resident memory of this process, bytes; None where the system does not say."""
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # macOS counts bytes, Linux KiB
+    return float(peak) if sys.platform == "darwin" else 1024.0 * peak

@@ -1,0 +1,173 @@
+"""Nouns in a run's folder: arrays in ``.npz``, all else as JSON, nothing that runs when read."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import imaging, psf
+from ..errors import NlosError, SceneError
+from ..psf.aperture.aperture import Cell
+from ..psf.aperture.curves import Curve
+from . import plan
+from .record import arrays
+
+#: Of the tree that `written` makes; a reader knows its own alone.
+FORMAT: Final = 1
+REMEDY: Final = "run the simulation again"
+#: Classes that a tree may name, all others are refused; `inverse` would load torch.
+KNOWN: Final[Mapping[str, type]] = {
+    known.__name__: known
+    for known in (
+        plan.Plan,
+        plan.Stage,
+        psf.ExitPupil,
+        psf.Wavefront,
+        psf.Removed,
+        psf.Aperture,
+        Cell,
+        Curve,
+        psf.PointSpread,
+        psf.RoughPointSpread,
+        psf.HybridPointSpread,
+        psf.Regime,
+        psf.PointSpreadField,
+        imaging.SpeckleImage,
+    )
+}
+
+
+def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """Write the arrays of nouns, one ``.npz`` each, and return all else as a tree for JSON.
+
+    Parameters
+    ----------
+    nouns : mapping of str to object
+        Dataclasses, mappings, arrays, numbers, text and None, nested at will.
+    folder : Path
+        Takes ``<name>.npz`` of each noun that holds arrays. Every field that has the form of an
+        array stands there by its name, those within others joined by ``_``.
+
+    Returns
+    -------
+    dict of str to object
+        None, booleans, whole numbers, text and finite floats are JSON's own, and a float reads back
+        to its last bit; all else is an object of one key: ``float`` ("nan", "inf", "-inf"),
+        ``scalar`` of numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and ``list``
+        (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
+
+    Raises
+    ------
+    SceneError
+        If a value has no such form, as a tensor.
+    """
+    tree: dict[str, Any] = {}
+    for name, noun in nouns.items():
+        held: dict[str, NDArray[Any]] = {}
+        tree[name] = _node(noun, (name,), held)
+        if held:
+            np.savez(folder / f"{name}.npz", **(arrays(noun) | held))
+    return tree
+
+
+def _node(value: Any, place: tuple[str, ...], held: dict[str, NDArray[Any]]) -> Any:
+    if isinstance(value, np.generic):  # has indices and axes, which a number of Python lacks
+        return {"scalar": [value.dtype.str, _node(value.item(), place, held)]}
+    if isinstance(value, float) and not math.isfinite(value):
+        return {"float": str(value)}
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        entry = "_".join(place[1:]) or place[0]
+        held[entry] = value
+        return {"array": [place[0], entry]}
+    if type(value) in (tuple, list):
+        items = [_node(item, (*place, str(i)), held) for i, item in enumerate(value)]
+        return {type(value).__name__: items}
+    if isinstance(value, Mapping):
+        return {
+            "mapping": [[key, _node(item, (*place, str(key)), held)] for key, item in value.items()]
+        }
+    name = type(value).__name__
+    if is_dataclass(value) and (name in KNOWN or name == "Reconstruction"):
+        parts = {
+            entry.name: _node(getattr(value, entry.name), (*place, entry.name), held)
+            for entry in fields(value)
+            if entry.init
+        }
+        return {"noun": [name, parts]}
+    raise SceneError(f"{'.'.join(place)} is a {name}, which a result's folder has no form for")
+
+
+def read(tree: Any, folder: Path) -> dict[str, Any]:
+    """Nouns of a tree that `written` returned, made by their constructors, which check them.
+
+    Raises
+    ------
+    SceneError
+        If a file is missing or damaged, or the tree is none.
+    """
+    opened: dict[str, Mapping[str, NDArray[Any]]] = {}
+    try:
+        return {str(name): _value(node, folder, opened) for name, node in tree.items()}
+    except (NlosError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        if isinstance(error, _Damaged):
+            raise SceneError(str(error)) from None
+        raise SceneError(
+            f"{folder}: what is written of the result cannot be read "
+            f"({type(error).__name__}: {error}); {REMEDY}"
+        ) from None
+
+
+class _Damaged(SceneError):
+    """A file of arrays that cannot be read."""
+
+
+def _value(node: Any, folder: Path, opened: dict[str, Mapping[str, NDArray[Any]]]) -> Any:
+    if not isinstance(node, dict):
+        return node
+    ((kind, held),) = node.items()
+    if kind == "float":
+        return {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}[held]
+    if kind == "scalar":
+        return np.dtype(held[0]).type(_value(held[1], folder, opened))
+    if kind == "array":
+        file, entry = held
+        if file not in opened:
+            opened[file] = _entries(folder, str(file))
+        array = opened[file][entry]
+        array.flags.writeable = False
+        return array
+    if kind in ("tuple", "list"):
+        items = [_value(item, folder, opened) for item in held]
+        return tuple(items) if kind == "tuple" else items
+    if kind == "mapping":
+        return {key: _value(item, folder, opened) for key, item in held}
+    if kind != "noun":
+        raise KeyError(kind)
+    name, parts = held
+    values = {key: _value(item, folder, opened) for key, item in parts.items()}
+    if name == "Reconstruction":
+        from .. import inverse
+
+        return inverse.Reconstruction(**values)
+    return KNOWN[name](**values)
+
+
+def _entries(folder: Path, name: str) -> Mapping[str, NDArray[Any]]:
+    path = folder / f"{Path(name).name}.npz"
+    try:
+        with path.open("rb") as held, np.load(held, allow_pickle=False) as file:
+            return {entry: file[entry] for entry in file.files}
+    except FileNotFoundError:
+        raise _Damaged(f"{path} is missing; put it back, or {REMEDY}") from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise _Damaged(f"{path} is damaged ({type(error).__name__}: {error}); {REMEDY}") from None

@@ -1,0 +1,100 @@
+"""One-line messages for what is wrong in a scene file: key, value, limit and remedy."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from pydantic import ValidationError
+
+from ...errors import NlosError, SceneError
+from . import tables
+from .text import toml_value
+
+
+@contextmanager
+def located(place: str, inner: str = "") -> Iterator[None]:
+    """Put ``place`` before the message of an `NlosError`, instead of ``inner``."""
+    try:
+        yield
+    except NlosError as error:
+        raise type(error)(place + str(error).removeprefix(inner)) from None
+
+
+def validated(model: Any, raw: dict[str, Any]) -> Any:
+    """Read ``raw`` as ``model``; its first problem becomes a `SceneError`."""
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        raise SceneError(_first_problem(error, model)) from None
+
+
+def _first_problem(error: ValidationError, model: Any) -> str:
+    """One line for the first problem: a misspelt key before what it leaves missing."""
+    problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return _problem(problems[0], model) + more
+
+
+def _problem(problem: Any, model: Any) -> str:
+    location, kind = problem["loc"], problem["type"]
+    owner = model
+    for element in location[:-1]:
+        owner = tables.OWNERS.get(element, owner)
+    keys = [element for element in location if element not in tables.TAGS]
+    name = "".join(f"[{k}]" if isinstance(k, int) else f".{k}" for k in keys).lstrip(".")
+    value = _shown(problem["input"])
+    if kind == "extra_forbidden":
+        return _unknown_key(name, str(keys[-1]), value, owner)
+    if kind == "missing":
+        return missing_key(name, str(keys[-1]), top=len(keys) == 1)
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        return _unknown_choice(name, str(keys[0]), problem["input"])
+    if kind == "list_type" and isinstance(problem["input"], dict):
+        return f"{name} = {value} is one table; write [[{name}]] for each of them"
+    last = next((k for k in reversed(keys) if isinstance(k, str)), "")
+    example = tables.example(str(keys[0]), last)
+    hint = f"; write for example {toml_value(example)}" if example is not None else ""
+    if kind == "value_error":
+        return f"{name} = {value} {problem['ctx']['error']}{hint}"
+    if kind in ("model_type", "dict_type", "model_attributes_type"):
+        return f"{name} = {value} is not a table; write [{name}] and its keys below"
+    return f"{name} = {value}: {problem['msg'].replace('Input should', 'it should')}{hint}"
+
+
+def _unknown_key(name: str, key: str, value: str, owner: Any) -> str:
+    known = list(owner.model_fields)
+    near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]}?" if near else f"the keys here are {', '.join(known)}"
+    return f"{name} = {value} is an unknown key; {hint}"
+
+
+def missing_key(name: str, key: str, *, top: bool = False) -> str:
+    """Message for a key, or at the top a table, that is not there."""
+    if top:
+        return f"the table [{name}] is missing; add it with its keys"
+    example = tables.example(name.partition(".")[0], key)
+    return f"{name} is missing; add for example {key} = {toml_value(example)}"
+
+
+def _unknown_choice(name: str, section: str, value: Any) -> str:
+    """Message for a table whose deciding key is absent or unknown."""
+    if section == "hidden" and "material" not in name:
+        return "hidden.mesh stands beside hidden.image, limit is one of them; remove the other"
+    key, choices = ("lobe", tables.LOBES) if "material" in name else ("shape", tables.SHAPES)
+    if not isinstance(value, dict):
+        return f"{name} = {_shown(value)} is not a table; write [{name}] and its keys below"
+    if key not in value:
+        return missing_key(f"{name}.{key}", key)
+    near = difflib.get_close_matches(str(value[key]), choices, n=1, cutoff=0.5)
+    hint = f"; did you mean {toml_value(near[0])}?" if near else ""
+    known = ", ".join(choices)
+    return f"{name}.{key} = {_shown(value[key])} is unknown, must be one of {known}{hint}"
+
+
+def _shown(value: Any) -> str:
+    text = "{...}" if isinstance(value, dict) else json.dumps(value, default=str)
+    return text if len(text) <= 60 else text[:57] + "..."

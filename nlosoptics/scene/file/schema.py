@@ -1,0 +1,88 @@
+"""JSON schema of scene files, with the notes of the dataclasses' docstrings."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any
+
+from ..parts.camera import Camera
+from ..parts.hidden import MeshObject, PlanarObject
+from ..parts.laser import Laser
+from ..parts.materials import Lambert, OrenNayar, SpecularMicrofacet, Ward
+from ..parts.occluders import Occluder
+from ..parts.transient_scan import TransientScan
+from ..walls.analytic import ConcaveWall, FlatWall, SumWall, WavyWall
+from ..walls.height_maps import HeightMapWall
+from ..walls.mesh_walls import MeshWall
+from . import tables
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON schema of scene files, for editors that complete and check TOML."""
+    schema = tables.SceneFile.model_json_schema()
+    documented: dict[str, Any] = {
+        "LaserTable": Laser,
+        "FlatTable": FlatWall,
+        "SphereTable": ConcaveWall,
+        "CylinderTable": ConcaveWall,
+        "WavyTable": WavyWall,
+        "SumTable": SumWall,
+        "MeshWallTable": MeshWall,
+        "HeightMapTable": HeightMapWall,
+        "RandomTable": HeightMapWall.random,
+        "PictureTable": PlanarObject,
+        "MeshObjectTable": MeshObject,
+        "OccluderTable": Occluder,
+        "CameraTable": Camera,
+        "TransientTable": TransientScan,
+        "LambertTable": Lambert,
+        "OrenNayarTable": OrenNayar,
+        "SpecularTable": SpecularMicrofacet,
+        "WardTable": Ward,
+    }
+    for name, table in schema["$defs"].items():
+        notes = _parameter_notes(inspect.getdoc(documented[name]) or "")
+        section = "wall" if name in ("HeightMapTable", "RandomTable") else ""
+        for key, value in table["properties"].items():
+            _tidy(key, value, notes, section)
+    _tidy("", schema, {})
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "nlosoptics scene",
+        **schema,
+    }
+
+
+def _parameter_notes(docstring: str) -> dict[str, str]:
+    """First words on each parameter of a numpydoc docstring."""
+    notes: dict[str, str] = {}
+    names: list[str] = []
+    _, _, section = docstring.partition("Parameters\n----------\n")
+    for line in section.splitlines():
+        if line.startswith("---"):
+            break
+        if line and not line.startswith(" "):
+            names = line.partition(" : ")[0].strip().lstrip("*").split(", ")
+        elif line:
+            for name in names:
+                notes[name] = f"{notes.get(name, '')} {line.strip()}".strip()
+    return notes
+
+
+def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str], section: str = "") -> None:
+    """Drop nulls, which TOML has not, and add the notes and the example of ``key``."""
+    schema.pop("title", None)
+    if "default" in schema and schema["default"] is None:
+        del schema["default"]
+    choices = [choice for choice in schema.get("anyOf", ()) if choice != {"type": "null"}]
+    if len(choices) == 1:
+        del schema["anyOf"]
+        schema.update({**choices[0], **schema})
+    elif choices:
+        schema["anyOf"] = choices
+    if key in notes:
+        form = f" ({schema['description']})" if "description" in schema else ""
+        schema["description"] = notes[key] + form
+    example = tables.example(section, key)
+    if example is not None and not schema.keys() & {"const", "enum"}:
+        schema["examples"] = [example]

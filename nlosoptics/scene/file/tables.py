@@ -1,0 +1,483 @@
+"""The tables of a scene file, as pydantic models: which keys there are and how each is written.
+
+Limits are checked by the dataclasses that the tables become; defaults are theirs as well.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    Tag,
+    WithJsonSchema,
+)
+
+from ..._checks import Vector as Triple
+from .units import ANGLE, LENGTH, POWER, RATE, TIME, Kind, parse, written
+
+Pair = tuple[float, float]
+
+#: One right way of writing each key, shown by errors and editors.
+EXAMPLES: dict[str, Any] = {
+    "wavelength": "632.8 nm",
+    "power": "5 mW",
+    "beam_diameter": "3 mm",
+    "position": ["0.5 m", "0 m", "1 m"],
+    "aim": ["0 m", "0 m", "0 m"],
+    "distance": "1.2 m",
+    "incidence": "15 deg",
+    "azimuth": "0 deg",
+    "independent_patterns": 1,
+    "shape": "flat",
+    "size": ["0.4 m", "0.4 m"],
+    "radius": "5 m",
+    "axis": "y",
+    "amplitude": "0.1 mm",
+    "period": "250 mm",
+    "phase": "90 deg",
+    "direction": "0 deg",
+    "terms": [{"shape": "wavy", "amplitude": "0.1 mm", "period": "250 mm"}],
+    "mesh": "../walls/concave_5m.obj",
+    "heights": "../walls/measured.npy",
+    "wall.pitch": "1 mm",
+    "height_rms": "1 um",
+    "correlation_length": "10 mm",
+    "autocorrelation": "gaussian",
+    "seed": 0,
+    "scale": 1.0,
+    "material": {"lobe": "lambert", "albedo": 0.7},
+    "lobe": "lambert",
+    "albedo": 0.7,
+    "slope_rms": "0.3 rad",
+    "model": "full",
+    "normalised": True,
+    "alpha": 0.4,
+    "variant": "bounded",
+    "reflectance": 0.05,
+    "distribution": "ggx",
+    "image": "../objects/F.png",
+    "yaw": "10 deg",
+    "pitch": "10 deg",
+    "roll": "10 deg",
+    "file": "camera_wu2024.toml",
+    "focal_length": "50 mm",
+    "field_of_view": "40 deg",
+    "sensor_width": "36.864 mm",
+    "stop_diameter": "25 mm",
+    "f_number": 2.0,
+    "pixel_pitch": "9 um",
+    "pixels": [4096, 4096],
+    "binning": 8,
+    "exposure": "40 ms",
+    "quantum_efficiency": 0.7,
+    "transmission": 0.9,
+    "full_well": 70e3,
+    "read_noise": 3.6,
+    "dark_current": "0.1 / s",
+    "bit_depth": 16,
+    "focus_distance": "2 m",
+    "glare_fraction": 0.0,
+    "field_stop": "40 deg",
+    "side": "2 m",
+    "count": 32,
+    "scan": "single",
+    "delta_t": "1 cm",
+    "n_bins": 200,
+    "t_start": "1.8 m",
+    "max_bounces": 3,
+    "wl_mean": "25 cm",
+    "near": "0.8 m",
+    "far": "1.2 m",
+    "step": "2 cm",
+}
+
+
+def example(section: str, key: str) -> Any:
+    """One right way of writing ``key`` in the table ``section``; None for a key without one."""
+    return EXAMPLES.get(f"{section}.{key}", EXAMPLES.get(key))
+
+
+# What tells tables apart, and the tags of their classes. Tags hold a colon, so that an element of
+# a pydantic location is either a key or a tag.
+LOBES = {name: f"lobe:{name}" for name in ("lambert", "oren_nayar", "specular", "ward")}
+SHAPES = {
+    "flat": "wall:flat",
+    "concave_sphere": "wall:sphere",
+    "convex_sphere": "wall:sphere",
+    "concave_cylinder": "wall:cylinder",
+    "convex_cylinder": "wall:cylinder",
+    "wavy": "wall:wavy",
+    "sum": "wall:sum",
+    "mesh": "wall:mesh",
+    "height_map": "wall:height_map",
+    "random": "wall:random",
+}
+
+
+def _string(kind: Kind) -> dict[str, Any]:
+    return {
+        "type": "string",
+        "pattern": r"^\s*[+-]?(\d[\d_]*\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[^\d\s].*$",
+        "description": f"{kind.name} with its unit, such as {kind.example}",
+    }
+
+
+def _quantity(kind: Kind) -> Any:
+    return (
+        PlainValidator(lambda text: parse(text, kind)),
+        PlainSerializer(lambda value: written(value, kind)),
+        WithJsonSchema(_string(kind)),
+    )
+
+
+def _several(text: object, count: int) -> tuple[float, ...]:
+    if not isinstance(text, list):
+        raise ValueError("is not a list")
+    if len(text) != count:
+        raise ValueError(f"has {len(text)} components, must have {count}")
+    return tuple(parse(component, LENGTH) for component in text)
+
+
+def _parse_size(text: object) -> Any:
+    return _several(text, 2) if isinstance(text, list) else parse(text, LENGTH)
+
+
+def _write_lengths(value: Any) -> Any:
+    if isinstance(value, float):
+        return written(value, LENGTH)
+    return [written(component, LENGTH) for component in value]
+
+
+def _array(count: int) -> dict[str, Any]:
+    return {"type": "array", "items": _string(LENGTH), "minItems": count, "maxItems": count}
+
+
+LengthText = Annotated[float, *_quantity(LENGTH)]
+TimeText = Annotated[float, *_quantity(TIME)]
+RateText = Annotated[float, *_quantity(RATE)]
+PowerText = Annotated[float, *_quantity(POWER)]
+AngleText = Annotated[float, *_quantity(ANGLE)]
+VectorText = Annotated[
+    Triple,
+    PlainValidator(lambda text: _several(text, 3)),
+    PlainSerializer(_write_lengths),
+    WithJsonSchema(_array(3)),
+]
+SizeText = Annotated[
+    Pair | float,
+    PlainValidator(_parse_size),
+    PlainSerializer(_write_lengths),
+    WithJsonSchema({"anyOf": [_string(LENGTH), _array(2)]}),
+]
+
+
+class Table(BaseModel):
+    """A table of the file: unknown keys are errors, numbers are not read from strings."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+
+class LambertTable(Table):
+    """Ideal diffuse lobe."""
+
+    lobe: Literal["lambert"]
+    albedo: float
+
+
+class OrenNayarTable(Table):
+    """Rough diffuse lobe."""
+
+    lobe: Literal["oren_nayar"]
+    albedo: float
+    slope_rms: AngleText
+    model: Literal["fit", "full"] | None = None
+    normalised: bool | None = None
+
+
+class SpecularTable(Table):
+    """Mirror-like lobe."""
+
+    lobe: Literal["specular"]
+    reflectance: float
+    slope_rms: AngleText
+    distribution: Literal["beckmann", "ggx"] | None = None
+
+
+class WardTable(Table):
+    """Lobe of Ward's about the mirror direction."""
+
+    lobe: Literal["ward"]
+    albedo: float
+    alpha: float
+    variant: Literal["1992", "duer", "bounded"] | None = None
+
+
+def _choose(key: str, tables: dict[str, str]) -> Discriminator:
+    """Tell tables apart by the value of ``key``; ``tables`` maps values to tags."""
+
+    def tag(table: Any) -> str | None:
+        value = table.get(key) if isinstance(table, dict) else getattr(table, key, None)
+        return tables.get(value) if isinstance(value, str) else None
+
+    return Discriminator(tag)
+
+
+LobeTable = Annotated[
+    Annotated[LambertTable, Tag("lobe:lambert")]
+    | Annotated[OrenNayarTable, Tag("lobe:oren_nayar")]
+    | Annotated[SpecularTable, Tag("lobe:specular")]
+    | Annotated[WardTable, Tag("lobe:ward")],
+    _choose("lobe", LOBES),
+]
+#: One table is a lobe by itself, an array of tables is their sum.
+MaterialTable = Annotated[
+    Annotated[LobeTable, Tag("material:one")]
+    | Annotated[list[LobeTable], Tag("material:sum"), Field(min_length=1)],
+    Discriminator(lambda value: "material:sum" if isinstance(value, list) else "material:one"),
+]
+
+
+class LaserTable(Table):
+    """The laser; ``distance`` and ``incidence`` from ``aim`` may stand for ``position``."""
+
+    wavelength: LengthText
+    power: PowerText
+    beam_diameter: LengthText
+    aim: VectorText | None = None
+    position: VectorText | None = None
+    distance: LengthText | None = Field(None, description="from aim to where the beam starts")
+    incidence: AngleText | None = Field(None, description="between the beam and the wall's normal")
+    azimuth: AngleText | None = Field(None, description="of the beam's start, from +x toward +y")
+    independent_patterns: int | None = None
+
+
+class _WallTable(Table):
+    shape: str
+    size: SizeText | None = None
+    material: MaterialTable | None = None
+
+
+class FlatTable(_WallTable):
+    """Flat wall."""
+
+    shape: Literal["flat"]
+
+
+class SphereTable(_WallTable):
+    """Spherical wall."""
+
+    shape: Literal["concave_sphere", "convex_sphere"]
+    radius: LengthText
+
+
+class CylinderTable(_WallTable):
+    """Cylindrical wall."""
+
+    shape: Literal["concave_cylinder", "convex_cylinder"]
+    radius: LengthText
+    axis: Literal["x", "y"] | None = None
+
+
+class WavyTable(_WallTable):
+    """Wall with a sinusoidal wave."""
+
+    shape: Literal["wavy"]
+    amplitude: LengthText
+    period: LengthText
+    phase: AngleText | None = None
+    direction: AngleText | None = None
+
+
+class SumTable(_WallTable):
+    """Wall whose height is the sum of several."""
+
+    shape: Literal["sum"]
+    terms: list[WallTable] = Field(min_length=1)
+
+
+class MeshWallTable(Table):
+    """Wall from a mesh file; its size is the mesh's."""
+
+    shape: Literal["mesh"]
+    mesh: str
+    scale: float | None = None
+    material: MaterialTable | None = None
+
+
+class HeightMapTable(_WallTable):
+    """Wall through heights on a grid, m, in an .npy file."""
+
+    shape: Literal["height_map"]
+    heights: str
+    pitch: LengthText
+
+
+class RandomTable(Table):
+    """Wall through heights drawn at random."""
+
+    shape: Literal["random"]
+    height_rms: LengthText
+    correlation_length: LengthText
+    size: SizeText
+    pitch: LengthText
+    autocorrelation: Literal["gaussian", "exponential"] | None = None
+    seed: int | None = None
+    material: MaterialTable | None = None
+
+
+WallTable = Annotated[
+    Annotated[FlatTable, Tag("wall:flat")]
+    | Annotated[SphereTable, Tag("wall:sphere")]
+    | Annotated[CylinderTable, Tag("wall:cylinder")]
+    | Annotated[WavyTable, Tag("wall:wavy")]
+    | Annotated[SumTable, Tag("wall:sum")]
+    | Annotated[MeshWallTable, Tag("wall:mesh")]
+    | Annotated[HeightMapTable, Tag("wall:height_map")]
+    | Annotated[RandomTable, Tag("wall:random")],
+    _choose("shape", SHAPES),
+]
+
+
+class _HiddenTable(Table):
+    position: VectorText
+    yaw: AngleText | None = None
+    pitch: AngleText | None = None
+    roll: AngleText | None = None
+    material: MaterialTable | None = None
+
+
+class PictureTable(_HiddenTable):
+    """Hidden picture on a plane."""
+
+    image: str
+    size: SizeText
+
+
+class MeshObjectTable(_HiddenTable):
+    """Hidden mesh."""
+
+    mesh: str
+    scale: float | None = None
+
+
+def _hidden_tag(table: Any) -> str:
+    if isinstance(table, MeshObjectTable):
+        return "hidden:mesh"
+    if isinstance(table, dict) and "mesh" in table:
+        return "hidden:both" if "image" in table else "hidden:mesh"
+    return "hidden:picture"
+
+
+class OccluderTable(Table):
+    """A black mesh that blocks light."""
+
+    mesh: str
+    scale: float | None = None
+    position: VectorText | None = None
+    yaw: AngleText | None = None
+    pitch: AngleText | None = None
+    roll: AngleText | None = None
+
+
+HiddenTable = Annotated[
+    Annotated[PictureTable, Tag("hidden:picture")] | Annotated[MeshObjectTable, Tag("hidden:mesh")],
+    Discriminator(_hidden_tag),
+]
+
+
+class CameraTable(Table):
+    """The camera; keys of the table that ``file`` names are taken over and may be overridden."""
+
+    file: str | None = Field(None, description="file whose [camera] table this one starts from")
+    position: VectorText | None = None
+    aim: VectorText | None = None
+    focal_length: LengthText | None = None
+    field_of_view: AngleText | None = Field(
+        None, description="full angle across sensor_width; stands for focal_length"
+    )
+    sensor_width: LengthText | None = Field(
+        None, description="width that field_of_view spans; default pixels[0] pixel_pitch"
+    )
+    stop_diameter: LengthText | None = None
+    f_number: float | None = Field(
+        None, description="focal_length / stop_diameter; stands for stop_diameter"
+    )
+    pixel_pitch: LengthText | None = None
+    pixels: list[int] | None = Field(None, min_length=2, max_length=2)
+    binning: int | None = None
+    exposure: TimeText | None = None
+    quantum_efficiency: float | None = None
+    transmission: float | None = None
+    full_well: float | None = None
+    read_noise: float | None = None
+    dark_current: RateText | None = None
+    bit_depth: int | None = None
+    focus_distance: LengthText | None = None
+    glare_fraction: float | None = None
+    field_stop: AngleText | None = None
+
+
+class CameraFile(Table):
+    """A file that holds a camera alone."""
+
+    camera: CameraTable
+
+
+class TransientTable(Table):
+    """How light is taken over time; times are lengths of optical path."""
+
+    side: LengthText
+    count: int
+    delta_t: LengthText
+    n_bins: int
+    scan: Literal["single", "confocal", "exhaustive"] | None = None
+    t_start: LengthText | None = None
+    max_bounces: int | None = None
+    wl_mean: LengthText | None = None
+    near: LengthText | None = None
+    far: LengthText | None = None
+    step: LengthText | None = None
+
+
+class SceneFile(Table):
+    """A scene file."""
+
+    laser: LaserTable
+    wall: WallTable
+    hidden: HiddenTable
+    camera: CameraTable
+    occluder: list[OccluderTable] | None = None
+    transient: TransientTable | None = None
+
+
+SumTable.model_rebuild()
+
+#: Tables by the element of a pydantic location that leads to them.
+OWNERS: dict[str, type[Table]] = {
+    "laser": LaserTable,
+    "camera": CameraTable,
+    "occluder": OccluderTable,
+    "transient": TransientTable,
+    "lobe:lambert": LambertTable,
+    "lobe:oren_nayar": OrenNayarTable,
+    "lobe:specular": SpecularTable,
+    "lobe:ward": WardTable,
+    "wall:flat": FlatTable,
+    "wall:sphere": SphereTable,
+    "wall:cylinder": CylinderTable,
+    "wall:wavy": WavyTable,
+    "wall:sum": SumTable,
+    "wall:mesh": MeshWallTable,
+    "wall:height_map": HeightMapTable,
+    "wall:random": RandomTable,
+    "hidden:picture": PictureTable,
+    "hidden:mesh": MeshObjectTable,
+}
+#: Elements of a pydantic location that stand for no key.
+TAGS = {*OWNERS, "material:one", "material:sum"} - {"laser", "camera", "occluder", "transient"}

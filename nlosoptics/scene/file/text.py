@@ -1,0 +1,244 @@
+"""Scenes into the text of scene files, in SI units."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import SceneError
+from ..parts._sources import SourceFile, array_file, mesh_file, picture_file
+from ..parts.hidden import MeshObject, PlanarObject
+from ..parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from ..parts.occluders import Occluder
+from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
+from ..walls.height_maps import HeightMapWall
+from ..walls.mesh_walls import MeshWall
+from . import tables as _file_tables
+
+#: Name in the text of the file of a key; what is in memory is given as suffix and bytes.
+Naming = Callable[[str, SourceFile | tuple[str, bytes]], str]
+
+
+def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
+    """Scene file of ``scene`` at ``path``, SI units, and files beside it for what is in memory.
+
+    Returns
+    -------
+    dict of Path to bytes
+        Files stay where they are and are named relative to the folder. Pictures, heights and meshes
+        in memory are called by the file's stem and their keys: ``room_hidden_image.png``.
+
+    Raises
+    ------
+    SceneError
+        If a wall or material has no form in a scene file.
+    """
+    base = path.parent.resolve()
+    made: dict[Path, bytes] = {}
+
+    def placed(key: str, held: SourceFile | tuple[str, bytes]) -> str:
+        if isinstance(held, SourceFile):
+            return _relative(held, base)
+        name = f"{path.stem}_{_name(key)}{held[0]}"
+        made[path.with_name(name)] = held[1]
+        return name
+
+    text = _text(scene, placed)
+    return {**made, path: text.encode()}
+
+
+def scene_files(scene: Any) -> dict[str, bytes]:
+    """Files of a folder that holds all of ``scene``, wherever it is moved.
+
+    Returns
+    -------
+    dict of str to bytes
+        ``scene.toml``, and copies of the pictures, meshes and heights that it names, which are
+        called by their keys, such as ``hidden_image.png``.
+
+    Raises
+    ------
+    SceneError
+        If a file cannot be read, or a wall or material has no form in a scene file.
+    """
+    copies: dict[str, bytes] = {}
+
+    def copied(key: str, held: SourceFile | tuple[str, bytes]) -> str:
+        try:
+            suffix, content = (held.suffix, held.content) if isinstance(held, SourceFile) else held
+        except SceneError as error:
+            raise SceneError(f"{key}: {error}") from None
+        copies[_name(key) + suffix] = content
+        return _name(key) + suffix
+
+    return {"scene.toml": _text(scene, copied).encode(), **copies}
+
+
+def _text(scene: Any, named: Naming) -> str:
+    laser, camera = scene.laser, scene.camera
+    tables = _file_tables.SceneFile.model_construct(
+        laser=_file_tables.LaserTable.model_construct(**vars(laser)),
+        wall=_wall_table("wall", scene.wall, named, _material_table(scene.wall_material)),
+        hidden=_hidden_table(scene.hidden, named),
+        camera=_file_tables.CameraTable.model_construct(
+            **vars(camera) | {"pixels": list(camera.pixels)}
+        ),
+        occluder=[
+            _occluder_table(f"occluder[{index}].mesh", occluder, named)
+            for index, occluder in enumerate(scene.occluders)
+        ]
+        or None,
+        transient=None
+        if scene.transient is None
+        else _file_tables.TransientTable.model_construct(**vars(scene.transient)),
+    )
+    return _toml(tables.model_dump(exclude_none=True))
+
+
+def _material_table(material: Material) -> Any:
+    if isinstance(material, SumMaterial):
+        return [_material_table(part) for part in material.parts]
+    if isinstance(material, Lambert):
+        return _file_tables.LambertTable.model_construct(lobe="lambert", albedo=material.rho)
+    if isinstance(material, OrenNayar):
+        return _file_tables.OrenNayarTable.model_construct(
+            lobe="oren_nayar",
+            albedo=material.rho,
+            slope_rms=material.slope_rms,
+            model=material.model,
+            normalised=material.normalised,
+        )
+    if isinstance(material, SpecularMicrofacet):
+        return _file_tables.SpecularTable.model_construct(lobe="specular", **vars(material))
+    if isinstance(material, Ward):
+        return _file_tables.WardTable.model_construct(
+            lobe="ward", albedo=material.rho, alpha=material.alpha, variant=material.variant
+        )
+    raise SceneError(f"{type(material).__name__} has no form in a scene file; write a sum of lobes")
+
+
+def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> Any:
+    common = {"size": wall.size, "material": material}
+    if isinstance(wall, MeshWall):
+        return _file_tables.MeshWallTable.model_construct(
+            shape="mesh",
+            mesh=_file(f"{key}.mesh", wall.mesh, named),
+            scale=wall.scale,
+            material=material,
+        )
+    if isinstance(wall, HeightMapWall) and wall.drawn is not None:
+        return _file_tables.RandomTable.model_construct(
+            shape="random", material=material, **wall.drawn
+        )
+    if isinstance(wall, HeightMapWall):
+        return _file_tables.HeightMapTable.model_construct(
+            shape="height_map",
+            heights=_file(f"{key}.heights", wall.heights, named),
+            pitch=wall.pitch,
+            **common,
+        )
+    if isinstance(wall, FlatWall):
+        return _file_tables.FlatTable.model_construct(shape="flat", **common)
+    if isinstance(wall, WavyWall):
+        return _file_tables.WavyTable.model_construct(shape="wavy", **{**vars(wall), **common})
+    if isinstance(wall, SumWall):
+        terms = [
+            _wall_table(f"{key}.terms[{index}]", term, named)
+            for index, term in enumerate(wall.terms)
+        ]
+        return _file_tables.SumTable.model_construct(shape="sum", terms=terms, **common)
+    if isinstance(wall, (ConcaveWall, ConvexWall)):
+        shape = f"{'concave' if isinstance(wall, ConcaveWall) else 'convex'}_{wall.shape}"
+        if wall.shape == "sphere":
+            return _file_tables.SphereTable.model_construct(
+                shape=shape, radius=wall.radius, **common
+            )
+        return _file_tables.CylinderTable.model_construct(
+            shape=shape, radius=wall.radius, axis=wall.axis, **common
+        )
+    raise SceneError(
+        f"{type(wall).__name__} has no form in a scene file; save its heights as an .npy file and "
+        "use HeightMapWall"
+    )
+
+
+def _hidden_table(hidden: PlanarObject | MeshObject, named: Naming) -> Any:
+    common = {name: getattr(hidden, name) for name in ("position", "yaw", "pitch", "roll")}
+    common["material"] = _material_table(hidden.material)
+    if isinstance(hidden, PlanarObject):
+        image = _file("hidden.image", hidden.image, named)
+        return _file_tables.PictureTable.model_construct(image=image, size=hidden.size, **common)
+    mesh = _file("hidden.mesh", hidden.mesh, named)
+    return _file_tables.MeshObjectTable.model_construct(mesh=mesh, scale=hidden.scale, **common)
+
+
+def _occluder_table(key: str, occluder: Any, named: Naming) -> Any:
+    if not isinstance(occluder, Occluder):
+        occluder = Occluder(occluder)
+    places = {key: getattr(occluder, key) for key in ("scale", "position", "yaw", "pitch", "roll")}
+    mesh = _file(key, occluder.mesh, named)
+    return _file_tables.OccluderTable.model_construct(mesh=mesh, **places)
+
+
+def _file(key: str, held: Any, named: Naming) -> str:
+    if isinstance(held, SourceFile):
+        return named(key, held)
+    if key == "hidden.image":
+        return named(key, picture_file(held))
+    if isinstance(held, np.ndarray):
+        return named(key, (".npy", array_file(held)))
+    return named(key, (".ply", mesh_file(held)))
+
+
+def _name(key: str) -> str:
+    return "_".join(re.findall(r"\w+", key))
+
+
+def _relative(path: Path, base: Path) -> str:
+    try:
+        return Path(os.path.relpath(path, base)).as_posix()
+    except ValueError:  # another drive
+        return path.as_posix()
+
+
+def _toml(document: dict[str, Any]) -> str:
+    """Write nested tables and arrays of tables."""
+    lines: list[str] = []
+    for name, table in document.items():
+        _toml_table(name, table, lines)
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _toml_table(name: str, table: Any, lines: list[str], brackets: str = "[]") -> None:
+    if isinstance(table, list):
+        for item in table:
+            _toml_table(name, item, lines, "[[]]")
+        return
+    half = len(brackets) // 2
+    lines += ["", f"{brackets[:half]}{name}{brackets[half:]}"]
+    nested = {
+        key: value
+        for key, value in table.items()
+        if isinstance(value, dict) or (isinstance(value, list) and isinstance(value[0], dict))
+    }
+    lines += [f"{key} = {toml_value(value)}" for key, value in table.items() if key not in nested]
+    for key, value in nested.items():
+        _toml_table(f"{name}.{key}", value, lines)
+
+
+def toml_value(value: Any) -> str:
+    """Write one value; a float as the shortest text that reads back."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{k} = {toml_value(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(toml_value(item) for item in value) + "]"
+    if isinstance(value, float):
+        return repr(value)
+    # a JSON string is a TOML string, but for the one control character that JSON leaves bare
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

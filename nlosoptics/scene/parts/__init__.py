@@ -1,0 +1,1 @@
+"""Laser, camera, hidden object, occluders and materials."""

@@ -1,0 +1,185 @@
+"""The camera: a thin lens, its stop and a pixel detector."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import Vector, in_range, positive, vector, whole
+from ...errors import SceneError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """Thin lens with its stop at the lens, and a square-pixel detector behind it.
+
+    Parameters
+    ----------
+    position : (float, float, float)
+        Centre of the lens, m.
+    aim : (float, float, float)
+        A point on the optical axis in front of the lens, m.
+    focal_length : float
+        m.
+    stop_diameter : float
+        Clear diameter of the lens, m.
+    pixel_pitch : float
+        Native pixel, m.
+    pixels : (int, int)
+        Native pixels that are read in x and y: the sensor, or its region of interest, centred on
+        the axis.
+    binning : int
+        Native pixels summed along each side of an image pixel.
+    exposure : float
+        s.
+    quantum_efficiency : float
+        Electrons per photon, 0 to 1.
+    transmission : float
+        Of the lens, 0 to 1.
+    full_well : float
+        Electrons that a native pixel holds.
+    read_noise : float
+        rms electrons per native pixel and readout.
+    dark_current : float
+        Electrons per native pixel and second.
+    bit_depth : int
+        Bits of the converter; one step is full_well/2^bit_depth electrons.
+    focus_distance : float or None
+        Axial distance in front of the lens that is in focus, m; None for the mirror image of the
+        hidden object.
+    glare_fraction : float
+        Share of the laser spot's light through the lens that spreads evenly over the sensor.
+    field_stop : float or None
+        Full angle, rad, of a round baffle in front of the lens; what lies outside it, the laser
+        spot and its glare included, is not seen. None for no baffle.
+
+    Notes
+    -----
+    Image axes: x along ``e1 = unit(Y x n)``, y along ``e2 = n x e1``, n from the lens along the
+    axis, Y = (0, 1, 0) (X when n is parallel to Y). A lens image is inverted, so an image array
+    drawn with row 0 on top is what the camera shows.
+    """
+
+    position: Vector
+    aim: Vector
+    focal_length: float
+    stop_diameter: float
+    pixel_pitch: float = 9e-6
+    pixels: tuple[int, int] = (4096, 4096)
+    binning: int = 8
+    exposure: float = 40e-3
+    quantum_efficiency: float = 0.7
+    transmission: float = 0.9
+    full_well: float = 70e3
+    read_noise: float = 3.6
+    dark_current: float = 0.0
+    bit_depth: int = 16
+    focus_distance: float | None = None
+    glare_fraction: float = 0.0
+    field_stop: float | None = None
+
+    def __post_init__(self) -> None:
+        put = object.__setattr__
+        for name in ("position", "aim"):
+            put(self, name, vector(f"camera.{name}", getattr(self, name)))
+        for name, unit in (
+            ("focal_length", "m"),
+            ("stop_diameter", "m"),
+            ("pixel_pitch", "m"),
+            ("exposure", "s"),
+            ("full_well", "electrons"),
+        ):
+            put(self, name, positive(f"camera.{name}", getattr(self, name), unit=unit))
+        for name in ("read_noise", "dark_current"):
+            put(self, name, in_range(f"camera.{name}", getattr(self, name), 0.0))
+        for name in ("quantum_efficiency", "transmission"):
+            value = in_range(f"camera.{name}", getattr(self, name), 0.0, 1.0, open_low=True)
+            put(self, name, value)
+        put(self, "glare_fraction", in_range("camera.glare_fraction", self.glare_fraction, 0, 1))
+        if not isinstance(self.pixels, (tuple, list)) or len(self.pixels) != 2:
+            raise SceneError(f"camera.pixels = {self.pixels!r}; give two whole numbers, x and y")
+        put(self, "pixels", tuple(whole("camera.pixels", n) for n in self.pixels))
+        put(self, "binning", whole("camera.binning", self.binning))
+        put(self, "bit_depth", whole("camera.bit_depth", self.bit_depth))
+        if self.bit_depth > 32:
+            raise SceneError(f"camera.bit_depth = {self.bit_depth} is too many, must be 1 to 32")
+        if any(n % self.binning for n in self.pixels):
+            raise SceneError(
+                f"camera.binning = {self.binning} does not divide camera.pixels = {self.pixels}; "
+                "use a common divisor"
+            )
+        if self.focus_distance is not None:
+            focus_distance = positive("camera.focus_distance", self.focus_distance, unit="m")
+            put(self, "focus_distance", focus_distance)
+            if self.focus_distance <= self.focal_length:
+                raise SceneError(
+                    f"camera.focus_distance = {self.focus_distance:g} m is within the focal length "
+                    f"{self.focal_length:g} m; nothing there has a real image"
+                )
+        if self.field_stop is not None:
+            put(
+                self,
+                "field_stop",
+                in_range("camera.field_stop", self.field_stop, 0, math.pi, open_low=True),
+            )
+        if self.position[2] <= 0:
+            raise SceneError(
+                f"camera.position has z = {self.position[2]:g} m, behind the wall; must be above 0"
+            )
+        if self.aim == self.position:
+            raise SceneError("camera.aim equals camera.position; aim at a point of the wall")
+        if self.axis[2] >= 0:
+            raise SceneError(
+                f"camera.aim = {self.aim} looks away from the wall, its z must be below the "
+                f"camera's {self.position[2]:g} m"
+            )
+
+    @property
+    def axis(self) -> NDArray[np.float64]:
+        """Unit vector from the lens along the optical axis, world frame."""
+        n = np.subtract(self.aim, self.position)
+        return np.asarray(n / np.linalg.norm(n))
+
+    @property
+    def frame(self) -> NDArray[np.float64]:
+        """Rows e1, e2, n of the camera's axes, world frame, (3, 3)."""
+        return pupil_frame(self.axis)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Image shape (ny, nx) after binning."""
+        return (self.pixels[1] // self.binning, self.pixels[0] // self.binning)
+
+    @property
+    def image_pitch(self) -> float:
+        """Side of an image pixel after binning, m."""
+        return self.pixel_pitch * self.binning
+
+    def resized(self, size: int) -> Camera:
+        """The same camera and field, binned to ``size`` image pixels along x.
+
+        Raises
+        ------
+        SceneError
+            If ``size`` does not divide the native pixels.
+        """
+        whole("size", size)
+        if self.pixels[0] % size or self.pixels[1] % (self.pixels[0] // size):
+            divisors = [n for n in range(16, self.pixels[0] + 1) if self.pixels[0] % n == 0]
+            nearest = min(divisors, key=lambda n: abs(n - size), default=self.pixels[0])
+            raise SceneError(
+                f"size = {size} does not divide camera.pixels = {self.pixels}; nearest is {nearest}"
+            )
+        return replace(self, binning=self.pixels[0] // size)
+
+
+def pupil_frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows e1 = unit(Y x n), e2 = n x e1 and n for the unit vector n = ``axis``."""
+    e1 = np.cross((0.0, 1.0, 0.0), axis)
+    if np.linalg.norm(e1) < 1e-12:
+        e1 = np.cross((1.0, 0.0, 0.0), axis)
+    e1 = e1 / np.linalg.norm(e1)
+    return np.stack([e1, np.cross(axis, e1), axis])

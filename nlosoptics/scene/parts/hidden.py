@@ -1,0 +1,229 @@
+"""Hidden objects: a picture on a posed plane, or a triangle mesh."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import is_single, pair, real
+from ...errors import SceneError
+from ._posed import Posed, PosedMesh
+from ._sources import SourceFile, picture_file, source
+from .materials import Lambert, Material
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+
+
+def _check_hidden(hidden: PlanarObject | MeshObject) -> None:
+    """Refuse what is no material, and a position behind the wall."""
+    if not isinstance(hidden.material, Material):
+        raise SceneError(
+            f"hidden.material = {hidden.material!r} is a {type(hidden.material).__name__}; give a "
+            "Material, such as Lambert(0.8)"
+        )
+    if hidden.position[2] <= 0:
+        raise SceneError(
+            f"hidden.position has z = {hidden.position[2]:g} m, behind the wall; must be above 0"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PlanarObject(Posed):
+    """A picture on a plane, the usual hidden letter.
+
+    Unturned it faces the wall with its top toward +y: a viewer at the wall reads it, so its right
+    points to -x and its normal to -z.
+
+    Parameters
+    ----------
+    image : str, Path or array_like (ny, nx)
+        File (PNG, TIFF, JPEG or ``.npy``) or array, row 0 on top; brightness 0 to 1 (8- and 16-bit
+        integers: 0 to the type's largest) scales the material's reflectance.
+    size : float or (float, float)
+        Width and height, m; one number is the width, and the picture's shape gives the height.
+    position : (float, float, float)
+        Centre, m, world.
+    yaw, pitch, roll : float
+        Turns about world y, x and z, rad, roll first.
+    material : Material
+        Of a white pixel.
+    """
+
+    table: ClassVar[str] = "hidden"
+    source: ClassVar[str] = "image"
+    image: Any
+    size: Any
+    _: KW_ONLY
+    material: Material = Lambert(0.8)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_hidden(self)
+        put = object.__setattr__
+        put(self, "image", source(self.image))
+        if not isinstance(self.image, SourceFile):
+            put(self, "image", checked_picture("hidden.image", self.image))
+        if is_single(self.size):
+            ny, nx = self.reflectance.shape
+            width = real("hidden.size[x]", self.size)
+            put(self, "size", pair("hidden.size", (width, width * ny / nx)))
+        else:
+            put(self, "size", pair("hidden.size", self.size))
+        drop = self.position[2] - float(self.corners[:, 2].min())
+        if self.position[2] <= drop:
+            raise SceneError(
+                f"hidden.position has z = {self.position[2]:g} m, which puts a corner of the "
+                f"picture at z = {self.position[2] - drop:g} m, behind the wall; move it into the "
+                "room, turn it less or make hidden.size smaller"
+            )
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = super().__getstate__()
+        if not isinstance(self.image, SourceFile):
+            state["image"] = picture_file(self.image)
+        return state
+
+    def __setstate__(self, state: Mapping[str, Any]) -> None:
+        super().__setstate__(state)
+        if isinstance(self.image, tuple):
+            picture = checked_picture("hidden.image", _decoded(*self.image))
+            object.__setattr__(self, "image", picture)
+
+    def _same_source(self, other: Any) -> bool:
+        if isinstance(self.image, SourceFile) == isinstance(other.image, SourceFile):
+            return super()._same_source(other)
+        return np.array_equal(self.reflectance, other.reflectance)
+
+    @cached_property
+    def reflectance(self) -> Array:
+        """Picture as relative reflectance, (ny, nx) float64, 0 to 1, row 0 on top."""
+        if isinstance(self.image, SourceFile):
+            return read_picture(self.image)
+        return np.asarray(self.image)
+
+    @property
+    def axes(self) -> Array:
+        """Rows right, up and normal of the picture, world frame, (3, 3)."""
+        unturned = np.array([[-1.0, 0, 0], [0, 1, 0], [0, 0, -1]])
+        return np.asarray(unturned @ self.rotation.T)
+
+    @property
+    def corners(self) -> Array:
+        """Corners of the picture, m, world frame, (4, 3)."""
+        right, up, _ = self.axes
+        sides = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2 * self.size
+        return np.asarray(self.position + sides[:, :1] * right + sides[:, 1:] * up)
+
+
+def checked_picture(name: str, values: Any) -> Array:
+    """Scale brightness to 0 to 1 (8 and 16 bits: by their type's largest), check and lock it."""
+    try:
+        raw = np.asarray(values)
+    except ValueError:
+        raise SceneError(
+            f"{name} has rows of unlike length; give a grey picture (ny, nx)"
+        ) from None
+    if raw.ndim != 2 or raw.size == 0:
+        raise SceneError(f"{name} has shape {raw.shape}; give a grey picture (ny, nx)")
+    if raw.dtype.kind not in "biuf":
+        raise SceneError(f"{name} holds {raw.dtype} values; give real brightness from 0 to 1")
+    short = raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2
+    scale = float(np.iinfo(raw.dtype).max) if short else 1.0
+    picture = raw.astype(np.float64) / scale
+    if not np.isfinite(picture).all():
+        raise SceneError(f"{name} holds NaN or infinity; give finite brightness")
+    low, high = float(picture.min()), float(picture.max())
+    if low < 0 or high > 1:
+        raise SceneError(f"{name} spans {low:g} to {high:g}, must be within 0 to 1; rescale it")
+    picture.flags.writeable = False
+    return picture
+
+
+def read_picture(path: Path) -> Array:
+    """Read a picture file as relative reflectance, (ny, nx), 0 to 1, row 0 on top.
+
+    Raises
+    ------
+    SceneError
+        If the file is missing, is not a picture, or is empty.
+    """
+    file = SourceFile.at(path)
+    if not file.is_held and not file.is_file():
+        raise SceneError(f"hidden.image: there is no file {path}; give the path of a picture")
+    content = file.content
+    try:
+        raw = _decoded(path.suffix, content)
+    # Pillow's decoders raise SyntaxError, and its guard against bombs an Exception of its own
+    except Exception as error:
+        raise SceneError(
+            f"hidden.image: {path} is not a picture ({type(error).__name__}); give PNG, TIFF, JPEG "
+            "or .npy"
+        ) from None
+    if not isinstance(raw, np.ndarray):
+        raise SceneError(f"hidden.image: {path} holds several arrays; give a .npy file of one")
+    return checked_picture(f"hidden.image ({path})", raw)
+
+
+def _decoded(suffix: str, content: bytes) -> NDArray[Any]:
+    """Values of a picture file as they stand there."""
+    file = io.BytesIO(content)
+    if suffix == ".npy":
+        held: NDArray[Any] = np.load(file, allow_pickle=False)
+        return held
+    from PIL import Image
+
+    with Image.open(file) as picture:
+        if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
+            return np.asarray(picture.convert("L"))
+        return np.asarray(picture)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshObject(PosedMesh):
+    """A triangle mesh.
+
+    Parameters
+    ----------
+    mesh : str, Path or trimesh.Trimesh
+        File (STL, OBJ, PLY, ...) or mesh, in its own frame, m.
+    scale : float
+        Factor on the mesh's coordinates, for files in other units.
+    position : (float, float, float)
+        Where the mesh's origin goes, m, world.
+    yaw, pitch, roll : float
+        Turns about world y, x and z, rad, roll first.
+    material : Material
+    """
+
+    table: ClassVar[str] = "hidden"
+    _: KW_ONLY
+    material: Material = Lambert(0.8)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_hidden(self)
+
+    @cached_property
+    def surface(self) -> trimesh.Trimesh:
+        """Mesh in the world frame."""
+        mesh = self._placed()
+        lowest = float(mesh.vertices[:, 2].min())
+        if lowest <= 0:
+            raise SceneError(
+                f"hidden.mesh reaches z = {lowest:g} m, behind the wall, must be above 0; move "
+                "hidden.position into the room or make hidden.scale smaller"
+            )
+        return mesh
+
+
+HiddenObject = PlanarObject | MeshObject

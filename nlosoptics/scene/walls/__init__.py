@@ -1,0 +1,1 @@
+"""Relay walls: analytic shapes, height maps and meshes."""

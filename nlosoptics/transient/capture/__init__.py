@@ -1,0 +1,1 @@
+"""Time-resolved captures: the noun, its files, preprocessing and detectors."""

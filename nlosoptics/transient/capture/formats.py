@@ -1,0 +1,248 @@
+"""Captures in files: which layout a file has, and what its reader may not guess."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import in_range, one_of, positive, real, vector
+from ...errors import NlosError, SamplingError, SceneError
+from .layouts import LIGHT, Found
+
+T = TypeVar("T")
+Array = NDArray[Any]
+LAYOUTS = ("tal", "znlos", "dirac", "phasor_field_2019", "phasor_field_2020", "lct")
+#: Bins outside of these, m of optical path, are in another unit: 0.1 um is 0.3 fs, 10 m is 33 ns.
+FINEST, COARSEST = 1e-7, 10.0
+
+
+@contextmanager
+def in_file(path: Path) -> Iterator[None]:
+    """Put the file's name before an error."""
+    try:
+        yield
+    except NlosError as error:
+        text = str(error)
+        raise type(error)(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+
+def load_capture(
+    capture: Callable[..., T],
+    path: str | Path,
+    *,
+    format: str | None = None,
+    bin_width: float | None = None,
+    t_start: float | None = None,
+    side: float | None = None,
+    pairing: str | None = None,
+    laser_point: Any = None,
+    outer_legs: bool | None = None,
+    quantity: str | None = None,
+    gate_start: float | None = None,
+) -> T:
+    """Read a file and call ``capture``, a `TransientCapture`, with its values; see its `load`."""
+    path = Path(path)
+    if format is not None:
+        one_of("format", format, LAYOUTS)
+    if not path.is_file():
+        what = "a folder" if path.is_dir() else "missing"
+        raise SceneError(f"{path}: the capture file is {what}; give the path of an HDF5 or .mat")
+    with in_file(path):
+        found = _read(path, format)
+        given = {
+            "bin_width": bin_width,
+            "t_start": t_start,
+            "side": side,
+            "pairing": pairing,
+            "laser_point": laser_point,
+            "outer_legs": outer_legs,
+            "quantity": quantity,
+            "gate_start": gate_start,
+        }
+        if found.doubt and format is None and any(given[name] is None for name in found.instead):
+            raise SceneError(
+                f"{found.doubt}; give format = {found.layout!r} if so, or "
+                f"{' and '.join(found.instead)}"
+            )
+        _fill(found, pairing, laser_point, side)
+        return capture(**_values(found, given))
+
+
+def _read(path: Path, format: str | None) -> Found:
+    from . import foreign_files, mat_files, tal_files
+
+    variables = mat_files.variables(path)
+    layout = _layout(variables)
+    if format is not None and format != layout:
+        raise SceneError(
+            f"format = {format!r}, the file has the layout {layout!r} by what it holds; leave "
+            "format out or name that"
+        )
+    readers = {
+        "tal": tal_files.read,
+        "znlos": foreign_files.read_znlos,
+        "dirac": foreign_files.read_dirac,
+        "phasor_field_2019": foreign_files.read_phasor_field_2019,
+        "phasor_field_2020": foreign_files.read_phasor_field_2020,
+        "lct": foreign_files.read_lct,
+    }
+    return readers[layout](variables)
+
+
+def _layout(variables: Mapping[str, Any]) -> str:
+    """Layout of a file by the names of what it holds."""
+    if "H" in variables:
+        return "tal"
+    if "rect_data" in variables:
+        if "width" in variables:
+            return "lct"
+        if "sampling_spacing" in variables:
+            return "phasor_field_2020"
+        raise SceneError(
+            "rect_data stands without width (LCT) or sampling_spacing (phasor field 2020); the "
+            "size of the wall is missing"
+        )
+    for key, layout in (
+        ("dataset", "phasor_field_2019"),
+        ("data_t", "dirac"),
+        ("cameraGridPositions", "znlos"),
+    ):
+        if key in variables:
+            return layout
+    held = ", ".join(sorted(variables)[:8]) or "nothing"
+    raise SceneError(
+        f"holds {held}, which is no known capture; known are y-tal (H), Z-NLOS (data, "
+        "cameraGridPositions), NLOS-DIRAC (data_t), phasor field (dataset; rect_data and "
+        "sampling_spacing) and LCT (rect_data and width)"
+    )
+
+
+def _fill(found: Found, pairing: str | None, laser_point: Any, side: float | None) -> None:
+    """Points and pairing: what is given, else what the file says, else an error."""
+    if pairing is not None:
+        found.pairing = one_of("pairing", pairing, ("all", "confocal"))
+    if side is not None:
+        _lay_grid(found, positive("side", side, unit="m"))
+    if found.sensor_points is None:
+        why = found.needs.get("side", "the file has no sensor points")
+        raise SceneError(f"{why}; give side = the whole side of the square scanned, m")
+    if laser_point is not None:
+        if found.pairing == "confocal":
+            raise SceneError("laser_point stands beside confocal pairs; give one of them")
+        found.laser_points = np.array(vector("laser_point", laser_point))
+        found.laser_normals, found.pairing = None, "all"
+    if found.pairing is None:
+        why = found.needs.get("pairing", "the file does not say where the laser pointed")
+        raise SceneError(f"{why}; give pairing = 'confocal', or laser_point = (x, y, z) in m")
+    if found.pairing == "confocal" and (found.laser_points is None or side is not None):
+        found.laser_points, found.laser_normals = found.sensor_points, found.sensor_normals
+    if found.laser_points is None:
+        raise SceneError("the file has no laser points; give laser_point = (x, y, z) in m")
+
+
+def _lay_grid(found: Found, side: float) -> None:
+    """Lay the sensor points on the cells of a square wall, [y, x]."""
+    from .wall_points import wall_grid
+
+    shape = found.H.shape[-2:]
+    if found.H.ndim < 3 or shape[0] != shape[1]:
+        raise SamplingError(
+            f"side = {side:g} m lays a square grid, the file has {found.H.shape[1:]} points"
+        )
+    found.sensor_points, found.sensor_normals = wall_grid(side, shape[0]), None
+
+
+def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of a capture, from a file and from the caller."""
+    values = {
+        name: getattr(found, name) if given[argument] is None else given[argument]
+        for name, argument in (
+            ("delta_t", "bin_width"),
+            ("t_start", "t_start"),
+            ("outer_legs", "outer_legs"),
+            ("quantity", "quantity"),
+        )
+    }
+    for name, argument, what in (
+        ("delta_t", "bin_width", "the width of a bin, m of optical path"),
+        ("t_start", "t_start", "where bin 0 begins, m of optical path"),
+        ("outer_legs", "outer_legs", "whether times hold the legs from laser and to sensor"),
+    ):
+        if values[name] is None:
+            why = found.needs.get(argument, f"the file does not say {name}")
+            raise SceneError(f"{why}; give {argument} = {what}")
+    if not isinstance(values["outer_legs"], bool | np.bool_):
+        raise SceneError(f"outer_legs = {values['outer_legs']!r} must be True or False")
+    values["outer_legs"] = bool(values["outer_legs"])
+    named = "delta_t" if given["bin_width"] is None else "bin_width"
+    values["delta_t"] = path_step(named, values["delta_t"])
+    values["t_start"] = _path_start(values["t_start"], values["delta_t"])
+    H, parts, error = found.H, found.by_bounce, found.standard_error
+    if given["gate_start"] is not None:
+        start = in_range("gate_start", given["gate_start"], unit="m")
+        begins = values["t_start"] + values["delta_t"] * np.arange(H.shape[0])
+        late = begins >= start - 1e-9 * values["delta_t"]
+        if not late.any():
+            raise SamplingError(
+                f"gate_start = {start:g} m is after the last bin, which begins at "
+                f"{begins[-1]:g} m; give an earlier one, m of optical path"
+            )
+        H, parts = _opened(H, late), {n: _opened(part, late) for n, part in parts.items()}
+        error = None if error is None else _opened(error, late)
+    elif "gate_start" in found.needs:
+        raise SceneError(
+            f"{found.needs['gate_start']}; give gate_start = optical path in m before which bins "
+            "become 0, or 0 to keep all"
+        )
+    return dict(
+        H=np.ascontiguousarray(H),
+        laser_points=found.laser_points,
+        sensor_points=found.sensor_points,
+        laser_normals=found.laser_normals,
+        sensor_normals=found.sensor_normals,
+        laser_origin=found.laser_origin,
+        sensor_origin=found.sensor_origin,
+        pairing=found.pairing,
+        by_bounce=parts,
+        standard_error=error,
+        details=found.details,
+        **values,
+    )
+
+
+def _opened(values: Array, late: NDArray[np.bool_]) -> Array:
+    """Bins with those 0 that are not late."""
+    if len(values) != len(late):  # told apart by the capture
+        return values
+    return np.where(late.reshape(-1, *[1] * (values.ndim - 1)), values, values.dtype.type(0))
+
+
+def path_step(name: str, value: Any) -> float:
+    """Bin width in m of optical path; one that can only be another unit is refused."""
+    step = positive(name, value, unit="m")
+    if step < FINEST:
+        raise SceneError(
+            f"{name} = {step:g} is too short for m of optical path, limit {FINEST:g} m: as seconds "
+            f"it would be bin_width = {step * LIGHT:.6g}; give bin_width in m"
+        )
+    if step > COARSEST:
+        raise SceneError(
+            f"{name} = {step:g} is too long for m of optical path, limit {COARSEST:g} m; give "
+            f"bin_width in m ({step:g} ps would be {step * 1e-12 * LIGHT:.6g})"
+        )
+    return step
+
+
+def _path_start(value: Any, step: float) -> float:
+    start = real("t_start", value)
+    if 0.0 < abs(start) < 1e-6 * step:
+        raise SceneError(
+            f"t_start = {start:g} beside bins of {step:g} m is no length: as seconds it would be "
+            f"{start * LIGHT:.6g}; give t_start in m of optical path"
+        )
+    return start

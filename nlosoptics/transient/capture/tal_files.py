@@ -1,0 +1,365 @@
+"""y-tal's HDF5 layout: captures read, and written so that y-tal reads them.
+
+y-tal refuses names that it does not know, and looks at no attributes. What a capture holds beyond
+its layout is therefore in ``scene_info`` (numbers and words, as JSON, which is YAML) and in
+attributes of ``H`` (parts by bounce, standard error, arrays among the details).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import whole
+from ...errors import SamplingError, SceneError
+from .layouts import Found, array, bins, number, triple, upright
+from .mat_files import AT
+
+Array = NDArray[Any]
+
+H_FORMATS = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si": 4}
+GRID_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_3": 2}
+VOLUME_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
+OURS = "nlosoptics"
+#: Attributes of ``H``.
+PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
+SAME = "H"
+
+
+def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
+    """Write a capture; see `TransientCapture.save`."""
+    import h5py
+
+    path = Path(path)
+    level = whole("compression", compression, 0, 9)
+    if path.is_dir() or not path.parent.is_dir():
+        what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
+        raise SceneError(f"{path}: {what}; name a file in a folder that is there")
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        # attributes beyond 64 KiB need the format of HDF5 1.8
+        with h5py.File(draft, "w", libver=("v108", "v108")) as file:
+            _write(file, capture, level)
+        draft.replace(path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise SceneError(f"{path}: cannot be written ({reason}); choose another place") from None
+    finally:
+        with suppress(OSError):
+            draft.unlink()
+
+
+def _write(file: Any, capture: Any, level: int) -> None:
+    import h5py
+
+    laser, sensor, form = _axes(capture)
+    lasers = () if form in ("T_Sx_Sy", "T_Si") else laser
+
+    def stored(values: Array) -> Array:
+        return _turned(values.reshape(-1, *lasers, *sensor), len(lasers), len(sensor))
+
+    packed = {"compression": "gzip", "compression_opts": level} if level else {}
+    H = file.create_dataset("H", data=stored(capture.H), **packed)
+    for bounce, part in capture.by_bounce.items():
+        H.attrs[f"{PART}{bounce}"] = _brief(stored(part), H)
+    if capture.standard_error is not None:
+        H.attrs[ERROR] = _brief(stored(capture.standard_error), H)
+    for key, value in capture.details.items():
+        if _is_array(value):
+            H.attrs[f"{DETAIL}{key}"] = value
+    _write_enum(file, "H_format", form, H_FORMATS)
+    for name, shape in (("laser", laser), ("sensor", sensor)):
+        points = getattr(capture, f"{name}_points")
+        normals = getattr(capture, f"{name}_normals")
+        if normals is None:
+            normals = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+        origin = getattr(capture, f"{name}_origin")
+        file[f"{name}_xyz"] = h5py.Empty(float) if origin is None else np.array(origin)
+        file[f"{name}_grid_xyz"] = _stored_points(points, shape)
+        file[f"{name}_grid_normals"] = _stored_points(normals, shape)
+        _write_enum(
+            file, f"{name}_grid_format", "X_Y_3" if len(shape) == 2 else "N_3", GRID_FORMATS
+        )
+    _write_enum(file, "volume_format", "X_Y_Z_3", VOLUME_FORMATS)
+    file["delta_t"] = capture.delta_t
+    file["t_start"] = capture.t_start
+    file["t_accounts_first_and_last_bounces"] = capture.outer_legs
+    file["scene_info"] = json.dumps(_scene_info(capture), ensure_ascii=False, default=_plain)
+
+
+def _axes(capture: Any) -> tuple[tuple[int, ...], tuple[int, ...], str]:
+    """Axes of laser and sensor points that y-tal has a format for, and its name."""
+    laser, sensor = capture.laser_shape, capture.sensor_shape
+    if capture.pairing == "confocal":
+        if len(sensor) == 2:
+            return sensor, sensor, "T_Sx_Sy"
+        count = int(np.prod(sensor))
+        return (count,), (count,), "T_Si"
+    if laser == () and len(sensor) == 2:
+        return (1, 1), sensor, "T_Sx_Sy"
+    if len(laser) in (0, 2) and len(sensor) in (0, 2) and laser:
+        return laser, sensor or (1, 1), "T_Lx_Ly_Sx_Sy"
+    sensors = (int(np.prod(sensor)),)
+    return ((1,), sensors, "T_Si") if laser == () else ((int(np.prod(laser)),), sensors, "T_Li_Si")
+
+
+def _brief(values: Array, H: Any) -> Any:
+    """Bins beside ``H``: a word where they are the same, one number where they are even."""
+    if values.dtype == H.dtype and np.array_equal(values, H[...]):
+        return SAME
+    return values.flat[0] if (values == values.flat[0]).all() else values
+
+
+def _at_length(value: Any, H: Array) -> Array:
+    """What `_brief` stored, as bins."""
+    if isinstance(value, str):
+        return H
+    bins = np.asarray(value)
+    return np.full(H.shape, bins) if bins.ndim == 0 else bins
+
+
+def _turned(values: Array, lasers: int, sensors: int) -> Array:
+    """Bins with the axes of grids changed about, from [y, x] to [x, y] or back."""
+    for first, count in ((1, lasers), (1 + lasers, sensors)):
+        if count == 2:
+            values = values.swapaxes(first, first + 1)
+    return np.ascontiguousarray(values)
+
+
+def _stored_points(points: Array, shape: tuple[int, ...]) -> Array:
+    points = points.reshape(*shape, 3)
+    return np.ascontiguousarray(points.swapaxes(0, 1) if len(shape) == 2 else points)
+
+
+def _write_enum(file: Any, key: str, name: str, members: dict[str, int]) -> None:
+    import h5py
+
+    item = file.create_dataset(key, (1,), dtype=h5py.enum_dtype(members, basetype="i"))
+    item[0] = members[name]
+
+
+def _scene_info(capture: Any) -> dict[str, Any]:
+    from ... import __version__
+
+    return {
+        "original_format": f"nlosoptics {__version__}",
+        OURS: {
+            "pairing": capture.pairing,
+            "quantity": capture.quantity,
+            "laser_shape": list(capture.laser_shape),
+            "sensor_shape": list(capture.sensor_shape),
+            "details": {k: v for k, v in capture.details.items() if not _is_array(v)},
+        },
+    }
+
+
+def _is_array(value: Any) -> bool:
+    """Whether HDF5 holds a value as it is."""
+    return isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 0
+
+
+def _plain(value: Any) -> Any:
+    """What JSON has no form for: arrays as lists, mappings as such, all else as its text."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return dict(value) if isinstance(value, Mapping) else str(value)
+
+
+def read(variables: Mapping[str, Any]) -> Found:
+    """Read y-tal's layout; a capture of ours comes back as it was written."""
+    info = _info(variables.get("scene_info"))
+    ours = info.get(OURS) if isinstance(info.get(OURS), Mapping) else None
+    H = bins(array(variables, "H", 2, 3, 5))
+    points = {name: _points(variables, f"{name}_grid_xyz") for name in ("laser", "sensor")}
+    lasers, sensors = (_grid_shape(points[name]) for name in ("laser", "sensor"))
+    lasers, paired = _pairs(H, lasers, sensors)
+    _check_format(variables, H.ndim, paired, lasers)
+    found = Found(
+        layout="tal",
+        H=H,
+        sensor_points=points["sensor"],
+        laser_points=points["laser"],
+        sensor_normals=_normals(variables, "sensor", points["sensor"]),
+        laser_normals=_normals(variables, "laser", points["laser"]),
+        sensor_origin=triple(variables, "sensor_xyz"),
+        laser_origin=triple(variables, "laser_xyz"),
+        delta_t=number(variables, "delta_t"),
+        t_start=number(variables, "t_start"),
+        pairing=paired,
+        outer_legs=_flag(variables, "t_accounts_first_and_last_bounces"),
+        by_bounce={
+            int(key.removeprefix(f"H{AT}{PART}")): _at_length(value, H)
+            for key, value in variables.items()
+            if key.startswith(f"H{AT}{PART}") and key.removeprefix(f"H{AT}{PART}").isdecimal()
+        },
+        standard_error=_at_length(variables[f"H{AT}{ERROR}"], H)
+        if f"H{AT}{ERROR}" in variables
+        else None,
+        details={
+            key.removeprefix(f"H{AT}{DETAIL}"): np.asarray(value)
+            for key, value in variables.items()
+            if key.startswith(f"H{AT}{DETAIL}")
+        },
+    )
+    return _foreign(found, info, lasers) if ours is None else _own(found, ours)
+
+
+def _info(text: Any) -> dict[str, Any]:
+    """``scene_info`` as a mapping; a text that cannot be read is kept as it is."""
+    if text is None or text == "":
+        return {}
+    if not isinstance(text, str):
+        return {"scene_info": str(text)}
+    try:
+        found = json.loads(text)
+    except ValueError:
+        found = _yaml(text)
+    return found if isinstance(found, dict) else {"scene_info": text}
+
+
+def _yaml(text: str) -> Any:
+    """YAML by whatever reader is installed, None without one."""
+    if len(text) > 1_000_000:  # ground truth as text takes minutes
+        return None
+    try:
+        import yaml
+    except ModuleNotFoundError:
+        return None
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        return None
+
+
+def _flag(variables: Mapping[str, Any], key: str) -> bool | None:
+    """Whether something holds; None where the file does not say it."""
+    values = np.asarray(variables.get(key, ()))
+    if values.size == 0 or values.ravel()[0] is None:
+        return None
+    if values.dtype.kind not in "biuf" or values.ravel()[0] not in (0, 1):
+        raise SceneError(f"{key} = {values.ravel()[0]} is neither 0 nor 1; write one of them")
+    return bool(values.ravel()[0])
+
+
+def _points(variables: Mapping[str, Any], key: str) -> Array | None:
+    if variables.get(key) is None:
+        return None
+    values = np.asarray(array(variables, key, 1, 2, 3), dtype=np.float64)
+    if values.shape[-1] != 3:
+        raise SamplingError(f"{key} has shape {values.shape}, must be (n, 3) or (nx, ny, 3)")
+    return values if values.ndim > 1 else values[None]
+
+
+def _grid_shape(points: Array | None) -> tuple[int, ...] | None:
+    return None if points is None else points.shape[:-1]
+
+
+def _normals(variables: Mapping[str, Any], name: str, points: Array | None) -> Array | None:
+    """Normals where they are not +z everywhere."""
+    normals = _points(variables, f"{name}_grid_normals")
+    if normals is None or points is None or (normals == (0.0, 0.0, 1.0)).all():
+        return None
+    if normals.shape != points.shape:
+        raise SamplingError(
+            f"{name}_grid_normals has shape {normals.shape}, must be {points.shape} like "
+            f"{name}_grid_xyz"
+        )
+    return normals
+
+
+def _pairs(
+    H: Array, lasers: tuple[int, ...] | None, sensors: tuple[int, ...] | None
+) -> tuple[tuple[int, ...] | None, str | None]:
+    """Laser axes of ``H``, and whether its points are pairs; None where that is not said.
+
+    A grid tells one point from as many as there are sensors, so that H's axes settle the rest.
+    """
+    if sensors is None:
+        return (None, None) if lasers is None else ((), "all")
+    if H.shape[1:] == sensors:
+        if lasers is None:
+            return None, None
+        count = int(np.prod(lasers))
+        if count == 1:
+            return (), "all"
+        if lasers == sensors:
+            return lasers, "confocal"
+        raise SamplingError(
+            f"H {H.shape} has no laser axes, {count} laser points are neither one nor paired with "
+            f"the sensor points {sensors}"
+        )
+    if lasers is not None and H.shape[1:] == lasers + sensors:
+        return lasers, "all"
+    raise SamplingError(
+        f"H has shape {H.shape}, must be (n_bins, *{sensors}) or (n_bins, *{lasers}, *{sensors}) "
+        "for its grids"
+    )
+
+
+def _check_format(
+    variables: Mapping[str, Any], ndim: int, paired: str | None, lasers: tuple[int, ...] | None
+) -> None:
+    """Refuse an ``H_format`` that says other axes than the arrays have."""
+    form = variables.get("H_format")
+    if form is None or np.size(form) != 1:
+        return
+    value = whole("H_format", np.asarray(form).reshape(-1)[0], 0)
+    names = {code: name for name, code in H_FORMATS.items()}
+    many = paired == "all" and bool(lasers)
+    fits = {2: "T_Si", 5: "T_Lx_Ly_Sx_Sy", 3: "T_Li_Si" if many else "T_Sx_Sy"}[ndim]
+    if value and value != H_FORMATS[fits]:
+        said = names.get(value, str(value))
+        raise SamplingError(f"H_format is {said}, H of {ndim} axes with these grids is {fits}")
+
+
+def _own(found: Found, ours: Mapping[str, Any]) -> Found:
+    """Give a capture of ours its axes back."""
+    try:
+        laser, sensor = (tuple(map(int, ours[f"{name}_shape"])) for name in ("laser", "sensor"))
+        found.pairing, found.quantity = str(ours["pairing"]), str(ours["quantity"])
+        found.details |= ours["details"]
+        points = {"laser": laser, "sensor": sensor}
+        axes = sensor if found.pairing == "confocal" else laser + sensor
+
+        grid = 2 if found.sensor_points is not None and found.sensor_points.ndim == 3 else 1
+        lasers = found.H.ndim - 1 - grid
+
+        def restored(values: Array) -> Array:
+            return _turned(values, lasers, grid).reshape(-1, *axes)
+
+        found.H = restored(found.H)
+        found.by_bounce = {n: restored(part) for n, part in found.by_bounce.items()}
+        if found.standard_error is not None:
+            found.standard_error = restored(found.standard_error)
+        for name, shape in points.items():
+            for key in (f"{name}_points", f"{name}_normals"):
+                values = getattr(found, key)
+                if values is not None:
+                    values = values.swapaxes(0, 1) if values.ndim == 3 else values
+                    setattr(found, key, values.reshape(*shape, 3))
+    except (KeyError, TypeError, ValueError) as error:
+        raise SceneError(
+            f"scene_info.{OURS} does not fit the arrays ({type(error).__name__}: {error}); the "
+            "file was changed"
+        ) from None
+    return found
+
+
+def _foreign(found: Found, info: dict[str, Any], lasers: tuple[int, ...] | None) -> Found:
+    """Turn another program's [x, y] to [y, x], rising."""
+    found.details = {key: value for key, value in info.items() if key != "ground_truth"}
+    if found.pairing == "all" and lasers == () and found.laser_points is not None:
+        found.laser_points = found.laser_points.reshape(3)
+        if found.laser_normals is not None:
+            found.laser_normals = found.laser_normals.reshape(3)
+    if found.sensor_points is None and found.H.ndim == 3:
+        found.H = found.H.swapaxes(1, 2)  # [x, y] by the layout's word, without points to tell
+        return found
+    return upright(found)

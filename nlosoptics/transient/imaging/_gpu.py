@@ -1,0 +1,145 @@
+"""The sums of `rayleigh_sommerfeld` in torch, for a graphics card."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import MissingExtraError, SceneError
+from .plane_convolutions import Lattice
+from .rayleigh_sommerfeld import Advance, Legs
+from .virtual_pulse import Band, blocks
+from .volume import Volume
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+#: Numbers that a step may hold at once.
+STEP = 2**26
+
+
+def carry(
+    volume: Volume,
+    legs: Legs,
+    grid: Lattice | None,
+    band: Band,
+    spectra: ComplexArray,
+    times: Array,
+    device: str,
+    advance: Advance,
+) -> ComplexArray:
+    """The field at each voxel, as `plane_by_plane` with a grid and `direct_sum` without.
+
+    Parameters are theirs, and ``device`` is torch's name of one.
+
+    Returns
+    -------
+    ndarray
+        (t, nz, ny, nx) complex, of the spectra's precision.
+
+    Raises
+    ------
+    MissingExtraError
+        If torch is not installed.
+    SceneError
+        If torch has no such device.
+    """
+    try:
+        import torch
+    except ImportError:
+        raise MissingExtraError(
+            "device needs torch; install nlosoptics[inverse], or leave device out"
+        ) from None
+    try:
+        place = torch.device(device)
+        torch.empty(1, device=place)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise SceneError(f"device = {device!r} is not there: {reason}; leave device out") from None
+    with torch.inference_mode():
+        if grid is None:
+            fields = _direct(torch, volume, legs, band, spectra, times, place, advance)
+        else:
+            fields = _planes(torch, volume, legs, grid, band, spectra, times, place, advance)
+        return np.asarray(fields.cpu().numpy())
+
+
+def _direct(
+    torch: Any,
+    volume: Volume,
+    legs: Legs,
+    band: Band,
+    spectra: ComplexArray,
+    times: Array,
+    place: Any,
+    advance: Advance,
+) -> Any:
+    """Every path: for each wave, a matrix of voxels and near points."""
+    light = torch.as_tensor(spectra, device=place)
+    voxels = torch.as_tensor(volume.points.reshape(-1, 3), device=place)
+    near = torch.as_tensor(np.ascontiguousarray(legs.near), device=place)
+    far = torch.as_tensor(np.ascontiguousarray(legs.far), device=place)
+    fields = torch.zeros((len(times), len(voxels)), dtype=light.dtype, device=place)
+    for part in blocks(len(voxels), max(1, STEP // (len(near) + len(far)))):
+        path = torch.cdist(voxels[part], near, compute_mode="donot_use_mm_for_euclid_dist")
+        fall = 1.0 / path if legs.falls else torch.ones_like(path)
+        lead = torch.cdist(voxels[part], far, compute_mode="donot_use_mm_for_euclid_dist")
+        if legs.paired:
+            path, fall = path + lead, fall / lead if legs.falls else fall
+        for k, wave in enumerate(band.wavenumbers):
+            plane = (torch.exp(1j * wave * path) * fall).to(light.dtype) @ light[k].T
+            if len(legs.far) and not legs.paired:
+                there = torch.exp(1j * wave * lead) * (1.0 / lead if legs.falls else 1.0)
+                plane = plane * there.to(light.dtype)
+            plane = plane.sum(dim=1)
+            for t, time in enumerate(times):
+                fields[t, part] += plane * complex(np.exp(1j * wave * time))
+        advance(part.stop / len(voxels))
+    return fields.reshape(len(times), *volume.shape)
+
+
+def _planes(
+    torch: Any,
+    volume: Volume,
+    legs: Legs,
+    grid: Lattice,
+    band: Band,
+    spectra: ComplexArray,
+    times: Array,
+    place: Any,
+    advance: Advance,
+) -> Any:
+    """Convolutions of wall and planes, all kernels whole."""
+    y, x = grid.axes
+    shape = (y.size(False), x.size(False))
+    walls = grid.walls(spectra)
+    padded = np.zeros((*walls.shape[:2], *shape), dtype=walls.dtype)
+    padded[..., y.places(False)[:, None], x.places(False)] = walls
+    light = torch.fft.fft2(torch.as_tensor(padded, device=place))
+    up, across = (torch.as_tensor(axis.steps(False), device=place) for axis in grid.axes)
+    points = torch.as_tensor(volume.points, device=place)
+    far = torch.as_tensor(np.ascontiguousarray(legs.far), device=place)
+    fields = torch.zeros((len(times), *volume.shape), dtype=light.dtype, device=place)
+    n_far = walls.shape[1]
+    for part in blocks(len(volume.z), max(1, STEP // (n_far * shape[0] * shape[1]))):
+        away = torch.as_tensor(volume.z[part] - grid.depth, device=place)
+        ways = 2 if legs.twice else 1
+        path = ways * torch.sqrt(away[:, None, None] ** 2 + up[:, None] ** 2 + across**2)
+        fall = (ways / path) ** ways if legs.falls else 1.0
+        lead = None
+        if len(legs.far) and not legs.paired:
+            lead = torch.linalg.norm(points[part, None] - far[:, None, None], dim=-1)
+        for k, wave in enumerate(band.wavenumbers):
+            response = torch.fft.fft2((torch.exp(1j * wave * path) * fall).to(light.dtype))
+            planes = torch.fft.ifft2(light[k] * response[:, None])
+            planes = planes[..., y.kept, x.kept]
+            if lead is not None:
+                there = torch.exp(1j * wave * lead) * (1.0 / lead if legs.falls else 1.0)
+                planes = planes * there.to(light.dtype)
+            plane = planes.sum(dim=1)
+            for t, time in enumerate(times):
+                fields[t, part] += plane * complex(np.exp(1j * wave * time))
+        advance(part.stop / len(volume.z))
+    return fields

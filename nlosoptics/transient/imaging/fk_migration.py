@@ -1,0 +1,220 @@
+"""Frequency-wavenumber migration of confocal captures: a wave run back to its start."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import lru_cache
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory, one_of
+from ..._progress import Progress
+from ..capture.capture import TransientCapture
+from .confocal_grids import (
+    ConfocalGrid,
+    confocal_grid,
+    next_size,
+    reached_volume,
+    waves_along,
+    waves_kind,
+)
+from .volume import Volume, VolumeImage
+
+Array = NDArray[np.floating]
+Waves = NDArray[np.complexfloating]
+Target = Literal["diffuse", "retroreflective"]
+Precision = Literal["float32", "float64"]
+Amplitude = Literal["root", "light"]
+
+#: Powers of the distance with which the light of a target falls off, confocal.
+FALLOFF: Final = {"diffuse": 4, "retroreflective": 2}
+
+ROWS: Final = 8  # lateral frequencies along y at a time, which bound the memory
+TAPS: Final = 8  # of the gridding kernel, on a grid twice as fine as the window needs
+PER_TAP: Final = 2048  # steps of the kernel's table
+BETA: Final = 2.3 * TAPS  # of exp(beta (sqrt(1 - x^2) - 1)), Barnett et al. 2019
+MARGIN: Final = 1.5  # period along z over the farthest depth; waves that leave it come in again
+
+
+def fk_migration(
+    capture: TransientCapture,
+    volume: Volume | None = None,
+    *,
+    target: Target = "diffuse",
+    amplitude: Amplitude = "root",
+    dtype: Precision = "float32",
+    progress: Progress | None = None,
+) -> VolumeImage:
+    """Picture of a hidden scene by f-k migration of a confocal capture.
+
+    Parameters
+    ----------
+    capture : TransientCapture
+        Confocal on an even grid [y, x] in z = 0, without outer legs and direct light.
+    volume : Volume, optional
+        Any even axes within the window of time; None: the grid's points at the bins' depths.
+    target : {"diffuse", "retroreflective"}
+        Whose light falls with the fourth power of the distance or with its square.
+    amplitude : {"root", "light"}
+        What the wave is: the root of the light times that power [1]_, so that the picture is linear
+        in the capture, or this itself, so that the waves of several objects add up and dim ones
+        are darker in the picture.
+    dtype : {"float32", "float64"}
+        Of the waves; of float32 they err by about 1e-6 of the brightest voxel.
+    progress : callable(str, float), optional
+        Told what is being done and the fraction done.
+
+    Returns
+    -------
+    VolumeImage
+        The squared modulus of the wave.
+
+    Raises
+    ------
+    SamplingError
+        If the capture is not confocal on an even grid, or the volume is outside of what it covers.
+    SceneError
+        If direct light or outer legs are in, or light is below 0.
+    MemoryLimitError
+        If the spectrum and the picture would not fit.
+
+    Notes
+    -----
+    With w half the path, the image is the sum over kx, ky and kz > 0 of
+    ``Psi(kx, ky, f) (kz/f) exp(2 pi i (kx x + ky y + kz z))`` at ``f = sqrt(kx^2 + ky^2 + kz^2)``,
+    Psi the spectrum of the amplitude over x, y and w [1]_. The grid is padded by zeros to twice its
+    width. Psi at the shifted frequencies is gridded [2]_, not interpolated, to 1e-6.
+
+    References
+    ----------
+    .. [1] Lindell, Wetzstein, O'Toole, Wave-based non-line-of-sight imaging using fast f-k
+       migration, ACM Trans. Graph. 38, 116 (2019).
+    .. [2] Barnett, Magland, af Klinteberg, A parallel nonuniform fast Fourier transform library,
+       SIAM J. Sci. Comput. 41, C479 (2019).
+    """
+    begun = time.perf_counter()
+    one_of("target", target, FALLOFF)
+    one_of("amplitude", amplitude, ("root", "light"))
+    kind = waves_kind(dtype)
+    grid = confocal_grid(capture, "fk_migration")
+    volume = reached_volume(grid, volume, "fk_migration")
+    n = _depth_axis(grid, volume)[1]
+    nz, ny, nx = volume.shape
+    columns, n_f = len(grid.x) * len(grid.y), grid.n_bins + 2 * TAPS
+    room = 3 * columns * n_f + 3 * nz * ny * nx + 2 * ROWS * 2 * len(grid.x) * (n_f + n)
+    fits_memory(
+        "f-k migration",
+        float(room) * np.dtype(kind).itemsize,
+        "give a volume of fewer or wider voxels, or a coarser capture",
+    )
+    light = capture.H * grid.depths[:, None, None] ** FALLOFF[target]
+    wave = np.sqrt(light) if amplitude == "root" else light
+    field = _migrated(wave, grid, volume, kind, progress)
+    intensity = field.real**2 + field.imag**2
+    details = {"target": target, "amplitude": amplitude, "dtype": dtype}
+    return VolumeImage(
+        intensity=np.ascontiguousarray(intensity),
+        volume=volume,
+        method="fk_migration",
+        seconds=time.perf_counter() - begun,
+        details=details,
+    )
+
+
+def _migrated(
+    wave: Array, grid: ConfocalGrid, volume: Volume, kind: type, progress: Progress | None
+) -> Waves:
+    """The wave (nz, ny, nx) at w = 0 of one (n_bins, ny, nx) on the wall."""
+    import scipy.fft
+
+    from . import _migration_kernels as kernels
+
+    spectrum, size, centre = _gridded(wave, grid, kind)
+    kx, to_kx, from_kx = waves_along(grid.x, volume.x, next_size(2 * len(grid.x)), kind)
+    ky, to_ky, from_ky = waves_along(grid.y, volume.y, next_size(2 * len(grid.y)), kind)
+    pitch, n = _depth_axis(grid, volume)
+    n_waves = int(0.5 / grid.pitch * n * pitch) + 1
+    nz, ny, nx = volume.shape
+    n_rows, width, n_f = spectrum.shape
+    table = _kernel_table()
+    field: Waves = np.zeros((ny, nx * nz), dtype=kind)
+    for first in range(0, len(ky), ROWS):
+        rows = slice(first, first + ROWS)
+        waves = (to_ky[rows] @ spectrum.reshape(n_rows, -1)).reshape(-1, width, n_f)
+        waves = np.matmul(to_kx, waves)
+        deep: Waves = np.empty((len(waves), len(kx), n), dtype=kind)
+        lateral_sq = ky[rows, None] ** 2 + kx**2
+        kernels.stolt(
+            waves,
+            lateral_sq,
+            n * pitch,
+            grid.pitch,
+            size,
+            centre,
+            volume.z[0],
+            table,
+            TAPS,
+            PER_TAP,
+            n_waves,
+            deep,
+        )
+        deep = scipy.fft.ifft(deep, axis=2, overwrite_x=True)[:, :, :nz]
+        part = np.matmul(from_kx, deep)  # (rows, nx, nz)
+        field += from_ky[:, rows] @ part.reshape(len(part), -1)
+        if progress is not None:
+            progress("f-k migration", min(1.0, (first + ROWS) / len(ky)))
+    return field.reshape(ny, nx, nz).transpose(2, 0, 1)
+
+
+def _depth_axis(grid: ConfocalGrid, volume: Volume) -> tuple[float, int]:
+    """Pitch, m, and number of the depths that the waves' period along z is cut into."""
+    pitch = float(volume.z[1] - volume.z[0]) if len(volume.z) > 1 else grid.pitch
+    return pitch, next_size(MARGIN * grid.stop / pitch)
+
+
+def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, float]:
+    """Spectrum over w (ny, nx, n_f) for the kernel, its grid's size, and the depth it counts from.
+
+    Index m + TAPS is frequency m of the grid; those below 0 and above the Nyquist frequency are
+    the conjugates that a real series has.
+    """
+    import scipy.fft
+
+    n_bins = grid.n_bins
+    size = next_size(2 * max(n_bins, TAPS))
+    middle = n_bins // 2
+    series = wave.astype(np.float32 if kind is np.complex64 else np.float64)
+    series = series * _kernel_transform((np.arange(n_bins) - middle) / size)[:, None, None].astype(
+        series.dtype
+    )
+    found = scipy.fft.rfft(np.ascontiguousarray(series.transpose(1, 2, 0)), size, axis=2)
+    turns = np.arange(size // 2 + 1) * middle % size
+    found *= np.exp(2j * np.pi * turns / size).astype(kind)
+    below = found[:, :, TAPS:0:-1].conj()
+    above = found[:, :, -2 : -2 - TAPS : -1].conj()
+    return np.concatenate([below, found, above], axis=2), size, float(grid.depths[middle])
+
+
+def _bell(x: Array) -> Array:
+    """The gridding kernel, 1 at 0 and none beyond TAPS/2."""
+    inside = np.clip(1.0 - (2.0 * x / TAPS) ** 2, 0.0, None)
+    return np.asarray(np.where(inside > 0.0, np.exp(BETA * (np.sqrt(inside) - 1.0)), 0.0))
+
+
+@lru_cache(maxsize=1)
+def _kernel_table() -> Array:
+    """The kernel from -TAPS/2 to TAPS/2 in steps of 1/PER_TAP, and one value more."""
+    table = _bell(np.arange(TAPS * PER_TAP + 2) / PER_TAP - 0.5 * TAPS)
+    table.flags.writeable = False
+    return table
+
+
+def _kernel_transform(frequencies: Array) -> Array:
+    """One over the kernel's Fourier transform, by Gauss-Legendre nodes."""
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    x, w = 0.25 * TAPS * (nodes + 1.0), 0.5 * TAPS * weights
+    waves = np.cos(2.0 * math.pi * frequencies[:, None] * x)
+    return np.asarray(1.0 / (waves @ (w * _bell(x))))

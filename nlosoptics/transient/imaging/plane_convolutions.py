@@ -1,0 +1,348 @@
+"""Fields carried from an even grid of wall points to planes, by convolutions.
+
+Where the planes' x and y steps are those of the wall, or one a whole multiple of the other, the sum
+of `rayleigh_sommerfeld` over near points is a convolution with ``exp(i k r)``. It is done with
+transforms so long that nothing wraps around: the result is the direct sum's, up to rounding. Where
+wall and planes lie cell over cell, the kernel is even, and a cosine transform of its quarter does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SamplingError
+from .rayleigh_sommerfeld import Advance, Legs
+from .virtual_pulse import Band, blocks
+from .volume import Volume
+
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
+
+#: Bytes of transformed planes that one thread holds at once, about a core's cache.
+PLANES = 2**21
+#: Numbers to transform below which threads cost more than they bring.
+FEW = 2**18
+#: Share of a wavelength by which points may lie off an even grid.
+UNEVEN = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """How a volume's planes lie over an even grid of wall points, both of them on a finer one.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Of the wall (y, x).
+    flips : tuple of int
+        The wall's axes along which it falls.
+    depth : float
+        z of the wall, m.
+    axes : (Axis, Axis)
+        y and x.
+    """
+
+    shape: tuple[int, int]
+    flips: tuple[int, ...]
+    depth: float
+    axes: tuple[Axis, Axis]
+
+    def walls(self, spectra: ComplexArray) -> ComplexArray:
+        """(n, m, ny, nx), rising along both axes, of spectra (n, m, points)."""
+        walls = spectra.reshape(*spectra.shape[:2], *self.shape)
+        return np.flip(walls, tuple(axis + 2 for axis in self.flips))
+
+    @property
+    def size(self) -> int:
+        """Numbers in one plane's transform."""
+        return self.axes[0].size(False) * self.axes[1].size(False)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a convolution, in steps of ``pitch`` (m).
+
+    ``n`` wall points, ``wall_step`` apart; ``m`` voxels, ``voxel_step`` apart, the first of them
+    ``shift`` after the first wall point.
+    """
+
+    pitch: float
+    n: int
+    m: int
+    wall_step: int
+    voxel_step: int
+    shift: float
+
+    @property
+    def spans(self) -> tuple[int, int]:
+        """Steps that the wall and the voxels take up, ends included."""
+        return (self.n - 1) * self.wall_step + 1, (self.m - 1) * self.voxel_step + 1
+
+    @property
+    def can_mirror(self) -> bool:
+        """Whether the kernel is even, and its mirror image no waste."""
+        if abs(self.shift - round(self.shift)) > 1e-9:
+            return False
+        return self.size(True) <= 1.25 * self.size(False) + 2
+
+    def size(self, mirrored: bool) -> int:
+        """A fast length in which nothing wraps around, a multiple of the voxels' steps."""
+        import ducc0
+
+        (wall, voxels), unit = self.spans, self.voxel_step
+        if not mirrored:
+            return unit * int(ducc0.fft.good_size(-(-(wall + voxels - 1) // unit)))
+        shift = round(self.shift)
+        reach = max(abs(shift - wall + 1), abs(shift + voxels - 1), (max(wall, voxels) + 1) // 2)
+        return 2 * unit * int(ducc0.fft.good_size(-(-reach // unit)))
+
+    def places(self, mirrored: bool) -> NDArray[np.int64]:
+        """(n,): where the wall's points go."""
+        start = -round(self.shift) if mirrored else 0
+        return np.asarray((start + self.wall_step * np.arange(self.n)) % self.size(mirrored))
+
+    def steps(self, mirrored: bool) -> Array:
+        """The kernel's coordinates, m: a half where it is even, else in order of the transform."""
+        size = self.size(mirrored)
+        if mirrored:
+            return self.pitch * np.arange(size // 2 + 1.0)
+        index = np.arange(size)
+        return self.pitch * (np.where(index < self.spans[1], index, index - size) + self.shift)
+
+    @property
+    def kept(self) -> slice:
+        """The voxels' places after a whole transform back."""
+        return slice(0, self.spans[1], self.voxel_step)
+
+
+def lattice(points: Array, volume: Volume, wavelength: float) -> Lattice:
+    """The even grid that wall points and a volume's planes share.
+
+    Parameters
+    ----------
+    points : ndarray
+        (ny, nx, 3), m.
+    volume : Volume
+    wavelength : float
+        m, of what points may be off by `UNEVEN`.
+
+    Raises
+    ------
+    SamplingError
+        If there is none, saying what does not fit.
+    """
+    if points.ndim != 3:
+        raise SamplingError(
+            f"wall points of shape {points.shape[:-1]} are no grid; take method='direct'"
+        )
+    lines = (points[:, 0, 1], points[0, :, 0])
+    flips = tuple(axis for axis, line in enumerate(lines) if line[-1] < line[0])
+    points = np.flip(points, flips)
+    limit = UNEVEN * wavelength
+    y = _axis("y", points[:, 0, 1], volume.y, limit)
+    x = _axis("x", points[0, :, 0], volume.x, limit)
+    even = np.empty_like(points)
+    even[..., 0] = points[0, 0, 0] + x.pitch * x.wall_step * np.arange(x.n)
+    even[..., 1] = points[0, 0, 1] + y.pitch * y.wall_step * np.arange(y.n)[:, None]
+    even[..., 2] = points[0, 0, 2]
+    off = float(np.abs(points - even).max())
+    if off > limit:
+        raise SamplingError(
+            f"wall points lie up to {off:.3g} m off an even grid, limit {limit:.3g} m; take "
+            "method='direct'"
+        )
+    return Lattice((y.n, x.n), flips, float(points[0, 0, 2]), (y, x))
+
+
+def _axis(name: str, wall: Array, voxels: Array, limit: float) -> Axis:
+    own, its = (float(a[-1] - a[0]) / max(1, len(a) - 1) for a in (wall, voxels))
+    coarse, fine = max(own, its), min(own, its)
+    multiple = 1
+    if fine > 0.0:
+        multiple = round(coarse / fine)
+        if abs(coarse - multiple * fine) * max(len(wall), len(voxels)) > limit:
+            raise SamplingError(
+                f"volume.{name} steps by {its:.6g} m and the wall's points by {own:.6g} m; give "
+                "one a whole multiple of the other, or take method='direct'"
+            )
+        pitch = own if own <= its else its
+    else:
+        pitch = coarse or 1.0
+    wall_step, voxel_step = (multiple, 1) if own > its else (1, multiple)
+    shift = float(voxels[0] - wall[0]) / pitch
+    return Axis(pitch, len(wall), len(voxels), wall_step, voxel_step, shift)
+
+
+def plane_by_plane(
+    volume: Volume,
+    legs: Legs,
+    grid: Lattice,
+    band: Band,
+    spectra: ComplexArray,
+    times: Array,
+    advance: Advance,
+) -> ComplexArray:
+    """The field at each voxel by convolutions of wall and planes.
+
+    Parameters
+    ----------
+    grid : Lattice
+        Of ``legs.near``.
+    volume, legs, band, spectra, times, advance
+        As in `direct_sum`. ``spectra`` keeps its precision, and with it the field.
+
+    Returns
+    -------
+    ndarray
+        (t, nz, ny, nx) complex.
+    """
+    kind = spectra.dtype
+    fields = np.zeros((len(times), *volume.shape), dtype=kind)
+    walls = grid.walls(spectra)
+    mirrored = all(axis.can_mirror for axis in grid.axes)
+    room = Room(volume, legs, grid, band, mirrored)
+    # one camera's walls do not change from plane to plane; many lasers' would not fit
+    only = room.wall(walls[:, 0]) if walls.shape[1] == 1 else None
+    n_planes = max(1, int(PLANES // (len(band.numbers) * room.size * kind.itemsize)))
+    work = len(band.numbers) * room.size * len(volume.z) * walls.shape[1]
+    if work > FEW:
+        n_planes = min(n_planes, -(-len(volume.z) // 2))
+    parts = list(blocks(len(volume.z), n_planes))
+
+    def carry(part: slice) -> slice:
+        response = room.kernels(volume.z[part] - grid.depth, kind)
+        for j in range(walls.shape[1]):
+            wall = room.wall(walls[:, j]) if only is None else only
+            if legs.twice and len(times) == 1:
+                turns = np.exp(1j * band.wavenumbers * times[0]).astype(kind)
+                fields[0, part] = room.together(wall * turns[:, None, None], response)
+            else:
+                far = np.empty((0, 3)) if legs.paired else legs.far[j : j + 1]
+                room.add(wall, response, far, part, times, fields)
+        return part
+
+    for part in _threaded(carry, parts):
+        advance(part.stop / len(volume.z))
+    return fields
+
+
+def _threaded(carry: Any, parts: list[slice]) -> Iterable[slice]:
+    if len(parts) == 1:
+        return map(carry, parts)
+    from ...raytrace.intersection.meshes import worker_pool
+
+    return worker_pool().map(carry, parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """Padded transforms between a wall and planes; ``mirrored`` where kernels are even."""
+
+    volume: Volume
+    legs: Legs
+    grid: Lattice
+    band: Band
+    mirrored: bool
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Lengths of the transforms, (y, x)."""
+        y, x = self.grid.axes
+        return y.size(self.mirrored), x.size(self.mirrored)
+
+    @property
+    def coarse(self) -> tuple[int, int]:
+        """Lengths of the transforms back, which give every voxel and nothing between."""
+        y, x = self.grid.axes
+        return self.shape[0] // y.voxel_step, self.shape[1] // x.voxel_step
+
+    @property
+    def size(self) -> int:
+        """Numbers in one plane's kernel, or in its transform back where that is larger."""
+        y, x = self.grid.axes
+        kernel = len(y.steps(self.mirrored)) * len(x.steps(self.mirrored))
+        return max(kernel, self.coarse[0] * self.coarse[1])
+
+    def kernels(self, away: Array, kind: np.dtype) -> ComplexArray:
+        """(n, nz, y, x): transforms of exp(i k r), for planes at ``away``."""
+        import ducc0
+
+        from . import _phasor_kernels
+
+        up, across = (axis.steps(self.mirrored) for axis in self.grid.axes)
+        shape = (len(self.band.numbers), len(away), len(up), len(across))
+        values = np.empty(shape, dtype=kind)
+        ways = 2 if self.legs.twice else 1
+        first, step = self.band.wavenumbers[0], self.band.step
+        _phasor_kernels.fill_kernels(across, up, away, ways, self.legs.falls, first, step, values)
+        if self.mirrored:
+            # an even kernel's transform is a cosine transform of its quarter
+            real = values.view(values.real.dtype).reshape(*shape, 2)
+            ducc0.fft.dct(real, 1, axes=(2, 3), out=real)
+        else:
+            ducc0.fft.c2c(values, axes=(2, 3), out=values)
+        return values
+
+    def wall(self, spectra: ComplexArray) -> ComplexArray:
+        """(n, Y, X): transforms of the wall's spectra (n, y, x), padded.
+
+        Over the steps between voxels: transforms back are shorter by them, see `coarse`.
+        """
+        import ducc0
+
+        padded = np.zeros((len(spectra), *self.shape), dtype=spectra.dtype)
+        rows, columns = (axis.places(self.mirrored) for axis in self.grid.axes)
+        steps = self.shape[0] * self.shape[1] // (self.coarse[0] * self.coarse[1])
+        padded[:, rows[:, None], columns] = spectra / spectra.dtype.type(steps)
+        return np.asarray(ducc0.fft.c2c(padded, axes=(1, 2), out=padded))
+
+    def planes(self, products: ComplexArray) -> ComplexArray:
+        """(..., ny, nx) of the transforms' inverse, rows beyond the volume left out on the way."""
+        import ducc0
+
+        up, across = products.ndim - 2, products.ndim - 1
+        rows, columns = self.grid.axes[0].m, self.grid.axes[1].m
+        ducc0.fft.c2c(products, axes=(up,), forward=False, inorm=2, out=products)
+        kept = ducc0.fft.c2c(products[..., :rows, :], axes=(across,), forward=False, inorm=2)
+        return np.asarray(kept[..., :columns])
+
+    def together(self, wall: ComplexArray, response: ComplexArray) -> ComplexArray:
+        """(nz, ny, nx): all waves summed before one inverse transform a plane."""
+        from . import _phasor_kernels
+
+        products = np.empty((response.shape[1], *self.coarse), dtype=response.dtype)
+        _phasor_kernels.sum_waves(wall, response, products)
+        return self.planes(products)
+
+    def add(
+        self,
+        wall: ComplexArray,
+        response: ComplexArray,
+        far: Array,
+        part: slice,
+        times: Array,
+        fields: ComplexArray,
+    ) -> None:
+        """Add to ``fields`` (t, nz, ny, nx) wave by wave, each with its leg from a far point."""
+        from . import _phasor_kernels
+
+        volume, waves = self.volume, self.band.wavenumbers
+        products = np.empty((*response.shape[:2], *self.coarse), dtype=response.dtype)
+        _phasor_kernels.multiply_waves(wall, response, products)
+        _phasor_kernels.add_waves(
+            self.planes(products),
+            volume.x,
+            volume.y,
+            volume.z[part],
+            far,
+            self.legs.falls,
+            waves[0],
+            self.band.step,
+            np.exp(1j * np.outer(times, waves)),
+            fields[:, part],
+        )

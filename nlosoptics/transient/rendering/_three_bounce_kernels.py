@@ -1,0 +1,480 @@
+"""Light from a wall point by way of triangles to another wall point, over path, compiled.
+
+The path r1 + r2 is nearly linear over a small triangle, and the integrand F too. Light of such a
+triangle up to a path t then has a closed form: below the middle corner's path it is that of the
+triangle which the line of path t cuts off, of area a b A, where a and b are the shares of the two
+sides, times the mean of F at its three corners.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from ...kernels.brdf import lobe
+from ...kernels.codes import LAMBERT
+from ...kernels.parallel import threaded
+from ._visibility_kernels import (
+    CORNERS,
+    OVERFLOW,
+    PIECES,
+    frame,
+    outline,
+    outline_room,
+    see,
+    shadow_room,
+)
+
+# columns of what is reported of a pair
+TOTAL, ERROR, LEAVES, PASSES, STATUS = range(5)
+REPORT = 5
+DONE, TOO_MANY, TOO_FINE = 0, 1, 2
+ALL, PART, NOTHING = range(3)  # of a triangle that a point sees
+DEEPEST = 60  # halvings of a triangle
+STEP = 8.0  # by which a pass is stricter than the one before
+# columns of a triangle of the stack: corners, then
+TAU, F, AREA, DEPTH = 9, 12, 15, 16
+COLUMNS = 17
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _node(x, y, z, pair, lobes, begin, end):
+    """Path r1 + r2 and integrand, 1/m^4, at a point; with r1, r2 and the half vector's cosine.
+
+    ``pair`` is the laser point, the sensor point, and the heights of both over the triangle.
+    """
+    ax, ay, bx, by, h1, h2 = pair
+    dx, dy, ex, ey = ax - x, ay - y, bx - x, by - y
+    s1, s2 = dx * dx + dy * dy + z * z, ex * ex + ey * ey + z * z
+    r1, r2 = math.sqrt(s1), math.sqrt(s2)
+    both = s1 * s2
+    f, half = 0.0, 1.0
+    if end == begin + 1 and lobes[begin, 0] == LAMBERT:
+        f = lobes[begin, 1] * lobes[begin, 3] / math.pi
+    else:
+        mu1, mu2 = h1 / r1, h2 / r2
+        between = (dx * ex + dy * ey + z * z) / (r1 * r2)
+        for j in range(begin, end):
+            f += lobe(lobes, j, mu1, mu2, between)
+        half = (mu1 + mu2) / math.sqrt(2.0 + 2.0 * between)
+    return r1 + r2, z * z * (h1 * h2) * f / (both * both) / math.pi, r1, r2, half
+
+
+@njit(cache=True, error_model="numpy")
+def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
+    """Add a triangle's light to bins 1 to n - 2; the first and last hold what is outside."""
+    if t1 < t0:
+        t0, t1, f0, f1 = t1, t0, f1, f0
+    if t2 < t1:
+        t1, t2, f1, f2 = t2, t1, f2, f1
+    if t1 < t0:
+        t0, t1, f0, f1 = t1, t0, f1, f0
+    last = bins.size - 1
+    i, j = _bin(t0, start, delta, last), _bin(t2, start, delta, last)
+    whole = area * (f0 + f1 + f2) / 3.0
+    if i == j:
+        bins[i] += whole
+        return
+    # shares of the sides per path, from the first corner on and from the last one back
+    per = 1.0 / (t2 - t0)
+    low, high = 1.0 / (t1 - t0), 1.0 / (t2 - t1)
+    rise = (low * (f1 - f0) + per * (f2 - f0)) / 3.0
+    fall = (high * (f1 - f2) + per * (f0 - f2)) / 3.0
+    low, high = area * low * per, area * high * per
+    before = 0.0
+    for k in range(i, j):
+        t = start + k * delta
+        # an edge may be a corner's path, up to rounding, of a side that has no span of its own
+        if t <= t0:
+            now = 0.0
+        elif t >= t2:
+            now = whole
+        elif t < t1:
+            t -= t0
+            now = low * t * t * (f0 + t * rise)
+        else:
+            t = t2 - t
+            now = whole - high * t * t * (f2 + t * fall)
+        bins[k] += now - before
+        before = now
+    bins[j] += whole - before
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _bin(t, start, delta, last):
+    """Which of the bins, of which the first and last are open, a path falls in."""
+    where = (t - start) / delta
+    if where < 0.0:
+        return 0
+    if where >= last - 1:
+        return last
+    return 1 + int(where)
+
+
+@njit(cache=True, error_model="numpy")
+def _may_hide(light, tilt, turn, sharp, limit):
+    """Whether a part may hold more than ``limit`` where a narrow lobe peaks.
+
+    ``tilt`` is the half vector's in the middle, where there is ``light``, ``turn`` the most that it
+    changes by. Lobes fall no faster than ``exp(-tan^2/sharp^2)``.
+    """
+    least = max(tilt - turn, 0.0)
+    if limit == math.inf:
+        return least < 5.0 * sharp
+    if light == 0.0:
+        return least < 26.0 * sharp  # beyond, exp(-26^2) is below double precision
+    here, there = math.tan(min(tilt, 1.5)) / sharp, math.tan(min(least, 1.5)) / sharp
+    return light * math.exp(min((here - there) * (here + there), 700.0)) > limit
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _square(s, i, j):
+    x, y, z = s[i] - s[j], s[i + 1] - s[j + 1], s[i + 2] - s[j + 2]
+    return x * x + y * y + z * z
+
+
+@njit(cache=True, error_model="numpy")
+def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, stack):
+    """Add the light of one triangle, halved until no part errs by ``limit``; return the parts.
+
+    A part errs by what its middle says that its corners do not: of F, and of the path where that
+    can move light into another bin. Both then go into the part, so that it errs by the next order.
+    ``sharp`` is the narrowest lobe's alpha. Without a limit (infinity) parts are only made small
+    against their distance, and against that lobe.
+    """
+    last = bins.size - 1
+    leaves, top = 0, 1
+    first = stack[0]
+    for k in range(9):
+        first[k] = piece[k]
+    for k in range(3):
+        first[TAU + k], first[F + k], _, _, _ = _node(
+            first[3 * k], first[3 * k + 1], first[3 * k + 2], pair, lobes, begin, end
+        )
+    first[AREA], first[DEPTH] = piece[9], 0.0
+    nearest = min(piece[10], piece[11])
+    while top > 0:
+        top -= 1
+        s = stack[top]
+        x, y, z = (s[0] + s[3] + s[6]) / 3.0, (s[1] + s[4] + s[7]) / 3.0, (s[2] + s[5] + s[8]) / 3.0
+        t, f, r1, r2, half = _node(x, y, z, pair, lobes, begin, end)
+        sides = (_square(s, 0, 3), _square(s, 3, 6), _square(s, 6, 0))
+        longest = max(sides[0], sides[1], sides[2])
+        shift = 0.75 * (t - (s[TAU] + s[TAU + 1] + s[TAU + 2]) / 3.0)
+        lift = 0.75 * (f - (s[F] + s[F + 1] + s[F + 2]) / 3.0)
+        area, depth = s[AREA], s[DEPTH]
+        split = False
+        if depth < DEEPEST:
+            size = math.sqrt(longest)
+            # two thirds of the longest side is the most that a corner is from the middle
+            away = 0.67 * size
+            if size > max(nearest, min(r1, r2) - away):
+                split = True
+            elif sharp < 1.0:
+                turn = away * (1.0 / r1 + 1.0 / r2)
+                tilt = math.acos(min(1.0, half))
+                if 4.0 * turn > sharp:
+                    split = _may_hide(f * area, tilt, turn, sharp, limit)
+            if not split and limit < math.inf:
+                wrong = area * abs(lift)
+                low = min(s[TAU], s[TAU + 1], s[TAU + 2]) + min(shift, 0.0)
+                high = max(s[TAU], s[TAU + 1], s[TAU + 2]) + max(shift, 0.0)
+                if _bin(low, start, delta, last) != _bin(high, start, delta, last):
+                    wrong += area * f * min(1.0, abs(shift) / delta)
+                split = wrong > limit
+        if not split:
+            leaves += 1
+            spread(
+                s[TAU] + shift,
+                s[TAU + 1] + shift,
+                s[TAU + 2] + shift,
+                s[F] + lift,
+                s[F + 1] + lift,
+                s[F + 2] + lift,
+                area,
+                start,
+                delta,
+                bins,
+            )
+            continue
+        i = 0 if sides[0] == longest else (1 if sides[1] == longest else 2)
+        j = (i + 1) % 3
+        x, y, z = (
+            0.5 * (s[3 * i] + s[3 * j]),
+            0.5 * (s[3 * i + 1] + s[3 * j + 1]),
+            0.5 * (s[3 * i + 2] + s[3 * j + 2]),
+        )
+        t, f, _, _, _ = _node(x, y, z, pair, lobes, begin, end)
+        other = stack[top + 1]
+        for k in range(COLUMNS):
+            other[k] = s[k]
+        s[AREA] = other[AREA] = 0.5 * area
+        s[DEPTH] = other[DEPTH] = depth + 1.0
+        s[3 * j], s[3 * j + 1], s[3 * j + 2], s[TAU + j], s[F + j] = x, y, z, t, f
+        other[3 * i], other[3 * i + 1], other[3 * i + 2] = x, y, z
+        other[TAU + i], other[F + i] = t, f
+        top += 2
+    return leaves
+
+
+@njit(cache=True, error_model="numpy")
+def _seen(mesh, clear, p, q, outlined, known, known_is_q, room, pieces):
+    """Triangles, as parts that both points see from one side; return parts and their number.
+
+    ``outlined`` is of p and of q; ``known`` is what one of the points, q or p, sees: of each
+    triangle all, nothing or a part, and where its polygons begin and end among those kept.
+
+    Rows of ``pieces`` are three corners, the area, both points' heights and the triangle's number.
+    """
+    polygons, sizes, shadows = room
+    how, ends, kept, kept_sizes = known
+    rows, reach = mesh[0], mesh[2]
+    count = 0
+    for t in range(rows.shape[0]):
+        row = rows[t]
+        n = frame(row)[0]
+        size = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+        h1 = (n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) - n[2] * row[2]) / size
+        h2 = (n[0] * (q[0] - row[0]) + n[1] * (q[1] - row[1]) - n[2] * row[2]) / size
+        tiny = 1e-12 * reach
+        if not (h1 > tiny and h2 > tiny) and not (h1 < -tiny and h2 < -tiny):
+            continue
+        if how[t] == NOTHING:
+            continue
+        _whole(polygons, sizes)
+        left = 1
+        if not clear[t, 0 if h1 > 0.0 else 1]:
+            begin, end = ends[t], ends[t + 1]
+            if end > begin and not known_is_q:
+                left = end - begin
+                for m in range(left):
+                    polygons[m], sizes[m] = kept[begin + m], kept_sizes[begin + m]
+            elif known_is_q or how[t] != ALL:
+                left = see(mesh, t, p, outlined[0], polygons, sizes, left, shadows)
+            same = p[0] == q[0] and p[1] == q[1]
+            if left > 0 and not same and not (known_is_q and how[t] == ALL):
+                left = see(mesh, t, q, outlined[1], polygons, sizes, left, shadows)
+            if left == OVERFLOW:
+                return pieces, OVERFLOW
+        for m in range(left):
+            for k in range(1, sizes[m] - 1):
+                if count == pieces.shape[0]:
+                    longer = np.empty((2 * count, 13))
+                    longer[:count] = pieces
+                    pieces = longer
+                corners = polygons[m]
+                u0, v0 = corners[0], corners[1]
+                u1, v1 = corners[2 * k], corners[2 * k + 1]
+                u2, v2 = corners[2 * k + 2], corners[2 * k + 3]
+                for axis in range(3):
+                    o, a, b = row[axis], row[3 + axis], row[6 + axis]
+                    pieces[count, axis] = o + u0 * a + v0 * b
+                    pieces[count, 3 + axis] = o + u1 * a + v1 * b
+                    pieces[count, 6 + axis] = o + u2 * a + v2 * b
+                share = (u1 - u0) * (v2 - v0) - (v1 - v0) * (u2 - u0)
+                pieces[count, 9] = 0.5 * size * share
+                pieces[count, 10], pieces[count, 11] = abs(h1), abs(h2)
+                pieces[count, 12] = t
+                count += 1
+    return pieces, count
+
+
+@threaded(error_model="numpy")
+def sights(mesh, clear, points, out, ends, kept, kept_sizes):
+    """Fill ``out`` (points, triangles) with how much of each triangle a point sees.
+
+    ``ends`` (points, triangles + 1) then has at t + 1 in how many polygons it sees a part. With
+    room for polygons they are kept there, where ``ends``, by then summed up, says.
+    """
+    rows = mesh[0]
+    for i in prange(points.shape[0]):
+        polygons = np.empty((PIECES, 2 * CORNERS))
+        sizes = np.empty(PIECES, dtype=np.int64)
+        shadows = shadow_room()
+        p = points[i]
+        outlined = outline(mesh, p, outline_room(mesh))
+        for t in range(rows.shape[0]):
+            row = rows[t]
+            n = frame(row)[0]
+            h = n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) - n[2] * row[2]
+            begin, end = ends[i, t], ends[i, t + 1]
+            if kept.size:
+                if end == begin:
+                    continue
+            else:
+                out[i, t] = ALL
+                if clear[t, 0 if h > 0.0 else 1]:
+                    continue
+            _whole(polygons, sizes)
+            left = see(mesh, t, p, outlined, polygons, sizes, 1, shadows)
+            if kept.size:
+                for m in range(left):
+                    kept[begin + m], kept_sizes[begin + m] = polygons[m], sizes[m]
+            elif left == 0:
+                out[i, t] = NOTHING
+            elif left != 1 or not _is_whole(polygons[0], sizes[0]):
+                out[i, t] = PART
+                ends[i, t + 1] = max(left, 0)  # not where there are too many
+
+
+@njit(cache=True, error_model="numpy")
+def _whole(polygons, sizes):
+    """Set the first polygon to all of a triangle."""
+    polygons[0, 0], polygons[0, 1], polygons[0, 2] = 0.0, 0.0, 1.0
+    polygons[0, 3], polygons[0, 4], polygons[0, 5] = 0.0, 0.0, 1.0
+    sizes[0] = 3
+
+
+@njit(cache=True, error_model="numpy")
+def _is_whole(polygon, size):
+    """Whether nothing was cut off a triangle."""
+    first = polygon[0] == 0.0 and polygon[1] == 0.0 and polygon[2] == 1.0
+    return size == 3 and first and polygon[3] == 0.0 and polygon[4] == 0.0 and polygon[5] == 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _pass(pieces, count, p, q, lobes, spans, sharp, limit, most, start, delta, bins, stack):
+    """Fill the bins; return the number of parts, beyond ``most`` where it was given up."""
+    bins[:] = 0.0
+    leaves = 0
+    for i in range(count):
+        piece = pieces[i]
+        t = int(piece[12])
+        pair = (p[0], p[1], q[0], q[1], piece[10], piece[11])
+        leaves += _piece(
+            piece,
+            pair,
+            lobes,
+            spans[t, 0],
+            spans[t, 1],
+            sharp[t],
+            limit,
+            start,
+            delta,
+            bins,
+            stack,
+        )
+        if leaves > most:
+            return leaves
+    return leaves
+
+
+@njit(cache=True, error_model="numpy")
+def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, stack, report):
+    """One laser point and one sensor point, by ever stricter passes until two agree to ``tol``."""
+    lobes, spans, sharp = world
+    report[STATUS], report[ERROR] = DONE, 0.0
+    leaves = _pass(
+        pieces, count, p, q, lobes, spans, sharp, math.inf, most, start, delta, bins, stack
+    )
+    strict = 0.5 * tol
+    for number in range(1, 40):
+        total = bins.sum()
+        report[TOTAL], report[LEAVES], report[PASSES] = total, leaves, number
+        if total <= 0.0:
+            return
+        within = total - bins[0] - bins[bins.size - 1]
+        before[:] = bins
+        fewer = leaves
+        # what falls outside the window need not be known better than what falls within
+        scale = within if within > 1e-6 * total else total
+        leaves = _pass(
+            pieces,
+            count,
+            p,
+            q,
+            lobes,
+            spans,
+            sharp,
+            strict * scale,
+            most,
+            start,
+            delta,
+            bins,
+            stack,
+        )
+        if leaves > most:
+            bins[:] = before
+            report[STATUS] = TOO_MANY
+            return
+        change = 0.0
+        for k in range(bins.size):
+            change += abs(bins[k] - before[k])
+        report[TOTAL], report[ERROR] = bins.sum(), change
+        report[LEAVES], report[PASSES] = leaves, number + 1
+        # passes that are nearly the same agree without a reason
+        if change <= tol * scale and leaves >= 1.5 * fewer:
+            return
+        strict /= STEP
+
+
+@threaded(error_model="numpy")
+def three_bounces(
+    mesh,
+    clear,
+    world,
+    lasers,
+    sensors,
+    turned,
+    sight,
+    known,
+    starts,
+    delta,
+    tol,
+    most,
+    blocks,
+    out,
+    report,
+):
+    """Fill ``out`` (pairs, bins + 2) with G of each pair and ``report`` (pairs, REPORT).
+
+    Block i of the pairs is from ``blocks[i]`` to ``blocks[i + 1]``; the bins before and after the
+    window are first and last. Row ``sight[i]`` of ``known`` is what the laser point sees, which
+    need not be asked again if its last says so; the sensor point's shadows come first where
+    ``turned[i]``. Pairs share no sum, so that threads
+    change no bit.
+    """
+    for block in prange(blocks.size - 1):
+        room = (
+            np.empty((PIECES, 2 * CORNERS)),
+            np.empty(PIECES, dtype=np.int64),
+            shadow_room(),
+        )
+        first, second = outline_room(mesh), outline_room(mesh)
+        pieces = np.empty((mesh[0].shape[0] + 16, 13))
+        before = np.empty(out.shape[1])
+        stack = np.empty((DEEPEST + 4, COLUMNS))
+        for i in range(blocks[block], blocks[block + 1]):
+            p, q = lasers[i], sensors[i]
+            if turned[i]:
+                p, q = q, p
+            how, ends, kept, kept_sizes, told = known
+            seen = how[sight[i]], ends[sight[i]], kept, kept_sizes
+            if turned[i] or not told:
+                first = outline(mesh, p, first)
+            if p[0] != q[0] or p[1] != q[1]:
+                second = outline(mesh, q, second)
+            both = first, second
+            pieces, count = _seen(mesh, clear, p, q, both, seen, turned[i], room, pieces)
+            out[i, :] = 0.0
+            report[i, :] = 0.0
+            if count == OVERFLOW:
+                report[i, STATUS] = TOO_FINE
+                continue
+            _pair(
+                pieces,
+                count,
+                p,
+                q,
+                world,
+                tol,
+                most,
+                starts[i],
+                delta,
+                out[i],
+                before,
+                stack,
+                report[i],
+            )

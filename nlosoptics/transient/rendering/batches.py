@@ -1,0 +1,323 @@
+"""Batches of paths between points of the relay wall by way of several hidden surfaces."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._random import scrambled_sobol
+from ...raytrace.intersection.meshes import worker_pool
+from . import _bounce_kernels as kernels
+from .surfaces import BounceSurfaces
+
+Array = NDArray[np.float64]
+STREAM: Final = 1 << 33  # of the random generator; each batch has one of its own after it
+ROWS: Final = 1 << 20  # vertices times wall points at a time
+SLICE: Final = 1 << 11  # rows that a task of several threads has at least
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Job:
+    """What every batch needs; light is followed from ``sensors`` to ``lasers``.
+
+    Parameters
+    ----------
+    around : BounceSurfaces
+    lasers, sensors : ndarray
+        (n, 3), m; where paths end and where they begin.
+    rows : ndarray of int64
+        (pairs, 2), (laser, sensor), sorted by laser.
+    orders : tuple of int
+        Rising.
+    starts : ndarray
+        (pairs,), m, where the first bin of each begins.
+    rate : float
+        Bins per m.
+    n_bins, seed : int
+    n_seen, n_each : int
+        Vertices that sensors see in a batch, and paths that go on from each.
+    aimed : (float, float)
+        Shares drawn over the surfaces' area: of vertices seen, and of those after.
+    """
+
+    around: BounceSurfaces
+    lasers: Array
+    sensors: Array
+    rows: NDArray[np.int64]
+    orders: tuple[int, ...]
+    starts: Array
+    rate: float
+    n_bins: int
+    seed: int
+    n_seen: int
+    n_each: int
+    aimed: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Paths:
+    """A batch's paths up to where they are joined to lasers.
+
+    Parameters
+    ----------
+    seen : ndarray
+        (vertices, VERTEX), what sensors see.
+    spread : ndarray of int64
+        (vertices + 1,); paths ``spread[j]`` to before ``spread[j + 1]`` leave vertex j.
+    first : ndarray
+        (paths, 3), the directions in which they do.
+    table : (ndarray, ndarray)
+        (sensors, vertices), factors, 1/m^2, and distances, m.
+    ends : list of ndarray
+        (paths, VERTEX), last vertices, by order.
+    """
+
+    seen: Array
+    spread: NDArray[np.int64]
+    first: Array
+    table: tuple[Array, Array]
+    ends: list[Array]
+
+
+def add_batch(job: Job, number: int, total: Array, squares: Array) -> int:
+    """Add a batch's bins, and their squares, to arrays (orders, pairs, n_bins); count its paths."""
+    sampler = _sampler(job, number)
+    paths = _walked(job, sampler, *_seen(job, sampler))
+    # lasers by as many as keep the found paths within memory
+    step = max(1, 4 * ROWS // (len(paths.first) * len(job.orders)))
+    for start in range(0, len(job.lasers), step):
+        found = _joined(job, paths.ends, job.lasers[start : start + step])
+        first, last = np.searchsorted(job.rows[:, 0], [start, start + step])
+        if last > first:
+            _gather(job, paths, found, start, slice(int(first), int(last)), total, squares)
+    return len(paths.first)
+
+
+def _sampler(job: Job, number: int) -> tuple[Any, ...]:
+    """Numbers of a batch, scrambled on its own."""
+    columns, shifts = scrambled_sobol(job.seed, STREAM + number, 1)
+    return np.uint64(job.seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)
+
+
+def openness(job: Job) -> tuple[float, float]:
+    """Shares of rays from sensors, and of those from what they meet, that meet nothing further."""
+    sampler = _sampler(job, -1)
+    seen = _points(job, sampler)
+    hit = seen[:, kernels.TRIANGLE] >= 0.0
+    leaving = np.empty((len(seen), kernels.LEAVE))
+    views = np.zeros((len(seen), kernels.VIEWS, 3))
+    views[..., :] = seen[:, None, kernels.N]
+    new = _leg(job, sampler, kernels.DRAWS_SEEN, views, seen, leaving)[0]
+    again = new[:, kernels.TRIANGLE] >= 0.0
+    n_hit = int(hit.sum())
+    between = 1.0 - float(again.sum()) / n_hit if n_hit else 1.0
+    return 1.0 - n_hit / len(seen), between
+
+
+def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
+    """Vertices that sensors see, and the table of factors and distances (sensors, vertices)."""
+    seen = _points(job, sampler)
+    shape = (len(job.sensors), len(seen))
+    factor, distance = np.empty(shape), np.empty(shape)
+    points = np.ascontiguousarray(seen[:, kernels.P])
+
+    def work(part: slice) -> None:
+        kernels.seen_from(job.around.kernel, job.sensors[part], seen, factor[part], distance[part])
+
+    on_threads(work, len(job.sensors), len(seen))
+    if not job.around.kernel.asked:
+        _shade(job, points, factor)
+    # of rays from all sensors, and of points over the area
+    density = (1.0 - job.aimed[0]) / np.pi * factor.mean(axis=0)
+    both = job.around.kernel.sides[seen[:, kernels.TRIANGLE].astype(np.int64)] == 0
+    density += job.aimed[0] / job.around.kernel.area * np.where(both, 0.5, 1.0)
+    unseen = ~(factor > 0.0).any(axis=0)
+    seen[unseen, kernels.TRIANGLE] = -1.0
+    density[unseen] = np.inf
+    seen[:, kernels.WEIGHT] = 1.0 / (len(seen) * density)
+    return seen, (factor, distance)
+
+
+def _spread(job: Job, seen: Array, factor: Array) -> NDArray[np.int64]:
+    """Where each vertex's paths begin, and their number.
+
+    Few vertices are near a sensor, and bring it much: as many paths leave each as the root of its
+    mean square weight at all sensors asks for.
+    """
+    weight = seen[:, kernels.WEIGHT] * np.sqrt(np.einsum("cj,cj->j", factor, factor))
+    if not weight.any():
+        return np.zeros(len(seen) + 1, dtype=np.int64)
+    # one each, and the rest by weight
+    rest = len(seen) * (job.n_each - 1) * (weight / weight.sum())
+    counts = np.where(weight > 0.0, 1 + rest.astype(np.int64), 0)
+    return np.append(0, np.cumsum(counts))
+
+
+def _shade(job: Job, points: Array, factor: Array) -> None:
+    """Set factors (sensors, vertices) to 0 where something stands in between."""
+    step = max(1, ROWS // len(points))
+    for start in range(0, len(job.sensors), step):
+        part = factor[start : start + step]
+        at, vertex = np.nonzero(part > 0.0)
+        value = part[at, vertex]
+        job.around.clear(value, points[vertex], job.sensors[start + at])
+        part[at, vertex] = value
+
+
+def _points(job: Job, sampler: Any) -> Array:
+    """Vertices that sensors may see."""
+    n, kernel = job.n_seen, job.around.kernel
+    origins, directions = np.empty((n, 3)), np.empty((n, 3))
+    triangle = np.empty(n, dtype=np.int64)
+    kernels.look(kernel, sampler, job.aimed[0], job.sensors, 0, origins, directions, triangle)
+    rays = np.flatnonzero(triangle < 0)
+    distance, met = job.around.first_hits(origins[rays], directions[rays])
+    met = np.where(met < kernel.shares.size - 1, met, -1)  # the wall is not seen from the wall
+    hit = met >= 0
+    triangle[rays] = met
+    origins[rays[hit]] += distance[hit, None] * directions[rays[hit]]
+    seen = np.zeros((n, kernels.VERTEX))
+    seen[:, kernels.P], seen[:, kernels.N] = origins, directions
+    normals = kernel.normals[met]
+    against = (directions[rays] * normals).sum(axis=1, keepdims=True) > 0.0
+    seen[rays, kernels.N] = np.where(against, -normals, normals)
+    seen[:, kernels.TRIANGLE] = triangle
+    seen[:, kernels.WEIGHT] = 1.0
+    return seen
+
+
+def _walked(job: Job, sampler: Any, seen: Array, table: tuple[Array, Array]) -> Paths:
+    """Follow paths on from the vertices that sensors see."""
+    spread = _spread(job, seen, table[0])
+    counts = np.diff(spread)
+    vertices = np.repeat(seen, counts, axis=0)
+    vertices[:, kernels.WEIGHT] /= np.repeat(counts, counts)
+    leaving = np.empty((len(vertices), kernels.LEAVE))
+    views = np.zeros((len(seen), kernels.VIEWS, 3))
+    kernels.view(sampler, job.sensors, table[0], seen, views)
+    views = np.repeat(views, counts, axis=0)
+    ends, first = [], np.empty((0, 3))
+    for order in range(4, job.orders[-1] + 1):
+        number = kernels.DRAWS_SEEN + kernels.DRAWS_A_LEG * (order - 4)
+        vertices, directions = _leg(job, sampler, number, views, vertices, leaving)
+        views = views[:0]
+        if order == 4:
+            first = directions
+        if order in job.orders:
+            ends.append(vertices)
+    return Paths(seen=seen, spread=spread, first=first, table=table, ends=ends)
+
+
+def _leg(
+    job: Job, sampler: Any, number: int, views: Array, vertices: Array, leaving: Array
+) -> tuple[Array, Array]:
+    """Vertices to which paths go on, and the directions."""
+    kernel, aimed = job.around.kernel, job.aimed[1]
+    origins, directions = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 3))
+
+    def send(part: slice) -> None:
+        kernels.leave(
+            kernel,
+            sampler,
+            part.start,
+            number,
+            aimed,
+            views[part],
+            vertices[part],
+            leaving[part],
+            origins[part],
+            directions[part],
+        )
+
+    on_threads(send, len(vertices), 1)
+    live = np.flatnonzero(leaving[:, kernels.SENT] > 0.0)
+    distance = np.zeros(len(vertices))
+    triangle = np.full(len(vertices), -1, dtype=np.int32)
+    if len(live):
+        distance[live], triangle[live] = job.around.first_hits(origins[live], directions[live])
+    new = np.zeros_like(vertices)
+
+    def land(part: slice) -> None:
+        kernels.arrive(
+            kernel,
+            aimed,
+            vertices[part],
+            leaving[part],
+            directions[part],
+            distance[part],
+            triangle[part],
+            new[part],
+        )
+
+    on_threads(land, len(vertices), 1)
+    return new, directions
+
+
+def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
+    """Weights and lengths (lasers, orders, paths) of paths that end at lasers' spots."""
+    n = len(ends[0])
+    value, length = np.empty((2, len(lasers), len(ends), n))
+    for order, vertices in enumerate(ends):
+        for at, laser in enumerate(lasers):
+
+            def work(part: slice, at: int = at, order: int = order, laser: Array = laser) -> None:
+                kernels.connect(
+                    job.around.kernel,
+                    laser,
+                    ends[order][part],
+                    value[at, order, part],
+                    length[at, order, part],
+                )
+
+            on_threads(work, n, 1)
+            if not job.around.kernel.asked:
+                points = vertices[:, kernels.P]
+                job.around.clear(value[at, order], points, np.broadcast_to(laser, points.shape))
+    return value, length
+
+
+def _gather(
+    job: Job,
+    paths: Paths,
+    found: tuple[Array, Array],
+    start: int,
+    span: slice,
+    total: Array,
+    squares: Array,
+) -> None:
+    """Bin the paths of the pairs ``span``, whose lasers begin with the one at ``start``."""
+    rows, starts = job.rows[span] - np.array([start, 0]), job.starts[span]
+    into, again = total[:, span], squares[:, span]
+    walked = (paths.seen, paths.spread, paths.first)
+
+    def work(part: slice) -> None:
+        kernels.gather_pairs(
+            job.around.kernel,
+            walked,
+            rows[part],
+            starts[part],
+            job.rate,
+            paths.table,
+            job.sensors,
+            found,
+            into[:, part],
+            again[:, part],
+        )
+
+    on_threads(work, len(rows), len(paths.first))
+
+
+def on_threads(work: Callable[[slice], None], count: int, weight: int) -> None:
+    """Call ``work`` for slices of ``count`` rows, on all cores where they have much to do."""
+    pieces = max(1, min(count, count * weight // SLICE, 16))
+    ends = [count * k // pieces for k in range(pieces + 1)]
+    parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
+    if len(parts) == 1:
+        work(parts[0])
+        return
+    list(worker_pool().map(work, parts))

@@ -1,0 +1,309 @@
+"""Hidden meshes with their materials, joined and checked before light is sent to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import SceneError
+from ...kernels.codes import BECKMANN, GGX, OREN_NAYAR_FULL
+from ...raytrace import intersect_mesh, occluded
+from ...scene import Lambert, Material
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from ._bounce_kernels import Surfaces
+
+Array = NDArray[np.float64]
+GAP: Final = 1e-9  # of the scene's extent: what paths leave is not met nearer than this
+ASKED: Final = 4096  # triangles up to which kernels look for shadows by themselves
+
+
+@dataclass(frozen=True, eq=False)
+class BounceSurfaces:
+    """Meshes that light can meet and what kernels know of them.
+
+    Parameters
+    ----------
+    hidden : trimesh.Trimesh
+        All hidden triangles, which alone can stand in the way.
+    met : trimesh.Trimesh
+        The same and, after them, those of a relay wall that reflects on the way.
+    kernel : Surfaces
+    gap : float
+        Hits nearer than this are passed over, m.
+    """
+
+    hidden: trimesh.Trimesh
+    met: trimesh.Trimesh
+    kernel: Surfaces
+    gap: float
+
+    def first_hits(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.int32]]:
+        """Distance and triangle, -1 for none, where rays (n, 3) first end."""
+        hits = intersect_mesh(self.met, origins, directions, min_distance=self.gap)
+        return hits.distance, hits.triangle
+
+    def clear(self, value: Array, starts: Array, ends: Array) -> None:
+        """Set values (n,) to 0 where hidden surfaces stand between points (n, 3)."""
+        rows = np.flatnonzero(value > 0.0)
+        if len(rows):
+            value[rows[occluded(self.hidden, starts[rows], ends[rows])]] = 0.0
+
+
+def bounce_surfaces(
+    surfaces: HiddenSurfaces,
+    wall_points: Array,
+    wall_albedo: float,
+    wall_size: tuple[float, float] | None,
+) -> BounceSurfaces:
+    """Join hidden surfaces and a wall of ``wall_size`` (x, y), m, or None, about the origin.
+
+    ``wall_points`` (n, 3), m, are those that see the surfaces.
+    """
+    from ...raytrace.intersection.triangles import Facets
+    from ._bounce_kernels import Surfaces
+
+    corners, lobes, spans = surfaces.corners, surfaces.lobes, surfaces.spans
+    n_hidden = len(corners)
+    if wall_size is not None:
+        x, y = 0.5 * wall_size[0], 0.5 * wall_size[1]
+        a, b, c, d = ([-x, -y, 0.0], [x, -y, 0.0], [x, y, 0.0], [-x, y, 0.0])
+        corners = np.concatenate([corners, [[a, b, c], [a, c, d]]])
+        lobes = np.concatenate([lobes, Lambert(wall_albedo).lobe_table()])
+        spans = np.concatenate([spans, np.tile([len(lobes) - 1, len(lobes)], (2, 1))])
+    first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(first, second)
+    doubled = np.sqrt((across * across).sum(axis=1))
+    normals = across / doubled[:, None]
+    shares = np.insert(np.cumsum(doubled[:n_hidden]), 0, 0.0)
+    facets = Facets(surfaces.mesh)
+    kernel = Surfaces(
+        lobes=np.ascontiguousarray(lobes),
+        spans=np.ascontiguousarray(spans, dtype=np.int64),
+        triangles=np.ascontiguousarray(np.concatenate([corners[:, 0], first, second], axis=1)),
+        normals=np.ascontiguousarray(normals),
+        sides=_sides(corners, normals, wall_points),
+        shares=shares / shares[-1],
+        area=0.5 * float(shares[-1]),
+        rows=facets.rows,
+        boxes=facets.boxes,
+        asked=n_hidden <= ASKED,
+    )
+    met = surfaces.mesh if wall_size is None else _mesh(corners)
+    extent = float(np.abs(corners[:n_hidden]).max())
+    return BounceSurfaces(hidden=surfaces.mesh, met=met, kernel=kernel, gap=GAP * extent)
+
+
+def _sides(corners: Array, normals: Array, points: Array) -> NDArray[np.int64]:
+    """Side of each triangle's plane on which all points are: 1, -1, or 0 where there are both."""
+    # the points' box will do: its corners are on the side that all points are on, or on both
+    low, high = points.min(axis=0), points.max(axis=0)
+    box = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
+    heights = np.einsum("tk,bk->tb", normals, box) - (normals * corners[:, 0]).sum(axis=1)[:, None]
+    above, below = (heights > 0.0).any(axis=1), (heights < 0.0).any(axis=1)
+    return np.where(above & below, 0, np.where(below, -1, 1)).astype(np.int64)
+
+
+def _mesh(corners: Array) -> trimesh.Trimesh:
+    import trimesh
+
+    faces = np.arange(3 * len(corners)).reshape(-1, 3)
+    return trimesh.Trimesh(corners.reshape(-1, 3), faces, process=False)
+
+
+Index = NDArray[np.int64]
+#: Triangles, tree of boxes, extent in m, neighbours, and where the lines begin that cross each.
+Mesh = tuple[Array, Array, float, Index, Index, Array]
+
+
+def occluders(surfaces: HiddenSurfaces) -> tuple[Mesh, Index]:
+    """What `_visibility_kernels.see` asks, and the number of each of its triangles in the mesh."""
+    from ...raytrace.intersection.triangles import Facets
+    from ._visibility_kernels import crossings
+
+    facets = Facets(surfaces.mesh)
+    names = facets.names.astype(np.int64)
+    corners = surfaces.corners[names]
+    reach = float(np.abs(corners).max())
+    begins, lines = np.zeros(len(names) + 1, dtype=np.int64), np.empty((0, 4))
+    crossings(facets.rows, facets.boxes, reach, begins, lines)
+    begins = np.cumsum(begins)
+    if begins[-1]:
+        lines = np.empty((begins[-1], 4))
+        crossings(facets.rows, facets.boxes, reach, begins, lines)
+    return (facets.rows, facets.boxes, reach, neighbours(corners), begins, lines), names
+
+
+def neighbours(corners: Array) -> Index:
+    """Of each side of each triangle the triangle beyond it, as `_visibility_kernels` numbers them.
+
+    Parameters
+    ----------
+    corners : ndarray
+        (n, 3, 3), m; corners that are equal are one.
+
+    Returns
+    -------
+    ndarray of int64
+        (n, 3), of the sides from each corner to the next.
+    """
+    from ._visibility_kernels import ALONE, FLIPPED
+
+    # with 0.0, lest -0.0 be another number
+    _, points = np.unique(corners.reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
+    points = points.reshape(-1, 3)
+    first, last = points.ravel(), np.roll(points, -1, axis=1).ravel()
+    sides = np.stack([np.minimum(first, last), np.maximum(first, last)], axis=1)
+    _, side, count = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    order = np.argsort(side.reshape(-1), kind="stable")
+    pairs = order[count[side.reshape(-1)[order]] == 2].reshape(-1, 2)
+    found = np.full(first.size, ALONE, dtype=np.int64)
+    around = first[pairs[:, 0]] != first[pairs[:, 1]]  # each goes along it the other way
+    for here, there in (pairs.T, pairs.T[::-1]):
+        found[here] = np.where(around, there // 3, FLIPPED - there // 3)
+    return found.reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenSurfaces:
+    """Triangles of all hidden meshes; both sides of each scatter.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        All triangles, m, in the order of the meshes.
+    lobes : ndarray
+        (k, 4), the lobes of all materials.
+    spans : ndarray of int64
+        (n, 2), the rows of ``lobes`` of each triangle, from the first to before the last.
+    alphas : ndarray
+        (n,), of the narrowest lobe of each triangle, rad; 1 of wide ones.
+    """
+
+    mesh: trimesh.Trimesh
+    lobes: Array
+    spans: NDArray[np.int64]
+    alphas: Array
+
+    @property
+    def corners(self) -> Array:
+        """(n, 3, 3), m."""
+        return np.array(self.mesh.vertices[self.mesh.faces], dtype=np.float64)
+
+
+def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> HiddenSurfaces:
+    """Join hidden meshes and check that light can reach them.
+
+    Parameters
+    ----------
+    surfaces : iterable of (trimesh.Trimesh, Material)
+        World, m. In front of the relay wall z = 0, which they may touch.
+
+    Raises
+    ------
+    SceneError
+        If there is none, a mesh has vertices that are not finite, triangles without area or behind
+        the wall, or a material is a mirror of zero slope.
+    """
+    import trimesh
+
+    pairs = _pairs(surfaces)
+    vertices, faces, lobes, spans, alphas = [], [], [], [], []
+    n_vertices = n_lobes = 0
+    for number, (mesh, material) in enumerate(pairs):
+        points = _checked(number, mesh)
+        rows = _lobes(number, material)
+        triangles = np.asarray(mesh.faces, dtype=np.int64)
+        vertices.append(points)
+        faces.append(triangles + n_vertices)
+        lobes.append(rows)
+        spans.append(np.tile([n_lobes, n_lobes + len(rows)], (len(triangles), 1)))
+        alphas.append(np.full(len(triangles), _narrowest(rows)))
+        n_vertices += len(points)
+        n_lobes += len(rows)
+    joined = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    return HiddenSurfaces(
+        joined, np.concatenate(lobes), np.concatenate(spans), np.concatenate(alphas)
+    )
+
+
+def _pairs(surfaces: Any) -> list[tuple[Any, Any]]:
+    try:
+        pairs = [(mesh, material) for mesh, material in surfaces]
+    except (TypeError, ValueError):
+        raise SceneError(
+            f"surfaces = {type(surfaces).__name__} are not pairs; give a list of (mesh, material)"
+        ) from None
+    if not pairs:
+        raise SceneError("surfaces are empty; give at least one (mesh, material)")
+    return pairs
+
+
+def _checked(number: int, mesh: Any) -> Array:
+    """Vertices of a mesh that light can be sent to."""
+    import trimesh
+
+    name = f"surfaces[{number}]"
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise SceneError(f"{name} of type {type(mesh).__name__} holds no triangles; give a Trimesh")
+    points = np.array(mesh.vertices, dtype=np.float64)
+    corners = points[np.asarray(mesh.faces)]
+    bad = np.flatnonzero(~np.isfinite(corners).all(axis=(1, 2)))
+    if len(bad):
+        raise SceneError(
+            f"{name} has NaN or infinite vertices in {len(bad)} triangles, first in faces[{bad[0]}]"
+            "; mend the mesh"
+        )
+    extent = float(np.abs(corners).max())
+    low = corners[..., 2].min(axis=1)
+    behind = np.flatnonzero(low < -1e-9 * extent)
+    if len(behind):
+        raise SceneError(
+            f"{name} reaches behind the wall, to z = {low.min():g} m at faces[{low.argmin()}], "
+            "limit 0; move it into the room or cut it off at z = 0"
+        )
+    flat = np.flatnonzero(corners[..., 2].max(axis=1) <= 1e-9 * extent)
+    if len(flat):
+        raise SceneError(f"{name} lies in the wall z = 0 at faces[{flat[0]}]; move it away")
+    sides = corners - corners[:, [1, 2, 0]]
+    longest = (sides * sides).sum(axis=2).max(axis=1)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.sqrt((across * across).sum(axis=1))
+    thin = np.flatnonzero(areas <= 1e-12 * longest)
+    if len(thin):
+        raise SceneError(
+            f"{name} has {len(thin)} triangles without an area, first faces[{thin[0]}]; remove them"
+        )
+    return points
+
+
+def _lobes(number: int, material: Any) -> Array:
+    if not isinstance(material, Material):
+        raise SceneError(
+            f"surfaces[{number}] has the material {type(material).__name__}; give scene.Lambert, "
+            "OrenNayar, Ward, SpecularMicrofacet or SumMaterial"
+        )
+    rows = material.lobe_table()
+    mirror = np.isin(rows[:, 0], (BECKMANN, GGX)) & (rows[:, 2] == 0.0) & (rows[:, 1] > 0.0)
+    if mirror.any():
+        raise SceneError(
+            f"surfaces[{number}] is a mirror of slope_rms = 0, whose light has no density over the "
+            "surface; give it a slope from 1e-3 rad"
+        )
+    return rows
+
+
+def _narrowest(rows: Array) -> float:
+    """Least alpha of a lobe that reflects, at most 1, which is wide."""
+    alphas = [1.0]
+    for kind, strength, slope, _ in rows:
+        if kind > OREN_NAYAR_FULL and strength > 0.0 and slope > 0.0:
+            alphas.append(float(slope) * (math.sqrt(2.0) if kind in (BECKMANN, GGX) else 1.0))
+    return min(alphas)

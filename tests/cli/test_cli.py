@@ -1,0 +1,412 @@
+"""The command line: exit codes, one-line errors, and folders written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import nlosoptics
+from nlosoptics import _random, cli
+from nlosoptics._whole_files import whole_folder
+from nlosoptics.cli import forward, shell
+from nlosoptics.runs import record, results
+from nlosoptics.scene import Scene
+
+
+class Answer(NamedTuple):
+    """What a call of the program came to."""
+
+    code: int
+    out: str
+    err: str
+
+
+Run = Callable[..., Answer]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Call the command line in this process."""
+
+    def call(*arguments: object) -> Answer:
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(a) for a in arguments])
+        captured = capsys.readouterr()
+        return Answer(int(ended.value.code or 0), captured.out, captured.err)
+
+    return call
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path, flat_scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A scene file of 64 x 64 pixels with its picture, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    picture = np.rint(255 * flat_scene.hidden.reflectance).astype(np.uint8)  # type: ignore[union-attr]
+    Image.fromarray(picture).save(tmp_path / "letter.png")
+    hidden = replace(flat_scene.hidden, image=tmp_path / "letter.png")
+    replace(flat_scene, hidden=hidden).save(tmp_path / "letter.toml")
+    return tmp_path / "letter.toml"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, hidden ones too."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def mesh_of(kind: str, path: Path) -> None:
+    """Write a mesh file that no wall can be made of."""
+    if kind == "empty":
+        path.write_bytes(b"")
+    else:
+        path.write_text("v 0 0 0\nv 1 0 0\nl 1 2\n")
+
+
+# One edit of the scene file each, and what the message must name.
+BAD_SCENES = {
+    "missing key": ('power = "0.005 W"\n', "", ["laser.power", "missing"]),
+    "unknown key": ("beam_diameter", "beam_diametre", ["beam_diametre", "beam_diameter"]),
+    "wrong unit": ('"0.005 W"', '"0.005 m"', ["laser.power", "0.005 m", "W"]),
+    "no unit": ('"6.328e-07 m"', "632.8", ["laser.wavelength", "632.8", "unit"]),
+    "wavelength in m": ('"6.328e-07 m"', '"632.8 m"', ["laser.wavelength", "632.8", "nanometres"]),
+    "negative size": ('size = ["0.3 m", "0.3 m"]', 'size = "-0.3 m"', ["hidden.size", "-0.3"]),
+    "NaN": ('"0.025 m"', '"nan m"', ["camera.stop_diameter", "nan"]),
+    "object behind the wall": (
+        '"0.3798 m", "0.0 m", "1.0 m"',
+        '"0.3798 m", "0.0 m", "-1.0 m"',
+        ["hidden.position", "-1", "behind the wall"],
+    ),
+    "camera looks away": (
+        'aim = ["-0.16453333333333325 m", "0.0 m", "0.0 m"]',
+        'aim = ["-0.1 m", "0.0 m", "2.0 m"]',
+        ["camera.aim", "away from the wall"],
+    ),
+    "missing picture": ("letter.png", "lettre.png", ["hidden.image", "lettre.png"]),
+    "picture is no picture": ("letter.png", "letter.toml", ["hidden.image", "letter.toml"]),
+    "missing mesh": (
+        'shape = "flat"',
+        'shape = "mesh"\nmesh = "wall.stl"',
+        ["wall.mesh", "wall.stl"],
+    ),
+    "empty mesh": (
+        'shape = "flat"',
+        'shape = "mesh"\nmesh = "empty.stl"',
+        ["wall.mesh", "empty.stl"],
+    ),
+    "mesh without surface": (
+        'shape = "flat"',
+        'shape = "mesh"\nmesh = "lines.obj"',
+        ["wall.mesh", "lines.obj"],
+    ),
+    "beyond memory": (
+        "pixels = [4096, 4096]\nbinning = 64",
+        "pixels = [1048576, 1048576]\nbinning = 1",
+        ["1048576", "GiB"],
+    ),
+    "not TOML": ("[wall]", "[wall", ["letter.toml", "TOML"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_SCENES)
+def test_bad_scene_is_one_line_and_writes_nothing(case: str, scene_file: Path, run: Run) -> None:
+    """Exit code 2, a line that names the place, and no file more than before."""
+    old, new, named = BAD_SCENES[case]
+    text = scene_file.read_text()
+    assert text.count(old) >= 1
+    scene_file.write_text(text.replace(old, new, 1))
+    mesh_of("empty", scene_file.with_name("empty.stl"))
+    mesh_of("lines", scene_file.with_name("lines.obj"))
+    before = contents(scene_file.parent)
+    for command in (["run", scene_file, "--out", "result"], ["plan", scene_file]):
+        answer = run(*command)
+        assert answer.code == 2
+        assert answer.out == ""
+        assert answer.err.count("\n") == 1
+        for word in named:
+            assert word in answer.err
+    assert contents(scene_file.parent) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ([], ["command"]),
+        (["walk"], ["walk"]),
+        (["run"], ["SCENE"]),
+        (["run", "nowhere.toml"], ["nowhere.toml", "missing"]),
+        (["run", "letter.toml", "--tol", "tight"], ["--tol"]),
+        (["run", "letter.toml", "--tol", "nan"], ["tol = nan"]),
+        (["run", "letter.toml", "--tol", "2"], ["tol = 2", "0.1"]),
+        (["run", "letter.toml", "--seed", "-1"], ["--seed"]),
+        (["run", "letter.toml", "--seed", "0.5"], ["--seed"]),
+        (["run", "letter.toml", "--seed", str(2**64)], ["--seed", str(2**64 - 1)]),
+        (["run", "letter.toml", "--size", "100"], ["size = 100", "nearest is 128"]),
+        (["run", "letter.toml", "--size", "0"], ["size = 0"]),
+        (["run", "letter.toml", "--sise", "64"], ["--sise"]),
+        (["run", "letter.toml", "--out", "letter.png"], ["letter.png", "is a file"]),
+        (["run", "letter.toml", "--out", "a/b"], ["a, which is no folder"]),
+        (["run", "letter.toml", "--out", "."], ["letter.", "did not write"]),
+        (["plan", "letter.toml", "--tol", "-1"], ["tol = -1"]),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_bad_argument_is_one_line_and_writes_nothing(
+    arguments: list[str], named: list[str], scene_file: Path, run: Run
+) -> None:
+    """Exit code 2 and a line that names the option and its value or limit."""
+    before = contents(scene_file.parent)
+    answer = run(*arguments)
+    assert answer.code == 2
+    assert answer.out == ""
+    assert answer.err.count("\n") == 1
+    for word in named:
+        assert word in answer.err
+    assert contents(scene_file.parent) == before
+
+
+def test_debug_shows_the_traceback(scene_file: Path, run: Run) -> None:
+    """The code stays that of bad input."""
+    answer = run("run", "nowhere.toml", "--debug")
+    assert answer.code == 2
+    assert "Traceback" in answer.err
+    assert "SceneError" in answer.err
+
+
+def test_version(run: Run) -> None:
+    """The package's own."""
+    assert run("--version") == (0, f"nlosoptics {nlosoptics.__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        [],
+        ["plan"],
+        ["feasibility"],
+        ["run"],
+        ["reconstruct"],
+        ["schema"],
+        ["transient"],
+        ["phasor"],
+    ],
+)
+def test_help(command: list[str], run: Run) -> None:
+    """Each command explains itself."""
+    answer = run(*command, "--help")
+    assert answer.code == 0
+    assert "Usage: nlosoptics" in answer.out
+
+
+def test_schema_is_json(run: Run) -> None:
+    """A JSON schema that knows the four tables."""
+    schema = json.loads(run("schema").out)
+    assert set(schema["properties"]) == {
+        "laser",
+        "wall",
+        "hidden",
+        "camera",
+        "occluder",
+        "transient",
+    }
+
+
+def test_plan_prints_what_the_library_plans(scene_file: Path, run: Run) -> None:
+    """The table is `str(plan)`; nothing is computed or written."""
+    before = contents(scene_file.parent)
+    plan = nlosoptics.plan(nlosoptics.Scene.load(scene_file).resized(32), 1e-2, reconstruct=True)
+    answer = run("plan", scene_file, "--size", 32, "--tol", 1e-2)
+    assert answer == (0, f"{plan}\n", "")
+    assert contents(scene_file.parent) == before
+
+
+def test_run_writes_the_whole_result(examples: Path, scene_file: Path, run: Run) -> None:
+    """Figures, arrays and pictures, and result.json describes them; the scene can be run again."""
+    # the laser spot of the fixture's scene outshines its letter
+    nlosoptics.Scene.load(examples / "scenes" / "letter_flat.toml").resized(64).save(scene_file)
+    answer = run("run", scene_file, "--seed", 3)
+    assert answer.code == 0, answer.err
+    assert answer.err == ""
+    folder = scene_file.parent / "letter"
+    report = json.loads((folder / "result.json").read_text())
+    assert report["status"] == "done"
+    assert (report["seed"], report["tol"]) == (3, 1e-3)
+    assert sorted(p.name for p in folder.iterdir()) == report["files"]
+    assert {"image.npz", "reconstruction.npz", "scene.png", "reconstruction.png"} <= set(
+        report["files"]
+    )
+    stages = [stage["name"] for stage in report["plan"]["stages"]]
+    assert list(report["seconds"]) == [*stages, "writing", "total"]
+    assert report["figures"]["correlation_with_truth"] > 0.9
+    for stage in stages:
+        assert stage in answer.out
+
+    again = nlosoptics.simulate(nlosoptics.Scene.load(scene_file), seed=3)
+    with np.load(folder / "image.npz") as arrays:
+        np.testing.assert_array_equal(arrays["electrons"], again.image.electrons)
+    with np.load(folder / "wavefront.npz") as arrays:
+        np.testing.assert_array_equal(arrays["aberration"], again.wavefront.aberration)
+        assert arrays["layout"] == again.wavefront.layout
+
+    # the folder's own scene file gives the same scene, so the same hash
+    assert run("run", folder / "scene.toml", "--no-reconstruct", "--out", "again").code == 0
+    second = json.loads((scene_file.parent / "again" / "result.json").read_text())
+    assert second["scene_sha256"] == report["scene_sha256"]
+    assert "reconstruction.npz" not in second["files"]
+
+
+def test_seed_limit_is_the_generators() -> None:
+    """Written twice, because the command line's help loads no numpy."""
+    assert shell.MOST_SEED == _random.MOST_SEED
+
+
+def test_help_of_tol_claims_no_more_than_it_does(run: Run) -> None:
+    """It bounds the point spread; the image's own error is fixed."""
+    text = " ".join(run("run", "--help").out.replace("\u2502", " ").split())
+    assert "Wanted error of the point spread" in text
+    assert "point spread and image" not in text
+
+
+@pytest.mark.parametrize("dark", ["black picture", "turned away"])
+def test_object_that_sends_no_light(dark: str, examples: Path, scene_file: Path, run: Run) -> None:
+    """No truth to compare with or to draw, and no NaN; warnings are errors here."""
+    scene = nlosoptics.Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+    if dark == "black picture":
+        Image.fromarray(np.zeros((8, 8), np.uint8)).save(scene_file.with_name("black.png"))
+        hidden = replace(scene.hidden, image=scene_file.with_name("black.png"))
+    else:
+        hidden = replace(scene.hidden, yaw=np.pi)
+    replace(scene, hidden=hidden).save(scene_file)
+    answer = run("run", scene_file)
+    assert answer.code == 0, answer.err
+    assert "no light from the object reaches the camera" in " ".join(answer.out.split())
+    assert "correlation" not in answer.out
+    report = json.loads((scene_file.parent / "letter" / "result.json").read_text())
+    assert "correlation_with_truth" not in report["figures"]
+    assert report["figures"]["reconstruction_status"] == "too_few_photons"
+    assert "reconstruction.png" in report["files"]
+
+
+def test_hash_follows_scene_and_picture(scene_file: Path) -> None:
+    """Any change of the scene's numbers or of the picture's bytes changes it."""
+
+    def digest() -> str:
+        return record.scene_hash(nlosoptics.Scene.load(scene_file))
+
+    first = digest()
+    scene_file.write_text(scene_file.read_text().replace('"0.04 s"', '"0.02 s"'))
+    second = digest()
+    Image.fromarray(np.full((32, 32), 255, np.uint8)).save(scene_file.with_name("letter.png"))
+    assert len({first, second, digest()}) == 3
+
+
+def test_only_our_folder_is_replaced(scene_file: Path, run: Run) -> None:
+    """A second run replaces the first one's folder, but not one that holds somebody's notes."""
+    command = ("run", scene_file, "--no-reconstruct", "--out", "result")
+    assert run(*command, "--seed", 1).code == 0
+    assert run(*command, "--seed", 2).code == 0
+    folder = scene_file.parent / "result"
+    assert json.loads((folder / "result.json").read_text())["seed"] == 2
+    (folder / "notes.txt").write_text("mine")
+    before = contents(folder)
+    answer = run(*command, "--seed", 3)
+    assert answer.code == 2
+    assert "notes.txt" in answer.err
+    assert contents(folder) == before
+
+
+def disk_full(*_: object, **__: object) -> None:
+    """Fail as a full disk does."""
+    raise OSError("disk full")
+
+
+def interrupt(*_: object, **__: object) -> None:
+    """Press Ctrl-C."""
+    signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_broken_run_leaves_the_old_folder(
+    scene_file: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither half a folder nor a lost one, whatever breaks in the middle."""
+    command = ("run", scene_file, "--no-reconstruct")
+    assert run(*command).code == 0
+    before = contents(scene_file.parent)
+    for where, step in (
+        (forward, "load"),
+        (results, "write_result"),
+        (forward, "_write_pictures"),
+    ):
+        for break_it, said in (
+            (disk_full, "disk full"),
+            (interrupt, "interrupted; nothing was written"),
+        ):
+            with monkeypatch.context() as broken:
+                broken.setattr(where, step, break_it)
+                answer = run(*command, "--seed", 1)
+            assert answer.code == 1, step
+            assert said in answer.err
+            assert answer.err.count("\n") == 1
+            assert contents(scene_file.parent) == before, step
+
+
+def test_renaming_that_fails_puts_the_old_folder_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The one moment when the old folder is away and the new one not yet there."""
+    target = tmp_path / "result"
+    target.mkdir()
+    (target / "old.txt").write_text("old")
+    rename = Path.rename
+
+    def break_second(self: Path, to: Path) -> Path:
+        if self.name == "new":
+            raise OSError("no")
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, "rename", break_second)
+    with pytest.raises(OSError, match="no"), whole_folder(target) as new:
+        (new / "new.txt").write_text("new")
+    assert contents(tmp_path) == {"result/old.txt": b"old"}
+
+
+@pytest.mark.parametrize(("package", "extra"), [("matplotlib", "views"), ("torch", "inverse")])
+def test_missing_extra_is_told_before_any_work(
+    package: str, extra: str, scene_file: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 1: the input is good, the installation is not."""
+    before = contents(scene_file.parent)
+    monkeypatch.setattr(shell.importlib.util, "find_spec", lambda name: name != package or None)
+    answer = run("run", scene_file)
+    assert answer.code == 1
+    assert f"pip install 'nlosoptics[{extra}]'" in answer.err
+    assert answer.err.count("\n") == 1
+    assert contents(scene_file.parent) == before
+
+
+def test_plan_loads_nothing_heavy(scene_file: Path) -> None:
+    """What a plan imports decides how long it takes."""
+    code = (
+        "import sys\nfrom nlosoptics.cli import main\n"
+        "try: main()\nfinally: print(*sys.modules, file=sys.stderr)"
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "EAGER_IMPORT"}
+    answer = subprocess.run(
+        [sys.executable, "-c", code, "plan", scene_file],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=environment,
+    )
+    heavy = {"torch", "matplotlib", "pyvista", "numba", "trimesh", "rich.progress"}
+    assert heavy & set(answer.stderr.split()) == set()

@@ -1,0 +1,188 @@
+"""`nlosoptics view`: files of every kind, and one line for whatever is missing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from nlosoptics import views
+from nlosoptics.cli import main
+from nlosoptics.errors import MissingExtraError
+from nlosoptics.views import stages
+
+pytest.importorskip("pyvista")
+
+
+@pytest.fixture
+def scene(examples: Path) -> str:
+    return str(examples / "scenes" / "letter_wavy.toml")
+
+
+@pytest.fixture
+def untried():
+    """A process that has not tried to render yet, and will have to again."""
+    stages._trial.cache_clear()
+    yield
+    stages._trial.cache_clear()
+
+
+def run(capsys, *words: str) -> tuple[int, str, str]:
+    """Exit code and what is said on stdout and stderr."""
+    with pytest.raises(SystemExit) as ended:
+        main(["view", *words])
+    said = capsys.readouterr()
+    return int(ended.value.code or 0), said.out, said.err
+
+
+def test_a_page_shows_what_is_asked_for(scene, capsys, tmp_path):
+    out = tmp_path / "room.html"
+    code, said, wrong = run(
+        capsys, scene, "--out", str(out), "--paths", "50", "--colour", "path_length"
+    )
+    assert (code, wrong) == (0, "")
+    assert said.startswith(f"written to {out}, ")
+    text = out.read_text()
+    assert "path length from the source (m)" in text
+    assert "relay wall, slopes up to 2.5 mrad" in text
+
+
+def test_paths_are_counted_and_chosen(scene, capsys, monkeypatch, tmp_path):
+    """So many of so many reflections, though they are rare; the seed decides which."""
+    drawn = []
+    saved = views.save
+    monkeypatch.setattr(
+        views, "save", lambda plotter, path: (drawn.append(plotter), saved(plotter, path))
+    )
+    for seed in ("0", "0", "1"):
+        words = ["--out", str(tmp_path / "x.glb"), "--paths", "20", "--bounces", "4"]
+        assert run(capsys, scene, *words, "--seed", seed)[0] == 0
+    legs = [plotter.actors["ray paths"].mapper.dataset for plotter in drawn]
+    assert [mesh.n_cells for mesh in legs] == [5 * 20] * 3
+    assert int(legs[0]["reflections so far"].max()) == 4
+    assert legs[0].points.tobytes() == legs[1].points.tobytes()
+    assert legs[0].points.tobytes() != legs[2].points.tobytes()
+
+
+def test_aberration_is_that_of_the_pupils_rays(scene, capsys, tmp_path):
+    out = tmp_path / "room.html"
+    words = ["--out", str(out), "--paths", "100", "--colour", "aberration"]
+    assert run(capsys, scene, *words)[0] == 0
+    assert "wave aberration (waves)" in out.read_text()
+
+
+def test_no_paths_is_the_room_alone(scene, capsys, tmp_path):
+    out = tmp_path / "room.html"
+    assert run(capsys, scene, "--out", str(out), "--paths", "0")[0] == 0
+    text = out.read_text()
+    assert "floor grid, 0.2 m" in text
+    assert '<div class="bar">' not in text
+
+
+def test_a_png_is_drawn_where_that_works(scene, capsys, tmp_path):
+    try:
+        views.rendering_works()
+    except MissingExtraError as error:
+        pytest.skip(str(error))
+    out = tmp_path / "room.png"
+    assert run(capsys, scene, "--out", str(out), "--paths", "20")[0] == 0
+    assert out.read_bytes().startswith(b"\x89PNG")
+    # paper alone takes a few kB
+    assert out.stat().st_size > 50_000
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--out", "room.gif"], 2, "room.gif is none of .png, .html, .glb"),
+        (["--out", "no/room.png"], 2, "which is no folder; create it first"),
+        (["--out", "room.glb", "--colour", "red"], 2, "not one of 'bounces', 'path_length'"),
+        (["--out", "room.glb", "--paths", "-1"], 2, "--paths"),
+        (
+            ["--out", "room.glb", "--bounces", "1", "--paths", "5"],
+            2,
+            "no light path with --bounces 1 reaches the camera, of 131072 rays; --paths 0",
+        ),
+        (
+            ["--out", "room.glb", "--bounces", "3", "--colour", "aberration"],
+            2,
+            "no path has n_bounces = 3; these have 1",
+        ),
+    ],
+)
+def test_bad_wishes_are_one_line(scene, capsys, monkeypatch, tmp_path, words, code, said):
+    monkeypatch.chdir(tmp_path)
+    found, printed, wrong = run(capsys, scene, *words)
+    assert found == code
+    assert said in wrong
+    assert (printed, wrong.count("\n")) == ("", 1)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_machine_that_cannot_render_is_told_before_any_work(
+    scene, capsys, monkeypatch, tmp_path, untried
+):
+    monkeypatch.setattr(stages, "TRIAL", "import os\nos.kill(os.getpid(), 11)")
+    monkeypatch.setattr("nlosoptics.raytrace.trace", lambda *_, **__: 1 / 0)
+    code, _, wrong = run(capsys, scene, "--out", str(tmp_path / "room.png"))
+    assert code == 1
+    assert "SIGSEGV" in wrong
+    assert "apt-get install libegl1" in wrong
+    assert wrong.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_display_a_file_is_proposed(scene, capsys, monkeypatch, untried):
+    monkeypatch.setattr(stages, "TRIAL", "print('vtkEGLRenderWindow')")
+    code, _, wrong = run(capsys, scene)
+    assert code == 1
+    assert wrong == (
+        "nlosoptics: there is no display to open a window on; write a file instead, such as "
+        "room.html\n"
+    )
+
+
+def test_with_a_display_a_window_is_shown(scene, capsys, monkeypatch, untried):
+    """The plotter is not off the screen, holds the paths, and is shown once.
+
+    It is made in the main thread: macOS ends a process that makes windows elsewhere.
+    """
+    import pyvista
+
+    monkeypatch.setattr(stages, "TRIAL", "print('vtkXOpenGLRenderWindow')")
+    shown, made_in = [], []
+    monkeypatch.setattr(pyvista.Plotter, "show", lambda plotter: shown.append(plotter))
+    window = views.window
+    monkeypatch.setattr(
+        views, "window", lambda: (made_in.append(threading.current_thread()), window())[1]
+    )
+    code, _, wrong = run(capsys, scene, "--paths", "20")
+    assert (code, wrong) == (0, "")
+    assert made_in == [threading.main_thread()]
+    (plotter,) = shown
+    assert not plotter.off_screen
+    assert "ray paths" in plotter.actors
+
+
+def test_without_pyvista_the_extra_is_named(scene, tmp_path):
+    code = (
+        "import importlib.util as tools\nfind = tools.find_spec\n"
+        "tools.find_spec = lambda name, *a: None if name == 'pyvista' else find(name, *a)\n"
+        f"from nlosoptics.cli import main; main(['view', {scene!r}, '--out', 'room.png'])"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    assert answer.returncode == 1
+    assert answer.stderr == (
+        "nlosoptics: pyvista is not installed; run pip install 'nlosoptics[views]'\n"
+    )

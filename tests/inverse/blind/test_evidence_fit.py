@@ -1,0 +1,256 @@
+"""The evidence fit finds wall and object from random starts, and says where it does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.inverse import PupilPSF, evidence_fit, pcin, registered_correlation
+from nlosoptics.inverse.blind.evidence_search import Breeding, children, random_walls, without_blur
+from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
+
+WAVELENGTH = 632.8e-9
+OPTICS = {
+    "wavelength": WAVELENGTH,
+    "pupil_radius": 0.9e-3,
+    "image_distance": 51.2e-3,
+    "pitch": 9e-6,
+    "pixel_integrated": True,
+}
+MODES = tuple(range(4, 16))
+DEFOCUS = np.array([0.0, 0.5 * WAVELENGTH])
+
+
+def letter(size):
+    """A capital F in the middle half of a frame, 0 to 1."""
+    picture = np.zeros((size, size))
+    q = size // 8
+    picture[2 * q : 6 * q, 3 * q - q // 2 : 3 * q + q // 2] = 1.0
+    picture[5 * q : 6 * q, 3 * q - q // 2 : 5 * q + q // 2] = 1.0
+    picture[4 * q - q // 2 : 4 * q + q // 4, 3 * q : 5 * q] = 1.0
+    return picture
+
+
+def images(size, coefficients, defocus=DEFOCUS, *, noise=0.01, background=0.2, seed=0):
+    """Images on a period of two frames, whose point spread the fit never sees."""
+    wide = PupilPSF.from_zernike(MODES, shape=2 * size, dtype=torch.float64, **OPTICS)
+    with torch.no_grad():
+        seen = wide.image(
+            torch.from_numpy(letter(size)), torch.as_tensor(coefficients), defocus=defocus
+        ).numpy()
+    sigma = noise * seen.max()
+    return seen + background + sigma * np.random.default_rng(seed).normal(size=seen.shape), sigma
+
+
+def wall(strength, seed=3):
+    """Coefficients of a given length, waves rms."""
+    return random_walls(1, len(MODES), np.array([strength]), np.random.default_rng(seed))[0]
+
+
+@pytest.fixture(scope="module")
+def pupil():
+    return PupilPSF.from_zernike(MODES, shape=32, **OPTICS)
+
+
+@pytest.fixture(scope="module")
+def energy(pupil):
+    """Two frames of 24 x 24 with different noise, in double precision."""
+    data, sigma = images(24, wall(0.3))
+    return FreeEnergy(data, sigma * np.array([1.0, 2.0]), pupil, DEFOCUS, grid=36, dtype=np.float64)
+
+
+def fixed_energy(energy, starts, walls, noise, kappa):
+    """Free energy at the covariance and weights of one place, as a function of another.
+
+    Of F only the terms that its gradient sees: the squared residuals, the quadratic of the prior
+    and the trace of the transfer function's square, by sums that share nothing with the kernels.
+    """
+    at = np.ascontiguousarray(walls)
+    mean = energy.objects(starts)
+    power = np.abs(energy._transfer(at)[0] * energy._pixel) ** 2
+    values = energy.evaluate(starts, at, noise, kappa, False)[0]
+    return values["squares"].sum(axis=1) / noise**2, power.sum(axis=1), mean
+
+
+def test_gradient_is_that_of_the_energy_at_fixed_covariance(energy):
+    noise, kappa, step = 2.0, 0.5, 1e-5
+    walls = random_walls(2, len(MODES), np.array([0.3, 0.5]), np.random.default_rng(0))
+    starts = energy.starts(walls, 3.0)
+    _, by_data, by_prior, slope = energy.evaluate(starts, walls, noise, kappa, False)
+    # posterior covariance, from the definition
+    _, power, mean = fixed_energy(energy, starts, walls, noise, kappa)
+    padded = np.pad(mean, ((0, 0), (1, 1), (1, 1)))
+    weights = [
+        kappa / (np.diff(padded[:, 1:-1], axis=2) ** 2 + starts.variances[:, 0, None, None]),
+        kappa / (np.diff(padded[:, :, 1:-1], axis=1) ** 2 + starts.variances[:, 1, None, None]),
+    ]
+    turns = 2 * np.pi * np.arange(36) / 36
+    rough = 2 - 2 * np.cos(turns)
+    precision = 1 / (noise * energy.sigma) ** 2
+    prior = [w.mean(axis=(1, 2))[:, None, None] for w in weights]
+    prior = prior[0] * rough[:19] + prior[1] * rough[:, None] + 1e-6
+    covariance = 1 / (power * precision + prior)
+    twice = np.where(np.isin(np.arange(19), [0, 18]), 1.0, 2.0)
+    share = (24 / 36) ** 2
+
+    def value(starts, walls):
+        squares, power, mean = fixed_energy(energy, starts, walls, noise, kappa)
+        padded = np.pad(mean, ((0, 0), (1, 1), (1, 1)))
+        across = (weights[0] * np.diff(padded[:, 1:-1], axis=2) ** 2).sum(axis=(1, 2))
+        above = (weights[1] * np.diff(padded[:, :, 1:-1], axis=1) ** 2).sum(axis=(1, 2))
+        trace = share * precision * (covariance * power * twice).sum(axis=(1, 2))
+        return 0.5 * (squares + across + above + trace)
+
+    for mode in (0, 5, 11):
+        change = np.zeros_like(walls)
+        change[:, mode] = step
+        found = (value(starts, walls + change) - value(starts, walls - change)) / (2 * step)
+        # central differences err by the third derivative times step^2, 1e-6 of the largest slope
+        assert np.abs(found - slope[:, mode]).max() < 1e-6 * np.abs(slope).max()
+    total = by_data[:, :24, :24] + by_prior
+    bend = 0.5 * (1 + starts.free / np.sqrt(starts.free**2 + 0.1**2))
+    for place in ((0, 0), (11, 13), (23, 7)):
+        change = np.zeros_like(starts.free)
+        change[:, place[0], place[1]] = step
+        more, less = (
+            value(starts.__class__(**{**vars(starts), "free": starts.free + s * change}), walls)
+            for s in (1, -1)
+        )
+        expected = (total * bend)[:, place[0], place[1]]
+        assert np.abs((more - less) / (2 * step) - expected).max() < 1e-6 * np.abs(total).max()
+
+
+def test_a_descent_lowers_the_energy(energy):
+    starts = energy.starts(np.zeros((1, len(MODES))), 2.0)
+    short, long = (
+        energy.descend(
+            starts, Stage(iterations=n, kappa=0.5, first=2.0, last=1.0, share=0.5, wave_rate=0.01)
+        )
+        for n in (10, 80)
+    )
+    assert long.energy[0] < short.energy[0]
+
+
+def test_held_walls_keep_their_length(energy):
+    walls = random_walls(3, len(MODES), np.array([0.4]), np.random.default_rng(1))
+    stage = Stage(iterations=5, kappa=1.0, first=5.0, last=2.0, share=0.9, wave_rate=0.02)
+    found = energy.descend(energy.starts(walls, 5.0, 0.4), stage)
+    assert np.linalg.norm(found.coefficients, axis=1) == pytest.approx(0.4, rel=1e-12)
+    assert np.abs(found.coefficients - walls).max() > 1e-3
+
+
+def test_twin_has_the_same_point_spread(pupil, energy):
+    walls = np.stack([wall(0.4), energy.twin * wall(0.4)])
+    with torch.no_grad():
+        first, second = pupil(torch.as_tensor(walls, dtype=torch.float32))
+    # single precision
+    assert torch.allclose(first, second, atol=1e-6)
+
+
+def test_children_differ_from_their_parents_and_repeat(energy):
+    walls = random_walls(4, len(MODES), np.array([0.4]), np.random.default_rng(1))
+    parents = energy.starts(walls, 5.0)
+    breeding = Breeding(flips=0.1, noise=0.3)
+    one, two = (
+        children(parents, 12, energy.twin, breeding, np.random.default_rng(5)) for _ in range(2)
+    )
+    assert np.array_equal(one, two)
+    assert min(np.abs(child - walls).max(axis=1).min() for child in one) > 1e-3
+
+
+def test_two_frames_are_enough():
+    data, sigma = images(32, wall(0.4))
+    found = pcin(
+        data,
+        PupilPSF.from_zernike(MODES, shape=32, **OPTICS),
+        defocus=DEFOCUS,
+        noise_sigma=sigma,
+        recipe="evidence",
+        max_iterations=1,
+        seed=1,
+    )
+    assert found.status == "converged"
+    assert registered_correlation(found, letter(32)) > 0.95
+    settled = found.physical_parameters
+    # the object's own flux lets 1 % of the range through to the background
+    assert settled["background"] == pytest.approx([0.2, 0.2], abs=0.02)
+    assert np.linalg.norm(settled["coefficients"] - wall(0.4)) < 0.1
+
+
+def test_a_wall_that_no_mode_holds_is_not_called_right(pupil):
+    """Two different objects, one in each frame: no wall explains both."""
+    data, sigma = images(32, wall(0.4))
+    data[1] = data[1].T[::-1]
+    found = evidence_fit(data, pupil, defocus=DEFOCUS, noise_sigma=sigma, max_iterations=1)
+    assert found.status == "unconverged"
+
+
+def test_no_blur_is_flagged(pupil):
+    """One frame and no search: the answer is the image itself."""
+    data, sigma = images(32, wall(0.3), defocus=np.zeros(1))
+    found = evidence_fit(data, pupil, noise_sigma=sigma, max_iterations=1, max_seconds=1e-9)
+    assert found.status == "trivial"
+    assert found.physical_parameters["margin"] == 0.0
+
+
+def test_a_weak_wall_is_told_from_the_image_taken_as_sharp(pupil):
+    """No search: the descent from no blur ends at the wall, so that the answer has no rival."""
+    data, sigma = images(32, wall(0.2, seed=4), defocus=np.zeros(1))
+    found = evidence_fit(data, pupil, noise_sigma=sigma, max_iterations=1, max_seconds=1e-9)
+    settled = found.physical_parameters
+    assert settled["margin"] == 0.0
+    assert found.status == "converged"
+    # the data's point spread has two frames of room, the fit's one and a half
+    assert registered_correlation(found, letter(32)) > 0.99
+
+
+def test_no_blur_is_the_same_whoever_asks(energy):
+    first, second = (without_blur(energy, np.random.default_rng(2)) for _ in range(2))
+    assert np.array_equal(first.energy, second.energy)
+
+
+def test_noise_alone_is_too_few_photons(pupil):
+    data = np.random.default_rng(0).normal(size=(2, 32, 32))
+    found = evidence_fit(data, pupil, defocus=DEFOCUS, noise_sigma=1.0)
+    assert found.status == "too_few_photons"
+    assert not np.any(found.object)
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        (lambda d: np.where(d == d.max(), np.nan, d), SceneError, "not finite"),
+        (lambda d: np.zeros_like(d), SceneError, "noise"),
+        (lambda d: d[:, :, :24], SamplingError, "square"),
+        (lambda d: d[:1], SamplingError, "defocus"),
+    ],
+)
+def test_bad_images_are_refused(pupil, change, error, message):
+    data = images(32, wall(0.3))[0]
+    with pytest.raises(error, match=message):
+        evidence_fit(change(data), pupil, defocus=DEFOCUS)
+
+
+def test_wide_pixels_are_refused():
+    data, sigma = images(32, wall(0.3))
+    coarse = PupilPSF.from_zernike(MODES, shape=32, **{**OPTICS, "pitch": 12e-6})
+    with pytest.raises(SamplingError, match="Nyquist"):
+        evidence_fit(data, coarse, defocus=DEFOCUS, noise_sigma=sigma)
+
+
+def test_pixels_that_do_not_count_are_refused():
+    spread = PupilPSF.from_zernike(
+        [4, 5],
+        wavelength=633e-9,
+        pupil_radius=1e-3,
+        image_distance=0.05,
+        pitch=7e-6,
+        shape=(16, 16),
+    )
+    images = np.random.default_rng(0).uniform(0.0, 1.0, (2, 16, 16))
+    noise = np.full((2, 16, 16), 0.01)
+    noise[0, 3, 4] = np.inf
+    with pytest.raises(SamplingError, match="1 of 512 pixels do not count"):
+        evidence_fit(images, spread, defocus=[0.0, 3e-7], noise_sigma=noise)

@@ -1,0 +1,285 @@
+"""The trained network: its pairs, its training, its file, and the command that makes it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import torch
+
+import nlosoptics
+from nlosoptics import cli, inverse
+from nlosoptics.errors import NlosError, SceneError
+from nlosoptics.imaging import ForwardModel
+from nlosoptics.scene import ConcaveWall, Lambert, Ward
+
+SIDE = 16
+
+
+@pytest.fixture(scope="module")
+def scene(examples):
+    return nlosoptics.Scene.load(examples / "scenes" / "letter_speckle.toml")
+
+
+@pytest.fixture(scope="module")
+def pairs(scene):
+    return inverse.training_pairs(scene, 24, size=SIDE, waves=0.3)
+
+
+@pytest.fixture(scope="module")
+def training(pairs):
+    return inverse.train_cnn(pairs, base=8, depth=2, epochs=4, batch=4, validation=0.25)
+
+
+def test_pairs_are_decided_by_their_seed(scene, pairs):
+    fewer = inverse.training_pairs(scene, 3, size=SIDE, waves=0.3)
+    assert fewer.images.tobytes() == pairs.images[:3].tobytes()
+    assert fewer.objects.tobytes() == pairs.objects[:3].tobytes()
+    other = inverse.training_pairs(scene, 3, size=SIDE, waves=0.3, seed=1)
+    assert not np.array_equal(other.images, fewer.images)
+    assert not np.array_equal(fewer.images[0], fewer.images[1])
+
+
+def test_pairs_are_exposures_of_their_objects(scene):
+    """A strong wall blurs its picture more than a weak one; the pictures are the same."""
+    weak, strong = (
+        inverse.training_pairs(scene, 4, size=SIDE, waves=waves) for waves in (0.01, 1.0)
+    )
+    np.testing.assert_array_equal(weak.objects, strong.objects)
+    assert weak.objects.max(axis=(1, 2)).tolist() == [1.0] * 4
+    for picture, sharp, blurred in zip(weak.objects, weak.images, strong.images, strict=True):
+        alike = inverse.registered_correlation(sharp, picture)
+        # diffraction at two pixels, and noise of a few per cent
+        assert alike > 0.8
+        assert alike > inverse.registered_correlation(blurred, picture)
+
+
+def test_training_learns(pairs, training):
+    """Better than the mean picture on pairs that were not shown."""
+    held = pairs.objects[18:]
+    constant = ((held - pairs.objects[:18].mean()) ** 2).mean()
+    assert training.history["validation"].min() < constant
+    assert training.history["training"].shape == (4,)
+    assert not training.interrupted
+
+
+def test_training_is_decided_by_its_seed(pairs, training):
+    again = inverse.train_cnn(pairs, base=8, depth=2, epochs=4, batch=4, validation=0.25)
+    for name, values in training.network.state_dict().items():
+        assert torch.equal(again.network.state_dict()[name], values)
+
+
+def test_best_epoch_is_kept(pairs, monkeypatch):
+    errors, states = [0.3, 0.1, 0.2], []
+
+    def validation(made, *_):
+        states.append({name: values.clone() for name, values in made.state_dict().items()})
+        return errors[len(states) - 1]
+
+    monkeypatch.setattr("nlosoptics.inverse.published.cnn._validation", validation)
+    found = inverse.train_cnn(pairs, base=8, depth=2, epochs=3, batch=8)
+    assert found.history["validation"].tolist() == errors
+    for name, values in found.network.state_dict().items():
+        assert torch.equal(values, states[1][name])
+    assert not torch.equal(states[1]["network.head.weight"], states[2]["network.head.weight"])
+
+
+def interrupting(epoch):
+    """Progress that is Ctrl-C in the middle of an epoch."""
+
+    def progress(text, _):
+        if f"epoch {epoch} " in text:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def test_interrupted_training_keeps_the_best(pairs):
+    options = {"base": 8, "depth": 2, "epochs": 3, "batch": 4}
+    found = inverse.train_cnn(pairs, progress=interrupting(2), **options)
+    assert found.interrupted
+    assert len(found.history["validation"]) == 1
+    with pytest.raises(KeyboardInterrupt):
+        inverse.train_cnn(pairs, progress=interrupting(1), **options)
+
+
+def test_file_holds_the_network(tmp_path, pairs, training):
+    file = tmp_path / "network.safetensors"
+    training.network.save(file)
+    images = torch.from_numpy(pairs.images)
+    read = inverse.CnnBaseline.load(file)
+    assert torch.equal(read(images), training.network(images))
+    first = file.read_bytes()
+    read.save(file)
+    assert file.read_bytes() == first
+    assert [path.name for path in tmp_path.iterdir()] == ["network.safetensors"]
+
+
+def test_other_files_are_refused(tmp_path, training):
+    file = tmp_path / "network.safetensors"
+    with pytest.raises(SceneError, match="cannot be read"):
+        inverse.CnnBaseline.load(file)
+    file.write_bytes(b"no network")
+    with pytest.raises(SceneError, match="is no safetensors file"):
+        inverse.CnnBaseline.load(file)
+    training.network.save(file)
+    content = file.read_bytes()
+    file.write_bytes(content[:-10])
+    with pytest.raises(SceneError, match="is no safetensors file"):
+        inverse.CnnBaseline.load(file)
+    file.write_bytes(content.replace(b"CnnBaseline 1", b"CnnBaseline 9"))
+    with pytest.raises(SceneError, match="has format 'nlosoptics CnnBaseline 9'"):
+        inverse.CnnBaseline.load(file)
+    file.write_bytes(content.replace(rb"\"depth\": 2", rb"\"depth\": 3"))
+    with pytest.raises(SceneError, match="does not hold its network's weights"):
+        inverse.CnnBaseline.load(file)
+    with pytest.raises(SceneError, match="there is no folder"):
+        training.network.save(tmp_path / "nowhere" / "network.safetensors")
+
+
+def test_reconstruction_is_like_those_of_the_solvers(pairs, training):
+    model = ForwardModel(np.full((3, 3), 1 / 9), shape=(SIDE, SIDE))
+    image = 50.0 + 3.0 * pairs.images[0].astype(np.float64)
+    found = training.network.reconstruct(image, model, noise_sigma=300.0)
+    assert found.object.max() == 1.0
+    assert found.status in ("converged", "unconverged")
+    # neither level nor unit of the image tells the network anything
+    plain = training.network.reconstruct(pairs.images[0], model, noise_sigma=100.0)
+    np.testing.assert_allclose(found.object, plain.object, atol=1e-4)
+    gain = found.physical_parameters["gain"]
+    explained = gain * model.forward(found.object) + found.physical_parameters["background"]
+    assert found.score == pytest.approx(np.sqrt(((image - explained) ** 2).mean()) / 300, rel=1e-9)
+    dark = training.network.reconstruct(np.full((SIDE, SIDE), 4.0), model)
+    assert dark.status == "too_few_photons"
+
+
+def test_scenes_without_training_walls_are_refused(scene):
+    curved = replace(scene, wall=ConcaveWall(5.0, size=scene.wall.size))
+    with pytest.raises(SceneError, match="wall of type ConcaveWall"):
+        inverse.training_pairs(curved, 2)
+    rough = replace(scene, wall_material=Ward(0.3, 0.1))
+    with pytest.raises(SceneError, match="lobe of slope_rms"):
+        inverse.training_pairs(rough, 2)
+    matt = replace(scene, wall_material=Lambert(0.3))
+    with pytest.raises(SceneError, match="no mirror-like lobe"):
+        inverse.training_pairs(matt, 2)
+    with pytest.raises(SceneError, match="size = 1024 is out of range"):
+        inverse.training_pairs(scene, 2, size=1024)
+    with pytest.raises(SceneError, match="waves = 0"):
+        inverse.training_pairs(scene, 2, waves=0.0)
+
+
+def test_one_pair_is_too_few(pairs):
+    one = inverse.TrainingPairs(images=pairs.images[:1], objects=pairs.objects[:1])
+    with pytest.raises(SceneError, match="1 pairs, needs 2"):
+        inverse.train_cnn(one)
+
+
+class Answer(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def train(capsys, examples, tmp_path, monkeypatch):
+    """Call ``nlosoptics train`` on a tiny frame."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        scene = examples / "scenes" / "letter_speckle.toml"
+        words = ["train", str(scene), "--pairs", "6", "--epochs", "2", "--base", "8"]
+        with pytest.raises(SystemExit) as ended:
+            cli.main([*words, "--frame", str(SIDE), *map(str, arguments)])
+        captured = capsys.readouterr()
+        return Answer(int(ended.value.code or 0), captured.out, captured.err)
+
+    return call
+
+
+def test_command_writes_a_network(train, tmp_path):
+    answer = train("--out", "first.safetensors")
+    assert answer.code == 0
+    assert answer.err == ""
+    assert "first.safetensors: mean squared error" in answer.out
+    train("--out", "second.safetensors")
+    assert (tmp_path / "first.safetensors").read_bytes() == (
+        tmp_path / "second.safetensors"
+    ).read_bytes()
+    assert inverse.CnnBaseline.load(tmp_path / "first.safetensors").network.base == 8
+
+
+def test_interrupted_command_keeps_the_best(train, tmp_path, monkeypatch):
+    real = inverse.train_cnn
+    monkeypatch.setattr(
+        inverse,
+        "train_cnn",
+        lambda pairs, **given: real(pairs, **{**given, "progress": interrupting(2)}),
+    )
+    answer = train("--out", "best.safetensors")
+    assert answer.code == 1
+    assert "interrupted; the best network so far is in best.safetensors" in answer.err
+    assert inverse.CnnBaseline.load(tmp_path / "best.safetensors")
+
+
+def test_command_interrupted_at_once_writes_nothing(train, tmp_path, monkeypatch):
+    real = inverse.train_cnn
+    monkeypatch.setattr(
+        inverse,
+        "train_cnn",
+        lambda pairs, **given: real(pairs, **{**given, "progress": interrupting(1)}),
+    )
+    answer = train()
+    assert answer.code == 1
+    assert answer.err == "nlosoptics: interrupted; nothing was written\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--out", "nowhere/network.safetensors"], "no folder"),
+        (["--out", "."], "is a folder; name a file"),
+        (["--base", "12"], "base = '12' is unknown"),
+        (["--waves", "0"], "waves = 0"),
+        (["--frame", "4096"], "size = 4096 is out of range"),
+        (["--pairs", "1"], "--pairs"),
+        (["--size", "100"], "size = 100"),
+    ],
+)
+def test_bad_input_is_one_line_and_writes_nothing(train, tmp_path, arguments, words):
+    answer = train(*arguments)
+    assert answer.code == 2
+    assert answer.out == ""
+    assert answer.err.count("\n") == 1
+    assert words in answer.err
+    assert list(tmp_path.iterdir()) == []
+
+
+FEW = np.random.default_rng(0).random((4, 9, 10), dtype=np.float32)
+SMALL = {"base": 8, "depth": 1, "epochs": 1, "batch": 2}
+
+
+def test_pairs_of_any_precision_train_and_half_may_be_held_out():
+    single = inverse.train_cnn(inverse.TrainingPairs(images=FEW, objects=FEW), **SMALL)
+    doubles = inverse.TrainingPairs(images=FEW.astype(float), objects=FEW.astype(float))
+    found = inverse.train_cnn(doubles, **SMALL)
+    np.testing.assert_array_equal(found.history["training"], single.history["training"])
+    two = inverse.TrainingPairs(images=FEW[:2], objects=FEW[:2])
+    # nine tenths of two pairs are both, and one is to be shown
+    assert len(inverse.train_cnn(two, validation=0.9, **SMALL).history["validation"]) == 1
+
+
+@pytest.mark.parametrize(
+    ("images", "objects", "words"),
+    [
+        (FEW, FEW[:3], "give .N, H, W. both"),
+        (FEW[:, 0], FEW[:, 0], "give .N, H, W. both"),
+        (np.where(FEW > 0.9, np.nan, FEW), FEW, "pairs.images has .* not finite; leave"),
+    ],
+)
+def test_bad_pairs_are_refused(images, objects, words):
+    with pytest.raises(NlosError, match=words):
+        inverse.train_cnn(inverse.TrainingPairs(images=images, objects=objects), **SMALL)

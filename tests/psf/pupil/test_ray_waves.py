@@ -1,0 +1,228 @@
+"""The wave of traced rays against the wave by aiming, and the areas of scattered points."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+
+from nlosoptics import psf, raytrace
+from nlosoptics.errors import CausticError, SamplingError, SceneError
+from nlosoptics.psf.aperture.quadrature_nodes import circle_shares
+from nlosoptics.psf.wave.scattered_fits import cell_areas
+from nlosoptics.raytrace.fans.paths import DETECTED
+from nlosoptics.scene import ConcaveWall, ConvexWall, FlatWall, HeightMapWall, SumWall, WavyWall
+
+WALLS = [
+    FlatWall(),
+    ConcaveWall(5.0),
+    ConvexWall(0.5),
+    ConcaveWall(4.0, shape="cylinder", axis="x"),
+    WavyWall(2e-5, 0.3, 0.4, direction=0.7),
+    SumWall(WavyWall(1e-5, 0.25), WavyWall(1e-5, 0.35, direction=math.pi / 2)),
+]
+
+
+def name(value):
+    return type(value).__name__
+
+
+def wave_of(scene, n_rays, **options):
+    rays = raytrace.pupil_rays(scene, n_rays=n_rays, **options)
+    return psf.wavefront_from_rays(rays, psf.exit_pupil(scene), scene.laser.wavelength)
+
+
+def aimed(scene, wave, object_point=None):
+    return psf.wavefront(scene, object_point, nodes=np.stack([wave.u, wave.v], axis=1))
+
+
+# ---------------------------------------------------------------- areas
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.13, -0.31)])
+def test_square_lattice_has_square_cells(shift):
+    """Voronoi cells of a lattice are the cells of a grid, whose share of a disc is known."""
+    axis = (np.arange(25) - 12) * 0.1
+    x, y = axis + shift[0] * 0.1, axis + shift[1] * 0.1
+    sites = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    whole, within, neighbours = cell_areas(sites, 1.0)
+    expected = circle_shares(x, y, 0.1, 1.0).ravel() * 0.01
+    # both are differences of sectors, rounding 1e-16 of the disc each
+    assert within == approx(expected, abs=1e-14)
+    inside = np.abs(sites).max(axis=1) < 1.1
+    assert whole[inside] == approx(0.01, rel=1e-12)
+    steps = np.linalg.norm(sites[neighbours[:, 0]] - sites[neighbours[:, 1]], axis=1)
+    # four corners of the lattice meet in a point: diagonals may count as neighbours there
+    assert set(np.round(steps[steps < 0.2], 9)) <= {0.1, round(0.1 * math.sqrt(2), 9)}
+
+
+@pytest.mark.parametrize("radius", [0.0125, 3.0])
+@pytest.mark.parametrize("count", [1, 2, 3, 500])
+def test_cells_add_up_to_the_disc(count, radius):
+    rng = np.random.default_rng(count)
+    r, angle = radius * np.sqrt(rng.random(count)), 2 * math.pi * rng.random(count)
+    sites = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=1)
+    _, within, _ = cell_areas(sites, radius)
+    assert within.sum() == approx(math.pi * radius**2, rel=1e-12)
+    # against counting of the nearest site over a fine grid
+    axis = ((np.arange(400) + 0.5) / 200 - 1) * radius
+    x, y = (c.ravel() for c in np.meshgrid(axis, axis))
+    inside = np.hypot(x, y) < radius
+    from scipy.spatial import cKDTree
+
+    owner = cKDTree(sites).query(np.stack([x[inside], y[inside]], axis=1))[1]
+    counted = np.bincount(owner, minlength=count) * (radius / 200) ** 2
+    # a boundary of up to the disc's length, in steps of radius/200 that average
+    assert within == approx(counted, abs=4e-3 * radius**2)
+
+
+# ---------------------------------------------------------------- waves
+
+
+@pytest.mark.parametrize("wall", WALLS, ids=name)
+def test_rays_carry_the_aimed_wave(flat_scene, wall):
+    scene = replace(flat_scene, wall=wall)
+    wave = wave_of(scene, 3000, seed=3)
+    expected = aimed(scene, wave)
+    # lengths of 2 m carry 2e-16 m each; the tilt errs by some 1e-13 over 12 mm
+    assert np.abs(wave.aberration - expected.aberration).max() < 2e-14
+    assert wave.removed.piston == approx(expected.removed.piston, abs=2e-15)
+    assert wave.removed.tilt == approx(expected.removed.tilt, abs=1e-12)
+    # a smoothly bent lattice has the cells of its Jacobian but for fourth order in its step
+    assert np.abs(wave.amplitude - expected.amplitude).max() < 1e-7
+    assert wave.layout == "scattered"
+    assert wave.image_distance == expected.image_distance
+    assert wave.weights.sum() == approx(math.pi * wave.pupil_radius**2, rel=1e-12)
+
+
+@pytest.mark.parametrize("point", [(0.3, 0.1, 1.1), (0.45, -0.05, 0.9)])
+def test_other_object_points(flat_scene, point):
+    scene = replace(flat_scene, wall=ConcaveWall(5.0))
+    offset = np.array(point) * (1, 1, -1) - np.array(scene.camera.position)
+    in_focus = replace(scene.camera, focus_distance=float(offset @ scene.camera.axis))
+    scene = replace(scene, camera=in_focus)
+    wave = wave_of(scene, 2000, object_point=point)
+    expected = aimed(scene, wave, point)
+    assert np.abs(wave.aberration - expected.aberration).max() < 2e-14
+    assert np.abs(wave.amplitude - expected.amplitude).max() < 1e-7
+
+
+def test_height_maps_converge_to_the_aimed_wave(flat_scene):
+    """A rough wall of 100 nm, whose W has no closed form."""
+    wall = HeightMapWall.random(
+        height_rms=1e-7, correlation_length=5e-3, size=0.6, pitch=1.5e-3, seed=1
+    )
+    scene = replace(flat_scene, wall=SumWall(ConcaveWall(5.0), wall, size=0.6))
+    amplitude = []
+    for n_rays in (1000, 4000, 16000):
+        wave = wave_of(scene, n_rays)
+        expected = aimed(scene, wave)
+        amplitude.append(np.sqrt(np.mean((wave.amplitude - expected.amplitude) ** 2)))
+    # W itself is exact ray by ray; its zero and tilt come from a fit near the centre
+    assert np.abs(wave.aberration - expected.aberration).max() < 1e-10
+    assert np.abs(wave.amplitude - expected.amplitude).max() < 1e-2
+    # first order in the step or better: the bends of a bicubic surface have kinks
+    assert amplitude[1] < 0.6 * amplitude[0]
+    assert amplitude[2] < 0.6 * amplitude[1]
+
+
+def test_amplitude_error_falls_with_the_rays(flat_scene):
+    scene = replace(flat_scene, wall=WALLS[-1])
+    errors = []
+    for n_rays in (500, 2000, 8000):
+        wave = wave_of(scene, n_rays)
+        errors.append(np.abs(wave.amplitude - aimed(scene, wave).amplitude).max())
+    # second order in the step, so first in the number
+    assert errors[1] < errors[0] / 2.5
+    assert errors[2] < errors[1] / 2.5
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), ConcaveWall(5.0), WALLS[4]], ids=name)
+def test_energy_and_the_weight_of_a_ray(flat_scene, wall):
+    scene = replace(flat_scene, wall=wall)
+    rays = raytrace.pupil_rays(scene, n_rays=4000)
+    wave = psf.wavefront_from_rays(rays, psf.exit_pupil(scene), scene.laser.wavelength)
+    # amplitude^2 times area is each ray's power, the same for all within the rim
+    power = wave.amplitude**2 * wave.weights
+    within = np.hypot(wave.u, wave.v) < 0.9 * wave.pupil_radius
+    assert power[within] == approx(power[within].mean(), rel=1e-10)
+    # amplitude times area is then the root of the area that a ray stands for
+    product = wave.amplitude * wave.weights / np.sqrt(wave.weights)
+    assert product[within] == approx(product[within].mean(), rel=1e-10)
+    # the rim's cells are clipped: their sum is the disc's and not the rays' number
+    expected = psf.wavefront(scene)
+    assert wave.flux == approx(expected.flux, rel=2e-5)
+    assert power.sum() == approx(power[within].mean() * len(power), rel=1e-2)
+
+
+def test_point_spread_at_the_focus(flat_scene):
+    """The sum over rays at the image point, against quadrature of the aimed wave."""
+    scene = replace(flat_scene, wall=WALLS[4])
+    k = 2 * math.pi / scene.laser.wavelength
+    polar = psf.wavefront(scene)
+    expected = np.sum(polar.amplitude * polar.weights * np.exp(1j * k * polar.aberration))
+    errors = []
+    for n_rays in (1000, 16000):
+        wave = wave_of(scene, n_rays)
+        found = np.sum(wave.amplitude * wave.weights * np.exp(1j * k * wave.aberration))
+        errors.append(abs(found - expected) / abs(expected))
+    # the rim's cells are seen from the rays inside them: first order in the area of a cell
+    assert errors[1] < errors[0] / 4
+    assert errors[1] < 2e-3
+
+
+# ---------------------------------------------------------------- what is refused
+
+
+def test_crossed_rays_are_refused(flat_scene):
+    for wall in (WavyWall(1e-3, 0.1), WavyWall(1e-4, 0.01)):
+        with pytest.raises(CausticError, match="rays cross, or are too few"):
+            wave_of(replace(flat_scene, wall=wall), 20_000)
+
+
+def test_light_cut_by_the_walls_edge_is_refused(flat_scene):
+    # the lens sees this point by x = -0.17 m, next to the edge, and the axis by -0.165 m
+    scene = replace(flat_scene, wall=FlatWall(size=0.345))
+    assert psf.exit_pupil(scene).stop == "lens"
+    with pytest.raises(SamplingError, match="the wall's edge cuts the light"):
+        wave_of(scene, 2000, object_point=(0.366, 0.0, 1.0))
+
+
+def rays_of(scene, **changes):
+    return replace(raytrace.pupil_rays(scene, n_rays=1000), **changes)
+
+
+def test_paths_of_another_kind_are_refused(flat_scene):
+    rays = rays_of(flat_scene)
+    pupil, wavelength = psf.exit_pupil(flat_scene), flat_scene.laser.wavelength
+
+    def refused(message, *, kind=SceneError, pupil=pupil, wavelength=wavelength, **changes):
+        with pytest.raises(kind, match=message):
+            psf.wavefront_from_rays(replace(rays, **changes), pupil, wavelength)
+
+    bounces = rays.n_bounces.copy()
+    first = int(np.flatnonzero(rays.status == DETECTED)[0])
+    bounces[first] = 2
+    refused(f"path {first} has 2 bounces", n_bounces=bounces)
+    points = rays.points.copy()
+    points[first, 0, 0] += 1e-6
+    refused("paths start up to 1e-06 m apart", points=points)
+    points = rays.points.copy()
+    points[first, 2, 2] += 1e-6
+    refused("off a plane through exit_pupil.centre", points=points)
+    points = rays.points.copy()
+    points[first] = points[int(np.flatnonzero(rays.status == DETECTED)[1])]
+    refused("ends where another does", points=points)
+    refused("keep paths of three vertices", points=rays.points[:0, :0])
+    refused("keep paths of three vertices", points=rays.points[:, :2])
+    refused("exit_pupil.stop is the wall", pupil=replace(pupil, stop="wall"))
+    refused("limit 0.01 m, its radius", pupil=replace(pupil, radius=0.01))
+    moved = replace(pupil, centre=pupil.centre + 1e-3)
+    refused("off a plane through exit_pupil.centre", pupil=moved)
+    refused("wavelength = 0 m is out of range", wavelength=0.0)
+    dark = np.ones_like(rays.status)
+    refused("0 rays are detected, limit 64", kind=SamplingError, status=dark)
+    longer = rays.path_length.copy()
+    longer[first] += 1e-6
+    refused("differ by 1.58 waves", kind=CausticError, path_length=longer)

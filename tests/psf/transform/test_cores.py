@@ -1,0 +1,79 @@
+"""Pixels far wider than diffraction: fine about the rays, a tail beyond, against fine samples."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from pytest import approx
+
+from nlosoptics import psf
+from nlosoptics.errors import SceneError
+from nlosoptics.psf.transform.wide_pixels import tail_pixels, wide_point_spread
+
+WAVELENGTH, UNIT = 632.8e-9, 2 * 632.8e-9  # lambda N
+SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": 12.5e-3, "image_distance": 50e-3}
+
+
+def wave_of(waves):
+    return psf.Wavefront.from_zernike({j: w * WAVELENGTH for j, w in waves.items()}, **SYSTEM)
+
+
+@pytest.mark.parametrize("half", [0.2, 0.5, 1.3, 2.5])
+def test_light_beyond_a_square_adds_up(half):
+    found = tail_pixels((801, 801), ((half, half), (half, half)))
+    assert found.sum() == approx(1 - half / 400.5, rel=1e-12)
+    assert np.all(found >= 0)
+    assert np.abs(found - found.T).max() < 1e-15
+    assert np.abs(found - found[::-1]).max() < 1e-15
+    # the mean of 1/r^3 over a pixel far out, to second order
+    r = math.hypot(30, 40)
+    exact = half / (4 * math.sqrt(2)) / r**3 * (1 + 3 / 8 / r**2)
+    assert found[430, 440] == approx(exact, rel=1e-5)
+
+
+@pytest.mark.parametrize("tol", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize(
+    "waves",
+    [{}, {2: 0.3, 3: -0.2}, {4: 0.2, 8: 0.1}, {4: 2.0}, {5: 1.0, 11: 0.7}],
+    ids=["flat", "tilt", "mild", "defocus", "mix"],
+)
+def test_estimate_bounds_the_error(waves, tol):
+    options = {"pitch": 41.3 * UNIT, "shape": (5, 7)}
+    wave = wave_of(waves)
+    exact = psf.point_spread(wave, tol=1e-6, pixel_integrated=True, **options).intensity
+    found = wide_point_spread(wave, tol=tol, **options)
+    error = np.abs(found.intensity - exact).max() / exact.max()
+    assert error <= found.error_estimate + 1e-6
+    assert found.error_estimate <= tol
+    assert found.enclosed_energy == approx(exact.sum(), abs=tol)
+    assert found.regime.pixel == approx(41.3)
+    if tol == 1e-3 and 4 not in waves and 5 not in waves:
+        assert found.method.endswith("+ tail")
+
+
+def test_narrow_pixels_and_grids_go_the_usual_way():
+    wave = wave_of({4: 0.1})
+    options = {"pitch": 3 * UNIT, "shape": (9, 9)}
+    usual = psf.point_spread(wave, tol=1e-3, pixel_integrated=True, **options)
+    found = wide_point_spread(wave, tol=1e-3, **options)
+    assert np.array_equal(found.intensity, usual.intensity)
+    grid = psf.Wavefront.from_zernike({}, **SYSTEM, nodes="grid", samples=512)
+    found = wide_point_spread(grid, tol=1e-2, pitch=20 * UNIT, shape=(5, 5))
+    assert "tail" not in found.method
+
+
+def test_options_are_those_of_point_spread():
+    wave = wave_of({})
+    square, pair = (
+        wide_point_spread(wave, pitch=20 * UNIT, shape=shape, tol=1e-2) for shape in (9, (9, 9))
+    )
+    assert square.method.endswith("+ tail")
+    assert np.array_equal(square.intensity, pair.intensity)
+    good = {"pitch": 20 * UNIT, "shape": (9, 9), "tol": 1e-2}
+    for name, value in {"pitch": math.nan, "shape": (0, 9), "tol": 0.0}.items():
+        with pytest.raises(SceneError, match=f"^{name} = "):
+            wide_point_spread(wave, **(good | {name: value}))
+    with pytest.raises(SceneError, match="^tol = -1 "):
+        wide_point_spread(wave, **(good | {"tol": -1}))

@@ -1,0 +1,345 @@
+"""Random facets of the wall, and fans of rays to the lens."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pytest import approx
+from scipy import integrate, stats
+
+from nlosoptics import psf, raytrace
+from nlosoptics._random import philox
+from nlosoptics.errors import SceneError
+from nlosoptics.raytrace.fans.footprints import lens_footprint
+from nlosoptics.raytrace.fans.paths import DETECTED, ESCAPED, LEFT
+from nlosoptics.scene import (
+    CallableWall,
+    ConcaveWall,
+    ConvexWall,
+    FlatWall,
+    HeightMapWall,
+    Lambert,
+    OrenNayar,
+    SpecularMicrofacet,
+    SumMaterial,
+    SumWall,
+    Ward,
+    WavyWall,
+)
+
+WALLS = [
+    FlatWall(),
+    FlatWall(size=0.8),
+    ConcaveWall(5.0),
+    ConvexWall(0.3),  # its light comes from far off the plane mirror's place
+    ConcaveWall(4.0, shape="cylinder", axis="x"),
+    WavyWall(2e-5, 0.3, 0.4, direction=0.7),
+    SumWall(WavyWall(1e-5, 0.25), WavyWall(1e-5, 0.35, direction=math.pi / 2)),
+    CallableWall(
+        lambda x, y: 1e-3 * np.sin(x),
+        lambda x, y: (1e-3 * np.cos(x), 0 * y),
+        max_height=1e-3,
+        max_curvature=1e-3,
+        finest_period=2 * math.pi,
+    ),
+]
+
+
+def name(value):
+    return type(value).__name__
+
+
+@pytest.mark.parametrize(
+    ("counter", "seed", "expected"),
+    [
+        ([0, 0, 0, 0], 0, "6627e8d5 e169c58d bc57ac4c 9b00dbd8"),
+        ([0xFFFFFFFF] * 4, 2**64 - 1, "408f276d 41c83b0e a20bc7c6 6d5451fd"),
+        (
+            [0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344],
+            0x299F31D0A4093822,
+            "d16cfe09 94fdcceb 5001e420 24126ea1",
+        ),
+    ],
+)
+def test_philox_gives_the_words_of_its_authors(counter, seed, expected):
+    """Known answers of Random123, philox4x32-10."""
+    words = philox(np.array(counter, dtype=np.uint32), seed)
+    assert " ".join(f"{word:08x}" for word in words) == expected
+
+
+# ---------------------------------------------------------------- facets
+
+
+def moment(slope_rms, function):
+    """Mean of a function of the tilt under the facets' density, by quadrature."""
+
+    def weight(t):
+        return math.exp(-(t**2) / (2 * slope_rms**2)) * math.sin(t)
+
+    top = min(math.pi / 2, 12 * slope_rms)
+    total = integrate.quad(weight, 0, top, epsabs=0, epsrel=1e-12)[0]
+    found = integrate.quad(lambda t: weight(t) * function(t), 0, top, epsabs=0, epsrel=1e-12)[0]
+    return found / total
+
+
+@pytest.mark.parametrize("slope_rms", [0.02, 0.3, 0.8])
+def test_tilts_and_azimuths_follow_their_law(flat_scene, slope_rms):
+    slopes, _ = raytrace.facet_angles(flat_scene, cell=1e-4, slope_rms=slope_rms, seed=4)
+    s = slopes.reshape(-1, 2)
+    tilt, turn = np.arctan(np.hypot(*s.T)), np.arctan2(s[:, 1], s[:, 0])
+    fine = np.linspace(0, min(math.pi / 2, 9 * slope_rms), 200_001)
+    density = np.exp(-(fine**2) / (2 * slope_rms**2)) * np.sin(fine)
+    share = np.append(0.0, np.cumsum(density[1:] + density[:-1]))
+    edges = np.interp(np.linspace(0, 1, 41), share / share[-1], fine)
+    edges[-1] = math.pi / 2
+    tilts = np.histogram(tilt, edges)[0]
+    turns = np.histogram(turn, np.linspace(-math.pi, math.pi, 41))[0]
+    together = np.histogram2d(tilt, turn, [edges[::8], np.linspace(-math.pi, math.pi, 9)])[0]
+    for counts in (tilts, turns, together.ravel()):
+        assert counts.sum() == len(s)
+        # equal shares are expected; one seed, and a chance of 1e-3 to fail for another
+        assert stats.chisquare(counts).pvalue > 1e-3
+
+
+@pytest.mark.parametrize(
+    "slope_rms", [1e-4, 0.02, 0.12]
+)  # tan^2 has no mean where tilts reach pi/2
+def test_slopes_have_their_rms_and_no_mean(flat_scene, slope_rms):
+    slopes, _ = raytrace.facet_angles(flat_scene, cell=1e-4, slope_rms=slope_rms, seed=1)
+    n = slopes[..., 0].size
+    square = moment(slope_rms, lambda t: math.tan(t) ** 2 / 2)
+    fourth = moment(slope_rms, lambda t: 3 * math.tan(t) ** 4 / 8)  # mean of cos^4 is 3/8
+    if slope_rms <= 0.02:
+        # tan^2 t exceeds t^2 by 2 t^4/3, sin t falls below t by t^3/6: some slope_rms^2
+        assert square == approx(slope_rms**2, rel=3 * slope_rms**2 + 1e-9)
+    for axis in (0, 1):
+        s = slopes[..., axis]
+        assert s.mean() == approx(0, abs=4 * math.sqrt(square / n))
+        assert (s**2).mean() == approx(square, abs=4 * math.sqrt((fourth - square**2) / n))
+    # independent cells and axes: products of neighbours have the standard error square/sqrt(n)
+    s0, s1 = slopes[..., 0], slopes[..., 1]
+    for product in (s0[:, 1:] * s0[:, :-1], s0[1:] * s0[:-1], s0 * s1, s1[1:] * s1[:-1]):
+        assert product.mean() == approx(0, abs=4.5 * square / math.sqrt(n))
+
+
+def by_cell(scene, **options):
+    slopes, positions = raytrace.facet_angles(scene, cell=2.5e-4, slope_rms=0.1, **options)
+    index = np.floor(positions[..., :2] / 2.5e-4).astype(int)
+    cells = index.reshape(-1, 2).tolist()
+    return dict(zip(map(tuple, cells), slopes.reshape(-1, 2).tolist(), strict=True))
+
+
+def test_a_cell_keeps_its_facet(flat_scene):
+    before = by_cell(flat_scene, seed=7)
+    camera = flat_scene.camera
+    others = [
+        replace(flat_scene, camera=replace(camera, stop_diameter=0.06)),
+        replace(flat_scene, wall=WavyWall(1e-5, 0.1)),
+        replace(flat_scene, hidden=replace(flat_scene.hidden, position=(0.36, 0.01, 1.0))),
+    ]
+    for scene in others:
+        after = by_cell(scene, seed=7)
+        shared = before.keys() & after.keys()
+        assert len(shared) > 100
+        assert after.keys() != before.keys()
+        assert all(before[cell] == after[cell] for cell in shared)
+    reseeded = by_cell(flat_scene, seed=8)
+    assert not any(before[cell] == reseeded[cell] for cell in before)
+
+
+def test_cells_on_either_side_of_the_origin_differ(flat_scene):
+    """A lattice that straddles 0, where an index of the wrong sign would repeat facets."""
+    camera = replace(flat_scene.camera, position=(-0.4, 0.0, 0.8), aim=(0.0, 0.0, 0.0))
+    hidden = replace(flat_scene.hidden, position=(0.5, 0.0, 1.0))
+    cells = by_cell(replace(flat_scene, camera=camera, hidden=hidden))
+    assert {(i < 0, j < 0) for i, j in cells} == {(a, b) for a in (0, 1) for b in (0, 1)}
+    assert len({tuple(slope) for slope in cells.values()}) == len(cells)
+
+
+@pytest.mark.parametrize("wall", WALLS, ids=name)
+def test_facets_cover_what_the_pupil_sees(flat_scene, wall):
+    scene = replace(flat_scene, wall=wall)
+    _, positions = raytrace.facet_angles(scene, cell=1e-3, slope_rms=0.1)
+    angle = np.linspace(0, 2 * math.pi, 64)
+    rim = scene.camera.stop_diameter / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    axes = scene.camera.frame
+    ends = psf.aiming.pupil_points(scene.camera.position, axes[2], rim)
+    seen = psf.aiming.aim(wall, scene.object_point, ends, axes[2]).points
+    low, high = positions[0, 0, :2] - 5e-4, positions[-1, -1, :2] + 5e-4  # half a cell
+    size = seen[:, :2].max(axis=0) - seen[:, :2].min(axis=0)
+    assert (low < seen[:, :2] - 0.2 * size).all()
+    assert (high > seen[:, :2] + 0.2 * size).all()
+    # and little more: half as wide again on both sides, with cells and the margin for bend
+    assert ((high - low) < 2 * size + 2e-3).all()
+    heights = wall.height(positions[..., 0], positions[..., 1])
+    assert positions[..., 2] == approx(heights, abs=1e-15)
+
+
+def test_slope_is_that_of_the_strongest_rough_lobe(flat_scene):
+    def drawn(material):
+        scene = replace(flat_scene, wall_material=material)
+        return raytrace.facet_angles(scene, cell=1e-3)[0]
+
+    def expected(slope_rms):
+        return raytrace.facet_angles(flat_scene, cell=1e-3, slope_rms=slope_rms)[0]
+
+    gloss = SpecularMicrofacet(0.1, 0.05)
+    assert np.array_equal(drawn(gloss), expected(0.05))
+    # Ward's alpha is sqrt(2) slopes
+    assert drawn(SumMaterial(gloss, Ward(0.3, 0.2))) == approx(expected(0.2 / math.sqrt(2)))
+    assert np.array_equal(drawn(SumMaterial(Lambert(0.8), gloss)), expected(0.05))
+    assert np.array_equal(drawn(SumMaterial(gloss, OrenNayar(0.5, 0.3))), expected(0.3))
+    for smooth in (Lambert(0.8), SpecularMicrofacet(0.5, 0.0), OrenNayar(0.5, 0.0)):
+        with pytest.raises(SceneError, match="no lobe with a slope; give slope_rms"):
+            drawn(smooth)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"cell": 0.0}, r"cell = 0 m is out of range"),
+        ({"cell": math.nan}, "cell = nan is not finite"),
+        ({"slope_rms": 0.0}, "slope_rms = 0 rad is out of range"),
+        ({"slope_rms": 1.5}, "slope_rms = 1.5 rad is out of range"),
+        ({"seed": -1}, "seed = -1 is out of range"),
+        ({"cell": 1e-11}, "2\\^31 cells from the origin"),
+    ],
+)
+def test_bad_facets_are_refused(flat_scene, options, message):
+    with pytest.raises(ValueError, match=message):
+        raytrace.facet_angles(flat_scene, **({"cell": 1e-3, "slope_rms": 0.1} | options))
+
+
+# ---------------------------------------------------------------- fans of rays
+
+
+@pytest.mark.parametrize("wall", WALLS, ids=name)
+def test_rays_obey_the_law_of_reflection_and_their_status(flat_scene, wall):
+    scene = replace(flat_scene, wall=wall)
+    rays = raytrace.pupil_rays(scene, n_rays=700, seed=2)
+    assert rays.points.shape == (700, 3, 3)
+    assert np.array_equal(rays.points[:, 0], np.tile(scene.object_point, (700, 1)))
+    arrived = rays.status == DETECTED
+    assert arrived.mean() > 0.3
+    o, h, p = np.moveaxis(rays.points[arrived], 1, 0)
+    first, second = np.linalg.norm(h - o, axis=1), np.linalg.norm(p - h, axis=1)
+    assert rays.path_length[arrived] == approx(first + second, rel=1e-15)
+    assert h[:, 2] == approx(wall.height(h[:, 0], h[:, 1]), abs=1e-12)
+    # the change of direction is along the normal
+    kink = (p - h) / second[:, None] - (h - o) / first[:, None]
+    across = np.cross(kink, wall.normal(h[:, 0], h[:, 1]))
+    assert abs(across).max() < 1e-12
+    u, v, n = ((p - np.array(scene.camera.position)) @ scene.camera.frame.T).T
+    assert abs(n).max() < 1e-14
+    radius = scene.camera.stop_diameter / 2
+    assert np.hypot(u, v).max() <= radius
+    beside = (rays.status == ESCAPED) & (rays.n_bounces == 1)
+    beside &= (rays.points[:, 1] != rays.points[:, 2]).any(axis=1)
+    offset = rays.points[beside, 2] - np.array(scene.camera.position)
+    assert np.linalg.norm(offset, axis=1).min() > radius
+    assert sum(rays.ledger.values()) == approx(rays.weight.sum(), rel=1e-12)
+    assert rays.flux == approx(rays.weight[arrived].sum(), rel=1e-12)
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), ConcaveWall(5.0), WavyWall(2e-5, 0.3)], ids=name)
+def test_flux_is_the_pupils(flat_scene, wall):
+    """Power of 1 W/sr through the lens, against quadrature of the ray tubes' spreading."""
+    scene = replace(flat_scene, wall=wall)
+    wave = psf.wavefront(scene)
+    axes = scene.camera.frame
+    nodes = np.zeros((1, 2))
+    ends = psf.aiming.pupil_points(scene.camera.position, axes[2], nodes)
+    centre = psf.aiming.aim(wall, scene.object_point, ends, axes[2]).spreading[0]
+    expected = centre * np.sum(wave.amplitude**2 * wave.weights)
+    for n_rays, limit in ((1_000, 2e-2), (100_000, 6e-4)):
+        rays = raytrace.pupil_rays(scene, n_rays=n_rays)
+        # points of a lattice in a disc: n^(-2/3) of it, some 1 and 0.05 %
+        assert rays.flux == approx(expected, rel=limit)
+        assert abs(rays.flux - expected) < 4 * rays.standard_error
+
+
+def test_launch_is_uniform_in_solid_angle(flat_scene):
+    """Half the fan's rays on either side of any plane through its axis, a lattice's discrepancy."""
+    rays = raytrace.pupil_rays(flat_scene, n_rays=4096)
+    d = rays.points[:, 1] - rays.points[:, 0]
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    axis = d.mean(axis=0) / np.linalg.norm(d.mean(axis=0))
+    # the solid angle of the narrow fan: area of the launch lattice's cell is the weight
+    distance = np.sort(np.linalg.norm(d[:, None] - d[None, :400], axis=-1), axis=0)[1]
+    assert distance.min() > 0.6 * math.sqrt(rays.weight[0])
+    assert distance.max() < 1.1 * math.sqrt(rays.weight[0])
+    cone = np.arccos(np.clip(d @ axis, -1, 1)) < 4e-3
+    assert rays.weight[cone].sum() == approx(2 * math.pi * (1 - math.cos(4e-3)), rel=2e-2)
+
+
+def test_rays_depend_on_their_seed_alone(flat_scene, on_threads):
+    wall = HeightMapWall.random(
+        height_rms=1e-6, correlation_length=0.01, size=0.6, pitch=2e-3, seed=1
+    )
+    scene = replace(flat_scene, wall=wall)
+    found = [on_threads(n, lambda: raytrace.pupil_rays(scene, n_rays=500, seed=5)) for n in (1, 2)]
+    assert np.array_equal(found[0].points, found[1].points)
+    assert not np.array_equal(
+        found[0].points, raytrace.pupil_rays(scene, n_rays=500, seed=6).points
+    )
+
+
+def test_light_that_meets_the_wall_again_does_not_arrive(flat_scene):
+    """Deep grooves, against small steps along every reflected ray."""
+    wall = WavyWall(0.02, 0.08, size=2.0)
+    scene = replace(flat_scene, wall=wall)
+    rays = raytrace.pupil_rays(scene, n_rays=2000, seed=1)
+    counts = np.bincount(rays.status, minlength=5)
+    assert counts[LEFT] > 100
+    h, p = rays.points[:, 1], rays.points[:, 2]
+    passed = (rays.points[:, 1] != rays.points[:, 2]).any(axis=1)
+    assert passed.sum() > 100
+    steps = np.linspace(1e-3, 1, 4000)[:, None]
+    for i in np.flatnonzero(passed)[:200]:
+        along = h[i] + steps * (p[i] - h[i])
+        inside = wall.contains(along[:, 0], along[:, 1])
+        clear = along[inside, 2] - wall.height(along[inside, 0], along[inside, 1])
+        assert clear.min() > -1e-6  # the first step leaves the curved wall at a slant
+    for i in np.flatnonzero(rays.status == LEFT)[:100]:
+        normal = wall.normal(h[i, 0], h[i, 1])
+        d = (h[i] - rays.points[i, 0]) / np.linalg.norm(h[i] - rays.points[i, 0])
+        along = h[i] + np.linspace(1e-4, 1, 8000)[:, None] * (d - 2 * (d @ normal) * normal)
+        inside = wall.contains(along[:, 0], along[:, 1])
+        clear = along[inside, 2] - wall.height(along[inside, 0], along[inside, 1])
+        assert clear.min() < 0
+
+
+def test_every_image_in_a_wavy_wall_is_found(flat_scene):
+    """One-dimensional: the wall points of the plane of incidence, by sampling their slope."""
+    wall = WavyWall(1e-3, 0.1)
+    scene = replace(flat_scene, wall=wall)
+    found = lens_footprint(wall, scene.object_point, scene.camera)
+    x = np.linspace(-1, 1, 2_000_001)
+    d = wall.derivatives(x, 0 * x)
+    h = np.stack([x, 0 * x, d[:, 0]], axis=1)
+    kink = scene.object_point - h
+    kink /= np.linalg.norm(kink, axis=1, keepdims=True)
+    onward = np.array(scene.camera.position) - h
+    kink += onward / np.linalg.norm(onward, axis=1, keepdims=True)
+    slope = kink[:, 0] + kink[:, 2] * d[:, 1]
+    images = x[:-1][np.diff(np.sign(slope)) != 0]
+    assert len(images) > 1
+    assert found.low[0] < images.min()
+    assert found.high[0] > images.max()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"n_rays": 15}, "n_rays = 15 is out of range, must be at least 16"),
+        ({"object_point": (0.1, 0.0, -1.0)}, "object_point has z = -1 m, behind the wall"),
+        ({"object_point": (math.nan, 0, 1)}, r"object_point\[x\] = nan is not finite"),
+        ({"seed": 2**64}, "seed = .* is out of range"),
+        ({"object_point": (9.0, 9.0, 0.5)}, "no light from .* is reflected by the wall"),
+    ],
+)
+def test_bad_fans_are_refused(flat_scene, change, message):
+    scene = replace(flat_scene, wall=FlatWall(size=1.0))
+    with pytest.raises(SceneError, match=message):
+        raytrace.pupil_rays(scene, **({"n_rays": 64} | change))

@@ -1,0 +1,349 @@
+"""The plan says what runs, and the simulation runs exactly that."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+from pytest import approx
+
+import nlosoptics as nlos
+from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.scene import (
+    Camera,
+    ConcaveWall,
+    ConvexWall,
+    FlatWall,
+    Lambert,
+    MeshObject,
+    MeshWall,
+    SpecularMicrofacet,
+    SumMaterial,
+    SumWall,
+    WavyWall,
+)
+
+CURVED = [
+    ConcaveWall(5.0),
+    ConvexWall(2.0),
+    WavyWall(2e-5, 0.3, 0.4),
+    SumWall(WavyWall(1e-5, 0.3), WavyWall(1e-5, 0.3, direction=np.pi / 2)),
+]
+
+
+def counted(monkeypatch, module, name):
+    """Replace a function by one that counts its calls and still does its work."""
+    calls = []
+    real = getattr(module, name)
+
+    def wrapper(*args, **kwargs):
+        calls.append(name)
+        return real(*args, **kwargs)
+
+    monkeypatch.setattr(module, name, wrapper)
+    return calls
+
+
+def counted_everywhere(monkeypatch, function):
+    """Replace a function in every module that imported it; record the arguments of its calls."""
+    calls = []
+
+    def wrapper(*args, **kwargs):
+        calls.append(args)
+        return function(*args, **kwargs)
+
+    for name, module in list(sys.modules.items()):
+        if name.startswith("nlosoptics"):
+            for key, value in list(vars(module).items()):
+                if value is function:
+                    monkeypatch.setattr(module, key, wrapper)
+    return calls
+
+
+def test_geometry_is_computed_once(flat_scene, monkeypatch):
+    """A run with a field of point spreads, and a field by a lobe with a slope."""
+    from nlosoptics import psf
+    from nlosoptics.psf.pupil import aiming, exit_pupil, wall_view
+    from nlosoptics.psf.wave import detilted
+
+    assert nlos.simulate  # loads the modules that import the functions
+    scene = replace(flat_scene, camera=replace(flat_scene.camera, binning=16))
+    pupil, aimed, split, seen = (
+        counted_everywhere(monkeypatch, function)
+        for function in (exit_pupil.exit_pupil, aiming.aim, detilted.split, wall_view._optics)
+    )
+    result = nlos.simulate(scene)
+    assert result.field is not None
+    assert result.exit_pupil is result.plan.exit_pupil
+    assert len(pupil) == 1
+    # one fan of rays for each object point: the reference point, the picture's corners and edges
+    # by which the plan finds the windows, and the nodes of the field
+    points = {tuple(np.asarray(call[1]).tolist()) for call in aimed}
+    assert len(aimed) == len(points) == 13
+    assert len(split) == len(points)
+    assert len({id(call[0]) for call in split}) == len(points)
+    assert not seen  # a smooth mirror needs no view of the wall
+    for calls in (pupil, aimed, split):
+        calls.clear()
+    rough = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 1e-3))
+    psf.point_spread_field(replace(scene, wall_material=rough), 2, tol=1e-2, checks=0)
+    # four nodes and the centre, which the window is for too
+    assert [len(calls) for calls in (pupil, aimed, split, seen)] == [1, 5, 5, 5]
+
+
+def test_plan_aims_waves_and_computes_no_point_spread(flat_scene, monkeypatch):
+    from nlosoptics.psf.pupil import _aiming_kernels
+    from nlosoptics.psf.rough import scattered_light
+    from nlosoptics.psf.transform import selection
+
+    aimed = counted(monkeypatch, _aiming_kernels, "aim")
+    transforms = counted(monkeypatch, selection, "transform") + counted(
+        monkeypatch, scattered_light, "transfer"
+    )
+    for wall in CURVED:
+        nlos.plan(replace(flat_scene, wall=wall))
+    # of the object's centre, corners and edges
+    assert len(aimed) == 9 * len(CURVED)
+    assert not transforms
+
+
+def test_every_stage_runs_or_says_why_not(flat_scene):
+    plan = nlos.plan(flat_scene, reconstruct=True)
+    assert all(stage.runs and stage.reason and stage.error for stage in plan.stages)
+    assert all(not stage.runs and stage.reason for stage in plan.skipped)
+    for stage in plan.stages + plan.skipped:
+        assert stage.name in str(plan)
+        assert stage.reason in str(plan)
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), *CURVED], ids=lambda w: type(w).__name__)
+def test_simulation_runs_exactly_the_plan(flat_scene, wall):
+    result = nlos.simulate(replace(flat_scene, wall=wall))
+    assert tuple(result.timings) == tuple(stage.name for stage in result.plan.stages)
+    assert result.reconstruction is None
+
+
+def test_aiming_runs_for_curved_walls_only(flat_scene, monkeypatch):
+    from nlosoptics.psf.pupil import _aiming_kernels
+
+    calls = counted(monkeypatch, _aiming_kernels, "aim")
+    assert "aiming" in [s.name for s in nlos.plan(flat_scene).skipped]
+    nlos.simulate(flat_scene)
+    assert len(calls) == 0
+    scene = replace(flat_scene, wall=ConvexWall(4.0))
+    nlos.plan(scene)
+    aimed = len(calls)
+    nlos.simulate(scene)
+    # the run goes on with the plan's wave of the object's centre
+    assert len(calls) == 2 * aimed
+
+
+@pytest.mark.parametrize("wall", CURVED[:3], ids=lambda w: type(w).__name__)
+def test_estimated_waves_are_of_the_right_size(flat_scene, wall):
+    scene = replace(flat_scene, wall=wall)
+    wave = nlos.psf.wavefront(scene)
+    true = float(np.ptp(wave.aberration)) / scene.laser.wavelength
+    # second order at normal incidence: 28 degrees cost a quarter; a wave has its steepest crest's
+    limits = (0.6, 1.4) if wall.finest_period == np.inf else (0.2, 8)
+    assert limits[0] * true < nlos.plan(scene).waves < limits[1] * true
+
+
+def test_a_mesh_wall_says_how_well_it_is_known(flat_scene):
+    wall = MeshWall(ConcaveWall(5.0, size=1.6).to_mesh(max_sag_error=2e-5))
+    plan = nlos.plan(replace(flat_scene, wall=wall))
+    (stage,) = (s for s in plan.stages if s.name == "mesh surface")
+    surface, triangles = 1e9 * wall.fit_residual, 1e9 * wall.mesh_error
+    assert stage.error == f"{surface:.2g} nm; the triangles {triangles:.2g} nm"
+
+
+def test_a_diffuse_wall_is_not_reconstructed(flat_scene):
+    scene = replace(flat_scene, wall_material=Lambert(0.8))
+    result = nlos.simulate(scene, reconstruct=True)
+    assert result.reconstruction is None
+    assert not result.image.signal.any()
+    (stage,) = (s for s in result.plan.skipped if s.name == "reconstruction")
+    assert "mirror-like lobe" in stage.reason
+
+
+def test_progress_counts_up_to_done(flat_scene):
+    heard = []
+    nlos.simulate(flat_scene, progress=lambda text, fraction: heard.append((text, fraction)))
+    fractions = [fraction for _, fraction in heard]
+    assert fractions == sorted(fractions)
+    assert heard[-1] == ("done", 1.0)
+
+
+def test_same_seed_same_bits(flat_scene):
+    one, two = (nlos.simulate(flat_scene, seed=5).image.electrons for _ in range(2))
+    assert np.array_equal(one, two)
+    assert not np.array_equal(one, nlos.simulate(flat_scene, seed=6).image.electrons)
+
+
+BITS = """
+import hashlib, sys
+import numpy as np
+import nlosoptics as nlos
+from nlosoptics.scene import *
+x = 0.3798
+picture = np.zeros((32, 32)); picture[6:26, 8:24] = 1.0
+scene = Scene(
+    Laser(wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.6, 0.3, 1.1)),
+    ConcaveWall(4.0),
+    PlanarObject(picture, 0.3, position=(x, 0.0, 1.0)),
+    Camera(position=(-0.6, 0.0, 0.8), aim=(-0.6 + (x + 0.6) * 0.8 / 1.8, 0.0, 0.0),
+           focal_length=0.0506415, stop_diameter=0.01, binning=32),
+)
+r = nlos.simulate(scene, seed=1)
+for a in (r.wavefront.aberration, r.point_spread.intensity, r.image.electrons, r.image.expected):
+    print(hashlib.sha256(np.ascontiguousarray(a).tobytes()).hexdigest())
+"""
+
+
+def test_same_bits_for_any_number_of_threads():
+    def digests(threads):
+        names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        env = os.environ | dict.fromkeys(names, str(threads))
+        run = subprocess.run(
+            [sys.executable, "-c", BITS], env=env, capture_output=True, text=True, check=True
+        )
+        return run.stdout.split()
+
+    one, two = digests(1), digests(2)
+    assert len(one) == 4
+    assert one == two
+
+
+@pytest.mark.parametrize("wall", [FlatWall(), ConcaveWall(5.0), ConvexWall(3.0)])
+def test_wave_and_rays_put_the_image_in_the_same_place(flat_scene, wall):
+    """The tilt taken out of W shifts the spot to where the reversed chief ray says it is."""
+    from nlosoptics.imaging.geometry import chief_rays
+
+    scene = replace(flat_scene, wall=wall)
+    e1, e2, _ = scene.camera.frame
+    hidden = scene.hidden
+    target = scene.object_point + 0.05 * hidden.axes[0] - 0.03 * hidden.axes[1]
+    line = target * (1, 1, -1) - np.array(scene.camera.position)
+    wave = nlos.psf.wavefront(scene, target)
+    # W's slopes add to direction cosines, and the lens images tangents
+    sines = -np.array([line @ e1, line @ e2]) / np.linalg.norm(line) + wave.removed.tilt
+    landing = scene.image_distance * sines / np.sqrt(1 - sines @ sines)
+    rays = chief_rays(scene, landing[:1], landing[1:])
+    start, along = rays.points[0, 0], rays.reflected[0, 0]
+    normal = hidden.axes[2]
+    found = start + along * ((target - start) @ normal) / (along @ normal)
+    # both are exact; 1e-16 rad of rounding over 2 m, magnified by a curved wall
+    assert found == approx(target, abs=1e-13)
+
+
+@pytest.mark.parametrize("tol", [0.0, 1.0, float("nan")])
+def test_tolerance_out_of_range(flat_scene, tol):
+    with pytest.raises(SceneError, match="tol = "):
+        nlos.plan(flat_scene, tol)
+
+
+def test_bad_seed(flat_scene):
+    with pytest.raises(SceneError, match="seed = -1"):
+        nlos.simulate(flat_scene, seed=-1)
+
+
+def test_an_image_beyond_memory_is_refused_before_it_is_made(flat_scene):
+    camera: Camera = replace(flat_scene.camera, pixels=(2**20, 2**20), binning=1)
+    with pytest.raises(MemoryLimitError, match="GiB"):
+        nlos.plan(replace(flat_scene, camera=camera))
+
+
+def test_near_the_caustic_the_remedy_is_named(flat_scene):
+    """R = 2 d_eff is the focus of the wall; short of it the spot outgrows what can be sampled."""
+    from nlosoptics.errors import CausticError, SamplingError
+
+    wide = replace(flat_scene.camera, stop_diameter=0.05)
+    # so small that one point spread stands for it
+    hidden = replace(flat_scene.hidden, size=1e-6)
+    scene = replace(flat_scene, wall=ConcaveWall(1.3), camera=wide, hidden=hidden)
+    # a plan refuses what the run would, and its remedies are in the caller's hands
+    with pytest.raises(MemoryLimitError, match=r"limit 0.5 GiB; .* smaller stop.*more memory"):
+        nlos.plan(scene, memory=2**29)
+    with pytest.raises(SamplingError, match=r"limit max_seconds = 0.01; .*or max_seconds = ") as no:
+        nlos.plan(scene, max_seconds=0.01, memory=2**40)
+    enough = float(str(no.value).rsplit("max_seconds = ", 1)[1])
+    assert nlos.plan(scene, max_seconds=enough, memory=2**40).seconds <= enough
+    with pytest.raises(CausticError, match="flatter wall"):
+        nlos.simulate(replace(flat_scene, wall=ConcaveWall(1.05)))
+
+
+def test_a_laser_off_the_wall_is_found_before_anything_is_computed(flat_scene):
+    laser = replace(flat_scene.laser, aim=(0.7, 0.0, 0.0))
+    with pytest.raises(SceneError, match=r"laser\.aim = .*off the wall"):
+        nlos.plan(replace(flat_scene, wall=FlatWall(size=1.2), laser=laser))
+
+
+def test_a_wall_whose_edge_cuts_the_pupil_is_put_on_a_grid(flat_scene):
+    beside = replace(flat_scene.camera, aim=(-0.1, 0.0, 0.0))
+    narrow = replace(flat_scene, wall=FlatWall(size=(0.34, 1.0)), camera=beside)
+    plan = nlos.plan(narrow)
+    assert plan.layout == "grid"
+    assert "edge cuts" in str(plan)
+    result = nlos.simulate(narrow)
+    assert result.wavefront.layout == "grid"
+    assert result.point_spread.error_estimate <= 1e-3
+
+
+def test_a_wall_that_is_the_stop_is_put_on_a_grid(flat_scene):
+    slit = replace(flat_scene, wall=FlatWall(size=(0.34, 0.01)))
+    assert "outline is the stop" in str(nlos.plan(slit))
+    result = nlos.simulate(slit)
+    # the slit is 10 mm high and the lens 25 mm wide: the spot is longer along y
+    inner = result.point_spread.intensity
+    middle = inner.shape[0] // 2
+    assert inner[middle + 1, middle] > inner[middle, middle + 1]
+
+
+def test_an_object_that_cannot_be_seen_is_found_by_the_plan(flat_scene):
+    aside = replace(flat_scene.hidden, position=(1.4, 0.0, 1.0))
+    with pytest.raises(SceneError, match="mirrored by no part of the wall"):
+        nlos.plan(replace(flat_scene, wall=FlatWall(size=0.5), hidden=aside))
+    with pytest.raises(SceneError, match="off the detector"):
+        nlos.plan(replace(flat_scene, hidden=replace(aside, position=(2.5, 0.0, 1.0))))
+
+
+def test_a_coarse_mesh_leaves_the_waves_out(flat_scene):
+    from nlosoptics.errors import NotWaveGradeError
+
+    wall = MeshWall(WavyWall(2e-3, 0.2, size=2.0).to_mesh(max_sag_error=1e-4))
+    scene = replace(flat_scene, wall=wall)
+    plan = nlos.plan(scene)
+    assert [s.name for s in plan.stages] == ["mesh surface", "exit pupil"]
+    assert "geometric branch" in str(plan)
+    with pytest.raises(NotWaveGradeError, match="lambda/20"):
+        nlos.simulate(scene)
+
+
+def test_embree_is_skipped_without_triangles(flat_scene, monkeypatch):
+    """A picture, a wall of formulas and nothing in the way: no triangle is asked for."""
+    from nlosoptics import raytrace
+    from nlosoptics.raytrace.intersection import meshes
+
+    asked = counted(monkeypatch, meshes, "_facets")
+    for wall in (flat_scene.wall, ConcaveWall(5.0)):
+        scene = replace(flat_scene, wall=wall)
+        assert "embree" in {stage.name for stage in nlos.plan(scene).skipped}
+        nlos.simulate(scene)
+        raytrace.trace(scene, n_rays=100)
+    assert not asked
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
+    solid = replace(flat_scene, hidden=MeshObject(mesh=ball, position=flat_scene.object_point))
+    assert "embree" not in {stage.name for stage in nlos.plan(solid).skipped}
+    raytrace.trace(solid, n_rays=100)
+    assert asked
+
+
+def test_interreflection_is_named_where_the_wall_sees_itself(flat_scene):
+    for wall, seen in ((ConvexWall(2.0), False), (ConcaveWall(5.0), True), (CURVED[3], True)):
+        plan = nlos.plan(replace(flat_scene, wall=wall))
+        reason = next(s.reason for s in plan.skipped if s.name == "interreflection")
+        assert ("raytrace.trace" in reason) == seen

@@ -1,0 +1,177 @@
+"""The commands `reconstruct` and `feasibility`: files, interruption, resumption, errors."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import nlosoptics
+from nlosoptics import cli, inverse, limits
+from nlosoptics.runs import reconstruct
+from nlosoptics.scene import Lambert, Scene
+
+
+@pytest.fixture(scope="module")
+def result(examples: Path) -> nlosoptics.Result:
+    """A simulated exposure."""
+    scene = Scene.load(examples / "scenes" / "letter_flat.toml").resized(64)
+    return nlosoptics.simulate(scene, 1e-2, seed=2)
+
+
+@pytest.fixture
+def taken(result: nlosoptics.Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """The truth; beside it letter.png (16 bits), dark.npy, flat.tif and letter.toml."""
+    monkeypatch.chdir(tmp_path)
+    result.scene.save(tmp_path / "letter.toml")
+    rng = np.random.default_rng(0)
+    response, dark = rng.uniform(0.8, 1.2, (64, 64)), rng.uniform(100, 130, (64, 64))
+    electrons = result.image.electrons
+    counts = electrons / electrons.max() * 5e4 * response + dark
+    counts[3, 60] = 65535
+    Image.fromarray(np.rint(counts).clip(0, 65535).astype(np.uint16)).save("letter.png")
+    np.save("dark.npy", dark)
+    Image.fromarray((1e4 * response + dark).astype(np.float32)).save("flat.tif")
+    return result.image.ideal
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of the program."""
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    told = capsys.readouterr()
+    return int(ended.value.code or 0), told.out, told.err
+
+
+USUAL = ("reconstruct", "letter.png", "--scene", "letter.toml", "--tol", 1e-2)
+FRAMES = ("--dark", "dark.npy", "--flat", "flat.tif")
+
+
+@pytest.mark.parametrize("method", ["tv", "wiener"])
+def test_object_and_report_are_written(method: str, taken: np.ndarray, capsys) -> None:
+    code, out, err = call(capsys, *USUAL, *FRAMES, "--method", method, "--json", "--seed", 7)
+    assert (code, err) == (0, "")
+    report = json.loads(out)
+    assert report == json.loads(Path("letter/result.json").read_text())
+    assert set(report["files"]) == {p.name for p in Path("letter").iterdir()}
+    assert (report["status"], report["seed"]) == ("done", 7)
+    assert report["figures"]["masked_fraction"] == 1 / 64**2
+    assert report["figures"]["reconstruction_status"] == "converged"
+    assert len(report["scene_sha256"]) == 64
+    assert report["versions"]["nlosoptics"] == nlosoptics.__version__
+    found = np.load("letter/object.npy")
+    # the data's correlation is 0.99 already: the wall is smooth
+    assert inverse.registered_correlation(found, taken) > 0.98
+    with Image.open("letter/object.png") as picture:
+        drawn = np.asarray(picture) / 255.0
+    # a picture of 8 bits holds what is not negative, rounded
+    assert abs(drawn - np.clip(found / found.max(), 0, 1)).max() <= 0.5 / 255 + 1e-12
+    assert call(capsys, *USUAL, *FRAMES, "--method", method)[0] == 0  # over its own files
+
+
+def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
+    taken: np.ndarray, capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert call(capsys, *USUAL, *FRAMES, "--out", "whole")[0] == 0
+    told = reconstruct.Keeper.__call__
+    calls = []
+
+    def interrupts(self, fraction: float, text: str) -> None:
+        calls.append(text)
+        if len(calls) == 2:
+            os.kill(os.getpid(), signal.SIGINT)
+        told(self, fraction, text)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(reconstruct.Keeper, "__call__", interrupts)
+    code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part")
+    assert code == 1
+    assert err.count("\n") == 1
+    assert "--resume" in err
+    assert signal.getsignal(signal.SIGINT) is before
+    report = json.loads(Path("part/result.json").read_text())
+    assert report["status"] == "interrupted"
+    assert report["figures"]["iterations"] == 20
+    assert np.isfinite(np.load("part/object.npy")).all()
+    monkeypatch.setattr(reconstruct.Keeper, "__call__", told)
+    assert call(capsys, *USUAL, *FRAMES, "--out", "part", "--resume")[0] == 0
+    assert np.array_equal(np.load("part/object.npy"), np.load("whole/object.npy"))
+    again = json.loads(Path("part/result.json").read_text())
+    assert (again["status"], again["resumed"]) == ("done", True)
+    for options, named in (
+        (("--method", "wiener"), "another scene, picture, method"),
+        (("--out", "never"), "no never/checkpoint.npz"),
+    ):
+        code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part", "--resume", *options)
+        assert code == 2
+        assert named in err
+
+
+def bad_files() -> None:
+    """Pictures that cannot be used."""
+    good = np.load("dark.npy")
+    np.save("nan.npy", np.where(good > 129, np.nan, good))
+    np.save("flat.npy", np.full((64, 64), 3.0))
+    np.save("small.npy", good[:60])
+    np.save("bright.npy", good + 1.0)
+    Image.fromarray(np.full((64, 64), 255, np.uint8)).save("full.png")
+    half = np.full((64, 64), 255, np.uint8)
+    half[:20] = 7
+    Image.fromarray(half).save("half.png")
+    scene = Scene.load("letter.toml")
+    replace(scene, wall_material=Lambert(0.8)).save("matt.toml")
+    near = replace(scene.camera, focus_distance=0.06, stop_diameter=0.025)
+    replace(scene, camera=near).save("blurred.toml")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["nan.npy"], ["nan.npy", "not finite"]),
+        (["flat.npy"], ["reads 3 in every pixel"]),
+        (["small.npy"], ["64 x 60", "64 x 64"]),
+        (["full.png"], ["reads 255 in every pixel"]),
+        (["half.png"], ["68.8 % of its pixels full"]),
+        (["dark.npy", "--dark", "bright.npy"], ["no brighter than the dark frame", "no photons"]),
+        (["nowhere.png"], ["no file nowhere.png"]),
+        (["letter.png", "--scene", "matt.toml"], ["no mirror-like lobe", "feasibility"]),
+        (["letter.png", "--scene", "blurred.toml"], ["point spread", "pixels"]),
+        (["letter.png", "--size", "128"], ["64 x 64 pixels", "128 x 128"]),
+        (["letter.png", "--method", "magic"], ["method = 'magic'", "tv, wiener"]),
+        (["letter.png", "--defocus", "a"], ["--defocus", "'a'"]),
+        (["letter.png", "--defocus", "0.5"], ["defocus is given"]),
+        (["letter.png", "--full", "-1"], ["full = -1"]),
+        (["letter.png", "--out", "letter.toml"], ["is a file"]),
+        (["letter.png", "--resume"], ["no letter/checkpoint.npz"]),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else None,
+)
+def test_bad_input_is_one_line_and_writes_nothing(
+    arguments: list[str], named: list[str], taken: np.ndarray, capsys
+) -> None:
+    bad_files()
+    before = sorted(Path().rglob("*"))
+    scene = [] if "--scene" in arguments else ["--scene", "letter.toml"]
+    code, out, err = call(capsys, "reconstruct", *arguments, *scene, "--tol", 1e-2)
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    for word in named:
+        assert word in err
+    assert sorted(Path().rglob("*")) == before
+
+
+def test_feasibility_command(taken: np.ndarray, capsys) -> None:
+    found = limits.feasibility(Scene.load("letter.toml"))
+    assert call(capsys, "feasibility", "letter.toml") == (0, f"{found}\n", "")
+    code, out, _ = call(capsys, "feasibility", "letter.toml", "--json", "--out", "f.png")
+    assert code == 0
+    assert json.loads(out) == json.loads(json.dumps(found.figures()))
+    assert Path("f.png").stat().st_size > 5_000
+    code, _, err = call(capsys, "feasibility", "nowhere.toml")
+    assert (code, err.count("\n")) == (2, 1)

@@ -1,0 +1,400 @@
+"""Every public noun pickles, copies and stays read-only, and computes the same bits afterwards."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import inspect
+import pickle
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nlosoptics as nlos
+from nlosoptics import imaging, psf, raytrace, scene, transient
+from nlosoptics._html import Shown
+from nlosoptics.errors import SceneError
+from nlosoptics.runs.plan import Stage
+from nlosoptics.views.cards import PICTURES
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("scene", "raytrace", "psf", "imaging", "limits", "inverse", "transient")
+#: Bases, which have no fields of their own.
+BASES = {"Wall", "Material"}
+RNG = np.random.default_rng(7)
+
+
+def public_nouns() -> list[type]:
+    """Public classes of values: dataclasses, and tuples with names."""
+    found = {nlos.Scene, nlos.Plan, nlos.Result, Stage}
+    for package in PACKAGES:
+        try:
+            module = importlib.import_module(f"nlosoptics.{package}")
+            members = [getattr(module, name) for name in module.__all__]
+        except ImportError:
+            continue  # torch is optional
+        found |= {
+            member
+            for member in members
+            if inspect.isclass(member)
+            and member.__name__ not in BASES
+            and (is_dataclass(member) or hasattr(member, "_fields"))
+        }
+    return sorted(found, key=lambda noun: (noun.__module__, noun.__name__))
+
+
+def square(x: Any, y: Any) -> Any:
+    """Height of a callable wall that pickles by its name."""
+    return 1e-3 * x * x + 0 * y
+
+
+def slopes(x: Any, y: Any) -> Any:
+    """Its gradient."""
+    return 2e-3 * x, 0 * y
+
+
+def falling(r: Any) -> Any:
+    """An autocorrelation that pickles by its name."""
+    return np.exp(-np.abs(r) / 1e-3)
+
+
+@cache
+def mesh(side: int = 9) -> Any:
+    """A wall of triangles, which a tree for rays was built for already."""
+    trimesh = pytest.importorskip("trimesh")
+    x, y = np.meshgrid(*2 * [np.linspace(-1.5, 1.5, side)])
+    corner = (np.arange(side - 1)[:, None] * side + np.arange(side - 1)).ravel()
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + side + 1], 1),
+            np.stack([corner, corner + side + 1, corner + side], 1),
+        ]
+    )
+    corners = np.stack([x, y, 1e-3 * x * x], -1).reshape(-1, 3)
+    made = trimesh.Trimesh(corners, faces, process=False)
+    raytrace.intersect_mesh(made, np.array([[0.1, 0.2, 1.0]]), np.array([[0.0, 0.0, -1.0]]))
+    return made
+
+
+def room(**changes: Any) -> nlos.Scene:
+    """An example scene over few pixels."""
+    found = nlos.Scene.load(ROOT / "examples" / "scenes" / "letter_flat.toml").resized(16)
+    return replace(found, **changes)
+
+
+def wave(**changes: Any) -> psf.Wavefront:
+    """A wave on an aperture of two parts."""
+    return psf.Wavefront.from_zernike(
+        {4: 1e-7, 7: 5e-8}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05, **changes
+    )
+
+
+def capture() -> transient.TransientCapture:
+    light = RNG.exponential(size=(20, 4, 4))
+    return transient.TransientCapture(
+        H=light,
+        laser_points=(0, 0, 0),
+        sensor_points=transient.wall_grid(1.0, 4),
+        delta_t=0.1,
+        by_bounce={3: light / 2, 4: light / 2},
+        details={"within": {"table": np.arange(3.0)}, "list": [np.arange(2)]},
+    )
+
+
+def volume() -> transient.Volume:
+    return transient.Volume(*3 * [np.linspace(0.5, 1.0, 6)])
+
+
+@cache
+def result() -> nlos.Result:
+    """A run with a field of point spreads asked for nowhere: a few pixels, reconstructed."""
+    pytest.importorskip("torch")
+    return nlos.simulate(room(), seed=3, reconstruct=True)
+
+
+#: Nouns whose constructors check what they are given; the others are drawn at random.
+MADE: Mapping[str, Any] = {
+    "CallableWall": lambda: scene.CallableWall(square, slopes, max_height=1.0, max_curvature=0.01),
+    "Camera": lambda: room().camera,
+    "ConcaveWall": lambda: scene.ConcaveWall(5.0, size=1.0),
+    "ConvexWall": lambda: scene.ConvexWall(5.0, size=1.0, shape="cylinder", axis="y"),
+    "FlatWall": lambda: scene.FlatWall(size=2.0),
+    "HeightMapWall": lambda: scene.HeightMapWall.random(
+        height_rms=1e-6, correlation_length=0.1, size=1.0, pitch=0.04
+    ),
+    "Lambert": lambda: scene.Lambert(0.5),
+    "Laser": lambda: room().laser,
+    "MeshObject": lambda: scene.MeshObject(mesh(), position=(0.3, 0.0, 2.0), scale=0.1),
+    "MeshWall": lambda: scene.MeshWall(mesh()),
+    "Occluder": lambda: scene.Occluder(mesh(), position=(0.3, 0.0, 2.0), pitch=1.0),
+    "OrenNayar": lambda: scene.OrenNayar(0.5, 0.3),
+    "PlanarObject": lambda: scene.PlanarObject(RNG.random((5, 7)), 0.1, position=(0.3, 0.0, 1.0)),
+    "Scene": lambda: room(occluders=(mesh().copy().apply_translation((0, 0, 5)),)),
+    "SpecularMicrofacet": lambda: scene.SpecularMicrofacet(0.1, 0.01),
+    "SumMaterial": lambda: scene.SumMaterial(scene.Lambert(0.5), scene.Ward(0.2, 0.1)),
+    "SumWall": lambda: scene.SumWall(scene.FlatWall(), scene.WavyWall(1e-6, 0.1), size=1.0),
+    "TransientScan": lambda: scene.TransientScan(
+        side=1.0, count=8, delta_t=0.01, n_bins=64, t_start=0.5
+    ),
+    "Ward": lambda: scene.Ward(0.2, 0.1),
+    "WavyWall": lambda: scene.WavyWall(1e-6, 0.1),
+    "Aperture": lambda: psf.Aperture.round(5e-3, 0.3, vanes=3, vane_width=2e-4),
+    "Roughness": lambda: psf.Roughness(
+        1e-7, 1e-3, np.array([[0.0, 1e-3, 2e-3, 3e-3], [1, 0.3, 0.1, 0]])
+    ),
+    "Wavefront": lambda: wave(aperture=psf.Aperture.round(5e-3, 0.3)),
+    "PointSpread": lambda: psf.point_spread(wave(), shape=64),
+    "ScenePointSpread": lambda: psf.scene_point_spread(room(), shape=32),
+    "ForwardModel": lambda: imaging.ForwardModel(RNG.random((5, 5)), shape=(8, 9)),
+    "Detector": lambda: transient.Detector(photons=1e3, gate=(0.0, 1.0)),
+    "TransientCapture": capture,
+    "Volume": volume,
+    "VolumeImage": lambda: transient.VolumeImage(
+        intensity=RNG.random((6, 6, 6)), volume=volume(), method="lct", details={"a": np.ones(2)}
+    ),
+    "PhasorImage": lambda: transient.PhasorImage(
+        intensity=RNG.random((6, 6, 6)),
+        volume=volume(),
+        method="phasor",
+        field=RNG.random((6, 6, 6)) + 1j,
+        camera="transient",
+        wl_mean=0.1,
+        wl_sigma=0.1,
+    ),
+    "Plan": lambda: nlos.plan(room()),
+    "Result": result,
+}
+#: What the fields of the other nouns are drawn as, by their annotations.
+DRAWN: Mapping[str, Any] = {
+    "Array": lambda: RNG.random((3, 4)),
+    "Array | None": lambda: RNG.random((3, 4)),
+    "Mask": lambda: RNG.random((3, 4)) > 0.5,
+    "NDArray[np.int8]": lambda: RNG.integers(0, 2, (3, 4), dtype=np.int8),
+    "NDArray[np.int32]": lambda: RNG.integers(0, 99, (3, 4), dtype=np.int32),
+    "NDArray[np.int64]": lambda: RNG.integers(0, 99, (3, 4)),
+    "Any": lambda: RNG.random((3, 4)),
+    "float": RNG.random,
+    "float | None": RNG.random,
+    "int": lambda: int(RNG.integers(99)),
+    "bool": lambda: True,
+    "str": lambda: "of its own",
+    "Status": lambda: "converged",
+    "Ordering": lambda: "noll",
+    "tuple[int, int]": lambda: (3, 4),
+    "tuple[float, float]": lambda: (RNG.random(), RNG.random()),
+    "Mapping[str, float]": lambda: {"one": RNG.random(), "other": RNG.random()},
+    "Mapping[int, float]": lambda: {4: RNG.random(), 5: np.inf},
+    "Mapping[str, int]": lambda: MappingProxyType({"rays": 3}),
+    "Mapping[str, Any]": lambda: {"gain": 2.5, "coefficients": RNG.random(4)},
+    "Mapping[str, NDArray[np.float64]]": lambda: {"residual": RNG.random(5)},
+    "tuple[ComparisonRow, ...]": lambda: (drawn(psf.ComparisonRow),),
+    "Regime": lambda: drawn(psf.Regime),
+    "CnnBaseline": lambda: importlib.import_module("nlosoptics.inverse").CnnBaseline(base=8),
+}
+
+
+def drawn(kind: type) -> Any:
+    """A noun of random fields."""
+    if is_dataclass(kind):
+        given = {entry.name: str(entry.type) for entry in fields(kind) if entry.init}
+    else:  # a tuple with names
+        given = {name: form.__forward_arg__ for name, form in kind.__annotations__.items()}
+    return kind(**{name: DRAWN[form]() for name, form in given.items()})
+
+
+def example(kind: type) -> Any:
+    """A noun of a class; a class that has none is to be given one in `MADE`."""
+    return MADE[kind.__name__]() if kind.__name__ in MADE else drawn(kind)
+
+
+def assert_same(one: Any, other: Any, place: str, *, locked: bool = True) -> None:
+    """Same types, and the same bits in every array; arrays and mappings closed in the other."""
+    assert type(one) is type(other), place
+    if hasattr(one, "parameters"):  # a module of torch
+        for name, value in one.state_dict().items():
+            assert bool((value == other.state_dict()[name]).all()), f"{place}.{name}"
+    elif isinstance(one, np.ndarray):
+        assert (one.dtype, one.shape) == (other.dtype, other.shape), place
+        assert one.tobytes() == other.tobytes(), place
+        assert not (locked and other.flags.writeable), f"{place} can be written"
+    elif isinstance(one, Mapping):
+        assert list(one) == list(other), place
+        for key in one:
+            assert_same(one[key], other[key], f"{place}[{key}]", locked=locked)
+    elif is_dataclass(one):
+        for entry in fields(one):
+            pair = (getattr(noun, entry.name) for noun in (one, other))
+            assert_same(*pair, f"{place}.{entry.name}", locked=locked)
+    elif isinstance(one, tuple | list):
+        assert len(one) == len(other), place
+        locked = locked and not hasattr(one, "_fields")  # numpy's own tuples lock nothing
+        for i, pair in enumerate(zip(one, other, strict=True)):
+            assert_same(*pair, f"{place}[{i}]", locked=locked)
+    elif hasattr(one, "faces"):
+        for name in ("vertices", "faces"):
+            assert np.array_equal(getattr(one, name), getattr(other, name)), place
+    else:
+        assert one == other, place
+
+
+#: What nouns compute, by their classes; whoever travels computes the same bits.
+USES: Mapping[type, Any] = {
+    scene.Wall: lambda wall: wall.derivatives(np.linspace(-0.4, 0.4, 7), np.full(7, 0.1)),
+    scene.Material: lambda lobes: lobes.albedo(np.linspace(0.1, 1.5, 5)),
+    scene.PlanarObject: lambda hidden: hidden.reflectance,
+    scene.MeshObject: lambda hidden: np.asarray(hidden.surface.vertices),
+    scene.Occluder: lambda body: np.asarray(body.surface.vertices),
+    nlos.Scene: lambda found: np.asarray(found.occluding_mesh.vertices),
+    psf.Aperture: lambda outline: outline.nodes(5, 5)[2],
+    psf.Roughness: lambda rough: rough.correlation(np.geomspace(1e-5, 1e-2, 9)),
+    psf.Wavefront: lambda found: psf.point_spread(found, shape=64).intensity,
+    psf.PointSpreadField: lambda spread: spread.modes,
+    imaging.ForwardModel: lambda model: model.forward(np.eye(8, 9)),
+    transient.Detector: lambda detector: detector.measure(capture_of_ones(), seed=1).H,
+    transient.TransientCapture: lambda found: found.edges,
+}
+
+
+@cache
+def capture_of_ones() -> transient.TransientCapture:
+    return replace(capture(), H=np.ones((20, 4, 4)), by_bounce={})
+
+
+def travelled(noun: Any) -> list[tuple[str, Any]]:
+    return [
+        *(
+            (f"pickle {n}", pickle.loads(pickle.dumps(noun, n)))
+            for n in (2, pickle.HIGHEST_PROTOCOL)
+        ),
+        ("deep copy", copy.deepcopy(noun)),
+        ("again", copy.deepcopy(pickle.loads(pickle.dumps(noun)))),
+    ]
+
+
+@pytest.mark.parametrize("kind", public_nouns(), ids=lambda kind: kind.__name__)
+def test_every_public_noun_travels(kind: type) -> None:
+    """Before and after use: what is kept of a use is left behind and made again."""
+    noun = example(kind)
+    uses = [use for known, use in USES.items() if isinstance(noun, known)]
+    fresh = travelled(noun)
+    here = [use(noun) for use in uses]
+    for how, other in [*fresh, *travelled(noun)]:
+        assert other is not noun
+        assert_same(noun, other, f"{kind.__name__} by {how}", locked=hasattr(noun, "__setstate__"))
+        for use, found in zip(uses, here, strict=True):
+            assert use(other).tobytes() == found.tobytes(), how
+    assert copy.copy(noun) is noun or not hasattr(noun, "__setstate__")
+
+
+def test_a_noun_of_arrays_that_can_be_written_is_seen() -> None:
+    """The check itself: an array that pickle left open must be reported."""
+    spread = example(psf.PointSpread)
+    again = pickle.loads(pickle.dumps(spread))
+    object.__setattr__(again, "intensity", spread.intensity.copy())
+    with pytest.raises(AssertionError, match="can be written"):
+        assert_same(spread, again, "spread")
+    with pytest.raises(AssertionError, match="intensity"):
+        assert_same(spread, replace(spread, intensity=2 * spread.intensity), "spread")
+
+
+def test_every_noun_that_shows_itself_has_a_picture() -> None:
+    shown = [kind for kind in public_nouns() if issubclass(kind, Shown)]
+    assert len(shown) > 7
+    assert [kind for kind in shown if not set(PICTURES) & {b.__name__ for b in kind.__mro__}] == []
+
+
+def test_what_is_kept_is_left_behind() -> None:
+    """A wall that computed its fit, and a mesh with its tree, pickle as small as before."""
+    for name in ("HeightMapWall", "MeshWall", "Wavefront", "Aperture", "PlanarObject"):
+        noun = MADE[name]()
+        before = len(pickle.dumps(noun))
+        for known, use in USES.items():
+            if isinstance(noun, known):
+                use(noun)
+        assert len(pickle.dumps(noun)) == before, name
+
+
+@pytest.mark.parametrize(
+    ("picture", "limit"),
+    [
+        # an outline of two levels: its PNG, and some 2 kB of the scene's numbers
+        (np.tri(512, dtype=np.uint8) * 255, 6_000),
+        # 8-bit noise has no smaller form than a byte a pixel; PNG adds its lines' heads
+        (RNG.integers(0, 256, (128, 128), dtype=np.uint8), 128 * 129 + 3_000),
+        (RNG.integers(0, 65536, (128, 128), dtype=np.uint16), 2 * 128 * 129 + 3_000),
+    ],
+)
+def test_a_scene_holds_its_picture_once_and_small(
+    picture: np.ndarray, limit: int, tmp_path: Path
+) -> None:
+    pillow = pytest.importorskip("PIL.Image")
+    in_memory = room(hidden=replace(room().hidden, image=picture))
+    path = tmp_path / "picture.png"
+    pillow.fromarray(picture).save(path)
+    from_file = room(hidden=replace(room().hidden, image=path))
+    for made in (in_memory, from_file):
+        told = made.hidden.reflectance.tobytes()
+        packed = pickle.dumps(made)
+        assert len(packed) < limit + path.stat().st_size * (made is from_file)
+        again = pickle.loads(packed)
+        assert again == made
+        assert again.hidden.reflectance.tobytes() == told
+
+
+def test_a_scene_travels_to_where_its_files_are_not(tmp_path: Path) -> None:
+    """Pictures, heights and meshes are in the pickle; and from there into a folder again."""
+    trimesh = pytest.importorskip("trimesh")
+    (tmp_path / "here").mkdir()
+    np.save(tmp_path / "here" / "picture.npy", RNG.random((5, 6)))
+    np.save(tmp_path / "here" / "heights.npy", 1e-6 * RNG.random((16, 16)))
+    trimesh.creation.box((0.1, 0.1, 0.2)).export(tmp_path / "here" / "box.ply")
+    made = room(
+        wall=scene.HeightMapWall(tmp_path / "here" / "heights.npy", pitch=0.1),
+        hidden=scene.PlanarObject(tmp_path / "here" / "picture.npy", 0.1, position=(0.3, 0, 1)),
+        occluders=(scene.Occluder(tmp_path / "here" / "box.ply", position=(0, 0, 1)),),
+    )
+    packed = pickle.dumps(made)
+    (tmp_path / "here").rename(tmp_path / "gone")
+    there = pickle.loads(packed)
+    assert there == made
+    assert there.wall.height(0.1, 0.2) == scene.HeightMapWall(
+        tmp_path / "gone" / "heights.npy", pitch=0.1
+    ).height(0.1, 0.2)
+    assert there.occluding_mesh.bounds[:, 2] == pytest.approx([0.9, 1.1])
+    assert replace(there.hidden, yaw=0.1).reflectance.shape == (5, 6)
+    for name, content in scene.file.scene_files(there).items():
+        (tmp_path / name).write_bytes(content)
+    moved = nlos.Scene.load(tmp_path / "scene.toml")
+    assert moved.hidden.reflectance.tobytes() == there.hidden.reflectance.tobytes()
+
+
+def test_a_scene_whose_picture_is_missing_does_not_travel(tmp_path: Path) -> None:
+    hidden = scene.PlanarObject(tmp_path / "none.png", (0.1, 0.1), position=(0.3, 0.0, 1.0))
+    with pytest.raises(SceneError, match=r"none.png cannot be read .*put it back"):
+        pickle.dumps(room(hidden=hidden))
+
+
+def test_functions_without_a_name_are_refused_in_one_line() -> None:
+    """By pickle alone; a deep copy takes them as they are."""
+    bent = scene.CallableWall(lambda x, y: 0 * x, slopes, max_height=1.0, max_curvature=0.01)
+    rough = psf.Roughness(1e-7, 1e-3, lambda r: np.exp(-np.abs(r) / 1e-3))
+    for noun, name in ((bent, "wall.height"), (rough, "roughness.autocorrelation")):
+        with pytest.raises(SceneError, match=rf"{name} = .* cannot be pickled .*top level") as told:
+            pickle.dumps(noun)
+        assert "\n" not in str(told.value)
+        copy.deepcopy(noun)
+    kept = pickle.loads(pickle.dumps(psf.Roughness(1e-7, 1e-3, falling)))
+    assert kept.autocorrelation is falling
+
+
+def test_pickles_are_stable(tmp_path: Path) -> None:
+    """The same noun gives the same bytes, as caches of clusters ask."""
+    sums = {zlib.crc32(pickle.dumps(room())) for _ in range(2)}
+    assert len(sums) == 1

@@ -1,0 +1,572 @@
+"""Scene files: what they mean, that they round-trip exactly, and the examples."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from pytest import approx
+
+from nlosoptics.errors import SceneError
+from nlosoptics.scene import (
+    ConcaveWall,
+    ConvexWall,
+    FlatWall,
+    HeightMapWall,
+    Lambert,
+    MeshObject,
+    MeshWall,
+    Occluder,
+    OrenNayar,
+    PlanarObject,
+    Scene,
+    SpecularMicrofacet,
+    SumMaterial,
+    SumWall,
+    TransientScan,
+    WavyWall,
+)
+from nlosoptics.scene.file.scene_file import scene_files, scene_schema
+
+FOLDER = Path(__file__).parents[3] / "examples" / "scenes"
+SCENES = sorted(path for path in FOLDER.glob("*.toml") if not path.name.startswith("camera"))
+NAMES = [path.stem for path in SCENES]
+#: Of images; light over time has other distances.
+WU = [path for path in SCENES if not path.name.startswith("transient")]
+
+
+@pytest.fixture
+def flat(examples: Path) -> Scene:
+    return Scene.load(examples / "scenes" / "letter_flat.toml")
+
+
+def saved(scene: Scene, folder: Path) -> Scene:
+    """What a scene is after saving and loading, twice to catch any drift."""
+    for name in ("first.toml", "second.toml"):
+        scene.save(folder / name)
+        scene = Scene.load(folder / name)
+    assert (folder / "first.toml").read_text() == (folder / "second.toml").read_text()
+    return scene
+
+
+LEVELS = np.random.default_rng(1).permutation(65536).reshape(256, 256)
+
+
+@pytest.mark.parametrize(
+    ("picture", "suffix"),
+    [
+        (LEVELS[:5, :7].astype(np.uint8), ".png"),
+        (LEVELS[:40].astype(np.uint16), ".png"),
+        (np.eye(6, dtype=bool), ".png"),
+        (LEVELS / 65537, ".npy"),
+        (np.array([[0.0, -0.0], [1.0, 0.5]]), ".npy"),
+    ],
+)
+def test_a_picture_in_memory_is_written_beside_the_scene(
+    flat: Scene, tmp_path: Path, picture: np.ndarray, suffix: str
+) -> None:
+    """Every bit of it, in the smallest file that holds them."""
+    scene = replace(flat, hidden=replace(flat.hidden, image=picture))
+    again = saved(scene, tmp_path)
+    assert again == scene
+    assert again.hidden.reflectance.tobytes() == scene.hidden.reflectance.tobytes()
+    assert again.hidden.image == tmp_path / f"first_hidden_image{suffix}"
+    assert {p.name for p in tmp_path.iterdir()} == {
+        "first.toml",
+        "second.toml",
+        f"first_hidden_image{suffix}",
+    }
+    assert replace(again, hidden=replace(again.hidden, image=1 - scene.hidden.image)) != scene
+
+
+def test_meshes_in_memory_are_written_beside_the_scene(flat: Scene, tmp_path: Path) -> None:
+    """Coordinates of every size, vertices in their order, and one that no triangle has."""
+    rng = np.random.default_rng(2)
+    corners = rng.random((60, 3)) * 10.0 ** rng.integers(-12, 2, (60, 3)) + (0, 0, 1)
+    mesh = trimesh.Trimesh(corners, rng.integers(0, 59, (90, 3)), process=False)
+    mesh.update_faces(mesh.nondegenerate_faces())
+    hidden = MeshObject(mesh, position=(0.3, 0.0, 1.0))
+    scene = replace(flat, hidden=hidden, occluders=(Occluder(mesh), mesh))
+    again = saved(scene, tmp_path)
+    for one, other in (
+        (again.hidden.surface, hidden.surface),
+        (again.occluding_mesh, scene.occluding_mesh),
+    ):
+        assert np.array_equal(one.vertices, other.vertices)
+        assert np.array_equal(one.faces, other.faces)
+    names = {"first_hidden_mesh.ply", "first_occluder_0_mesh.ply", "first_occluder_1_mesh.ply"}
+    assert {p.name for p in tmp_path.iterdir()} - {"first.toml", "second.toml"} == names
+
+
+@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+def test_examples_round_trip_exactly(path: Path, tmp_path: Path) -> None:
+    scene = Scene.load(path)
+    assert saved(scene, tmp_path) == scene
+
+
+WALLS = [
+    FlatWall(),
+    FlatWall(size=(1.1, 0.7)),
+    ConcaveWall(4.9999999999999991, size=1.0),
+    ConcaveWall(3.0, shape="cylinder", axis="x"),
+    ConvexWall(1 / 3, size=(0.1, 0.2)),
+    ConvexWall(7.0, shape="cylinder", axis="y"),
+    WavyWall(-1e-5 / 3, 0.1, 1e-17, size=0.5, direction=-0.1),
+    SumWall(WavyWall(1e-4, 0.3), SumWall(FlatWall(size=1.0), ConcaveWall(5.0)), size=(1.0, 2.0)),
+]
+
+
+@pytest.mark.parametrize("wall", WALLS, ids=lambda wall: type(wall).__name__)
+def test_every_wall_round_trips_exactly(wall, flat: Scene, tmp_path: Path) -> None:
+    scene = replace(flat, wall=wall)
+    assert saved(scene, tmp_path) == scene
+
+
+MATERIALS = [
+    Lambert(0.1 + 0.2),
+    OrenNayar(0.8, 0.3, model="full", normalised=True),
+    SpecularMicrofacet(0.05, 1e-3),
+    SumMaterial(Lambert(0.7)),
+    SumMaterial(Lambert(0.5), SumMaterial(OrenNayar(0.1, 0.2), SpecularMicrofacet(0.05, 0.0))),
+]
+
+
+@pytest.mark.parametrize("material", MATERIALS, ids=range(len(MATERIALS)))
+def test_every_material_round_trips_exactly(material, flat: Scene, tmp_path: Path) -> None:
+    hidden = replace(flat.hidden, material=material)
+    scene = replace(flat, wall_material=material, hidden=hidden)
+    assert saved(scene, tmp_path) == scene
+
+
+def test_meshes_round_trip_exactly(flat: Scene, examples: Path, tmp_path: Path) -> None:
+    mesh = (examples / "walls" / "concave_5m.obj").resolve()
+    hidden = MeshObject(mesh, scale=0.1, position=(0.5, 0.0, 1.0), yaw=0.1, pitch=-0.2, roll=3.0)
+    scene = replace(flat, wall=MeshWall(mesh, scale=1.1), hidden=hidden)
+    assert saved(scene, tmp_path) == scene
+
+
+def test_random_walls_keep_their_parameters(flat: Scene, tmp_path: Path) -> None:
+    third = 1e-3 / 3
+    for wall in (
+        HeightMapWall.random(height_rms=third, correlation_length=0.1, size=1.5, pitch=0.04),
+        HeightMapWall.random(
+            height_rms=1e-6,
+            correlation_length=0.2 / 3,
+            size=(1.1, 1.3),
+            pitch=0.03,
+            autocorrelation="exponential",
+            seed=2**64 - 1,
+        ),
+    ):
+        scene = replace(flat, wall=wall)
+        again = saved(scene, tmp_path)
+        assert again == scene
+        assert again.wall.drawn == wall.drawn
+        summed = replace(flat, wall=SumWall(wall, ConcaveWall(5.0)))
+        assert saved(summed, tmp_path) == summed
+
+
+def test_a_cut_random_wall_is_no_longer_the_one_drawn(flat: Scene, tmp_path: Path) -> None:
+    drawn = HeightMapWall.random(height_rms=1e-6, correlation_length=0.1, size=1.5, pitch=0.04)
+    cut = replace(flat, wall=replace(drawn, size=1.4))
+    assert saved(cut, tmp_path) == cut
+    assert (tmp_path / "first_wall_heights.npy").is_file()
+
+
+def test_occluders_round_trip_exactly(flat: Scene, examples: Path, tmp_path: Path) -> None:
+    mesh = (examples / "walls" / "concave_5m.obj").resolve()
+    posed = Occluder(mesh, scale=0.1, position=(1 / 3, -0.2, 0.7), yaw=0.1, pitch=-1 / 3, roll=3.0)
+    scene = replace(flat, occluders=[posed, Occluder(mesh)])
+    assert saved(scene, tmp_path) == scene
+    assert scene != flat
+    text = (tmp_path / "first.toml").read_text()
+    assert text.count("[[occluder]]") == 2
+    again = Scene.load(tmp_path / "first.toml")
+    np.testing.assert_array_equal(again.occluding_mesh.vertices, scene.occluding_mesh.vertices)
+
+
+def test_an_occluder_of_a_file_alone_stands_as_it_is(flat: Scene, tmp_path: Path) -> None:
+    plate = trimesh.creation.box((0.1, 0.2, 0.3), transform=np.eye(4))
+    plate.apply_translation((0, 0, 0.15))
+    plate.export(tmp_path / "plate.ply")
+    flat.save(tmp_path / "scene.toml")
+    with (tmp_path / "scene.toml").open("a") as file:
+        file.write('\n[[occluder]]\nmesh = "plate.ply"\n')
+    (occluder,) = Scene.load(tmp_path / "scene.toml").occluders
+    assert occluder == Occluder(tmp_path / "plate.ply")
+    # the file holds float32
+    np.testing.assert_allclose(occluder.surface.bounds, plate.bounds, rtol=0, atol=1e-7)
+
+
+def test_every_float_of_laser_and_camera_round_trips(flat: Scene, tmp_path: Path) -> None:
+    third = 1 / 3  # needs all its 17 digits
+    laser = replace(
+        flat.laser,
+        wavelength=632.8e-9 * third,
+        power=third,
+        beam_diameter=third,
+        position=(third, -third, 2 * third),
+        aim=(-third, third, 0.0),
+        independent_patterns=3,
+    )
+    camera = replace(
+        flat.camera,
+        position=(third, third, third),
+        aim=(-third, third, 0.0),
+        focal_length=third / 10,
+        stop_diameter=third / 100,
+        pixel_pitch=third * 1e-5,
+        pixels=(640, 480),
+        binning=2,
+        exposure=third,
+        quantum_efficiency=third,
+        transmission=third,
+        full_well=1e5 * third,
+        read_noise=third,
+        dark_current=third,
+        bit_depth=12,
+        focus_distance=third,
+        glare_fraction=third,
+        field_stop=None,
+    )
+    scene = replace(flat, laser=laser, camera=camera)
+    assert saved(scene, tmp_path) == scene
+
+
+def test_paths_are_relative_to_the_file(flat: Scene, tmp_path: Path) -> None:
+    """A scene and its picture may move together."""
+    (tmp_path / "here").mkdir()
+    np.save(tmp_path / "here" / "letter.npy", np.eye(8))
+    hidden = PlanarObject(tmp_path / "here" / "letter.npy", 0.3, position=(0.5, 0.0, 1.0))
+    replace(flat, hidden=hidden).save(tmp_path / "here" / "scene.toml")
+    (tmp_path / "here").rename(tmp_path / "there")
+    moved = Scene.load(tmp_path / "there" / "scene.toml")
+    assert np.array_equal(moved.hidden.reflectance, np.eye(8))
+
+
+def test_a_folder_holds_all_of_a_scene(flat: Scene, tmp_path: Path) -> None:
+    """Whatever its files were called: two of one name, and one with the name of a run's own."""
+    (tmp_path / "other").mkdir()
+    for height, folder in ((0.1, tmp_path), (0.2, tmp_path / "other")):
+        trimesh.creation.box((0.1, 0.1, height)).export(folder / "image.ply")
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "scene.npy", rng.random((8, 8)))
+    np.save(tmp_path / "heights.npy", 1e-6 * rng.random((16, 16)))
+    scene = replace(
+        flat,
+        wall=SumWall(FlatWall(), HeightMapWall(tmp_path / "heights.npy", pitch=0.1)),
+        hidden=PlanarObject(tmp_path / "scene.npy", 0.3, position=(0.5, 0.0, 1.0)),
+        occluders=tuple(
+            Occluder(folder / "image.ply", position=(0.0, 0.0, 1.0))
+            for folder in (tmp_path, tmp_path / "other")
+        ),
+    )
+    (tmp_path / "carried").mkdir()
+    for name, content in scene_files(scene).items():
+        (tmp_path / "carried" / name).write_bytes(content)
+    moved = Scene.load(tmp_path / "carried" / "scene.toml")
+    assert scene_files(moved) == scene_files(scene)
+    assert np.array_equal(moved.hidden.reflectance, scene.hidden.reflectance)
+    x, y = np.array([0.01, 0.2]), np.array([0.0, -0.3])
+    assert np.array_equal(moved.wall.height(x, y), scene.wall.height(x, y))
+    assert [np.ptp(o.surface.bounds[:, 2]) for o in moved.occluders] == pytest.approx([0.1, 0.2])
+    (tmp_path / "other" / "image.ply").unlink()
+    assert scene_files(moved) == scene_files(scene)
+    gone = Occluder(tmp_path / "other" / "image.ply", position=(0.0, 0.0, 1.0))
+    with pytest.raises(SceneError, match=r"occluder\[0\].mesh: .* cannot be read .*put it back"):
+        scene_files(replace(scene, occluders=(gone,)))
+
+
+def test_odd_file_names_survive(flat: Scene, tmp_path: Path) -> None:
+    """Quotes, backslashes and control characters of a path are escaped as TOML wants."""
+    path = tmp_path / 'a "b" \\ \u4e2d \x7f.npy'
+    np.save(path, np.eye(4))
+    scene = replace(flat, hidden=PlanarObject(path, 0.3, position=(0.5, 0.0, 1.0)))
+    assert saved(scene, tmp_path) == scene
+
+
+def test_a_failed_save_leaves_the_old_file(flat: Scene, tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "scene.toml"
+    flat.save(path)
+    before = path.read_text()
+
+    def full(self, *args, **kwargs):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(SceneError, match="cannot be written"):
+        replace(flat, wall=FlatWall()).save(path)
+    assert path.read_text() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["scene.toml"]
+
+
+def test_saving_replaces_the_file_at_once(flat: Scene, tmp_path: Path) -> None:
+    """A reader who has the old file open keeps it whole: the new one is moved into its place."""
+    path, held = tmp_path / "scene.toml", tmp_path / "held.toml"
+    flat.save(path)
+    before = path.read_text()
+    held.hardlink_to(path)
+    replace(flat, wall=FlatWall()).save(path)
+    assert held.read_text() == before != path.read_text()
+
+
+def test_units_are_exact(flat: Scene) -> None:
+    """Decimal arithmetic: the float nearest to the written number, not a product of floats."""
+    assert flat.laser.wavelength == 632.8e-9
+    assert flat.laser.power == 5e-3
+    assert flat.laser.beam_diameter == 3e-3
+    assert flat.camera.pixel_pitch == 9e-6
+    assert flat.camera.exposure == 40e-3
+
+
+def test_laser_by_distance_and_incidence(flat: Scene) -> None:
+    start = np.subtract(flat.laser.position, flat.laser.aim)
+    # 1e-15: rounding of sine and cosine
+    assert np.linalg.norm(start) == approx(1.2, rel=1e-15)
+    assert math.acos(start[2] / 1.2) == approx(math.radians(15), rel=1e-14)
+
+
+def test_laser_azimuth(tmp_path: Path) -> None:
+    text = (FOLDER / "letter_flat.toml").read_text()
+    text = text.replace('incidence = "15 deg"', 'incidence = "15 deg"\nazimuth = "90 deg"')
+    text = text.replace("camera_wu2024.toml", str(FOLDER / "camera_wu2024.toml"))
+    text = text.replace("../objects", str(FOLDER.parent / "objects"))
+    (tmp_path / "scene.toml").write_text(text)
+    x, y, z = Scene.load(tmp_path / "scene.toml").laser.position
+    # cos(90 deg) is 6e-17
+    assert (x, y, z) == approx(
+        (0.64, 1.2 * math.sin(math.radians(15)), 1.2 * math.cos(math.radians(15))), abs=1e-15
+    )
+
+
+def test_field_of_view_gives_the_focal_length(flat: Scene) -> None:
+    """Across the side: f = (36.864 mm / 2) / tan 20 deg."""
+    expected = 18.432e-3 / math.tan(math.radians(20))
+    assert flat.camera.focal_length == approx(expected, rel=1e-15)
+    assert flat.camera.focal_length == approx(50.6e-3, abs=0.05e-3)  # as printed, three digits
+
+
+def camera_of(tmp_path: Path, *lines: str):
+    """Camera of a scene whose table is the given lines."""
+    text = (FOLDER / "letter_flat.toml").read_text()
+    text = text.replace('file = "camera_wu2024.toml"', "\n".join(lines))
+    text = text.replace("../objects", str(FOLDER.parent / "objects"))
+    (tmp_path / "scene.toml").write_text(text)
+    return Scene.load(tmp_path / "scene.toml").camera
+
+
+PLACE = ('position = ["0 m", "0 m", "1 m"]', 'aim = ["0.1 m", "0 m", "0 m"]')
+
+
+def test_f_number_gives_the_stop(tmp_path: Path) -> None:
+    camera = camera_of(tmp_path, *PLACE, 'focal_length = "50 mm"', "f_number = 2")
+    assert camera.stop_diameter == 25e-3
+
+
+def test_field_of_view_spans_the_pixels_that_are_read(tmp_path: Path) -> None:
+    camera = camera_of(
+        tmp_path, *PLACE, 'field_of_view = "90 deg"', "f_number = 2.0", "pixels = [2000, 1000]"
+    )
+    # tan 45 deg is 1 to the last bit or the next
+    assert camera.focal_length == approx(9e-3, rel=1e-15)
+
+
+def test_an_override_replaces_its_counterpart(tmp_path: Path) -> None:
+    """The included file gives field of view and stop; the scene gives focal length and F-number."""
+    included = f'file = "{FOLDER / "camera_wu2024.toml"}"'
+    camera = camera_of(tmp_path, included, 'focal_length = "100 mm"', "f_number = 4", "binning = 4")
+    assert (camera.focal_length, camera.stop_diameter, camera.binning) == (0.1, 0.025, 4)
+    assert camera.read_noise == 3.6
+
+
+def test_one_lobe_and_a_sum_of_one_differ(flat: Scene, tmp_path: Path) -> None:
+    assert isinstance(flat.hidden.material, Lambert)
+    assert isinstance(flat.wall_material, SumMaterial)
+
+
+def test_defaults_are_those_of_the_dataclasses(tmp_path: Path) -> None:
+    text = (FOLDER / "letter_flat.toml").read_text()
+    text = re.sub(r"\[\[?(wall|hidden)\.material\]\]?.*?(?=\n\[|$)", "", text, flags=re.DOTALL)
+    text = text.replace("camera_wu2024.toml", str(FOLDER / "camera_wu2024.toml"))
+    text = text.replace("../objects", str(FOLDER.parent / "objects"))
+    (tmp_path / "scene.toml").write_text(text)
+    scene = Scene.load(tmp_path / "scene.toml")
+    bare = Scene(scene.laser, scene.wall, scene.hidden, scene.camera)
+    assert scene == bare
+    assert scene.hidden.material == Lambert(0.8)
+
+
+@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
+def test_examples_have_wu_2024s_geometry(path: Path) -> None:
+    """Section 3: 632.8 nm, 3 mm, 1.2 m at 15 deg; 1 m to wall and camera; 36.9 mm, 40 deg."""
+    scene = Scene.load(path)
+    laser, camera = scene.laser, scene.camera
+    start = np.subtract(laser.position, laser.aim)
+    distance = float(np.linalg.norm(start))
+    assert laser.wavelength == 632.8e-9
+    assert laser.beam_diameter == 3e-3
+    assert distance == approx(1.2, rel=1e-15)
+    assert math.degrees(math.acos(start[2] / distance)) == approx(15, rel=1e-13)
+    place = np.array(scene.hidden.position)
+    assert place[2] == 1.0
+    # written to 10 um
+    assert np.linalg.norm(place - camera.position) == approx(1.0, abs=1e-5)
+    assert 2 * math.atan(18.432e-3 / camera.focal_length) == approx(math.radians(40), rel=1e-14)
+    assert camera.shape == (512, 512)
+    if path.stem != "letter_speckle":
+        assert laser.power == 5e-3
+        assert camera.pixels[0] * camera.pixel_pitch == approx(36.864e-3, rel=1e-15)
+
+
+@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
+def test_examples_keep_the_spot_out_of_the_field(path: Path) -> None:
+    """Outside the round stop, and outside the square sensor."""
+    scene = Scene.load(path)
+    camera = scene.camera
+    right, up, ahead = camera.frame @ np.subtract(scene.laser.aim, camera.position)
+    half = math.atan(18.432e-3 / camera.focal_length)
+    assert math.atan(math.hypot(right, up) / ahead) > camera.field_stop / 2 + math.radians(3)
+    assert max(abs(math.atan(right / ahead)), abs(math.atan(up / ahead))) > half
+
+
+@pytest.mark.parametrize("path", WU, ids=lambda path: path.stem)
+def test_examples_show_the_whole_object(path: Path) -> None:
+    """Every bright part's mirror image lies within the flat wall's field."""
+    scene = Scene.load(path)
+    camera, hidden = scene.camera, scene.hidden
+    rows, columns = np.nonzero(hidden.reflectance > 0.5)
+    ny, nx = hidden.reflectance.shape
+    across = ((columns + 0.5) / nx - 0.5) * hidden.size[0]
+    upward = (0.5 - (rows + 0.5) / ny) * hidden.size[1]
+    right, up, _ = hidden.axes
+    points = np.array(hidden.position) + across[:, None] * right + upward[:, None] * up
+    x, y, z = camera.frame @ (points * (1, 1, -1) - camera.position).T
+    reach = camera.pixels[0] * camera.pixel_pitch / 2 / scene.image_distance
+    assert abs(x / z).max() < 0.95 * reach
+    assert abs(y / z).max() < 0.95 * reach
+
+
+def test_exposures_and_tilt_of_the_series(flat: Scene) -> None:
+    for milliseconds in (10, 20, 30):
+        other = Scene.load(FOLDER / f"letter_flat_{milliseconds}ms.toml")
+        assert other == replace(
+            flat, camera=replace(flat.camera, exposure=float(f"{milliseconds}e-3"))
+        )
+    tilted = Scene.load(FOLDER / "letter_tilted.toml")
+    assert tilted == replace(flat, hidden=replace(flat.hidden, pitch=tilted.hidden.pitch))
+    assert tilted.hidden.pitch == approx(math.radians(10), rel=1e-15)
+
+
+def test_speckle_camera_has_lambda_n_of_two_pixels() -> None:
+    scene = Scene.load(FOLDER / "letter_speckle.toml")
+    f_number = scene.image_distance / scene.camera.stop_diameter
+    # the file gives the stop to five digits
+    assert scene.laser.wavelength * f_number == approx(2 * scene.camera.image_pitch, rel=1e-4)
+    assert scene.camera.binning == 1
+
+
+def test_mesh_example_is_what_its_readme_says(tmp_path: Path, monkeypatch) -> None:
+    """The code of the README, run anew, writes the file that is shipped."""
+    walls = FOLDER.parent / "walls"
+    code = re.search(r"```python\n(.*?)```", (walls / "README.md").read_text(), re.DOTALL)[1]
+    monkeypatch.chdir(tmp_path)
+    exec(code, {})
+    ours, shipped = (
+        [line.split() for line in (folder / "concave_5m.obj").read_text().splitlines() if line]
+        for folder in (tmp_path, walls)
+    )
+    assert [line[0] for line in ours] == [line[0] for line in shipped]
+    vertices = [np.array([v[1:] for v in f if v[0] == "v"], float) for f in (ours, shipped)]
+    # written to 1 pm
+    assert abs(vertices[0] - vertices[1]).max() <= 1e-12
+    assert [f for f in ours if f[0] == "f"] == [f for f in shipped if f[0] == "f"]
+    assert (walls / "concave_5m.obj").stat().st_size < 300e3
+
+
+SCAN = {"side": 2.0, "count": 8, "delta_t": 0.01, "n_bins": 20}
+
+
+def test_transient_table_round_trips(flat: Scene, tmp_path: Path) -> None:
+    """Every key, and the same scene without the table."""
+    assert flat.transient is None
+    picture = {"wl_mean": 0.2, "near": 0.5, "far": 1.5, "step": 0.1}
+    scan = TransientScan(**SCAN, scan="confocal", t_start=0.3, max_bounces=5, **picture)
+    scene = replace(flat, transient=scan)
+    assert saved(scene, tmp_path).transient == scan
+    least = TransientScan(**SCAN)
+    assert saved(replace(flat, transient=least), tmp_path).transient == least
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"side": -1.0}, "transient.side = -1 m is out of range"),
+        ({"count": 0}, "transient.count = 0"),
+        ({"n_bins": 1.5}, "transient.n_bins = 1.5 is not a whole number"),
+        ({"scan": "raster"}, "must be one of single, confocal, exhaustive"),
+        ({"max_bounces": 2}, "transient.max_bounces = 2"),
+        ({"near": 1.0}, "transient.far is missing beside transient.near"),
+        ({"near": 1.0, "far": 0.5, "step": 0.1}, "transient.far = 0.5 m is out of range"),
+    ],
+)
+def test_bad_transient_scans(changes: dict[str, Any], words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        TransientScan(**{**SCAN, **changes})
+
+
+def test_transient_keys_carry_units(examples: Path, tmp_path: Path) -> None:
+    text = (examples / "scenes" / "transient_letter.toml").read_text()
+    text = text.replace('"../objects', f'"{examples}/objects').replace(
+        '"camera_wu2024.toml"', f'"{examples}/scenes/camera_wu2024.toml"'
+    )
+    for right, wrong, words in (
+        ('delta_t = "1 cm"', 'delta_t = "33 ps"', "transient.delta_t = .*33 ps"),
+        ("count = 32", 'count = "32"', "transient.count"),
+        ("n_bins = 370", "n_bin = 370", "did you mean n_bins"),
+    ):
+        assert right in text
+        path = tmp_path / "wrong.toml"
+        path.write_text(text.replace(right, wrong))
+        with pytest.raises(SceneError, match=words):
+            Scene.load(path)
+
+
+def test_schema_is_current() -> None:
+    """The shipped schema is the models'; else write scene_schema() over it."""
+    shipped = json.loads((FOLDER / "scene.schema.json").read_text())
+    assert shipped == scene_schema()
+
+
+@pytest.mark.parametrize("path", SCENES, ids=NAMES)
+def test_examples_name_the_schema(path: Path) -> None:
+    assert path.read_text().splitlines()[0] == "#:schema ./scene.schema.json"
+
+
+def test_schema_knows_every_key_that_is_written(flat: Scene) -> None:
+    """Keys of a saved scene are in the schema, with a note for whoever edits."""
+    tables = scene_schema()["$defs"]
+    for section, table in (("laser", "LaserTable"), ("camera", "CameraTable")):
+        text = scene_files(flat)["scene.toml"].decode().split(f"[{section}]\n")[1].split("\n\n")[0]
+        for key in re.findall(r"^(\w+) =", text, re.MULTILINE):
+            assert tables[table]["properties"][key]["description"]
+
+
+@pytest.mark.parametrize("name", ["letter_flat", "letter_concave", "letter_wavy"])
+def test_loading_is_light(name: str) -> None:
+    """A picture scene loads without torch, matplotlib, trimesh and numba."""
+    code = (
+        "import sys; from nlosoptics.scene import Scene; "
+        f"Scene.load({str(FOLDER / f'{name}.toml')!r}); "
+        "print([m for m in ('torch', 'matplotlib', 'trimesh', 'numba') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

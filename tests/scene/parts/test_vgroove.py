@@ -1,0 +1,243 @@
+"""Oren-Nayar against V-grooves: a quadrature of one reflection, a Monte Carlo of two."""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pytest import approx
+from scipy.stats import qmc
+
+from nlosoptics.scene import OrenNayar
+
+TRUTHS = json.loads((Path(__file__).parents[2] / "truths" / "materials.json").read_text())
+NADIR = [row for row in TRUTHS if row["name"] == "vgroove_nadir_single_bounce"]
+NORMAL = np.array([0.0, 0.0, 1.0])
+DEGREE = math.pi / 180
+AZIMUTHS = np.arange(0, 181, 45)
+
+
+def direction(theta, phi=0.0):
+    theta, phi = np.broadcast_arrays(theta, phi)
+    sine = np.sin(theta)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def quadrature(incident, exitant, slope_rms: float) -> float:
+    """Single reflection of V-grooves with Lambertian facets, relative albedo 1, 1/sr.
+
+    Oren and Nayar, SIGGRAPH 1994: facet tilts of density exp(-t^2/2 s^2) per solid angle and
+    mean-plane area, masked and shadowed by the facet across the groove.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    tilt, turn = (nodes + 1) * math.pi / 4, (np.arange(180) + 0.5) * 2 * math.pi / 180
+    facet = direction(tilt[:, None], turn)
+    share = np.exp(-(tilt**2) / (2 * slope_rms**2)) * np.sin(tilt) * weights
+    share = np.broadcast_to(share[:, None], facet.shape[:2]) / (share.sum() * turn.size)
+    lit, seen = np.maximum(facet @ incident, 1e-300), np.maximum(facet @ exitant, 1e-300)
+    free = np.minimum(1, 2 * facet[..., 2] * np.minimum(incident[2] / lit, exitant[2] / seen)) * (
+        (lit > 1e-300) & (seen > 1e-300)
+    )
+    flux = share * lit * seen * free / (incident[2] * exitant[2] * facet[..., 2])
+    return float(flux.sum()) / math.pi
+
+
+class Grooves:
+    """Light traced into V-grooves of depth tan(tilt), half width 1 and random azimuth.
+
+    Facet ``side`` = +1 or -1 has the height ``tan(tilt) (side x - 1)`` over 0 <= side x <= 1.
+    Light enters through the opening at height 0, and every hit, of the laser's ray or of one
+    diffuse bounce, is seen from outside when the line of sight leaves through the opening.
+    """
+
+    def __init__(self, incident, slope_rms: float, draws) -> None:
+        tilt = np.linspace(0, math.pi / 2, 4001)
+        density = np.exp(-(tilt**2) / (2 * slope_rms**2)) * np.sin(tilt)
+        total = np.append(0.0, np.cumsum(density[1:] + density[:-1]))
+        self.tilt = np.interp(draws[:, 0], total / total[-1], tilt)
+        self.steep = np.tan(self.tilt)
+        self.turn = 2 * math.pi * draws[:, 1]
+        i = self._local(incident)
+        start = 2 * draws[:, 2] - 1
+        length, self.side = np.full(len(start), np.inf), np.zeros(len(start))
+        for side in (1.0, -1.0):
+            slant = i[:, 2] - self.steep * side * i[:, 0]
+            with np.errstate(divide="ignore"):
+                reach = self.steep * (1 - side * start) / slant
+            hit = (slant > 0) & (side * (start - reach * i[:, 0]) >= -1e-12) & (reach < length)
+            length, self.side = np.where(hit, reach, length), np.where(hit, side, self.side)
+        assert (self.side != 0).all(), "light leaks through a groove"
+        self.x = start - length * i[:, 0]
+        # a cosine-weighted bounce across the groove
+        radius, turn = np.sqrt(draws[:, 3]), 2 * math.pi * draws[:, 4]
+        zero = np.zeros(len(start))
+        along = np.stack([np.cos(self.tilt), zero, self.side * np.sin(self.tilt)], axis=-1)
+        bounce = (radius * np.cos(turn))[:, None] * along
+        bounce += np.sqrt(1 - draws[:, 3])[:, None] * self._facet(self.side)
+        slant = bounce[:, 2] + self.steep * self.side * bounce[:, 0]
+        down = slant < 0
+        reach = -2 * self.steep * self.side * self.x / np.where(down, slant, -1.0)
+        self.x_second = self.x + reach * bounce[:, 0]
+        self.hits_second = down & (np.abs(self.x_second) <= 1)
+
+    def _local(self, v):
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        return np.stack([c * v[0] + s * v[1], c * v[1] - s * v[0], 0 * c + v[2]], axis=-1)
+
+    def _facet(self, side):
+        return np.stack([-side * np.sin(self.tilt), 0 * side, np.cos(self.tilt)], axis=-1)
+
+    def _seen(self, x, side, exitant):
+        o = self._local(exitant)
+        cosine = (self._facet(side) * o).sum(axis=-1)
+        leaves = x - self.steep * (side * x - 1) / o[:, 2] * o[:, 0]
+        return np.where((cosine > 0) & (np.abs(leaves) <= 1), cosine, 0.0)
+
+    def reflected(self, exitant) -> tuple[float, float]:
+        """Reflectances of one and of two reflections, albedo 1, 1/sr."""
+        first = self._seen(self.x, self.side, exitant)
+        second = self._seen(self.x_second, -self.side, exitant) * self.hits_second
+        return float(first.mean() / (math.pi * exitant[2])), float(
+            second.mean() / (math.pi * exitant[2])
+        )
+
+
+DRAWS = qmc.Sobol(5, seed=1).random(2**15)
+
+
+@pytest.mark.parametrize("row", NADIR, ids=lambda row: row["value"])
+def test_quadrature_meets_its_closed_form(row) -> None:
+    """One reflection at normal incidence and exitance."""
+    found = quadrature(NORMAL, NORMAL, float(row["parameters"]["sigma"]))
+    # Gauss-Legendre on a Gaussian, far converged; 1e-10 leaves room for rounding
+    assert math.pi * found == approx(float(row["value"]), rel=1e-10)
+
+
+@pytest.mark.parametrize("row", NADIR, ids=lambda row: row["value"])
+def test_monte_carlo_meets_its_closed_form(row) -> None:
+    # the first reflection at nadir is cos(tilt), smooth in one Sobol dimension: 1e-5 measured
+    found, _ = Grooves(NORMAL, float(row["parameters"]["sigma"]), DRAWS).reflected(NORMAL)
+    assert math.pi * found == approx(float(row["value"]), rel=1e-4)
+
+
+@pytest.mark.parametrize("slope_rms", [0.1, 0.3, 0.5])
+def test_monte_carlo_meets_the_quadrature(slope_rms: float) -> None:
+    """Tracing rays shadows and masks as the minimum of both does."""
+    for theta, out in ((0, 60), (30, 60), (60, 45), (75, 75)):
+        grooves = Grooves(direction(theta * DEGREE), slope_rms, DRAWS)
+        for phi in AZIMUTHS:
+            exitant = direction(out * DEGREE, phi * DEGREE)
+            truth = quadrature(direction(theta * DEGREE), exitant, slope_rms)
+            # 2^15 Sobol points on edges of shadows
+            assert grooves.reflected(exitant)[0] == approx(truth, rel=0.01), (theta, out, phi)
+
+
+def test_second_reflection_is_reciprocal() -> None:
+    for theta, out, phi in ((0, 60, 0), (20, 50, 90), (30, 70, 180)):
+        there, back = direction(theta * DEGREE), direction(out * DEGREE, phi * DEGREE)
+        _, f = Grooves(there, 0.5, DRAWS).reflected(back)
+        _, g = Grooves(back, 0.5, DRAWS).reflected(there)
+        assert f == approx(g, rel=0.03)  # rare paths, 2^15 of them
+
+
+@functools.cache
+def grooves_of(slope_rms: float, theta: float) -> Grooves:
+    return Grooves(direction(theta * DEGREE), slope_rms, DRAWS)
+
+
+@functools.cache
+def reflected(slope_rms: float, theta: float, out: float, azimuth: int) -> tuple[float, float]:
+    """Of one and of two reflections, albedo 1: the same for every model and albedo."""
+    return grooves_of(slope_rms, theta).reflected(direction(out * DEGREE, azimuth * DEGREE))
+
+
+def excess(model: str, rho: float, slope_rms: float, angles, azimuths) -> dict:
+    """Relative excess of a model over two reflections, by (incidence, exitance, azimuth)."""
+    material, table = OrenNayar(rho, slope_rms, model=model), {}
+    for theta in angles:
+        for out in angles:
+            for phi in azimuths:
+                exitant = direction(out * DEGREE, phi * DEGREE)
+                one, two = reflected(slope_rms, theta, out, int(phi))
+                f = float(material.evaluate(direction(theta * DEGREE), exitant, NORMAL))
+                table[theta, out, int(phi)] = f / (rho * one + rho**2 * two) - 1
+    return table
+
+
+@pytest.mark.parametrize("rho", [0.3, 0.8, 1.0])
+@pytest.mark.parametrize("slope_rms", [0.1, 0.3, 0.5])
+def test_full_model_within_a_tenth(slope_rms: float, rho: float) -> None:
+    """At angles up to 60 deg and any azimuth; 8.1 % is the worst that was found."""
+    table = excess("full", rho, slope_rms, (0, 15, 30, 45, 60), AZIMUTHS)
+    assert max(map(abs, table.values())) < 0.10, max(table.items(), key=lambda item: abs(item[1]))
+
+
+@pytest.mark.parametrize("rho", [0.3, 0.8, 1.0])
+@pytest.mark.parametrize("slope_rms", [0.1, 0.3, 0.5])
+def test_fit_within_a_tenth_on_the_near_side(slope_rms: float, rho: float) -> None:
+    """At angles up to 60 deg and azimuths up to 90 deg; 5.6 % is the worst that was found."""
+    table = excess("fit", rho, slope_rms, (0, 15, 30, 45, 60), AZIMUTHS[AZIMUTHS <= 90])
+    assert max(map(abs, table.values())) < 0.10, max(table.items(), key=lambda item: abs(item[1]))
+
+
+#: Excess beyond those limits, at equal angles of incidence and exitance and albedo 0.8:
+#: (model, slope rms, angle, azimuth): excess. The fit is too bright away from the source.
+BEYOND = {
+    ("fit", 0.1, 45, 180): 0.01,
+    ("fit", 0.1, 60, 135): 0.02,
+    ("fit", 0.1, 60, 180): 0.03,
+    ("fit", 0.1, 75, 0): 0.01,
+    ("fit", 0.1, 75, 90): -0.00,
+    ("fit", 0.1, 75, 180): 0.16,
+    ("fit", 0.3, 45, 180): 0.08,
+    ("fit", 0.3, 60, 135): 0.17,
+    ("fit", 0.3, 60, 180): 0.27,
+    ("fit", 0.3, 75, 0): 0.03,
+    ("fit", 0.3, 75, 90): -0.04,
+    ("fit", 0.3, 75, 180): 0.98,
+    ("fit", 0.5, 45, 180): 0.18,
+    ("fit", 0.5, 60, 135): 0.29,
+    ("fit", 0.5, 60, 180): 0.48,
+    ("fit", 0.5, 75, 0): -0.01,
+    ("fit", 0.5, 75, 90): -0.13,
+    ("fit", 0.5, 75, 180): 1.26,
+    ("full", 0.1, 45, 180): -0.02,
+    ("full", 0.1, 60, 135): -0.01,
+    ("full", 0.1, 60, 180): -0.01,
+    ("full", 0.1, 75, 0): 0.01,
+    ("full", 0.1, 75, 90): 0.02,
+    ("full", 0.1, 75, 180): 0.09,
+    ("full", 0.3, 45, 180): -0.07,
+    ("full", 0.3, 60, 135): -0.01,
+    ("full", 0.3, 60, 180): -0.02,
+    ("full", 0.3, 75, 0): 0.03,
+    ("full", 0.3, 75, 90): 0.07,
+    ("full", 0.3, 75, 180): 0.33,
+    ("full", 0.5, 45, 180): -0.07,
+    ("full", 0.5, 60, 135): -0.03,
+    ("full", 0.5, 60, 180): -0.05,
+    ("full", 0.5, 75, 0): -0.01,
+    ("full", 0.5, 75, 90): 0.04,
+    ("full", 0.5, 75, 180): 0.10,
+}
+
+
+@pytest.mark.parametrize("case", BEYOND, ids=str)
+def test_known_excess_beyond(case) -> None:
+    model, slope_rms, angle, azimuth = case
+    (found,) = excess(model, 0.8, slope_rms, (angle,), (azimuth,)).values()
+    assert found == approx(BEYOND[case], abs=0.015)  # Monte Carlo to 1 %, figures rounded
+
+
+def test_fit_over_one_reflection_opposite_the_source() -> None:
+    """At slope 0.5 by 29 %, 75 % and 230 % at 45, 60 and 75 deg, without interreflection."""
+    for angle, expected in ((45, 0.29), (60, 0.75), (75, 2.3)):
+        incident, exitant = direction(angle * DEGREE), direction(angle * DEGREE, math.pi)
+        f = float(OrenNayar(1.0, 0.5).evaluate(incident, exitant, NORMAL))
+        mutual = 0.17 * 0.25 / 0.38 / math.pi * (1 + (2 * angle / 180) ** 2)
+        # figures of two digits from a Monte Carlo run
+        assert (f - mutual) / quadrature(incident, exitant, 0.5) - 1 == approx(expected, rel=0.03)

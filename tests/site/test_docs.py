@@ -1,0 +1,176 @@
+"""The documentation: its code runs, what it names is there, and its generated pages are whole."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from nlosoptics.cli import main
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(
+    path
+    for path in DOCS.rglob("*.md")
+    if not {"_generated", "gallery"} & {*path.relative_to(DOCS).parts}
+)
+#: Begins a block of Python and ends a command that cannot be run in seconds, with the reason.
+NOT_RUN = re.compile(r"# not run in the tests: \S")
+Blocks = Callable[[Path, str], list[str]]
+
+
+@pytest.fixture
+def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], ModuleType]]:
+    """Import a file of the documentation's own, by its name."""
+    monkeypatch.syspath_prepend(str(DOCS / "_ext"))
+    monkeypatch.syspath_prepend(str(DOCS))
+    before = set(sys.modules)
+    yield importlib.import_module
+    for name in set(sys.modules) - before:
+        if Path(getattr(sys.modules[name], "__file__", None) or "").is_relative_to(DOCS):
+            del sys.modules[name]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
+def test_code_runs(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code_blocks: Blocks
+) -> None:
+    """Commands, then Python from top to bottom in one namespace, beside the examples."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    for block in code_blocks(page, "console"):
+        for command in commands(block):
+            with pytest.raises(SystemExit) as end:
+                main(shlex.split(command, comments=True)[1:])
+            assert end.value.code == 0, command
+    names: dict[str, Any] = {"__name__": "__main__"}
+    for code in code_blocks(page, "python"):
+        compiled = compile(code, str(page), "exec")
+        if not NOT_RUN.match(code):
+            exec(compiled, names)
+
+
+def commands(block: str) -> Iterator[str]:
+    """Yield the program's own commands; those that install or measure are not run."""
+    for line in re.sub(r"\\\n>?", " ", block).splitlines():
+        if line.startswith("$ nlosoptics ") and not NOT_RUN.search(line):
+            yield line.removeprefix("$ ")
+
+
+def test_every_block_has_a_language_that_is_run_or_known(code_blocks: Blocks) -> None:
+    """A block in a language of another name would be passed over."""
+    known = {"python", "console", "toml", "json", "text", "toctree", "include", "eval-rst"}
+    for page in PAGES:
+        found = re.findall(r"^```\{?([\w-]*)", page.read_text(), re.MULTILINE)
+        assert set(found[::2]) <= known, page
+
+
+def test_commands_name_files_that_are_there(code_blocks: Blocks) -> None:
+    listed = [
+        (page, word)
+        for page in [*PAGES, DOCS / "_ext" / "performance_page.py"]
+        for word in re.findall(r"\b(?:benchmarks|examples|tests)/[\w/.-]+\w", page.read_text())
+    ]
+    assert len(listed) > 50
+    assert [(page, word) for page, word in listed if not (ROOT / word).exists()] == []
+
+
+def test_tests_that_pages_name_are_there() -> None:
+    """``tests/x/test_y.py::test_z``, or ``::test_z`` alone for the file named last."""
+    named = 0
+    for page in PAGES:
+        file = ""
+        for path, test in re.findall(r"`(tests/[\w/]+\.py)?::(\w+)`", page.read_text()):
+            file = path or file
+            source = (ROOT / file).read_text()
+            assert re.search(rf"^def {test}\(", source, re.MULTILINE), (page, file, test)
+            named += 1
+    assert named > 30
+
+
+def test_every_reference_is_held_by_a_test(extension: Callable[[str], ModuleType]) -> None:
+    page = extension("validation_page")
+    text = page.text()
+    for path in (ROOT / "tests" / "truths").glob("*.json"):
+        for name in page.references(path):
+            assert f"| {name.replace('_', ' ')} |" in text
+    nobody = {"a truth that nobody reads": [{"formula": "", "source": "", "tolerance": ""}]}
+    with pytest.raises(LookupError, match="which no test reads"):
+        page.reference_table(nobody, [])
+
+
+def test_every_benchmark_is_on_the_page(
+    extension: Callable[[str], ModuleType], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = extension("performance_page")
+    page.pages(tmp_path)
+    text = (tmp_path / "performance.md").read_text()
+    assert text.count("\n| --- |") == len(page.SECTIONS) == text.count("$ ")
+    for picture in re.findall(r"\(_generated/([\w.]+)\)", text):
+        assert (tmp_path / picture).stat().st_size > 10_000
+    monkeypatch.setattr(page, "SECTIONS", page.SECTIONS[1:])
+    with pytest.raises(LookupError, match=r"psf_peers\.json"):
+        page.pages(tmp_path)
+
+
+def test_figures_of_the_tables_are_those_of_the_files(
+    extension: Callable[[str], ModuleType],
+) -> None:
+    page, tables = extension("performance_page"), extension("tables")
+    assert [tables.seconds(value).split() for value in (2e-6, 0.0034, 12.34, 1234.5, None)] == [
+        ["2", "µs"],
+        ["3.4", "ms"],
+        ["12.3", "s"],
+        ["1230", "s"],
+        [],
+    ]
+    assert [tables.number(value) for value in (0.12345, 1e-7, 0, None)] == [
+        "0.123",
+        "1.0e\N{MINUS SIGN}07",
+        "0",
+        "",
+    ]
+    found = [
+        {"name": "x, a", "seconds": 2.0, "error": 1e-4},
+        {"name": "x, b", "seconds": 1.0, "error": 1e-2},
+        {"name": "y", "seconds": 3.0, "error": 1e-9},
+    ]
+    best = page.fastest(found, 1e-3)
+    assert [best[name]["seconds"] for name in ("x", "y")] == [2.0, 3.0]
+    fits = [
+        {"rms": 1, "correlation": 0.95, "status": "converged", "seconds": 1.0},
+        {"rms": 1, "correlation": 0.85, "status": "converged", "seconds": 3.0},
+        {"rms": 1, "correlation": 0.10, "status": "trivial", "seconds": 2.0},
+    ]
+    assert page.fits(fits, "rms") == [["1", 3, 1, 1, "0.85", "2\N{NARROW NO-BREAK SPACE}s"]]
+
+
+def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -> None:
+    """The walk over the built site sees what is wrong; a site that is there has nothing wrong."""
+    check = extension("check_site")
+    (tmp_path / "a.html").write_text('<h1 id="top">A</h1><a href="b.html#there">b</a>')
+    (tmp_path / "b.html").write_text('<p id="there"><a href="a.html">a</a>')
+    assert check.faults(tmp_path) == []
+    (tmp_path / "style.css").write_text("p { background: url('https://x.org/x.png') }")
+    (tmp_path / "c.html").write_text(
+        '<a href="gone.html">x</a><a href="a.html#gone">x</a><img src="a.html">'
+        '<script src="//x.org/x.js"></script><a href="https://x.org">may lead away</a>'
+    )
+    assert check.faults(tmp_path) == [
+        "c.html: picture a.html has no alt text",
+        "c.html: fetches //x.org/x.js",
+        "c.html: gone.html is not there",
+        "c.html: a.html#gone has no such anchor",
+        "style.css: fetches https://x.org/x.png",
+    ]
+    built = ROOT / "out" / "docs"
+    if built.is_dir():
+        assert check.faults(built) == []

@@ -1,0 +1,115 @@
+"""The gallery's scripts run, each within its limit, and their figures show something."""
+
+from __future__ import annotations
+
+import ast
+import runpy
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from nlosoptics import views
+from nlosoptics.errors import MissingExtraError
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPTS = sorted(EXAMPLES.glob("plot_*.py"))
+#: Scripts that draw in three dimensions.
+ROOMS = {"plot_ray_paths"}
+#: Scripts that need torch.
+TORCH = {"plot_blind_fit", "plot_exposure"}
+LIMIT = 240  # s; under a minute on two free cores, and tests share theirs
+
+
+@pytest.fixture
+def pyplot(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Any]:
+    """pyplot without a window or any figure, its settings put back afterwards."""
+    matplotlib = pytest.importorskip("matplotlib")
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    matplotlib.use("agg")
+    import matplotlib.pyplot as plt
+
+    monkeypatch.chdir(tmp_path)
+    with matplotlib.rc_context():
+        plt.close("all")
+        yield plt
+        plt.close("all")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(LIMIT)
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_script_draws(
+    script: Path,
+    pyplot: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    if script.stem in TORCH:
+        pytest.importorskip("torch")
+    if script.stem in ROOMS:
+        prepare_rooms(monkeypatch)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="FigureCanvasAgg is non-interactive")
+        names = runpy.run_path(str(script), run_name="__main__")
+    assert pyplot.get_fignums()
+    for number in pyplot.get_fignums():
+        figure = pyplot.figure(number)
+        figure.canvas.draw()
+        assert shown(np.asarray(figure.canvas.buffer_rgba())[..., :3]) > 0.01
+        unlabelled = [axes for axes in figure.axes if axes.has_data() and not labelled(axes)]
+        assert not unlabelled
+    if script.stem in ROOMS:
+        plotter = names["plotter"]
+        assert shown(plotter.screenshot(None, return_img=True)) > 0.01
+        plotter.close()
+    printed = capsys.readouterr().out
+    assert any(letter.isdigit() for letter in printed)
+    assert "nan" not in printed.lower().split()
+
+
+def prepare_rooms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw off the screen, and keep what was drawn."""
+    try:
+        views.rendering_works()
+    except MissingExtraError as error:
+        pytest.skip(str(error))
+    import pyvista
+
+    monkeypatch.setattr(pyvista, "OFF_SCREEN", True)
+    monkeypatch.setattr(pyvista, "BUILDING_GALLERY", True)
+
+
+def shown(picture: Any) -> float:
+    """Share of pixels of another colour than the picture's commonest; 0 for a blank one."""
+    colours, counts = np.unique(picture.reshape(-1, 3), axis=0, return_counts=True)
+    return 1.0 - counts.max() / counts.sum() if len(colours) > 8 else 0.0
+
+
+def labelled(axes: Any) -> bool:
+    """Whether an axis is named, one of a colour bar; without ticks there is nothing to name."""
+    ticks = len(axes.get_xticks()) or len(axes.get_yticks())
+    return bool(axes.get_xlabel() or axes.get_ylabel() or not ticks)
+
+
+def test_a_blank_picture_is_told() -> None:
+    assert shown(np.full((10, 10, 3), 255, dtype=np.uint8)) == 0.0
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_script_is_told_in_words(script: Path) -> None:
+    """A title with text, prose in cells, and figures in words that are computed, not typed."""
+    source = script.read_text()
+    title, line, *text = (ast.get_docstring(ast.parse(source)) or "").splitlines()
+    assert set(line) == {"="}
+    assert len(line) == len(title)
+    assert len(" ".join(text).split()) > 20
+    assert source.count("\n# %%\n# ") >= 3
+    assert "# What to see" in source
+
+
+def test_there_are_ten_or_more() -> None:
+    assert len(SCRIPTS) >= 10

@@ -1,0 +1,172 @@
+"""The study of reflectance and phasor fields: its scenes, and its smallest setting as a whole."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from pytest import approx
+
+from nlosoptics import transient
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.fixture
+def study(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script as a module."""
+    folder = Path(__file__).parents[2] / "examples" / "phasor_study"
+    monkeypatch.syspath_prepend(str(folder))
+    # not as "study", which is another script's name as well
+    spec = importlib.util.spec_from_file_location("phasor_study_script", folder / "study.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_smallest_setting_runs_and_goes_on_where_it_was_cut_off(
+    study: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line a case, a page and pictures; a line that was cut off is made again, others not."""
+    arguments = ["--setting", "smallest", "--out", str(tmp_path)]
+    study.main(arguments)
+    path = tmp_path / "smallest.jsonl"
+    lines = study.finished(path)
+    names = [study.cases.name_of(key) for key in study.keys("smallest")]
+    assert [study.cases.name_of(line) for line in lines] == names
+    assert {line["status"] for line in lines} == {"done"}
+    four = [line for line in lines if line["bounces"] == 4]
+    for line in four:
+        # letters 0.45 m apart in depth: even with voxels of a quarter of a wave of 0.45 m, half of
+        # their cells are found to half that wave
+        assert 0.0 < line["mae"][0] < 0.5 * line["wavelength"]
+        assert line["coverage"][0] >= 0.5
+        assert 0.0 < line["light"]["4"] < line["light"]["3"]
+    page = (tmp_path / "RESULTS.md").read_text()
+    widest = next(x for x in four if x["material"] == "lambert" and x["aperture"] == 1.792)
+    assert f"{1e3 * widest['mae'][0]:.1f} ± 0.0" in page
+    for name in ("irradiance_letters", "depth_errors_letters", "mae"):
+        assert (tmp_path / "results" / f"{name}.png").stat().st_size > 5_000
+        assert f"results/{name}.png" in page
+
+    texts = path.read_text().splitlines()
+    path.write_text("\n".join([texts[0], *texts[2:], texts[1][:30]]))
+    capsys.readouterr()
+    study.main(arguments)
+    told = [line for line in capsys.readouterr().out.splitlines() if line]
+    assert len(told) == 1
+    assert told[0].startswith(f"{names[1]} done")
+    again = {study.cases.name_of(line): line for line in study.finished(path)}
+    assert sorted(again) == sorted(names)
+    # the capture was kept, so that the same picture is made
+    assert again[names[1]]["mae"] == json.loads(texts[1])["mae"]
+
+
+def test_cases_of_a_setting_differ(study: ModuleType) -> None:
+    """No case is asked for twice, under the names that tell finished ones."""
+    for setting in study.SETTINGS:
+        names = [study.cases.name_of(key) for key in study.keys(setting)]
+        assert len(set(names)) == len(names)
+
+
+def test_letters_read_from_the_wall(study: ModuleType) -> None:
+    """R before D, of the sizes and at the places of the paper, the right way round."""
+    scenes = study.scenes
+    first, second = scenes.objects("letters")
+    # 1e-12: sums of floats; the D's arc has a point at its rightmost
+    assert np.ptp(first.bounds, axis=0) == approx([0.75, 0.8, scenes.THICK], abs=1e-12)
+    assert np.ptp(second.bounds, axis=0) == approx([0.75, 0.8, scenes.THICK], abs=1e-12)
+    assert first.is_watertight
+    assert second.is_watertight
+    # the sides of the corridor are at 1 m; the wall sees x grow to the left
+    assert 1.0 - first.bounds[1, 0] == approx(0.5, abs=1e-12)
+    assert second.bounds[0, 0] + 1.0 == approx(0.5, abs=1e-12)
+    depths = transient.true_depths([first, second], (np.array([0.45, -0.45]), np.array([0.0])))
+    assert depths[0] == approx([1.25, 1.70], abs=1e-9)
+    # the R's left is its stem from top to bottom, its right has gaps above the leg's foot
+    x, y = np.array([0.42, -0.2]), np.array([-0.15])
+    alone = transient.true_depths(first, (x, y))
+    assert np.isfinite(alone[0]).tolist() == [True, False]
+    # volume of a solid: what its triangles cover, extruded; closed and turned outward
+    assert first.volume == approx(scenes.THICK * _covered(first), rel=1e-9)
+
+
+def _covered(mesh: object) -> float:
+    """Area of the triangles that face the wall."""
+    facing = mesh.face_normals[:, 2] < -0.5  # type: ignore[attr-defined]
+    return float(mesh.area_faces[facing].sum())  # type: ignore[attr-defined]
+
+
+def test_dragon_has_its_size_and_its_place(study: ModuleType) -> None:
+    """1.25 m x 0.9 m x 0.55 m from 1.1 m on, seen by the wall in part aslant."""
+    pytest.importorskip("pyvista")
+    scenes = study.scenes
+    (mesh,) = scenes.objects("dragon", cell=0.05)
+    assert mesh.bounds[0] == approx([-0.625, -0.45, 1.1], abs=1e-9)
+    assert mesh.bounds[1] == approx([0.625, 0.45, 1.65], abs=1e-9)
+    grid = scenes.volume("dragon", scenes.SIDE / 64)
+    cosines = scenes.facing([mesh], grid)
+    seen = np.isfinite(cosines)
+    assert np.array_equal(seen, np.isfinite(transient.true_depths(mesh, grid)))
+    aslant = (cosines[seen] < 0.9).mean()
+    assert 0.2 < aslant < 0.9  # a free form has both
+    # it looks to the right, -x: the neck and the head are above, the tail is below
+    columns = grid.x < -0.3
+    assert grid.y[seen[:, columns].any(axis=1)].max() > 0.2
+
+
+def test_corridor_is_open_at_one_side(study: ModuleType) -> None:
+    """Rays from the middle leave by the opening and by the relay wall's end alone."""
+    from nlosoptics.raytrace import intersect_mesh
+
+    mesh = study.scenes.corridor_mesh()
+    aims = {"opening": [1, 0, 0], "side": [-1, 0, 0], "floor": [0, -1, 0], "ceiling": [0, 1, 0]}
+    for name, aim in aims.items():
+        hits = intersect_mesh(mesh, np.array([[0.0, 0.0, 0.5]]), aim)
+        assert bool(hits.status[0] == 0) is (name != "opening")
+    deeper = intersect_mesh(mesh, np.array([[0.0, 0.0, 1.5]]), [1, 0, 0])
+    assert deeper.distance[0] == approx(1.0)
+    # floor, ceiling, far end, side, and the side without a metre
+    assert mesh.area == approx(6.0 + 6.0 + 4.0 + 6.0 + 4.0)
+
+
+def test_refusals_are_lines(
+    study: ModuleType, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """What the renderer refuses is recorded with its reason."""
+    from nlosoptics.errors import SceneError
+
+    def refuses(*_: object) -> None:
+        raise SceneError("no light comes back")
+
+    monkeypatch.setattr(study.cases, "capture_of", refuses)
+    line, pictures = study.cases.solved(study.keys("smallest")[0], tmp_path)
+    assert line["status"] == "refused"
+    assert line["error"] == "no light comes back"
+    assert not pictures
+
+
+def test_overlap_is_that_of_the_best_level(study: ModuleType) -> None:
+    """Four cells of an outline, one of which is as dim as one beside it."""
+    outline = np.array([True, True, True, True, False, False])
+    bright = np.array([1.0, 0.8, 0.6, 0.2, 0.2, 0.0])
+    # above 0.2: three of four; from 0.2 on: four of five
+    assert study.cases.overlap(bright, outline) == approx(0.8)
+
+
+def test_mirror_points_are_half_way(study: ModuleType) -> None:
+    """Cells within a quarter of the aperture, and the share of the light that they have."""
+    x, y = np.array([-0.6, -0.2, 0.2, 0.6]), np.array([0.0, 0.5])
+    light = np.array([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 8.0]])
+    grid = transient.Volume(x, y, np.array([1.0]))
+    outline = np.array([[True, True, True, False], [True, False, False, False]])
+    # of the four cells, two are within 0.45 m along both axes
+    cells, bright = study.cases.mirrored(grid, light, outline, 1.8)
+    assert cells == approx(2.0 / 4.0)
+    assert bright == approx(5.0 / 11.0)

@@ -1,0 +1,351 @@
+"""Captures in the layouts of Z-NLOS, NLOS-DIRAC, the phasor field's and the LCT's files."""
+
+from __future__ import annotations
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.transient import TransientCapture, wall_grid
+from nlosoptics.transient.capture.mat_files import variables
+
+GRID = wall_grid(1.0, 3)[:2]  # 2 rows of 3, so that no axis is taken for another
+LASERS = wall_grid(1.0, 5)[:4]
+DRAW = np.random.default_rng(5)
+SPEED = 299792458.0
+
+
+def written(path, **entries):
+    with h5py.File(path, "w") as file:
+        for key, value in entries.items():
+            file[key] = value
+    return path
+
+
+def znlos(tmp_path, H, lasers, **changes):
+    """Colours and bounces by halves, whose sums are whole again; (3, a, b) grids."""
+    parts = np.stack([0.25 * H, 0.75 * H], axis=1)  # (t, bounces, ...)
+    if lasers.shape[:2] != (1, 1) and H.ndim == 5:
+        parts = np.moveaxis(parts, (2, 3), (4, 5))  # sensors before lasers
+    entries = {
+        "data": parts[None],
+        "cameraGridPositions": np.moveaxis(GRID, -1, 0),
+        "cameraGridNormals": np.moveaxis(np.broadcast_to([0, 0, 1.0], GRID.shape), -1, 0),
+        "laserGridPositions": np.moveaxis(lasers, -1, 0),
+        "laserGridNormals": np.moveaxis(np.broadcast_to([0, 0, 1.0], lasers.shape), -1, 0),
+        "cameraPosition": np.array([[-0.5], [0.0], [0.3]]),
+        "laserPosition": np.array([[-0.4], [0.0], [0.3]]),
+        "deltaT": np.array([[0.003]]),
+        "t0": np.array([[0.5]]),
+        "t": np.array([[len(H)]]),
+        "isConfocal": np.array([[0]]),
+        "hiddenVolumePosition": np.array([0.0, 0.0, 1.0]),
+    }
+    entries.update(changes)
+    return written(tmp_path / "z.hdf5", **{k: v for k, v in entries.items() if v is not None})
+
+
+def test_znlos_confocal_single_and_exhaustive(tmp_path):
+    H = DRAW.random((8, 2, 3))
+    confocal = TransientCapture.load(znlos(tmp_path, H, GRID, isConfocal=np.array([[1]])))
+    assert confocal.is_confocal
+    assert confocal.H == pytest.approx(H, rel=1e-15)  # a quarter and three quarters added
+    assert np.array_equal(confocal.sensor_points, GRID)
+    assert (confocal.delta_t, confocal.t_start, confocal.outer_legs) == (0.003, 0.5, True)
+    assert confocal.sensor_origin == (-0.5, 0.0, 0.3)
+
+    one = TransientCapture.load(znlos(tmp_path, H, LASERS[:1, :1]))
+    assert one.laser_shape == ()
+    assert np.array_equal(one.laser_points, LASERS[0, 0])
+    assert one.H == pytest.approx(H, rel=1e-15)
+
+    H = DRAW.random((8, 4, 5, 2, 3))
+    many = TransientCapture.load(znlos(tmp_path, H, LASERS))
+    assert many.H == pytest.approx(H, rel=1e-15)
+    assert np.array_equal(many.laser_points, LASERS)
+
+
+def test_znlos_in_the_reverse_order(tmp_path):
+    """Rows, columns, bounces, t, colours; lasers before sensors."""
+    H = DRAW.random((8, 4, 5, 2, 3))
+    data = np.moveaxis(np.stack([0.25 * H, 0.75 * H]), (0, 1), (-2, -1))[..., None]
+    same = TransientCapture.load(znlos(tmp_path, H, LASERS, data=data))
+    assert same.H == pytest.approx(H, rel=1e-15)
+
+
+def test_znlos_grids_laid_as_x_y_are_turned(tmp_path):
+    H = DRAW.random((8, 2, 3))
+    turned = np.moveaxis(GRID.swapaxes(0, 1), -1, 0)
+    parts = np.stack([H, 0 * H], axis=1).swapaxes(2, 3)[None]
+    path = znlos(
+        tmp_path,
+        H,
+        GRID,
+        data=parts,
+        cameraGridPositions=turned,
+        laserGridPositions=turned,
+        cameraGridNormals=None,
+        laserGridNormals=None,
+        isConfocal=np.array([[1]]),
+    )
+    after = TransientCapture.load(path)
+    assert np.array_equal(after.H, H)
+    assert np.array_equal(after.laser_points, GRID)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"data": np.ones((1, 8, 2, 5, 5))}, r"data has shape \(1, 8, 2, 5, 5\), must be"),
+        ({"isConfocal": np.array([[1]])}, "not paired"),
+        ({"deltaT": np.array([[1e-11]])}, "bin_width = 0.00299792"),
+        ({"t0": None}, "does not say t_start"),
+        ({"laserGridPositions": None}, "laserGridPositions is missing"),
+        ({"cameraGridPositions": np.ones((2, 3))}, r"cameraGridPositions has shape \(2, 3\)"),
+        ({"laserGridPositions": np.ones((3, 4, 5))}, "no laser axes"),
+    ],
+)
+def test_bad_znlos(tmp_path, changes, words):
+    path = znlos(tmp_path, DRAW.random((8, 2, 3)), LASERS[:1, :1], **changes)
+    with pytest.raises((SceneError, SamplingError), match=words):
+        TransientCapture.load(path)
+
+
+def test_dirac_leaves_pairing_and_times_to_the_caller(tmp_path):
+    H = DRAW.random((8, 2, 3))
+    path = written(
+        tmp_path / "d.hdf5",
+        data_t=H.swapaxes(1, 2),
+        xg=GRID[..., 0].T,
+        yg=GRID[..., 1].T,
+        da=0.4 + 0.01 * np.arange(8),
+    )
+    with pytest.raises(SceneError, match="NLOS-DIRAC does not say .*pairing = 'confocal'"):
+        TransientCapture.load(path)
+    with pytest.raises(SceneError, match="give t_start"):
+        TransientCapture.load(path, pairing="confocal")
+    with pytest.raises(SceneError, match="give outer_legs"):
+        TransientCapture.load(path, pairing="confocal", t_start=0.4)
+    given = {"t_start": 0.4, "outer_legs": False}
+    after = TransientCapture.load(path, pairing="confocal", **given)
+    assert np.array_equal(after.H, H)
+    assert after.is_confocal
+    assert after.delta_t == pytest.approx(0.01, rel=1e-12)  # a difference of numbers near 0.4
+    single = TransientCapture.load(path, laser_point=(0, 0, 0), **given)
+    assert single.laser_shape == ()
+
+
+def dataset(H, **changes):
+    """Phasor field 2019, MATLAB's order: (laser, sensor, t)."""
+    points = GRID.reshape(-1, 3)
+    held = {
+        "data": np.ascontiguousarray(H.T[:, None]),
+        "t": float(len(H)),
+        "deltat": 0.0048,
+        "t0": 1.0,
+        "laserPos": points,
+        "laserNorm": np.array([[0.0, 0.0, 1.0]]),
+        "laserOrigin": np.array([[0.1, 0.2, 0.3]]),
+        "cameraPos": np.array([[0.05, 0.0, 0.0]]),
+        "cameraNorm": np.array([[0.0, 0.0, 1.0]]),
+        "cameraOrigin": np.array([[0.4, 0.5, 0.6]]),
+    }
+    return {k: v for k, v in {**held, **changes}.items() if v is not None}
+
+
+def write_matlab73(path, held):
+    """As MATLAB's v7.3: a user block that says so, arrays with the first index fastest."""
+
+    def put(group, items):
+        for key, value in items.items():
+            if isinstance(value, dict):
+                put(group.create_group(key), value)
+            else:
+                group[key] = np.atleast_2d(value).T
+                group[key].attrs["MATLAB_class"] = np.bytes_("double")
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        put(file, held)
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+@pytest.mark.parametrize("version", ["v5", "v7.3"])
+def test_phasor_field_2019(tmp_path, version):
+    H = DRAW.random((8, 6))
+    path = tmp_path / "p.mat"
+    held = {"dataset": dataset(H), "minimalpos": np.zeros((1, 3))}
+    if version == "v5":
+        savemat(path, held)
+    else:
+        write_matlab73(path, held)
+    after = TransientCapture.load(path)
+    assert np.array_equal(after.H, H)
+    assert np.array_equal(after.sensor_points, GRID.reshape(-1, 3))
+    assert after.laser_points.tolist() == [0.05, 0.0, 0.0]
+    # swapped, as the scanned points are
+    assert after.laser_origin == (0.4, 0.5, 0.6)
+    assert after.sensor_normals.shape == (6, 3)
+    assert (after.delta_t, after.t_start, after.outer_legs) == (0.0048, 1.0, True)
+    assert after.details["swapped"] == "laser and sensor"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"deltat": 16e-12}, "bin_width = 0.00479668"),
+        ({"data": np.ones((5, 1, 8))}, r"dataset.data has shape \(5, 1, 8\)"),
+        ({"t": 9.0}, "dataset.t = 9 bins, dataset.data has 8"),
+        ({"cameraPos": np.zeros((2, 3))}, "cameraPos has 2 points"),
+        ({"laserPos": None}, "laserPos is missing"),
+        ({"t0": None}, "give t_start"),
+    ],
+)
+def test_bad_phasor_field_2019(tmp_path, changes, words):
+    savemat(tmp_path / "p.mat", {"dataset": dataset(DRAW.random((8, 6)), **changes)})
+    with pytest.raises((SceneError, SamplingError), match=words):
+        TransientCapture.load(tmp_path / "p.mat")
+
+
+def diffraction(H, **changes):
+    """Phasor field 2020, MATLAB's order: (y, x, t), bins in seconds."""
+    held = {
+        "rect_data": np.moveaxis(H, 0, -1),
+        "ts": 16e-12,
+        "sampling_spacing": 0.01,
+        "SPAD_index": np.array([[2.0, 1.0]]),
+    }
+    return {k: v for k, v in {**held, **changes}.items() if v is not None}
+
+
+@pytest.mark.parametrize("version", ["v5", "v7.3"])
+def test_phasor_field_2020(tmp_path, version):
+    H = DRAW.random((8, 2, 3))
+    path = tmp_path / "p.mat"
+    if version == "v5":
+        savemat(path, diffraction(H))
+    else:
+        write_matlab73(path, diffraction(H))
+    with pytest.raises(SceneError, match="SPAD_index may count from 0.* or laser_point"):
+        TransientCapture.load(path)
+    after = TransientCapture.load(path, format="phasor_field_2020")
+    assert np.array_equal(after.H, H)
+    assert after.delta_t == pytest.approx(16e-12 * SPEED, rel=1e-15)
+    # x = 0 at index n/2 = 1.5 of 3 columns, y = 0 at 1 of 2 rows; the point is (2, 1) from 0
+    assert after.laser_points == pytest.approx([0.005, 0.0, 0.0], abs=1e-15)
+    assert after.sensor_points[0, 0] == pytest.approx([-0.015, -0.01, 0.0], abs=1e-15)
+    named = TransientCapture.load(path, laser_point=(0.0, 0.1, 0.0))
+    assert named.laser_points.tolist() == [0.0, 0.1, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"ts": 0.0048}, "ts = 0.0048 is no bin in s"),
+        ({"ts": None}, "give bin_width"),
+        ({"SPAD_index": np.array([[3, 1]])}, "is no point of the 3 x 2 grid"),
+        ({"SPAD_index": np.array([[np.nan, 1.0]])}, "is no point of the 3 x 2 grid"),
+        ({"SPAD_index": np.array([[1.5, 1.0]])}, "is no point of the 3 x 2 grid"),
+        ({"SPAD_index": None}, "no laser points; give laser_point"),
+        ({"sampling_spacing": None}, "rect_data stands without width"),
+    ],
+)
+def test_bad_phasor_field_2020(tmp_path, changes, words):
+    savemat(tmp_path / "p.mat", diffraction(DRAW.random((8, 2, 3)), **changes))
+    given = {} if "sampling_spacing" in changes else {"format": "phasor_field_2020"}
+    with pytest.raises(SceneError, match=words):
+        TransientCapture.load(tmp_path / "p.mat", **given)
+
+
+def lct(tmp_path, **changes):
+    counts = np.arange(4 * 4 * 6, dtype=np.uint16).reshape(4, 4, 6)
+    savemat(tmp_path / "l.mat", {"rect_data": counts, "width": 0.2, **changes})
+    return tmp_path / "l.mat", counts
+
+
+def test_lct_asks_for_all_that_it_does_not_say(tmp_path):
+    path, counts = lct(tmp_path)
+    given = {}
+    for words, more in (
+        ("width is half the wall's side; give format = 'lct' if so, or pairing and side", "format"),
+        ("width of its bins; give bin_width", "bin_width"),
+        ("can be direct light; give gate_start", "gate_start"),
+    ):
+        with pytest.raises(SceneError, match=words):
+            TransientCapture.load(path, **given)
+        given[more] = {"format": "lct", "bin_width": 0.0012, "gate_start": 0.0024}[more]
+    after = TransientCapture.load(path, **given)
+    assert after.is_confocal
+    assert after.quantity == "counts"
+    assert not after.H[:2].any()
+    # columns are the first index, rows the second, both from the other end: the lower left as the
+    # wall sees it, (x > 0, y < 0), is first in x and last in y there
+    assert after.H[2:, 0, 3].tolist() == counts[0, 3, 2:].tolist()
+    assert after.H[2:, 1, 0].tolist() == counts[3, 2, 2:].tolist()
+    assert after.sensor_points[0, 0] == pytest.approx([-0.15, -0.15, 0.0])  # cells of a 0.4 m side
+    other = TransientCapture.load(
+        path, pairing="confocal", side=0.2, bin_width=0.0012, gate_start=0.0
+    )
+    assert other.sensor_points[0, 0] == pytest.approx([-0.075, -0.075, 0.0])
+    assert other.H[0].any()
+
+
+def test_bad_lct(tmp_path):
+    path, _ = lct(tmp_path)
+    given = {"format": "lct", "gate_start": 0.0}
+    with pytest.raises(SceneError, match="bin_width = 4e-12 is too short"):
+        TransientCapture.load(path, bin_width=4e-12, **given)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:200])
+    with pytest.raises(SceneError, match="broken MATLAB file") as caught:
+        TransientCapture.load(path, **given)
+    assert "\n" not in str(caught.value)
+    path, _ = lct(tmp_path, width=np.array([]))
+    with pytest.raises(SceneError, match="width = None"):
+        TransientCapture.load(path, **given)
+    path, _ = lct(tmp_path, rect_data=np.ones((4, 3, 6)))
+    with pytest.raises(SceneError, match="no square wall"):
+        TransientCapture.load(path, **given)
+    savemat(path, {"volume": np.ones(3)})
+    with pytest.raises(SceneError, match="holds volume, which is no known capture"):
+        TransientCapture.load(path)
+
+
+@pytest.mark.parametrize("name", ["dot_chart_40cm", "resolution_chart_65cm"])
+def test_measured_lct_light_comes_when_it_must(data, name):
+    """Light from the nominal depth is the strongest past the direct light, within 5 cm."""
+    path = data / "lct_stanford" / f"data_{name}.mat"
+    if not path.is_file():
+        pytest.skip("the data folder has no lct_stanford")
+    capture = TransientCapture.load(path, format="lct", bin_width=1.2e-3, gate_start=0.72)
+    nominal = 0.01 * float(name[-4:-2])
+    # just before the middle of the wall, where the path is twice the depth
+    seen = capture.H[:, 28:36, 28:36].sum(axis=(1, 2)) * capture.times**2
+    depth = 0.5 * capture.times[np.argmax(seen)]
+    assert depth == pytest.approx(nominal, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("held", "at", "value", "words"),
+    [
+        # scipy's own reader ends the process on the first three
+        (np.ones((3, 4, 5)), 184, 8, "type 8"),
+        (np.ones((3, 4, 5)), 184, 200, "type 200"),
+        (np.ones((3, 4, 5)), 145, 8, "lacks a part of its numbers"),  # said to be complex
+        (np.ones((3, 4, 5)), 191, 1, "ends beyond"),
+        (np.array([[1.0, "x"]], dtype=object), 163, 1, "lacks some of its"),  # 2^24 cells
+    ],
+)
+def test_broken_elements_of_matlab_files_are_told(tmp_path, held, at, value, words):
+    path = tmp_path / "p.mat"
+    savemat(path, {"H": held})
+    assert set(variables(path)) == {"H"}
+    raw = bytearray(path.read_bytes())
+    raw[at] = value
+    path.write_bytes(raw)
+    with pytest.raises(SceneError, match=f"is a broken MATLAB file.*{words}") as caught:
+        variables(path)
+    assert "\n" not in str(caught.value)

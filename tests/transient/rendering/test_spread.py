@@ -1,0 +1,72 @@
+"""Light of one triangle over bins, path and integrand linear over it, against sums of points."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from nlosoptics.transient.rendering._three_bounce_kernels import spread
+
+N = 400  # points along a side: middles of N^2 equal parts
+AREA, START, WIDTH, COUNT = 0.3, 1.0, 0.1, 8
+
+
+def shares():
+    """Barycentric coordinates (N^2, 3) of the middles of a triangle's equal parts."""
+    i, j = np.meshgrid(np.arange(N), np.arange(N), indexing="ij")
+    up, down = i + j < N, i + j < N - 1
+    u = np.concatenate([i[up] + 1 / 3, i[down] + 2 / 3]) / N
+    v = np.concatenate([j[up] + 1 / 3, j[down] + 2 / 3]) / N
+    return np.stack([1 - u - v, u, v], axis=1)
+
+
+def by_points(paths, light):
+    """Bins of the sum, with what is before and after at the ends."""
+    at = np.floor((shares() @ paths - START) / WIDTH).astype(int)
+    values = AREA / N**2 * (shares() @ light)
+    return np.bincount(np.clip(at + 1, 0, COUNT + 1), weights=values, minlength=COUNT + 2)
+
+
+def in_closed_form(paths, light):
+    bins = np.zeros(COUNT + 2)
+    spread(*map(float, paths), *map(float, light), AREA, START, WIDTH, bins)
+    return bins
+
+
+PATHS = {
+    "middle corner low": (1.03, 1.17, 1.71),
+    "middle corner high": (1.03, 1.62, 1.71),
+    "two first": (1.03, 1.03, 1.71),
+    "two last": (1.03, 1.71, 1.71),
+    "beyond both ends": (0.52, 1.38, 2.36),
+    "within a bin": (1.23, 1.25, 1.28),
+}
+
+
+@pytest.mark.parametrize("light", [(4.0, 1.0, 0.5), (0.5, 1.0, 4.0), (1.0, 4.0, 0.5)], ids=str)
+@pytest.mark.parametrize("paths", PATHS.values(), ids=PATHS)
+def test_light_that_falls_or_rises_along_the_path(paths, light):
+    found, true = in_closed_form(paths, light), by_points(np.array(paths), np.array(light))
+    assert found.sum() == pytest.approx(AREA * np.mean(light), rel=1e-12)
+    # parts that a bin's edge cuts go to one side: up to a row of N of the N^2 parts
+    assert np.abs(found - true).max() < 2.0 / N * AREA * max(light)
+    # and the same for corners in any order
+    for order in itertools.permutations(range(3)):
+        turned = in_closed_form(np.array(paths)[list(order)], np.array(light)[list(order)])
+        assert turned == pytest.approx(found, rel=1e-9, abs=1e-15)
+
+
+def test_the_slope_of_the_light_has_its_sign():
+    """Light up to a share t of the paths from one corner to two: ``t^2 (3 f0 + 2 t (f - f0))/3``.
+
+    The two, whose side has no span, are on the last bin's edge.
+    """
+    paths, light = (1.0, 1.8, 1.8), (1.0, 4.0, 4.0)
+    t = WIDTH * np.arange(COUNT + 1) / 0.8
+    below = AREA * t**2 * (3 * light[0] + 2 * t * (light[1] - light[0])) / 3
+    # closed forms of both, up to rounding
+    assert in_closed_form(paths, light)[1:-1] == pytest.approx(np.diff(below), rel=1e-9)
+    backward = in_closed_form((1.0, 1.0, 1.8), (4.0, 4.0, 1.0))[1:-1]
+    assert backward == pytest.approx(np.diff(below)[::-1], rel=1e-9)
