@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -91,6 +92,15 @@ def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
     if value not in choices:
         raise SceneError(f"{name} = {value!r} is unknown, must be one of {', '.join(choices)}")
     return str(value)
+
+
+def path_of(name: str, value: Any) -> Path:
+    """Return ``value`` as a path, or raise `SceneError` naming ``name``."""
+    if isinstance(value, (str, os.PathLike)):
+        path = Path(value)
+        if "\0" not in str(path):
+            return path
+    raise SceneError(f"{name} = {value!r} is no path of a file or folder; give a str or a Path")
 
 
 def vector(name: str, value: Any) -> Vector:

@@ -23,12 +23,12 @@ def write_whole(contents: Mapping[Path, bytes]) -> None:
     SceneError
         If a folder does not exist or cannot be written.
     """
-    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}") for path in contents}
     for path in contents:
         if not path.parent.is_dir():
             raise SceneError(f"{path}: there is no folder {path.parent}; make it first")
         if path.is_dir():
             raise SceneError(f"{path} is a folder; name a file")
+    drafts = {path: path.with_name(f".{path.name}.{os.getpid()}") for path in contents}
     try:
         for path, content in contents.items():
             drafts[path].write_bytes(content)

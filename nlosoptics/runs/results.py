@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .._checks import path_of
 from .._nouns import Noun
 from .._whole_files import RECORD, check_folder, whole_folder
 from ..errors import SceneError
@@ -77,7 +78,7 @@ class Result(Noun):
             If the folder holds what is not of this package or cannot be written, or if the scene
             has no form in a file, as with a `CallableWall`.
         """
-        target = Path(folder)
+        target = path_of("folder", folder)
         check_folder(target)
         try:
             with whole_folder(target) as new:
@@ -107,7 +108,7 @@ def load_result(folder: str | Path) -> Result:
     """
     from . import result_files
 
-    place = Path(folder)
+    place = path_of("folder", folder)
     path = place / RECORD
     remedy = "name a folder that Result.save or nlosoptics run wrote"
     if not place.is_dir():
@@ -116,7 +117,7 @@ def load_result(folder: str | Path) -> Result:
         record = json.loads(path.read_bytes())
     except OSError:
         raise SceneError(f"{place} holds no {RECORD} that can be read; {remedy}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SceneError(f"{path} is damaged ({error}); {result_files.REMEDY}") from None
     known = result_files.FORMAT
     written = record.get("format") if isinstance(record, dict) else None

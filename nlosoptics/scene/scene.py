@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .._checks import path_of
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
@@ -99,7 +100,7 @@ class Scene(Noun, Shown):
         """
         from .file.scene_file import read_scene
 
-        return read_scene(Path(path), cls)
+        return read_scene(path_of("path", path), cls)
 
     def save(self, path: str | Path) -> None:
         """Write a scene file that `load` reads back to a scene of the same numbers.
@@ -109,7 +110,7 @@ class Scene(Noun, Shown):
         """
         from .file.scene_file import save_scene
 
-        save_scene(self, Path(path))
+        save_scene(self, path_of("path", path))
 
     def _figures(self) -> Figures:
         laser, camera = self.laser, self.camera

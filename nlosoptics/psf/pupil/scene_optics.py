@@ -108,6 +108,10 @@ class SceneOptics:
             raise SceneError(
                 f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()"
             )
+        if not isinstance(pupil, ExitPupil | None):
+            raise SceneError(
+                f"pupil is a {type(pupil).__name__}; give an ExitPupil, or leave it out"
+            )
         self.scene, self._pupil = scene, pupil
 
     @cached_property

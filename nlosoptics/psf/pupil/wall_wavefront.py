@@ -292,6 +292,11 @@ def aimed_wave(
     amplitude[lit] = np.sqrt(rays.spreading[1:] / rays.spreading[0])
     whole = float(weights.sum())
     weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
+    if not weights.any():
+        raise SceneError(
+            f"object_point = {tuple(o.tolist())} m is mirrored to the lens by no part of the wall, "
+            f"wall.size = {scene.wall.size} m; enlarge the wall, or move object or camera"
+        )
     outline = aperture
     if layout == "grid" and scene.wall.is_flat and weights.sum() < whole:
         with suppress(SamplingError):  # an edge that has no closed image
@@ -373,6 +378,8 @@ def _pupil_nodes(
         area = math.pi * radius**2 / len(u)
         return "scattered", u, v, np.where(np.hypot(u, v) <= radius * (1 + 1e-9), area, 0.0)
     one_of("nodes", nodes, ("auto", "polar", "cells", "grid"))
+    if isinstance(samples, tuple) and len(samples) != 2:
+        raise SceneError(f"samples = {samples}; give one whole number or two")
     if aperture is not None:
         samples = CELL_SAMPLES if samples is None else samples
         n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)

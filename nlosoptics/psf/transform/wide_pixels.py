@@ -130,7 +130,9 @@ def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
     # whole pixels, an odd count, that hold the fine ones
     count = 2 * math.ceil(max((n - parts) / 2, 0) / parts) + 1
     margin = (count * parts - n) // 2
-    wide = np.pad(fine, margin).reshape(count, parts, count, parts).sum(axis=(1, 3))
+    # pixels may be far wider than all the fine ones, which are not padded to them
+    starts = np.maximum(np.arange(count) * parts - margin, 0)
+    wide = np.add.reduceat(np.add.reduceat(fine, starts, axis=0), starts, axis=1)
     found = np.zeros(shape)
     target, source = [], []
     for size in shape:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from ..._checks import in_range, positive
+from ..._checks import fits_memory, in_range
 from ..._nouns import Noun
 from ..._progress import Progress
 from ...scene import Scene
@@ -54,11 +54,12 @@ def scene_point_spread(
     scene : Scene or SceneOptics
         A wall without mirror-like lobes is taken as a smooth mirror.
     tol : float
-        Wanted error of the point spread, max |dI|/max I, above 0 and at most 1.
+        Wanted error of the point spread, max |dI|/max I, 1e-12 to 1.
     object_point : array_like, (3,), optional
         World, m; by default the hidden object's reference point.
     pitch : float, optional
-        Pixel side, m; by default the camera's image pixel. Values are integrals over pixels.
+        Pixel side, 1e-15 to 1e3 m; by default the camera's image pixel. Values are integrals over
+        pixels.
     shape : int or (int, int), optional
         Pixels (ny, nx). By default the odd square outside which the point spread stays below
         ``tol`` of its peak.
@@ -95,10 +96,10 @@ def scene_point_spread(
     ('polar', True)
     """
     optics = optics_of(scene)
-    in_range("tol", tol, 0.0, 1.0, open_low=True)
+    in_range("tol", tol, 1e-12, 1.0)
     if pitch is None:
         pitch = optics.scene.camera.image_pitch
-    pitch = positive("pitch", pitch, unit="m")
+    pitch = in_range("pitch", pitch, 1e-15, 1e3, unit="m")
     if shape is not None:
         shape = shape_of(shape)
     if progress is not None:
@@ -106,9 +107,12 @@ def scene_point_spread(
     seen = optics.at(object_point)
     if progress is not None:
         progress("point spread", 0.0)
+    remedy = "use a smaller shape"
     if shape is None:
         side = point_window(seen, pitch, tol)
-        shape = (side, side)
+        shape, remedy = (side, side), "use a larger tol, a wider pitch or a shape"
+    ny, nx = shape
+    fits_memory(f"a point spread of {ny:.3g} x {nx:.3g} pixels", 32.0 * ny * nx, remedy)
     aimed, spread = point_image(seen, pitch, shape, tol)
     return ScenePointSpread(exit_pupil=optics.exit_pupil, wavefront=aimed.wave, point_spread=spread)
 

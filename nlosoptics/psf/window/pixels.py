@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import fits_memory
 from ..aperture.quadrature_nodes import gauss_legendre
 from .window import Window
 
@@ -74,9 +75,12 @@ def pixel_rule(pitch: float, nyquist_pitch: float, n: int) -> PixelRule:
     all, at least 1.05 times Nyquist's.
     """
     lowest = max(1, math.ceil(1.05 * pitch / nyquist_pitch))
-    margins = {s: _margin(pitch / s, nyquist_pitch) for s in range(lowest, 3 * lowest + 8)}
-    factor = min(margins, key=lambda s: n * s + 2 * margins[s])
-    margin = margins[factor]
+    what = f"a pixel {pitch / nyquist_pitch:.3g} times as wide as Nyquist's samples"
+    fits_memory(what, 64.0 * lowest, "use a smaller pixel pitch")
+    # the fewest samples are at most sqrt(16 lowest/n) beyond the lowest factor
+    factors = range(lowest, lowest + 8 * math.isqrt(lowest) + 8)
+    factor = min(factors, key=lambda s: n * s + 2 * _margin(pitch / s, nyquist_pitch))
+    margin = _margin(pitch / factor, nyquist_pitch)
     return PixelRule(factor, margin, _taps(factor, margin))
 
 

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: Share of the rays that a window may leave out.
 LOST_RAYS = 0.01
+#: Largest side of a window that can be asked for, samples.
+MOST_SIDE = 2**31 - 1
 #: Widest default window, samples per side.
 WIDEST_DEFAULT = 4096
 
@@ -68,10 +70,11 @@ class Window:
 def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
     """Check a shape; one number stands for both sides."""
     if isinstance(shape, int) or is_single(shape):
-        return (whole("shape", shape),) * 2
+        return (whole("shape", shape, 1, MOST_SIDE),) * 2
     if isinstance(shape, str) or not hasattr(shape, "__len__") or len(shape) != 2:
         raise SceneError(f"shape = {shape!r}; give one whole number or (ny, nx)")
-    return whole("shape", shape[0]), whole("shape", shape[1])
+    ny, nx = (whole("shape", n, 1, MOST_SIDE) for n in shape)
+    return ny, nx
 
 
 def middle(shape: tuple[int, ...], inner: tuple[int, ...]) -> tuple[slice, slice]:
@@ -195,7 +198,8 @@ def peak_pixel(residual: Residual, pitch: float) -> float:
     columns, rows = columns - columns.min(), rows - rows.min()
     index = rows * (columns.max() + 1) + columns
     bins = np.bincount(index.ravel(), weights=rays.energy.ravel())
-    airy = min(1.0, math.pi / 4 * (pitch / unit) ** 2)
+    ratio = pitch / unit
+    airy = min(1.0, math.pi / 4 * (ratio * ratio))  # a power would overflow with an exception
     if residual.wavefront.aperture is not None:
         airy = min(1.0, residual.pixel_share(pitch))
     return float(min(bins.max() * min(1.0, (pitch / side) ** 2), airy))

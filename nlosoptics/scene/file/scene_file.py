@@ -90,10 +90,10 @@ def save_scene(scene: Any, path: str | Path) -> None:
     """Write a scene file that `Scene.load` reads back to a scene of the same numbers.
 
     Pictures, heights and meshes that came from files stay where they are; the scene file names them
-    relative to its own folder. Those in memory are written beside it without loss, under its name
-    and their key, such as ``room_hidden_image.png`` (``.npy`` where a picture's values are no 8- or
-    16-bit levels), ``room_wall_heights.npy`` and ``room_wall_mesh.ply``. All files appear complete
-    or not at all.
+    relative to its own folder. Those in memory, and those whose file is gone or was changed, are
+    written next to it without loss, under its name and their key, such as ``room_hidden_image.png``
+    (``.npy`` where a picture's values are no 8- or 16-bit levels), ``room_wall_heights.npy`` and
+    ``room_wall_mesh.ply``. All files appear complete or not at all.
 
     Parameters
     ----------
@@ -107,6 +107,8 @@ def save_scene(scene: Any, path: str | Path) -> None:
         If the folder does not exist, or a wall or material has no form in a scene file.
     """
     path = Path(path)
+    if path.is_dir():
+        raise SceneError(f"{path} is a folder; name a file")
     with located(f"{path}: "):
         files = saved_files(scene, path)
     write_whole(files)

@@ -32,7 +32,8 @@ def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
     -------
     dict of Path to bytes
         Files stay where they are and are named relative to the folder. Pictures, heights and meshes
-        in memory are called by the file's stem and their keys: ``room_hidden_image.png``.
+        in memory, and those whose file is gone or was changed since it was read, are called by the
+        file's stem and their keys: ``room_hidden_image.png``.
 
     Raises
     ------
@@ -44,7 +45,9 @@ def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
 
     def placed(key: str, held: SourceFile | tuple[str, bytes]) -> str:
         if isinstance(held, SourceFile):
-            return _relative(held, base)
+            if held.is_in_place:
+                return _relative(held, base)
+            held = held.suffix, held.content
         name = f"{path.stem}_{_name(key)}{held[0]}"
         made[path.with_name(name)] = held[1]
         return name

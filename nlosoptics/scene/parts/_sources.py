@@ -54,6 +54,16 @@ class SourceFile(_Path):
         """Whether the bytes are known, so that the file itself is not needed any more."""
         return "content" in vars(self)
 
+    @property
+    def is_in_place(self) -> bool:
+        """Whether the file holds the bytes that were read, or none were read yet."""
+        if not self.is_held:
+            return True
+        try:
+            return Path(self).read_bytes() == self.content
+        except OSError:
+            return False
+
     def with_segments(self, *parts: Any) -> Path:
         """Paths made of this one are plain ones."""
         return Path(*parts)

@@ -27,7 +27,7 @@ class Camera:
     stop_diameter : float
         Clear diameter of the lens, m.
     pixel_pitch : float
-        Native pixel, m.
+        Native pixel, m, 1e-12 to 1.
     pixels : (int, int)
         Native pixels that are read in x and y: the sensor, or its region of interest, centred on
         the axis.
@@ -88,11 +88,12 @@ class Camera:
         for name, unit in (
             ("focal_length", "m"),
             ("stop_diameter", "m"),
-            ("pixel_pitch", "m"),
             ("exposure", "s"),
             ("full_well", "electrons"),
         ):
             put(self, name, positive(f"camera.{name}", getattr(self, name), unit=unit))
+        pitch = in_range("camera.pixel_pitch", self.pixel_pitch, 1e-12, 1.0, unit="m")
+        put(self, "pixel_pitch", pitch)
         for name in ("read_noise", "dark_current"):
             put(self, name, in_range(f"camera.{name}", getattr(self, name), 0.0))
         for name in ("quantum_efficiency", "transmission"):

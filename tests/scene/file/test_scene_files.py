@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import pickle
 import re
 import subprocess
 import sys
@@ -570,3 +571,19 @@ def test_loading_is_light(name: str) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_scene_whose_picture_file_is_gone_or_changed_saves_its_picture(tmp_path) -> None:
+    """A pickled scene carries the bytes of its picture; a saved one must load to the same numbers."""
+    picture = tmp_path / "picture.png"
+    original = (FOLDER.parent / "objects" / "F.png").read_bytes()
+    picture.write_bytes(original)
+    scene = Scene.load(FOLDER / "letter_flat.toml")
+    scene = replace(scene, hidden=replace(scene.hidden, image=picture))
+    travelled = pickle.loads(pickle.dumps(scene))
+    for name, spoil in (("gone", picture.unlink), ("changed", lambda: picture.write_bytes(b"x"))):
+        spoil()
+        travelled.save(tmp_path / f"{name}.toml")
+        assert (tmp_path / f"{name}_hidden_image.png").read_bytes() == original
+        found = Scene.load(tmp_path / f"{name}.toml").hidden
+        assert np.array_equal(found.reflectance, scene.hidden.reflectance)
