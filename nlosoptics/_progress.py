@@ -1,4 +1,4 @@
-"""What long work calls on its way, everywhere alike."""
+"""Type of the progress callback used by long computations."""
 
 from collections.abc import Callable
 

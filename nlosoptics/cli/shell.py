@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
 MOST_SEED = 2**64 - 1  # that of _random, which would load numpy
-MOST_SECONDS = 900.0  # that of planning, which would too
+MOST_SECONDS = 900.0  # that of runs.plan, which would load numpy too
 
 # typer has no public name for it: click's own class in old versions, its copy in new ones
 _UsageError: Any = typer.BadParameter.__base__

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from pytest import approx
 
 from nlosoptics import psf
-from nlosoptics.errors import SamplingError, SceneError
+from nlosoptics.errors import NlosError, SamplingError, SceneError
 from nlosoptics.scene import (
     Camera,
     FlatWall,
@@ -23,6 +24,7 @@ from nlosoptics.scene import (
 )
 
 WAVELENGTH = 632.8e-9
+EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
 MIRROR = SumMaterial(SpecularMicrofacet(0.05, 0.0))
 
 
@@ -264,3 +266,34 @@ def test_bad_input_is_refused(flat_scene, changes, message):
 def test_bad_source_of_a_rough_wall_is_refused():
     with pytest.raises(SceneError, match="source is a str; give a Scene, or a Wavefront"):
         psf.mean_point_spread("letter_flat.toml", psf.Roughness(1e-9, 1e-3))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tol": 1e-320}, "tol = .* must be from 1e-12 to 1"),
+        ({"tol": True}, "tol = True is not a number"),
+        ({"pitch": 1e300}, "pitch = 1e.300 m is out of range, must be from 1e-15 to 1000 m"),
+        ({"pitch": 1e-320}, "pitch = .* must be from 1e-15 to 1000 m"),
+        ({"shape": 10**400}, "shape = an int of 1329 bits is out of range"),
+        ({"shape": (10**9, 10**9)}, r"1e.09 x 1e.09 pixels needs .* GiB; use a smaller shape"),
+        ({"pitch": 1e-12}, "GiB; use a larger tol, a wider pitch or a shape"),
+        ({"object_point": (5.0, 0.0, 1.0)}, "by no part of the wall, wall.size = .*; enlarge"),
+    ],
+)
+def test_a_wrong_option_ends_in_one_line_before_any_work(options, message):
+    with pytest.raises(NlosError, match=message) as raised:
+        psf.scene_point_spread(SCENES["vignetted"], **options)
+    assert "\n" not in str(raised.value)
+
+
+def test_an_exit_pupil_of_another_kind_is_refused():
+    with pytest.raises(SceneError, match="pupil is a int; give an ExitPupil"):
+        psf.SceneOptics(SCENES["stop"], 3)
+
+
+def test_pixels_far_wider_than_the_light_take_no_memory():
+    """A pixel of 1 m holds 1e6 fine ones a side; padding to them took 8 TB."""
+    scene = Scene.load(EXAMPLES / "letter_flat.toml")
+    spread = psf.scene_point_spread(scene, 1e-2, pitch=1.0, shape=3).point_spread
+    assert spread.intensity[1, 1] == approx(1.0, abs=1e-5)  # lambda N over the pixel is 1e-6

@@ -574,7 +574,7 @@ def test_loading_is_light(name: str) -> None:
 
 
 def test_a_scene_whose_picture_file_is_gone_or_changed_saves_its_picture(tmp_path) -> None:
-    """A pickled scene carries the bytes of its picture; a saved one must load to the same numbers."""
+    """A pickled scene carries the bytes of its picture; a saved one loads to its numbers."""
     picture = tmp_path / "picture.png"
     original = (FOLDER.parent / "objects" / "F.png").read_bytes()
     picture.write_bytes(original)
