@@ -204,7 +204,7 @@ def reconstructed(
     ----------
     task : Task
     model : ForwardModel, optional
-        By `known_model`, lest it be made again.
+        Result of `known_model`; computed if omitted.
     start : mapping, optional
         A solver's state to go on from; see `inverse.data.checkpoints`.
     progress : callable(str, float), optional

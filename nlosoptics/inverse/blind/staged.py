@@ -101,7 +101,7 @@ def staged_fit(
         (K,), the wall of each image, 0, 1, ...; by default one wall for all.
     start_error : float, optional
         rms distance of the start from the truth to be expected, waves. By default 0.1, and 0.5
-        where all coefficients are 0, which is: nothing is known. Rather too large than too small.
+        where all coefficients are 0 (no prior knowledge). Overestimate it if in doubt.
     starts : int, optional
         Starts tried, drawn with that error; by default 4, and 16 above 0.25 waves.
     known_object : array_like, optional
@@ -143,8 +143,8 @@ def staged_fit(
     -------
     Reconstruction
         ``physical_parameters`` also holds ``coefficients`` ((M,) or (n_walls, M), waves rms),
-        ``image_gains`` (K,), ``free_energy``, and ``margin``: by how much that is above the one of
-        a start at no blur (below 0: the answer is better). ``background`` is (K,) of several
+        ``image_gains`` (K,), ``free_energy``, and ``margin``: free energy minus that of
+        the no-blur fit; negative favours this answer. ``background`` is (K,) of several
         images. History is that of the best start.
 
     Raises

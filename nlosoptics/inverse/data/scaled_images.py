@@ -43,8 +43,8 @@ class ScaledImage:
     def misfit(self, seen: Tensor) -> tuple[Tensor, Tensor]:
         """Gain at which ``seen`` explains the image best, and the residual (H, W); differentiable.
 
-        Light is never negative: what is unlike the image, or its opposite, is given a tenth of the
-        image's contrast, so that its gradient still says where light is missing.
+        Light is never negative: if the fitted gain is negative or tiny, it is clamped to a tenth of
+        the image contrast, to keep a useful gradient.
         """
         seen = self._without_background(seen)
         norm = self.weighted(seen * seen).sum().clamp_min(torch.finfo(seen.dtype).tiny)

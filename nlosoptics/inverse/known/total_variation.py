@@ -115,7 +115,7 @@ _RELAXATION = 1.7
 _DATA_SHARE = 0.2
 _ADAPT_EVERY = 10
 _ADAPT_UNTIL = 100
-# Part of the residual's distance from its target that counts against the tolerance.
+# Weight of the residual mismatch in the stopping criterion.
 _RESIDUAL_SHARE = 0.05
 
 # What an iteration starts from, beside the image.

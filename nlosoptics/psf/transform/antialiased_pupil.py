@@ -25,7 +25,7 @@ Rim = tuple[float, float, Array, Array, float]
 
 #: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
 DEGREE = 10
-#: Most that the amplitude may fall below its largest.
+#: Largest relative amplitude variation for which this method is used.
 UNEVEN = 0.3
 #: Least ``tol`` for single precision and its short rims.
 SINGLE = 1e-4

@@ -147,7 +147,8 @@ def _table(
     shape: tuple[int, int],
 ) -> Comparison:
     """Rows in the order of the methods, against the least estimate."""
-    # spherical waves are another model: beyond the paraxial one they differ by more than they err
+    # huygens sums spherical waves, another model: outside the paraxial regime the difference of
+    # the models exceeds the numerical error
     alike = [m for m in done if m != "huygens"] or list(done)
     truth = min(alike, key=lambda m: done[m][1].error_estimate, default="")
     rows = []

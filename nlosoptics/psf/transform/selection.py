@@ -41,8 +41,7 @@ class Candidate:
 def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, str]:
     """Cheapest transform whose estimate is within tol, and why it is.
 
-    Nothing is started that would bring the predicted seconds of all that is run past
-    ``max_seconds``.
+    A method is skipped if the total predicted time would exceed ``max_seconds``.
     """
     notes: list[str] = []
     refusals: list[NlosError] = []

@@ -1,4 +1,4 @@
-"""Bounds of what a transform may err by, max |dI|/max I."""
+"""Error bounds for the PSF transforms, max |dI|/max I."""
 
 from __future__ import annotations
 

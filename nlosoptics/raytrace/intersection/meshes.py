@@ -176,7 +176,7 @@ def all_hits(
     def work(part: slice) -> tuple[NDArray[Any], ...]:
         return facets.all(o[part], d[part], nearest)
 
-    # so that nothing to join is joined too
+    # handles zero rays: np.concatenate needs at least one part
     parts = _in_parts(work, len(o), origins, directions) or [work(slice(0, 0))]
     counts, distance, points, triangle = (np.concatenate(a) for a in zip(*parts, strict=True))
     return AllHits(np.repeat(np.arange(len(o)), counts), distance, points, triangle)

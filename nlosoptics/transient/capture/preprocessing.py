@@ -19,7 +19,7 @@ Array = NDArray[np.floating]
 def gated(
     capture: TransientCapture, *, start: float | None = None, stop: float | None = None
 ) -> TransientCapture:
-    """Bins that lie within a gate of optical path; what is cut is gone, as the direct light should.
+    """Crop a capture to a range of optical path, for example to remove direct light.
 
     Parameters
     ----------

@@ -228,7 +228,7 @@ def _run(
                 progress("paths of several bounces", (number + 1) / max(goal, number + 1))
         done = goal
         reached = [_l1(total[k], squares[k], done) for k in range(len(job.orders))]
-        # what no path has lit is not waited for
+        # orders without any contribution do not delay convergence
         worst = max((error for error in reached if error < math.inf), default=0.0)
         if done >= most or (tol is not None and worst <= tol):
             return total, squares, done, paths, reached

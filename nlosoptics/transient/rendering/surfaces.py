@@ -156,7 +156,7 @@ def neighbours(corners: Array) -> Index:
     """
     from ._visibility_kernels import ALONE, FLIPPED
 
-    # with 0.0, lest -0.0 be another number
+    # adding 0.0 maps -0.0 to 0.0, which np.unique would keep apart
     _, points = np.unique(corners.reshape(-1, 3) + 0.0, axis=0, return_inverse=True)
     points = points.reshape(-1, 3)
     first, last = points.ravel(), np.roll(points, -1, axis=1).ravel()

@@ -167,9 +167,10 @@ def three_bounces(
 def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, NDArray[np.bool_]]:
     """Pairs with the fewer different points first, those points, and which of them each pair has.
 
-    G is the same both ways. Of each pair last whether its second point's shadows are cut out
-    first: the point that more pairs have comes before the other, else the lower one, so that light
-    there and back goes through the same numbers.
+    G is the same both ways. The last array says for each pair whether its second point's shadows
+    are cut out first. The endpoint that more pairs share goes first, or the lower one if both are
+    shared equally. Swapping source and sensor then performs identical arithmetic, so reciprocity
+    holds bit for bit.
     """
     points, places = np.unique(np.concatenate([lasers, sensors]), axis=0, return_inverse=True)
     first, second = places.reshape(2, -1)
