@@ -12,6 +12,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import NlosError, SamplingError, SceneError
+from nlosoptics.psf.walls.lobe_psf import lobe_window
 from nlosoptics.scene import (
     Camera,
     FlatWall,
@@ -240,7 +241,7 @@ def test_default_window_is_the_lobes(flat_scene):
     point = scene.object_point + np.array([0.05, 0.0, 0.0])
     found = psf.scene_point_spread(scene, 1e-2, object_point=point)
     wave = psf.wavefront(scene, point)
-    side = psf.lobe_window(scene, wave, object_point=point, tol=1e-2)
+    side = lobe_window(scene, wave, object_point=point, tol=1e-2)
     assert found.point_spread.shape == (side, side)
     direct = psf.lobe_point_spread(scene, wave, object_point=point, tol=1e-2)
     assert np.array_equal(found.point_spread.intensity, direct.intensity)
