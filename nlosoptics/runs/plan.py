@@ -213,7 +213,8 @@ def looked_at(
 
 def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[Plan, SceneOptics]:
     image = _image_stage(scene)
-    fits_memory("an image of this size", HELD + image.memory, PIXELS)
+    ny, nx = scene.camera.shape
+    fits_memory(f"an image of {nx} x {ny} pixels", HELD + image.memory, PIXELS)
     _check_laser(scene)
     pupil = exit_pupil(scene)
     _check_sight(scene, pupil)

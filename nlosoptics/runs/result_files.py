@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import imaging, psf
+from .._checks import Budget
 from ..errors import NlosError, SceneError
 from ..psf.aperture.aperture import Cell
 from ..psf.aperture.curves import Curve
@@ -29,6 +30,7 @@ KNOWN: Final[Mapping[str, type]] = {
     for known in (
         plan.Plan,
         plan.Stage,
+        Budget,
         psf.ExitPupil,
         psf.Wavefront,
         psf.Removed,
