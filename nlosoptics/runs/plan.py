@@ -13,7 +13,7 @@ from .. import _cost_model
 from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
 from .._html import Column, table
 from ..errors import NotWaveGradeError, SamplingError, SceneError
-from ..imaging.image_fields import COUNTS, SURE, picture_frame
+from ..imaging.image_fields import expected_counts, picture_frame
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
 from ..imaging.objects import object_patches
 from ..imaging.radiometry import background_work, laser_spot
@@ -21,15 +21,12 @@ from ..imaging.shadows import SHADOW_BYTES, check_beam
 from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.obstruction import check_cone
 from ..psf.pupil.paraxial import change_over_object
-from ..psf.pupil.scene_optics import FINER, PointOptics, SceneOptics
-from ..psf.pupil.wall_wavefront import AUTO_GRID_SAMPLES, check_wave_grade
+from ..psf.pupil.scene_optics import PointOptics, SceneOptics
+from ..psf.pupil.wall_wavefront import check_wave_grade
 from ..psf.walls.field import picture_point
-from ..psf.walls.scene_costs import Cost, point_cost
+from ..psf.walls.scene_costs import Cost, grid_samples, point_cost
 from ..psf.walls.scene_psf import point_window
-from ..psf.wave.detilted import Residual
-from ..psf.window import error_bounds
 from ..psf.window.error_bounds import rounded_up
-from ..psf.window.window import peak_pixel
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
@@ -312,7 +309,7 @@ class _Look:
         pitch = scene.camera.image_pitch
         side = point_window(seen, pitch, tol)
         if seen.first.wave.layout == "grid":
-            samples = _grid_samples(seen.first.residual, pitch, side, tol)
+            samples = grid_samples(seen.first.residual, pitch, side, tol)
             return cls(seen, (), side, side, samples)
         others: tuple[PointOptics, ...] = ()
         if isinstance(scene.hidden, PlanarObject) and scene.wall_material.mirror_lobes:
@@ -356,28 +353,6 @@ class _Look:
         """Share of the points whose cone of light the wall's edge cuts."""
         grids = [one.first.wave.layout == "grid" for one in self.others]
         return sum(grids) / len(grids) if grids else 0.0
-
-
-def _grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
-    """Cells across the grids that are tried for the wave's steps, the window and ``tol``."""
-    jump = residual.grid_jump()[0] * len(
-        residual.wavefront.u
-    )  # waves across the whole pupil, at the steepest
-    reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach
-    period = (reach + pitch + residual.airy_unit) / residual.airy_unit
-    # a cut cell acts from its centre
-    beats = error_bounds.beat(pitch / residual.airy_unit)
-    level = math.sqrt(min(1.0, peak_pixel(residual, pitch) / residual.pixel_share(pitch)))
-    rim = math.sqrt(2 * math.pi * jump * beats / (tol * level))
-    need = max(2.1 * jump, period, rim)
-    steps = (AUTO_GRID_SAMPLES, *FINER["grid"])
-    for i, samples in enumerate(steps):
-        if samples >= need:
-            return steps[: i + 1]
-    raise SamplingError(
-        f"the wall's edge cuts the cone of light and its wave takes a grid of {need:.0f} cells "
-        f"across, limit {steps[-1]}; enlarge the wall, stop the lens down or use a larger tol"
-    )
 
 
 def _skipped(name: str, reason: str) -> Stage:
@@ -466,7 +441,7 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
         )
     error, swing = look.change
     # in the middle of what the estimate's doubt of a factor of three allows
-    ends = [_field_counts(doubt * error, swing, tol) for doubt in (1 / 3, 1.0, 3.0)]
+    ends = [expected_counts(doubt * error, swing, tol) for doubt in (1 / 3, 1.0, 3.0)]
     spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
     waves = spreads + sum(min(n**2, 5) for n in ends[1])
     counts = ends[-1]
@@ -484,19 +459,6 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
         error=f"{tol:g} of the image, rms",
         memory=held + compared + one.n_bytes * threads(),
     )
-
-
-def _field_counts(error: float, swing: float, tol: float) -> list[int]:
-    """Nodes a side of the fields that `image_field` computes until their images agree."""
-    bend = 0.4 * max(1.0, swing / 2)
-    before = math.inf
-    for i, n in enumerate(COUNTS[:-1]):
-        # two grids differ by the error of the coarser one
-        off = error * min(1.0, bend / n) ** (n - 1)
-        if off <= SURE * tol or max(before, off) <= tol:
-            return list(COUNTS[: i + 2])
-        before = off
-    return list(COUNTS)
 
 
 def _left_out(scene: Scene) -> Iterator[Stage]:
