@@ -9,6 +9,7 @@ from . import report as report
 from . import scene as scene
 from . import transient as transient
 from . import views as views
+from .runs import reconstructing as reconstructing
 from .runs.plan import Plan as Plan
 from .runs.plan import plan as plan
 from .runs.results import Result as Result

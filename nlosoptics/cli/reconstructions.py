@@ -100,12 +100,12 @@ def reconstruct_command(
         require("torch", "inverse")
         if network is not None:
             require("safetensors", "inverse")
-        from ..runs import reconstruct
+        from ..runs import reconstructing
 
         folder = Path(images[0].stem) if out is None else out
         scene = load(scene_file, size)
         check_target(folder)
-        task = reconstruct.prepared(
+        task = reconstructing.prepared(
             scene,
             images,
             method=method,
@@ -119,7 +119,7 @@ def reconstruct_command(
             tol=tol,
         )
         with progress_bar(width=60) as progress, interruptible() as interrupted:
-            report = reconstruct.carry_out(
+            report = reconstructing.carry_out(
                 task,
                 folder,
                 resume=resume,

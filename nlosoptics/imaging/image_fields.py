@@ -93,6 +93,19 @@ def image_field(
     )
 
 
+def expected_counts(error: float, swing: float, tol: float) -> list[int]:
+    """Nodes a side of the fields that `image_field` computes until their images agree."""
+    bend = 0.4 * max(1.0, swing / 2)
+    before = math.inf
+    for i, n in enumerate(COUNTS[:-1]):
+        # two grids differ by the error of the coarser one
+        off = error * min(1.0, bend / n) ** (n - 1)
+        if off <= SURE * tol or max(before, off) <= tol:
+            return list(COUNTS[: i + 2])
+        before = off
+    return list(COUNTS)
+
+
 def picture_frame(scene: Scene) -> Array:
     """The picture in image pixels of the camera, as a flat wall shows it; row 0 at its lower edge.
 

@@ -13,7 +13,7 @@ from .. import _cost_model
 from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
 from .._html import Column, table
 from ..errors import NotWaveGradeError, SamplingError, SceneError
-from ..imaging.image_fields import COUNTS
+from ..imaging.image_fields import expected_counts, picture_frame
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
 from ..imaging.objects import object_patches
 from ..imaging.radiometry import background_work, laser_spot
@@ -21,15 +21,12 @@ from ..imaging.shadows import SHADOW_BYTES, check_beam
 from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.obstruction import check_cone
 from ..psf.pupil.paraxial import change_over_object
-from ..psf.pupil.scene_optics import FINER, PointOptics, SceneOptics
-from ..psf.pupil.wall_wavefront import AUTO_GRID_SAMPLES, check_wave_grade
+from ..psf.pupil.scene_optics import PointOptics, SceneOptics
+from ..psf.pupil.wall_wavefront import check_wave_grade
 from ..psf.walls.field import picture_point
-from ..psf.walls.scene_costs import Cost, point_cost
+from ..psf.walls.scene_costs import Cost, grid_samples, point_cost
 from ..psf.walls.scene_psf import point_window
-from ..psf.wave.detilted import Residual
-from ..psf.window import error_bounds
 from ..psf.window.error_bounds import rounded_up
-from ..psf.window.window import peak_pixel
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
@@ -38,8 +35,10 @@ FIELD = "field of point spreads"  # the name of that stage
 MOST_NODES = 27  # along each side of a field of point spreads
 MOST_SECONDS = 900.0  # of a run where nobody says
 LARGEST_TOL = 0.1
-HELD = 3e7  # bytes of what Python loads on the way
+DIFFUSE_BYTES = 6e7  # of light from a block of patches to the wall
+HELD = 6e7  # bytes of what Python loads on the way
 AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s a node
+GRID_SECONDS = 0.9  # of a point spread whose cone the wall's edge cuts, with its wave
 PIXELS = "read fewer pixels or bin more (camera.pixels, camera.binning)"
 LARGER = "use a larger tol, wider pixels or a smaller stop"
 
@@ -213,7 +212,8 @@ def looked_at(
 
 def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[Plan, SceneOptics]:
     image = _image_stage(scene)
-    fits_memory("an image of this size", HELD + image.memory, PIXELS)
+    ny, nx = scene.camera.shape
+    fits_memory(f"an image of {nx} x {ny} pixels", HELD + image.memory, PIXELS)
     _check_laser(scene)
     pupil = exit_pupil(scene)
     _check_sight(scene, pupil)
@@ -288,57 +288,71 @@ class _Look:
     ----------
     seen : PointOptics
         Of the object's reference point.
+    others : tuple of PointOptics
+        Of the picture's corners and edges, where its field may be wanted.
     side, field_side : int
         Pixels of the window at the centre, and of one that holds those of the whole picture.
     samples : tuple of int
         Cells across the grids that are tried in turn; empty of polar nodes.
-    waves : int
-        How many were aimed.
     """
 
     seen: PointOptics
+    others: tuple[PointOptics, ...]
     side: int
     field_side: int
     samples: tuple[int, ...]
-    waves: int
 
     @classmethod
     def at(cls, optics: SceneOptics, tol: float) -> _Look:
         """Aim the waves; raises what the run would raise for want of a wave."""
         scene, seen = optics.scene, optics.reference
         pitch = scene.camera.image_pitch
-        waves, side = 1, point_window(seen, pitch, tol)
-        field_side = side
+        side = point_window(seen, pitch, tol)
         if seen.first.wave.layout == "grid":
-            return cls(seen, side, side, _grid_samples(seen.first.residual, pitch, side, tol), 1)
+            samples = grid_samples(seen.first.residual, pitch, side, tol)
+            return cls(seen, (), side, side, samples)
+        others: tuple[PointOptics, ...] = ()
         if isinstance(scene.hidden, PlanarObject) and scene.wall_material.mirror_lobes:
-            for x, y in ((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y):
-                waves += 1
-                one = optics.at(picture_point(scene.hidden, x, y))
-                field_side = max(field_side, point_window(one, pitch, tol / 2))
-        return cls(seen, side, field_side, (), waves)
+            places = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
+            others = tuple(optics.at(picture_point(scene.hidden, x, y)) for x, y in places)
+        sides = (point_window(one, pitch, tol / 2) for one in others)
+        return cls(seen, others, side, max(sides, default=side), ())
 
+    @property
+    def change(self) -> tuple[float, float]:
+        """About how much the picture's image errs with one point spread, and the waves' swing, rad.
 
-def _grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
-    """Cells across the grids that are tried for the wave's steps, the window and ``tol``."""
-    jump = residual.grid_jump()[0] * len(
-        residual.wavefront.u
-    )  # waves across the whole pupil, at the steepest
-    reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach
-    period = (reach + pitch + residual.airy_unit) / residual.airy_unit
-    # a cut cell acts from its centre
-    beats = error_bounds.beat(pitch / residual.airy_unit)
-    level = math.sqrt(min(1.0, peak_pixel(residual, pitch) / residual.pixel_share(pitch)))
-    rim = math.sqrt(2 * math.pi * jump * beats / (tol * level))
-    need = max(2.1 * jump, period, rim)
-    steps = (AUTO_GRID_SAMPLES, *FINER["grid"])
-    for i, samples in enumerate(steps):
-        if samples >= need:
-            return steps[: i + 1]
-    raise SamplingError(
-        f"the wall's edge cuts the cone of light and its wave takes a grid of {need:.0f} cells "
-        f"across, limit {steps[-1]}; enlarge the wall, stop the lens down or use a larger tol"
-    )
+        The first is rms over rms. Measured on random scenes, to a factor of about three: what the
+        waves' differences do, less where pixels are wide, and what those of the lobes' blur do
+        where it shows in the pixels.
+        """
+        scene, first = self.seen.scene, self.seen.first.residual
+        unit, pitch = first.airy_unit, scene.camera.image_pitch
+        own = self.seen.first.wave
+        rough = max(lobe.slope_rms for lobe in scene.wall_material.mirror_lobes)
+        swing = turned = 0.0
+        for one in self.others:
+            found = one.first.wave
+            if found.layout == own.layout:
+                other = one.first.residual.aberration - first.aberration
+                swing = max(swing, first.wavenumber * float(np.ptp(other)))
+            if rough > 0:
+                turns = [v.cos_sum * v.footprint for v in (self.seen.view, one.view)]
+                off = float(np.linalg.norm(turns[1] - turns[0]) / np.linalg.norm(turns[0]))
+                turned = max(turned, off)
+        blurred = 1.0 + first.rays.reach / unit
+        waves = 2e-3 * swing * min(blurred, 4.0) / max(1.0, pitch / (4 * unit))
+        if rough > 0:
+            turn = self.seen.view.cos_sum * float(np.linalg.norm(self.seen.view.footprint, 2))
+            halo = rough * turn * abs(own.image_distance) / pitch
+            waves += 0.2 * turned * min(1.0, (halo / 2) ** 4)
+        return min(0.3, waves), swing
+
+    @property
+    def cut(self) -> float:
+        """Share of the points whose cone of light the wall's edge cuts."""
+        grids = [one.first.wave.layout == "grid" for one in self.others]
+        return sum(grids) / len(grids) if grids else 0.0
 
 
 def _skipped(name: str, reason: str) -> Stage:
@@ -351,8 +365,8 @@ def _mesh_stage(scene: Scene) -> Stage:
     return Stage(
         name="mesh surface",
         runs=True,
-        reason="a smooth bicubic surface through the mesh",
-        seconds=0.5,
+        reason="a smooth bicubic surface through the mesh, which the plan has fitted",
+        seconds=0.001,
         error=f"{1e9 * scene.wall.fit_residual:.2g} nm; "
         f"the triangles {1e9 * scene.wall.mesh_error:.2g} nm",
     )
@@ -374,7 +388,7 @@ def _wave_stages(scene: Scene, pupil: ExitPupil, look: _Look, waves: float) -> I
         name="wave aberration",
         runs=True,
         reason=reason,
-        seconds=look.waves * _aiming_seconds(scene, nodes),
+        seconds=(1 + len(look.others)) * _aiming_seconds(scene, nodes),
         error="the mesh surface's" if isinstance(scene.wall, MeshWall) else "1e-9 wave",
         memory=400.0 * max((*look.samples, 48)) ** 2,
     )
@@ -425,24 +439,25 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
         return _skipped(
             FIELD, f"one point spread stands for the object: changes of it stay below {change:.1g}"
         )
-    # measured: the image errs by about 0.06 of that over the nodes to this power
-    power = 5.0 if scene.wall.is_flat else 2.2
-    nodes = (0.06 * change / tol) ** (1 / power)
+    error, swing = look.change
+    # in the middle of what the estimate's doubt of a factor of three allows
+    ends = [expected_counts(doubt * error, swing, tol) for doubt in (1 / 3, 1.0, 3.0)]
+    spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
+    waves = spreads + sum(min(n**2, 5) for n in ends[1])
+    counts = ends[-1]
     one = _spread_cost(scene, look, look.field_side, tol / 2)
-    wave = _aiming_seconds(scene, look.seen.first.wave.u.size)
-    counts = [n for n in COUNTS if n <= max(4.0, 1.2 * nodes)]
-    spreads = sum(n**2 for n in counts)
+    each = one.seconds + look.cut * _cost_model.seconds(transforms=GRID_SECONDS)
+    aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
     held = 40.0 * counts[-1] ** 2 * look.field_side**2
+    compared = 80.0 * counts[-1] * picture_frame(scene).size  # images by the modes
     return Stage(
         name=FIELD,
         runs=True,
-        reason=f"point spreads change over the object; about {counts[-1]} x {counts[-1]} of them, "
-        f"{look.field_side} x {look.field_side} pixels",
-        seconds=spreads * (one.seconds + wave)
-        + 5 * len(counts) * wave
-        + 2e-8 * held * counts[-1] / 40,
+        reason=f"point spreads change over the object; about {ends[1][-1]} x {ends[1][-1]} of "
+        f"them, {look.field_side} x {look.field_side} pixels",
+        seconds=spreads * each + waves * aimed + 5e-10 * held * counts[-1] ** 2,
         error=f"{tol:g} of the image, rms",
-        memory=held + one.n_bytes * threads(),
+        memory=held + compared + one.n_bytes * threads(),
     )
 
 
@@ -470,7 +485,7 @@ def _shadow_stage(scene: Scene) -> Stage:
         name="shadow rays",
         runs=True,
         reason=reason,
-        seconds=_cost_model.seconds(arrays=1.0 + 1e-5 * nx * ny),
+        seconds=_cost_model.seconds(arrays=0.5 + 1e-5 * nx * ny),
         error="some hundredths in a shadow's edge",
         memory=SHADOW_BYTES * nx * ny,
     )
@@ -487,7 +502,7 @@ def _image_stage(scene: Scene) -> Stage:
         reason=reason,
         seconds=_image_seconds(scene),
         error="1e-3 of the background",
-        memory=IMAGE_BYTES * nx * ny,
+        memory=IMAGE_BYTES * nx * ny + DIFFUSE_BYTES,
     )
 
 

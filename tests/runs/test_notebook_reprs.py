@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf
+from nlosoptics._checks import Budget
 from nlosoptics.imaging import SpeckleImage
 from nlosoptics.runs.plan import Plan, Stage, plan
 from nlosoptics.transient import TransientCapture, Volume, VolumeImage, wall_grid
@@ -193,7 +194,8 @@ def test_text_is_escaped(spread):
     page = checked(replace(spread, reason="<b>1 & 2", method='"<script>'))
     assert {"<b>1 & 2", '"<script>'} <= set(page.cells)
     stage = Stage(name="<i>", runs=False, reason="a < b")
-    made = Plan(stages=(), skipped=(stage,), tol=0.1, waves=0.0, layout="polar")
+    budget = Budget(memory=1e9, seconds=1.0)
+    made = Plan(stages=(), skipped=(stage,), tol=0.1, waves=0.0, exit_pupil=None, budget=budget)
     assert {"<i>", "a < b"} <= set(Page(made._repr_html_()).cells)
 
 

@@ -13,8 +13,7 @@ import pytest
 from PIL import Image
 
 import nlosoptics
-from nlosoptics import cli, inverse, limits
-from nlosoptics.runs import reconstruct
+from nlosoptics import cli, inverse, limits, reconstructing
 from nlosoptics.scene import Lambert, Scene
 
 
@@ -79,7 +78,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     taken: np.ndarray, capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert call(capsys, *USUAL, *FRAMES, "--out", "whole")[0] == 0
-    told = reconstruct.Keeper.__call__
+    told = reconstructing.Keeper.__call__
     calls = []
 
     def interrupts(self, fraction: float, text: str) -> None:
@@ -89,7 +88,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
         told(self, fraction, text)
 
     before = signal.getsignal(signal.SIGINT)
-    monkeypatch.setattr(reconstruct.Keeper, "__call__", interrupts)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", interrupts)
     code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part")
     assert code == 1
     assert err.count("\n") == 1
@@ -99,7 +98,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     assert report["status"] == "interrupted"
     assert report["figures"]["iterations"] == 20
     assert np.isfinite(np.load("part/object.npy")).all()
-    monkeypatch.setattr(reconstruct.Keeper, "__call__", told)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", told)
     assert call(capsys, *USUAL, *FRAMES, "--out", "part", "--resume")[0] == 0
     assert np.array_equal(np.load("part/object.npy"), np.load("whole/object.npy"))
     again = json.loads(Path("part/result.json").read_text())

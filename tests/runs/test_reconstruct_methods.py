@@ -12,9 +12,8 @@ import pytest
 import torch
 
 import nlosoptics
-from nlosoptics import cli, inverse
+from nlosoptics import cli, inverse, reconstructing
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.runs import reconstruct
 from nlosoptics.scene import Scene
 
 SIDE = 32
@@ -145,7 +144,7 @@ def test_frames_of_known_defocus(method, iterations, least, frames: np.ndarray, 
     assert (code, err) == (0, "")
     figures = report_of("found")["figures"]
     assert figures["reconstruction_status"] in ("converged", "unconverged")
-    assert len(figures["physical_parameters"]["coefficients"]) == len(reconstruct.MODES)
+    assert len(figures["physical_parameters"]["coefficients"]) == len(reconstructing.MODES)
     # of one wall and two defoci there is no fit from no blur to compare with
     assert figures["physical_parameters"]["margin"] is None
     assert inverse.registered_correlation(np.load("found/object.npy"), frames) > least
@@ -169,7 +168,7 @@ def test_ended_and_gone_on(frames: np.ndarray, capsys, monkeypatch: pytest.Monke
     usual = ("reconstruct", "a.npy", "b.npy", "--scene", "fine.toml", "--iterations", 150)
     usual = (*usual, "--method", "staged", "--defocus", "0, 0.5")
     assert call(capsys, *usual, "--out", "whole")[0] == 0
-    told = reconstruct.Keeper.__call__
+    told = reconstructing.Keeper.__call__
     calls = []
 
     def interrupts(self, fraction: float, text: str) -> None:
@@ -178,13 +177,13 @@ def test_ended_and_gone_on(frames: np.ndarray, capsys, monkeypatch: pytest.Monke
             signal.raise_signal(signal.SIGINT)
         told(self, fraction, text)
 
-    monkeypatch.setattr(reconstruct.Keeper, "__call__", interrupts)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", interrupts)
     code, _, err = call(capsys, *usual, "--out", "part")
     assert (code, err.count("\n")) == (1, 1)
     report = json.loads(Path("part/result.json").read_text())
     assert report["status"] == "interrupted"
     assert report["figures"]["reconstruction_status"] == "unconverged"
-    monkeypatch.setattr(reconstruct.Keeper, "__call__", told)
+    monkeypatch.setattr(reconstructing.Keeper, "__call__", told)
     assert call(capsys, *usual, "--out", "part", "--resume")[0] == 0
     assert report_of("part")["resumed"]
     assert np.array_equal(np.load("part/object.npy"), np.load("whole/object.npy"))
@@ -240,5 +239,5 @@ def test_a_blur_wider_than_the_picture_is_refused(frames: np.ndarray, capsys) ->
 
 
 def test_every_method_is_tried_here() -> None:
-    tried = {"cnn", "staged", "evidence", "wu2024", *reconstruct.KNOWN}
-    assert set(reconstruct.METHODS) == tried
+    tried = {"cnn", "staged", "evidence", "wu2024", *reconstructing.KNOWN}
+    assert set(reconstructing.METHODS) == tried

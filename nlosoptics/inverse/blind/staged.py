@@ -369,12 +369,11 @@ def _refined(fit: BlindFit, state: State, object_model: str, boundary: str, seed
         "fit_background": data.fit_background,
         "background_shape": data.background_shape,
         "gain": frames.scale,
-        "seed": seed,
     }
     other: Tensor
     if object_model == "unet":
         # total variation is in what the network is fed with already
-        options |= {"noise_sigma": sigma, "tv_weight": 0.0, "guide_share": 0.0}
+        options |= {"noise_sigma": sigma, "tv_weight": 0.0, "guide_share": 0.0, "seed": seed}
         other = deep_image_prior(data.data, model, **options).object
     else:
         # what the wall's modes leave unexplained is no more to be fitted than noise is

@@ -180,18 +180,19 @@ def detilted_mean(
         PIXEL_BYTES * shape[0] * shape[1],
         "use a larger tol or wider pixels",
     )
-    core = None
+    core, part = None, tol
     if view.rayleigh_parameter < ALL_DIFFUSE:
         if pixel_integrated:
             core = detilted_wide_spread(residual, pitch, shape, tol)
         else:
             core = detilted_point_spread(residual, tol=tol, pitch=pitch, shape=shape)
+        part = max(tol - core.error_estimate, tol / 10)  # the errors of both add
     share = math.exp(-(view.rayleigh_parameter**2))
     coherent = np.zeros(shape) if core is None else share * core.intensity
     diffuse, error = np.zeros(shape), 0.0
     if view.rayleigh_parameter > 0:
         window = Window.centred(pitch, shape)
-        diffuse, error = scattered_light(residual, view, window, pixel_integrated, coherent, tol)
+        diffuse, error = scattered_light(residual, view, window, pixel_integrated, coherent, part)
     # a mean of intensities is at least 0; what lies below is less than the error
     total = np.maximum(coherent + diffuse, 0.0)
     peak = float(total.max())

@@ -252,9 +252,14 @@ def first_cells(residual: Residual, view: RoughView, pitch: float, tol: float) -
     if residual.wavefront.layout != "polar":
         return 0
     # errors are relative to a peak that the aberration lowers and the halo's own does not tell
-    blur = view.halo(residual.wavefront) / 3
-    alone = 1.0 if blur == 0 else min(1.0, pitch**2 / (2 * math.pi * blur**2))
+    alone = _blur(residual, view, pitch)[1]
     return cells_across(residual, tol / (1 + alone / peak_pixel(residual, pitch)))
+
+
+def _blur(residual: Residual, view: RoughView, pitch: float) -> tuple[float, float]:
+    """Standard deviation, m, of the scattered light, and the share of it in the middle's pixel."""
+    blur = view.halo(residual.wavefront) / 3
+    return blur, 1.0 if blur == 0 else min(1.0, pitch**2 / (2 * math.pi * blur**2))
 
 
 def _with_cells(
@@ -287,6 +292,11 @@ def inner_halves(
     reach = ray_reach(residual) + view.halo(residual.wavefront)
     # beyond half lies a share 2/(pi^2 half) of the light, which errs by reach^2/half^2 of itself
     half = max(reach + FAR * unit, math.cbrt(reach**2 * unit / (math.pi**2 * tol / 4)))
+    if view.roughness.autocorrelation != "gaussian":
+        # a share (blur/half)^2 or more of slopes with long tails lies beyond
+        blur, alone = _blur(residual, view, window.pitch)
+        peak = 1 / (1 / alone + 1 / peak_pixel(residual, window.pitch))
+        half = max(half, math.sqrt(2) * blur / math.sqrt(0.5 * tol * peak))
     while 2 * half < WORTH * window.pitch * min(window.shape):
         yield half
         half *= 3

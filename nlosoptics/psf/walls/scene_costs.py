@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from ..._checks import memory_limit
-from ..pupil.scene_optics import PointOptics
+from ...errors import SamplingError
+from ..pupil.scene_optics import FINER, PointOptics
+from ..pupil.wall_wavefront import AUTO_GRID_SAMPLES
 from ..rough.otf import CELL_BYTES
 from ..rough.scattered_light import (
     NODE_BYTES,
@@ -24,11 +26,15 @@ from ..transform.selection import able
 from ..transform.wide_pixels import inner_parts
 from ..wave.detilted import Residual
 from ..wave.regime import regime
+from ..window import error_bounds
 from ..window.grids import grid_size
 from ..window.pixels import pixel_rule
-from ..window.window import Window
+from ..window.window import Window, peak_pixel
 from .lobe_psf import lobes_of
 
+#: A tol below which a first transfer function seldom does, and how much more a second one takes.
+TIGHT: Final = 2e-5
+AGAIN: Final = 2.5
 #: What Python, numpy and the interpreter's caches hold beside arrays, bytes.
 HELD: Final = 4e6
 
@@ -151,4 +157,28 @@ def _scattered_cost(
         lattices, again, points, 0 if half is None else math.prod(window.shape)
     )
     n_bytes = max(CELL_BYTES * across**2, NODE_BYTES * nodes[1] + PIXEL_BYTES * points)
+    if tol < TIGHT:
+        seconds, n_bytes = AGAIN * seconds, AGAIN * n_bytes
     return Cost(seconds, n_bytes + PIXEL_BYTES * math.prod(window.shape))
+
+
+def grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
+    """Cells across the grids that are tried for the wave's steps, the window and ``tol``."""
+    jump = residual.grid_jump()[0] * len(
+        residual.wavefront.u
+    )  # waves across the whole pupil, at the steepest
+    reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach
+    period = (reach + pitch + residual.airy_unit) / residual.airy_unit
+    # a cut cell acts from its centre
+    beats = error_bounds.beat(pitch / residual.airy_unit)
+    level = math.sqrt(min(1.0, peak_pixel(residual, pitch) / residual.pixel_share(pitch)))
+    rim = math.sqrt(2 * math.pi * jump * beats / (tol * level))
+    need = max(2.1 * jump, period, rim)
+    steps = (AUTO_GRID_SAMPLES, *FINER["grid"])
+    for i, samples in enumerate(steps):
+        if samples >= need:
+            return steps[: i + 1]
+    raise SamplingError(
+        f"the wall's edge cuts the cone of light and its wave takes a grid of {need:.0f} cells "
+        f"across, limit {steps[-1]}; enlarge the wall, stop the lens down or use a larger tol"
+    )

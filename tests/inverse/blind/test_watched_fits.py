@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from nlosoptics import inverse
+from nlosoptics import inverse, reconstructing
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel
-from nlosoptics.runs import reconstruct
 
 SIDE = 32
 WAVELENGTH = 632.8e-9
@@ -226,11 +225,11 @@ def test_a_state_of_another_network_is_refused() -> None:
 
 
 def test_a_kept_state_that_is_cut_or_no_archive_is_named(tmp_path) -> None:
-    kept = tmp_path / reconstruct.CHECKPOINT
+    kept = tmp_path / reconstructing.CHECKPOINT
     np.savez(kept, identity="mine", object=np.ones((4, 4)))
-    assert set(reconstruct.kept_state(tmp_path, "mine")) == {"object"}
+    assert set(reconstructing.kept_state(tmp_path, "mine")) == {"object"}
     with pytest.raises(SceneError, match="number of iterations"):
-        reconstruct.kept_state(tmp_path, "other")
+        reconstructing.kept_state(tmp_path, "other")
     whole = kept.read_bytes()
     with (tmp_path / "object.npy").open("wb") as file:
         np.save(file, np.ones(3))
@@ -239,10 +238,12 @@ def test_a_kept_state_that_is_cut_or_no_archive_is_named(tmp_path) -> None:
     for content in (whole[:200], bytes(spoilt), (tmp_path / "object.npy").read_bytes(), b""):
         kept.write_bytes(content)
         with pytest.raises(SceneError, match="cannot be read .*; run without --resume"):
-            reconstruct.kept_state(tmp_path, "mine")
+            reconstructing.kept_state(tmp_path, "mine")
 
 
 def test_a_kept_state_is_of_one_tolerance() -> None:
     """Of the point spread: another one is another model."""
-    tasks = [reconstruct.Task(scene=None, images=(), method="tv", tol=tol) for tol in (1e-3, 1e-2)]
+    tasks = [
+        reconstructing.Task(scene=None, images=(), method="tv", tol=tol) for tol in (1e-3, 1e-2)
+    ]
     assert tasks[0].identity() != tasks[1].identity()

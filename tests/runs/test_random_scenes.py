@@ -1,0 +1,91 @@
+"""Random scenes: what the plan accepts runs, within its memory, without warnings and NaN.
+
+`benchmarks/random_scenes.py` does the same on thousands, each in a process of its own.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import warnings
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+
+import nlosoptics as nlos
+from nlosoptics.errors import NlosError, ValidityWarning
+
+from .random_scenes import MATERIALS, WALLS, random_case
+
+QUICK = 2.0  # s of the processor, predicted: tighter and larger scenes are the benchmark's
+MEMORY = 2.0**31
+
+
+def not_finite(value, name="result"):
+    """Names of arrays and numbers within a noun that hold NaN or infinity."""
+    if isinstance(value, (np.ndarray, float)):
+        finite = np.asarray(value).dtype.kind not in "fc" or np.isfinite(value).all()
+        return [] if finite else [name]
+    if not is_dataclass(value):
+        return []
+    parts = (f for f in fields(value) if f.name not in ("scene", "plan", "regime", "aperture"))
+    return [n for f in parts for n in not_finite(getattr(value, f.name), f"{name}.{f.name}")]
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_what_is_planned_runs(number):
+    case = random_case(number, wild=number % 2 == 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", ValidityWarning)
+        try:
+            plan = nlos.plan(case.scene, case.tol, memory=MEMORY)
+        except NlosError as refusal:
+            pytest.skip(f"refused: {refusal}")
+        assert 0 < plan.seconds < np.inf
+        assert 0 < plan.memory <= MEMORY
+        if plan.seconds > QUICK or not plan.runs("wave aberration"):
+            pytest.skip("not quick, or without a wave")
+        result = nlos.simulate(case.scene, case.tol, seed=number, memory=MEMORY)
+    assert not not_finite(result)
+    assert result.plan == plan
+    assert result.errors["point spread"] <= case.tol
+    lowest = float(result.point_spread.intensity.min())
+    assert lowest >= -1e-9 * result.point_spread.intensity.max()
+
+
+def test_scenes_are_of_every_kind_and_the_same_for_a_number():
+    walls, paints = set(), set()
+    for number in range(150):
+        drawn = random_case(number, wild=number % 2 == 1).drawn
+        walls.add(drawn["wall"])
+        paints.add(drawn["material"])
+    assert walls == set(WALLS)
+    assert paints == set(MATERIALS)
+    one, other = random_case(7), random_case(7)
+    assert one.tol == other.tol
+    assert one.scene.camera == other.scene.camera
+    assert one.scene.camera != random_case(7, wild=True).scene.camera
+
+
+def test_a_budget_holds_in_the_whole_run(flat_scene):
+    """A run is refused before it starts, and as the plan would refuse it."""
+    for limits in ({"memory": 1e6}, {"max_seconds": 1e-3}):
+        with pytest.raises(NlosError) as planned:
+            nlos.plan(flat_scene, **limits)
+        with pytest.raises(NlosError) as refused:
+            nlos.simulate(flat_scene, **limits)
+        assert type(refused.value) is type(planned.value)
+        assert str(refused.value) == str(planned.value)
+
+
+def test_a_run_of_the_benchmark_writes_its_rows(root, tmp_path):
+    file = tmp_path / "rows.jsonl"
+    command = [sys.executable, str(root / "benchmarks" / "random_scenes.py"), str(file)]
+    options = ["--first", "4", "--count", "2", "--most-seconds", "5"]
+    subprocess.run([*command, *options], check=True, cwd=root, timeout=300)
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    assert [row["number"] for row in rows] == [4, 5]
+    assert all(row["outcome"] == "done" and row["warm"] > 0 for row in rows)
