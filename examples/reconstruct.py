@@ -3,15 +3,14 @@
 import sys
 
 import nlosoptics as nlos
-from nlosoptics import imaging, inverse, views
-from nlosoptics.runs import reconstruct
+from nlosoptics import imaging, inverse, reconstructing, views
 
 scene_file, *pictures = sys.argv[1:]
 scene = nlos.Scene.load(scene_file)
 print(nlos.limits.feasibility(scene).verdict)
 
 taken = imaging.camera_image(pictures, shape=scene.camera.shape)  # dark=, flat=
-model = reconstruct.known_model(scene)
+model = reconstructing.known_model(scene)
 noise = taken.noise(inverse.estimate_noise(taken.values))
 found = inverse.tv_deconvolve(taken.values, model, noise_sigma=noise)
 print(f"{found.status}, residual {found.score:.2f} of the noise")

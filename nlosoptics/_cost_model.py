@@ -1,7 +1,7 @@
 """How fast this machine is, measured once and kept, for predictions of run time.
 
-The constants of `psf.costs` and of the plan are seconds on one core of the machine that they were
-fitted on. Which transform runs is chosen by them as they are, so that a scene gives the same bits
+The constants of `psf.transform.costs` and of the plan are seconds on one core of the machine that
+they were fitted on. Which transform runs is chosen by them as they are, so that a scene gives the same bits
 everywhere; what a plan tells is scaled by how long three probes take here.
 """
 
@@ -57,7 +57,9 @@ def factors() -> dict[str, float]:
     path = kept_at()
     try:
         found = json.loads(path.read_text())
-        return {name: float(found[name]) for name in REFERENCE}
+        kept = {name: float(found[name]) for name in REFERENCE}
+        if all(BELIEVED[0] <= factor <= BELIEVED[1] for factor in kept.values()):
+            return kept
     except (OSError, ValueError, KeyError, TypeError):
         pass
     measured = {}
@@ -67,10 +69,8 @@ def factors() -> dict[str, float]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole({path: json.dumps(measured).encode()})
-    except (
-        OSError,
-        SceneError,
-    ):  # another process would measure something else, and plan something else
+    except (OSError, SceneError):
+        # another process would measure something else, and plan something else
         return dict.fromkeys(REFERENCE, 1.0)
     return measured
 
@@ -84,7 +84,7 @@ def kept_at() -> Path:
         processor += next((line for line in lines if line.startswith("model name")), "")
     except OSError:
         pass
-    key = hashlib.sha256(processor.encode()).hexdigest()[:12]
+    key = hashlib.sha256(f"{processor}{REFERENCE}".encode()).hexdigest()[:12]
     return Path(folder) / f"machine-{__version__}-{key}.json"
 
 
@@ -93,9 +93,9 @@ def _least(probe: Callable[[], object]) -> float:
     probe()  # whatever its first call loads
     found = []
     for _ in range(REPEATS):
-        start = time.process_time()
+        start = time.thread_time()
         probe()
-        found.append(time.process_time() - start)
+        found.append(time.thread_time() - start)
     return min(found)
 
 

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import nlosoptics as nlos
-from nlosoptics import imaging, inverse, psf
-from nlosoptics.runs import reconstruct, simulate
+from nlosoptics import imaging, inverse, psf, reconstructing
+from nlosoptics.runs import simulate
 from nlosoptics.scene import Scene, WavyWall
 
 Array = NDArray[np.float64]
@@ -147,7 +147,7 @@ def exposure_of(
 @lru_cache(maxsize=64)
 def known_model(scale: str, name: str, wall: str, size: int) -> imaging.ForwardModel:
     """Image model of the scene's own point spread, at the image's pixels."""
-    return reconstruct.known_model(study_scene(scale, name, wall, size, 40e-3), tol=TOL)
+    return reconstructing.known_model(study_scene(scale, name, wall, size, 40e-3), tol=TOL)
 
 
 @lru_cache(maxsize=64)

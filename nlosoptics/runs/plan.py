@@ -96,7 +96,7 @@ class Plan:
     tol: float
     waves: float
     exit_pupil: ExitPupil = field(compare=False, repr=False)
-    budget: Budget
+    budget: Budget = field(compare=False)
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
@@ -213,7 +213,9 @@ def looked_at(
 def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[Plan, SceneOptics]:
     image = _image_stage(scene)
     ny, nx = scene.camera.shape
-    fits_memory(f"an image of {nx} x {ny} pixels", HELD + image.memory, PIXELS)
+    fits_memory(
+        f"an image of {nx} x {ny} pixels", HELD + image.memory, f"{PIXELS}, or give more memory"
+    )
     _check_laser(scene)
     pupil = exit_pupil(scene)
     _check_sight(scene, pupil)
@@ -273,9 +275,10 @@ def _check_budget(found: Plan) -> None:
     limit = found.budget.seconds
     if found.seconds > limit:
         longest = max(found.stages, key=lambda s: s.seconds)
+        remedy = "leave the reconstruction out" if longest.name == "reconstruction" else LARGER
         raise SamplingError(
             f"the run would take about {found.seconds:.3g} s, {longest.seconds:.3g} s of them for "
-            f"'{longest.name}' ({longest.reason}), limit max_seconds = {limit:g}; {LARGER}, or "
+            f"'{longest.name}' ({longest.reason}), limit max_seconds = {limit:g}; {remedy}, or "
             f"max_seconds = {rounded_up(found.seconds)}"
         )
 

@@ -101,7 +101,7 @@ def test_a_plan_is_a_bar_for_each_stage(assert_drawn):
         Stage(name="image", runs=True, reason="wanted", seconds=2.0),
     )
     skipped = (Stage(name="shadow rays", runs=False, reason="no occluders"),)
-    made = Plan(stages=stages, skipped=skipped, tol=1e-3, waves=1.0, layout="polar")
+    made = Plan(stages=stages, skipped=skipped, tol=1e-3, waves=1.0, exit_pupil=None, budget=None)
     axes = views.plan(made)
     assert [bar.get_width() for bar in axes.patches] == [0.5, 2.0, 0.0]
     assert [t.get_text() for t in axes.get_yticklabels()] == [
@@ -212,7 +212,9 @@ for draw in (
     lambda: views.mtf(ramp, ramp),
     lambda: views.encircled_energy(ramp, ramp),
     lambda: views.history(SimpleNamespace(history={"residual": np.ones(2)})),
-    lambda: views.plan(Plan(stages=(), skipped=(), tol=0.1, waves=0.0, layout="polar")),
+    lambda: views.plan(
+        Plan(stages=(), skipped=(), tol=0.1, waves=0.0, exit_pupil=None, budget=None)
+    ),
     lambda: views.transient(capture),
     lambda: views.transient_film(capture),
 ):

@@ -12,6 +12,7 @@ from pytest import approx
 
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
+from nlosoptics.psf.walls.hybrid import mirror_image
 from nlosoptics.raytrace import trace_point
 from nlosoptics.scene import (
     Camera,
@@ -52,7 +53,7 @@ def wall_scene(material, wall=None, **camera):
 def mirror(scene, normal):
     """Mirror image of the scene's reference point."""
     seen = psf.SceneOptics(scene).reference
-    return psf.hybrid_waves.mirror_image(seen, seen.first, normal)
+    return mirror_image(seen, seen.first, normal)
 
 
 def screen():

@@ -11,6 +11,7 @@ from scipy import integrate, stats
 from nlosoptics import psf, raytrace
 from nlosoptics._random import philox
 from nlosoptics.errors import SceneError
+from nlosoptics.psf.pupil import aiming
 from nlosoptics.raytrace.fans.footprints import lens_footprint
 from nlosoptics.raytrace.fans.paths import DETECTED, ESCAPED, LEFT
 from nlosoptics.scene import (
@@ -164,8 +165,8 @@ def test_facets_cover_what_the_pupil_sees(flat_scene, wall):
     angle = np.linspace(0, 2 * math.pi, 64)
     rim = scene.camera.stop_diameter / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     axes = scene.camera.frame
-    ends = psf.aiming.pupil_points(scene.camera.position, axes[2], rim)
-    seen = psf.aiming.aim(wall, scene.object_point, ends, axes[2]).points
+    ends = aiming.pupil_points(scene.camera.position, axes[2], rim)
+    seen = aiming.aim(wall, scene.object_point, ends, axes[2]).points
     low, high = positions[0, 0, :2] - 5e-4, positions[-1, -1, :2] + 5e-4  # half a cell
     size = seen[:, :2].max(axis=0) - seen[:, :2].min(axis=0)
     assert (low < seen[:, :2] - 0.2 * size).all()
@@ -249,8 +250,8 @@ def test_flux_is_the_pupils(flat_scene, wall):
     wave = psf.wavefront(scene)
     axes = scene.camera.frame
     nodes = np.zeros((1, 2))
-    ends = psf.aiming.pupil_points(scene.camera.position, axes[2], nodes)
-    centre = psf.aiming.aim(wall, scene.object_point, ends, axes[2]).spreading[0]
+    ends = aiming.pupil_points(scene.camera.position, axes[2], nodes)
+    centre = aiming.aim(wall, scene.object_point, ends, axes[2]).spreading[0]
     expected = centre * np.sum(wave.amplitude**2 * wave.weights)
     for n_rays, limit in ((1_000, 2e-2), (100_000, 6e-4)):
         rays = raytrace.pupil_rays(scene, n_rays=n_rays)
