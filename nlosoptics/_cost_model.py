@@ -1,8 +1,8 @@
 """How fast this machine is, measured once and kept, for predictions of run time.
 
 The constants of `psf.transform.costs` and of the plan are seconds on one core of the machine that
-they were fitted on. Which transform runs is chosen by them as they are, so that a scene gives the same bits
-everywhere; what a plan tells is scaled by how long three probes take here.
+they were fitted on. Which transform runs is chosen by them as they are, so that a scene gives the
+same bits everywhere; what a plan tells is scaled by how long three probes take here.
 """
 
 from __future__ import annotations
