@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+import time
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, whole
+from .._checks import in_range, seconds_limit, whole
 from .._progress import Progress
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField, SceneOptics, point_spread_field
 from ..psf.pupil.scene_optics import optics_of
+from ..psf.window.error_bounds import rounded_up
 from ..scene import PlanarObject, Scene
 from .forward_model import ForwardModel
 
@@ -59,7 +61,8 @@ def image_field(
     SceneError
         If an option is out of range or the object is a mesh.
     SamplingError
-        If no grid within ``most_nodes`` agrees with the two before.
+        If no grid within ``most_nodes`` agrees with the two before, or the next one would pass the
+        seconds of a run's budget.
     NlosError
         As of `psf.point_spread_field`.
     """
@@ -70,8 +73,18 @@ def image_field(
     counts = [n for n in COUNTS if n <= most_nodes]
     before: Array | None = None
     errors = [math.inf, math.inf]
+    start, limit = time.perf_counter(), seconds_limit(math.inf)
+    taken, nodes = 0.0, 1  # s, of so many nodes, the field before
     for step, count in enumerate(counts):
         base, share = step / len(counts), 1 / len(counts)
+        begun = time.perf_counter()
+        expected = begun - start + taken / nodes * count**2
+        if expected > limit:
+            raise SamplingError(
+                f"{count} x {count} point spreads over the object would take about {expected:.3g} "
+                f"s, limit max_seconds = {limit:g}; use a larger tol, or max_seconds = "
+                f"{rounded_up(expected)}"
+            )
 
         def told(name: str, done: float, base: float = base, share: float = share) -> None:
             if progress is not None:
@@ -86,7 +99,7 @@ def image_field(
                 return field, max(errors)
             if errors[1] <= SURE * tol:
                 return field, errors[1]
-        before = image
+        before, taken, nodes = image, time.perf_counter() - begun, count**2
     raise SamplingError(
         f"the picture's image still changes by {max(errors):.2g} of its rms with {counts[-1]} x "
         f"{counts[-1]} point spreads, limit tol = {tol:g}; use tol = {1.1 * max(errors):.2g}"

@@ -9,6 +9,7 @@ import pytest
 
 import nlosoptics as nlos
 from nlosoptics import psf
+from nlosoptics._checks import Budget, within
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel, image_field
 from nlosoptics.imaging.image_fields import picture_frame, rms_difference
@@ -80,3 +81,15 @@ def test_a_mesh_has_no_field(scene):
     solid = MeshObject(trimesh.creation.box((0.1, 0.1, 0.1)), position=scene.hidden.position)
     with pytest.raises(SceneError, match="PlanarObject"):
         image_field(replace(scene, hidden=solid))
+
+
+def test_a_field_beyond_the_seconds_of_a_run_is_refused(scene):
+    """The time that one grid took says what the next would take.
+
+    10 ms hold one point spread, predicted at 1.5 ms, and not all grids that ``tol`` needs.
+    """
+    with (
+        within(Budget(memory=4e9, seconds=1e-2)),
+        pytest.raises(SamplingError, match="point spreads over the object .* max_seconds = 0.01"),
+    ):
+        image_field(scene, tol=1e-6)
