@@ -137,7 +137,7 @@ def available_memory() -> float:
 
 @lru_cache(maxsize=1)
 def _memory_at(moment: int) -> float:
-    """The same as read within one moment of `FRESH` seconds."""
+    """Return the free memory, read at most once in `FRESH` seconds."""
     try:
         with Path("/proc/meminfo").open() as lines:
             for line in lines:
@@ -150,7 +150,7 @@ def _memory_at(moment: int) -> float:
 
 @dataclass(frozen=True)
 class Budget:
-    """What one run may take.
+    """Limits of one run.
 
     Parameters
     ----------

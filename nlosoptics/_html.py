@@ -122,7 +122,7 @@ def table(
 
 
 class Figures(NamedTuple):
-    """What a noun tells of itself in a notebook.
+    """Title, table and picture text of a noun's notebook card.
 
     Parameters
     ----------

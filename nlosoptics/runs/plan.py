@@ -1,4 +1,4 @@
-"""What a scene needs, what it does not and why, before anything but its geometry is computed."""
+"""The plan of a run: stages that a scene needs or does not, with seconds, memory and errors."""
 
 from __future__ import annotations
 
@@ -398,13 +398,13 @@ def _wave_stages(scene: Scene, pupil: ExitPupil, look: _Look, waves: float) -> I
 
 
 def _aiming_seconds(scene: Scene, nodes: float) -> float:
-    """Of a wave from so many nodes."""
+    """Predicted seconds of aiming a wave at ``nodes`` pupil nodes."""
     kind = "flat" if scene.wall.is_flat else "" if scene.wall.is_compiled else "callable"
     return _cost_model.seconds(calls=2e-3, arrays=AIMING[kind] * nodes)
 
 
 def _spread_cost(scene: Scene, look: _Look, side: int, tol: float) -> Cost:
-    """Of one point spread; of a grid with all coarser ones that are tried before."""
+    """Predicted cost of one point spread, including the coarser grids that are tried before."""
     pitch, shape = scene.camera.image_pitch, (side, side)
     found = [point_cost(look.seen, pitch, shape, tol, cells=n) for n in look.samples or (0,)]
     seconds = _cost_model.seconds(transforms=sum(c.seconds for c in found))
@@ -465,7 +465,7 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
 
 
 def _left_out(scene: Scene) -> Iterator[Stage]:
-    """What this scene could ask for and is not computed."""
+    """Yield the effects that `simulate` does not compute for this scene."""
     yield _skipped(
         "interreflection",
         "light from wall to wall is left out of the image; raytrace.trace tells how much it is"
@@ -510,7 +510,7 @@ def _image_stage(scene: Scene) -> Stage:
 
 
 def _image_seconds(scene: Scene) -> float:
-    """Of `form_image`: the wall's diffuse light from every patch of the object, and the pixels."""
+    """Predicted seconds of `form_image`: diffuse light from every object patch, and the pixels."""
     pixels = float(math.prod(scene.camera.shape))
     pairs, groups = background_work(scene, object_patches(scene.hidden))
     if scene.wall.is_flat:

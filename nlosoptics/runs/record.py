@@ -1,4 +1,4 @@
-"""What a run writes about itself: arrays, scene, versions, memory."""
+"""The record of a run: arrays, scene, versions, memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a simulation found, and the folder that holds it."""
+"""The result of a simulation, and the folder that holds it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result(Noun):
-    """What a simulation found.
+    """All that a simulation computed.
 
     Parameters
     ----------

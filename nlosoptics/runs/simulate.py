@@ -70,7 +70,7 @@ def simulate(
 def _carried_out(
     scene: Scene, todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None
 ) -> Result:
-    """What a plan says, done with the waves that it has aimed."""
+    """Carry out a plan, starting from the waves that it aimed."""
     tol = todo.tol
     if not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))

@@ -63,7 +63,7 @@ class Separations:
 
 @dataclass(frozen=True, eq=False)
 class Halo:
-    """What the sum over separations needs.
+    """Inputs of the sum over separations.
 
     Parameters
     ----------
@@ -339,7 +339,7 @@ def _about_the_light(
 def _transfer_error(
     halo: Halo, nodes: Separations, light: Array, smooth: Transfer, cells: int
 ) -> float:
-    """What the transfer function's own error makes of the scattered light.
+    """Error of the scattered light that comes from the transfer function's own error.
 
     At most its bound over all separations. Of a polar wave, what cells twice as wide change in the
     image: its error falls as the power 3/2 of the cells or faster, so that this is twice what the

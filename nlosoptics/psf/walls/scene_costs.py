@@ -1,4 +1,4 @@
-"""What a scene's point spread takes, seconds and bytes, from the steps that computing it takes."""
+"""Predicted seconds and bytes of a scene's point spread, from the steps that compute it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ HELD: Final = 4e6
 
 @dataclass(frozen=True)
 class Cost:
-    """What a computation takes.
+    """Predicted cost of a computation.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Cost:
 def point_cost(
     seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
 ) -> Cost:
-    """What `point_image` takes with the nodes of the wave at hand.
+    """Predict the cost of `point_image` with the pupil nodes of the aimed wave.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def point_cost(
 def smooth_cost(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
 ) -> Cost:
-    """What `wide_point_spread` takes, or what it would raise before it computes anything."""
+    """Predict the cost of `wide_point_spread`; raise what it would raise before computing."""
     inner = inner_parts(residual, pitch, shape, tol)
     whole = Cost(0.0, 0.0)
     if inner is not None:
@@ -142,7 +142,7 @@ def _transform_bytes(task: Task, method: str) -> float:
 def _scattered_cost(
     residual: Residual, view: RoughView, window: Window, tol: float, cells: int
 ) -> Cost:
-    """What `scattered_light` takes with pixels, by its first cells."""
+    """Predict the cost of `scattered_light` with pixels, from its first cells."""
     polar = residual.wavefront.layout == "polar"
     across = first_cells(residual, view, window.pitch, tol) or cells
     edge = 2 * residual.wavefront.pupil_radius
