@@ -12,7 +12,7 @@ import numpy as np
 from .. import _cost_model
 from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
 from .._html import Column, table
-from ..errors import NotWaveGradeError, SamplingError, SceneError
+from ..errors import SamplingError, SceneError
 from ..imaging.image_fields import expected_counts, picture_frame
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
 from ..imaging.objects import object_patches
@@ -22,7 +22,6 @@ from ..psf.pupil.exit_pupil import ExitPupil, exit_pupil
 from ..psf.pupil.obstruction import check_cone
 from ..psf.pupil.paraxial import change_over_object
 from ..psf.pupil.scene_optics import PointOptics, SceneOptics
-from ..psf.pupil.wall_wavefront import check_wave_grade
 from ..psf.walls.field import picture_point
 from ..psf.walls.scene_costs import Cost, grid_samples, point_cost
 from ..psf.walls.scene_psf import point_window
@@ -30,6 +29,7 @@ from ..psf.window.error_bounds import rounded_up
 from ..raytrace import ray_plan
 from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
+from .refusals import check_cones, check_laser, check_sight, wave_refusal
 
 FIELD = "field of point spreads"  # the name of that stage
 MOST_NODES = 27  # along each side of a field of point spreads
@@ -216,9 +216,9 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
     fits_memory(
         f"an image of {nx} x {ny} pixels", HELD + image.memory, f"{PIXELS}, or give more memory"
     )
-    _check_laser(scene)
+    check_laser(scene)
     pupil = exit_pupil(scene)
-    _check_sight(scene, pupil)
+    check_sight(scene, pupil)
     optics, refusal = SceneOptics(scene, pupil), wave_refusal(scene)
     stages = [
         _mesh_stage(scene),
@@ -448,6 +448,7 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
     spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
     waves = spreads + sum(min(n**2, 5) for n in ends[1])
     counts = ends[-1]
+    check_cones(scene, counts)
     one = _spread_cost(scene, look, look.field_side, tol / 2)
     each = one.seconds + look.cut * _cost_model.seconds(transforms=GRID_SECONDS)
     aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
@@ -535,57 +536,3 @@ def _reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
         memory=2000.0 * nx * ny,
         error="status and score are reported",
     )
-
-
-def wave_refusal(scene: Scene) -> str:
-    """Why waves cannot be computed for this wall; empty when they can."""
-    try:
-        check_wave_grade(scene.wall, scene.laser.wavelength)
-    except NotWaveGradeError as refusal:
-        return f"{refusal}; the geometric branch that could do without is not built"
-    return ""
-
-
-def _check_sight(scene: Scene, pupil: ExitPupil) -> None:
-    """Refuse an object that the wall or the detector does not show, as far as a flat wall tells."""
-    camera, position = scene.camera, tuple(float(c) for c in scene.object_point)
-    if pupil.vignetting == 1.0:
-        raise SceneError(
-            f"hidden.position = {position} m is mirrored by no part of the wall, wall.size = "
-            f"{scene.wall.size} m; enlarge the wall, or move object or camera"
-        )
-    line = scene.mirrored_object_point - np.array(camera.position)
-    x, y, depth = (float(line @ axis) for axis in camera.frame)
-    if depth <= 0:
-        raise SceneError(
-            f"camera.aim = {camera.aim} m looks away from the mirrored object; aim at the wall "
-            "point where it appears"
-        )
-    # a curved wall may magnify
-    extent = _half_extent(scene) * (1.0 if scene.wall.is_flat else 3.0)
-    reach = np.array(camera.shape[::-1]) * camera.image_pitch / 2
-    image = np.array([abs(x), abs(y)]) * scene.image_distance / depth
-    outside = image - extent * scene.image_distance / depth - reach
-    if outside.max() > 0:
-        raise SceneError(
-            f"hidden.position = {position} m is imaged at ({1e3 * image[0]:.3g}, "
-            f"{1e3 * image[1]:.3g}) mm from the axis, off the detector of "
-            f"+-({1e3 * reach[0]:.3g}, {1e3 * reach[1]:.3g}) mm; change camera.aim"
-        )
-
-
-def _check_laser(scene: Scene) -> None:
-    x, y, _ = scene.laser.aim
-    if not scene.wall.contains(x, y):
-        raise SceneError(
-            f"laser.aim = {scene.laser.aim} m is off the wall, wall.size = {scene.wall.size} m; "
-            "aim inside its edges"
-        )
-
-
-def _half_extent(scene: Scene) -> float:
-    """Largest distance of the object's parts from its reference point, m."""
-    hidden = scene.hidden
-    if isinstance(hidden, PlanarObject):
-        return math.hypot(*hidden.size) / 2
-    return float(np.linalg.norm(hidden.surface.vertices - scene.object_point, axis=1).max())

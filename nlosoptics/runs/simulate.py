@@ -13,7 +13,8 @@ from .._progress import Progress
 from .._random import checked_seed
 from ..errors import NotWaveGradeError
 from ..scene import MeshWall, PlanarObject, Scene
-from .plan import FIELD, MOST_NODES, MOST_SECONDS, Plan, looked_at, wave_refusal
+from .plan import FIELD, MOST_NODES, MOST_SECONDS, Plan, looked_at
+from .refusals import wave_refusal
 from .results import Result
 
 if TYPE_CHECKING:

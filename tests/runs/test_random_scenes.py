@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import nlosoptics as nlos
-from nlosoptics.errors import NlosError, ValidityWarning
+from nlosoptics.errors import NlosError, SceneError, ValidityWarning
 
 from .random_scenes import MATERIALS, WALLS, random_case
 
@@ -68,6 +68,13 @@ def test_scenes_are_of_every_kind_and_the_same_for_a_number():
     assert one.tol == other.tol
     assert one.scene.camera == other.scene.camera
     assert one.scene.camera != random_case(7, wild=True).scene.camera
+
+
+def test_the_cone_of_light_is_free_at_every_node_that_the_field_will_have():
+    """An occluder that cuts the light of one node, and none at the centre, corners and edges."""
+    case = random_case(90101, wild=True)
+    with pytest.raises(SceneError, match="cut .* of the cone of light"):
+        nlos.plan(case.scene, case.tol)
 
 
 def test_a_budget_holds_in_the_whole_run(flat_scene):

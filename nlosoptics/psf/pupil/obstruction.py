@@ -17,8 +17,15 @@ Array = NDArray[np.float64]
 RINGS, SPOKES = 6, 24  # sample rays over the lens, its rim included
 
 
-def check_cone(scene: Scene) -> bool:
-    """Whether the occluders hide the object's reference point from the whole lens.
+def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
+    """Whether the occluders hide an object point from the whole lens.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with wall, camera and occluders.
+    object_point : ndarray, (3,), optional
+        World, m; the object's reference point by default.
 
     Raises
     ------
@@ -30,9 +37,10 @@ def check_cone(scene: Scene) -> bool:
     nodes = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1).reshape(-1, 2)
     nodes = np.concatenate([np.zeros((1, 2)), nodes])
     axis = scene.camera.axis
+    point = scene.object_point if object_point is None else object_point
     lens = pupil_points(np.array(scene.camera.position), axis, nodes)
-    rays = aim(scene.wall, scene.object_point, lens, axis)
-    return hides(scene, scene.object_point, rays.points, lens)
+    rays = aim(scene.wall, point, lens, axis)
+    return hides(scene, point, rays.points, lens)
 
 
 def hides(scene: Scene, object_point: Array, on_wall: Array, on_lens: Array) -> bool:

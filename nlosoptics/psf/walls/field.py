@@ -153,7 +153,7 @@ def point_spread_field(
     in_range("tol", tol, 1e-9, 0.1)
     checks = whole("checks", checks, 0)
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
-    up, across = _nodes(ny), _nodes(nx)
+    up, across = picture_nodes(ny), picture_nodes(nx)
     corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
     # what is seen from these is kept for the point spreads of the nodes among them
     seen = {
@@ -252,7 +252,7 @@ def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
     return ny, nx
 
 
-def _nodes(count: int) -> Array:
+def picture_nodes(count: int) -> Array:
     """Chebyshev points of the first kind, rising; the middle one of an odd count is exactly 0."""
     nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
     if count % 2:

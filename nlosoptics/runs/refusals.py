@@ -1,0 +1,79 @@
+"""Scenes that a plan refuses, because wall, lens, detector or occluders leave no image."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..errors import NotWaveGradeError, SceneError
+from ..psf.pupil.exit_pupil import ExitPupil
+from ..psf.pupil.obstruction import check_cone
+from ..psf.pupil.wall_wavefront import check_wave_grade
+from ..psf.walls.field import picture_nodes, picture_point
+from ..scene import PlanarObject, Scene
+
+
+def wave_refusal(scene: Scene) -> str:
+    """Why waves cannot be computed for this wall; empty when they can."""
+    try:
+        check_wave_grade(scene.wall, scene.laser.wavelength)
+    except NotWaveGradeError as refusal:
+        return f"{refusal}; the geometric branch that could do without is not built"
+    return ""
+
+
+def check_laser(scene: Scene) -> None:
+    """Refuse a laser that is aimed beside the wall."""
+    x, y, _ = scene.laser.aim
+    if not scene.wall.contains(x, y):
+        raise SceneError(
+            f"laser.aim = {scene.laser.aim} m is off the wall, wall.size = {scene.wall.size} m; "
+            "aim inside its edges"
+        )
+
+
+def check_sight(scene: Scene, pupil: ExitPupil) -> None:
+    """Refuse an object that the wall or the detector does not show, as far as a flat wall tells."""
+    camera, position = scene.camera, tuple(float(c) for c in scene.object_point)
+    if pupil.vignetting == 1.0:
+        raise SceneError(
+            f"hidden.position = {position} m is mirrored by no part of the wall, wall.size = "
+            f"{scene.wall.size} m; enlarge the wall, or move object or camera"
+        )
+    line = scene.mirrored_object_point - np.array(camera.position)
+    x, y, depth = (float(line @ axis) for axis in camera.frame)
+    if depth <= 0:
+        raise SceneError(
+            f"camera.aim = {camera.aim} m looks away from the mirrored object; aim at the wall "
+            "point where it appears"
+        )
+    # a curved wall may magnify
+    extent = _half_extent(scene) * (1.0 if scene.wall.is_flat else 3.0)
+    reach = np.array(camera.shape[::-1]) * camera.image_pitch / 2
+    image = np.array([abs(x), abs(y)]) * scene.image_distance / depth
+    outside = image - extent * scene.image_distance / depth - reach
+    if outside.max() > 0:
+        raise SceneError(
+            f"hidden.position = {position} m is imaged at ({1e3 * image[0]:.3g}, "
+            f"{1e3 * image[1]:.3g}) mm from the axis, off the detector of "
+            f"+-({1e3 * reach[0]:.3g}, {1e3 * reach[1]:.3g}) mm; change camera.aim"
+        )
+
+
+def check_cones(scene: Scene, counts: list[int]) -> None:
+    """Refuse occluders that cut a part of the cone of light at any node of these fields."""
+    if not (scene.occluders and isinstance(scene.hidden, PlanarObject)):
+        return
+    for count in counts:
+        for y in picture_nodes(count):
+            for x in picture_nodes(count):
+                check_cone(scene, picture_point(scene.hidden, float(x), float(y)))
+
+
+def _half_extent(scene: Scene) -> float:
+    """Largest distance of the object's parts from its reference point, m."""
+    hidden = scene.hidden
+    if isinstance(hidden, PlanarObject):
+        return math.hypot(*hidden.size) / 2
+    return float(np.linalg.norm(hidden.surface.vertices - scene.object_point, axis=1).max())
