@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 class Limits(TypedDict):
-    """What a run may take, as `plan` and `simulate` are told."""
+    """Options of the command line that limit a run, as `plan` and `simulate` take them."""
 
     memory: float | None
     max_seconds: float

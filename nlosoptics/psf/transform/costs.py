@@ -69,7 +69,7 @@ def map_chirp(residual: Residual, window: Window) -> float:
 
 
 def map_sums(n: int, window: Window) -> float:
-    """The same of a grid of ``n`` cells across."""
+    """Predict the seconds of summing a grid of ``n`` cells across to any pitch."""
     ny, nx = window.shape
     return CALL + 3.6e-8 * n * n + 1.8e-8 * (n * (n + nx) + nx * (n + ny))
 
@@ -106,7 +106,7 @@ def rays(residual: Residual, window: Window) -> float:
 
 
 def scattered(cells: float, nodes: float, points: float, pixels: float) -> float:
-    """Of light that roughness scatters: cells of all lattices, and nodes of all sums."""
+    """Predict the seconds of scattered light from its cells, nodes, points and pixels."""
     return 1.2e-2 + 9e-7 * cells + 6.2e-7 * nodes + 2.4e-7 * points + 5e-7 * pixels
 
 

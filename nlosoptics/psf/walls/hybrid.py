@@ -58,7 +58,7 @@ class MirrorImage:
 
 @dataclass(frozen=True, eq=False)
 class WaveParts:
-    """What waves tell of the mirror image, W, and their largest error, W a pixel."""
+    """Return the mirror image computed by waves, W, and its largest error, W a pixel."""
 
     coherent: Array
     halo: Array
