@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -33,13 +33,6 @@ if TYPE_CHECKING:
     from ..runs.results import Result
 
 
-class Limits(TypedDict):
-    """Options of the command line that limit a run, as `plan` and `simulate` take them."""
-
-    memory: float | None
-    max_seconds: float
-
-
 @app.command("plan")
 def plan_command(
     scene_file: SceneFile,
@@ -54,8 +47,10 @@ def plan_command(
         from ..runs.plan import plan
 
         scene = load(scene_file, size)
-        limits: Limits = {"memory": in_bytes(memory), "max_seconds": max_seconds}
-        typer.echo(str(plan(scene, tol, reconstruct=True, **limits)))
+        planned = plan(
+            scene, tol, reconstruct=True, memory=in_bytes(memory), max_seconds=max_seconds
+        )
+        typer.echo(str(planned))
 
 
 @app.command("run")
@@ -79,19 +74,20 @@ def run_command(
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
-        from ..runs.plan import plan
+        from .._random import checked_seed
+        from ..runs.plan import looked_at
         from ..runs.results import write_record, write_result
-        from ..runs.simulate import simulate
+        from ..runs.simulate import carried_out
 
+        seed = checked_seed(seed)
         scene = load(scene_file, size)
-        limits: Limits = {"memory": in_bytes(memory), "max_seconds": max_seconds}
-        planned = plan(scene, tol, reconstruct=reconstruct, **limits)
+        planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
         check_target(folder)
         require("matplotlib", "views")
         if planned.runs("reconstruction"):
             require("torch", "inverse", ", or pass --no-reconstruct")
         with progress_bar() as progress:
-            result = simulate(scene, tol, seed, reconstruct, progress=progress, **limits)
+            result = carried_out(planned, optics, seed, progress)
             progress("writing", 1.0)
             with whole_folder(folder) as new:
                 began = time.perf_counter()

@@ -199,14 +199,15 @@ def _figures(result: Result) -> dict[str, Any]:
         result.point_spread,
         result.image,
     )
+    rms = psf.rms_aberration(wave)
     found: dict[str, Any] = {
         "exit_pupil_radius": pupil.radius,
         "image_distance": pupil.image_distance,
         "f_number": pupil.f_number,
         "stop": pupil.stop,
         "vignetting": pupil.vignetting,
-        "aberration_rms": psf.rms_aberration(wave),
-        "aberration_rms_waves": psf.rms_aberration(wave) / wave.wavelength,
+        "aberration_rms": rms,
+        "aberration_rms_waves": rms / wave.wavelength,
         "point_spread_method": spread.method,
         "point_spread_error": spread.error_estimate,
         "point_spread_reason": spread.reason,

@@ -63,16 +63,32 @@ def simulate(
         Of the kind that fits; see `plan`, `psf.scene_point_spread` and `imaging.form_image`.
     """
     seed = checked_seed(seed)
-    todo, optics = looked_at(scene, tol, reconstruct, memory, max_seconds)
-    with within(todo.budget):
-        return _carried_out(scene, todo, optics, seed, progress)
+    return carried_out(*looked_at(scene, tol, reconstruct, memory, max_seconds), seed, progress)
 
 
-def _carried_out(
-    scene: Scene, todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None
+def carried_out(
+    todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None = None
 ) -> Result:
-    """Carry out a plan, starting from the waves that it aimed."""
-    tol = todo.tol
+    """Carry out a plan within its budget, starting from the waves that it aimed.
+
+    Parameters
+    ----------
+    todo : Plan
+        Plan of the scene.
+    optics : SceneOptics
+        Waves that the plan looked at, see `looked_at`.
+    seed : int
+        Seed of all random draws, checked.
+    progress : callable(str, float), optional
+        Called with the stage that begins and the fraction done.
+    """
+    with within(todo.budget):
+        return _stages(todo, optics, seed, progress)
+
+
+def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None) -> Result:
+    """Run the stages of a plan in their order."""
+    scene, tol = optics.scene, todo.tol
     if not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))
     from .. import imaging, psf

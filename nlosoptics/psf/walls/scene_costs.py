@@ -164,9 +164,8 @@ def _scattered_cost(
 
 def grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
     """Cells across the grids that are tried for the wave's steps, the window and ``tol``."""
-    jump = residual.grid_jump()[0] * len(
-        residual.wavefront.u
-    )  # waves across the whole pupil, at the steepest
+    # waves across the whole pupil, at the steepest
+    jump = residual.grid_jump()[0] * len(residual.wavefront.u)
     reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach
     period = (reach + pitch + residual.airy_unit) / residual.airy_unit
     # a cut cell acts from its centre
