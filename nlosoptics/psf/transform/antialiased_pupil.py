@@ -144,7 +144,7 @@ def _densest(residual: Residual) -> float:
 
 
 def rim_of(residual: Residual, wave: SoftWave) -> Rim:
-    """What `_antialiased_kernels.rim_errors` takes of a wave, in Airy units.
+    """Return the inputs of `_antialiased_kernels.rim_errors` for a wave, in Airy units.
 
     To the error of the rim is added what leaks from beyond it, where a polynomial is steeper and
     the softened rim, its kernel cut at each of `BEYOND`, is weaker.

@@ -19,7 +19,7 @@ LIGHT = 299792458.0  # m/s
 
 @dataclass(kw_only=True)
 class Found:
-    """What a file holds, None where it does not say; space as it lies in the file.
+    """Values of a capture file, None where it does not say; space as it lies in the file.
 
     ``H`` is (n_bins, *laser axes, *sensor axes) as in `TransientCapture`. ``needs`` has, by
     argument of `load_capture`, why it must be given; ``doubt`` what ``format`` settles, and so do

@@ -124,7 +124,7 @@ Mesh = tuple[Array, Array, float, Index, Index, Array]
 
 
 def occluders(surfaces: HiddenSurfaces) -> tuple[Mesh, Index]:
-    """What `_visibility_kernels.see` asks, and the number of each of its triangles in the mesh."""
+    """Return the mesh for `_visibility_kernels.see`, and its triangles' numbers in the mesh."""
     from ...raytrace.intersection.triangles import Facets
     from ._visibility_kernels import crossings
 
@@ -142,7 +142,7 @@ def occluders(surfaces: HiddenSurfaces) -> tuple[Mesh, Index]:
 
 
 def neighbours(corners: Array) -> Index:
-    """Of each side of each triangle the triangle beyond it, as `_visibility_kernels` numbers them.
+    """Return the triangle beyond each side of each triangle, as `_visibility_kernels` numbers them.
 
     Parameters
     ----------
