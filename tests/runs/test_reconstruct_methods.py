@@ -206,7 +206,7 @@ def test_methods_without_a_state_say_so(frames: np.ndarray, capsys) -> None:
             ["no.safetensors", "No such"],
         ),
         (["a.npy", "--method", "cnn", "--network", "a.npy"], ["a.npy is no safetensors file"]),
-        (["a.npy", "--network", "a.npy"], ["network is given, and tv uses none"]),
+        (["a.npy", "--network", "a.npy"], ["network is given, but tv uses none"]),
         (
             ["a.npy", "b.npy", "--method", "staged", "--defocus", "0"],
             ["defocus has 1 values for 2"],
@@ -215,7 +215,7 @@ def test_methods_without_a_state_say_so(frames: np.ndarray, capsys) -> None:
         (["fine.toml"], ["fine.toml"]),
         (["a.npy", "--size", "64", "--method", "staged"], ["32 x 32 pixels", "64 x 64"]),
         (["a.npy", "--iterations", "0"], ["--iterations"]),
-        (["a.npy", "--method", "inverse_filter", "--iterations", "3"], ["inverse_filter has none"]),
+        (["a.npy", "--method", "inverse_filter", "--iterations", "3"], ["inverse_filter does not iterate"]),
         (["a.npy", "--method", "inverse"], ["method = 'inverse'", "inverse_filter"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else None,
