@@ -104,7 +104,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     again = json.loads(Path("part/result.json").read_text())
     assert (again["status"], again["resumed"]) == ("done", True)
     for options, named in (
-        (("--method", "wiener"), "another scene, picture, method"),
+        (("--method", "wiener"), "another scene, image, method"),
         (("--out", "never"), "no never/checkpoint.npz"),
     ):
         code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part", "--resume", *options)
