@@ -139,7 +139,7 @@ def lambert_relay_limit(electrons: float, distance: float) -> float:
     --------
     >>> from nlosoptics.limits import lambert_relay_limit
     >>> round(lambert_relay_limit(electrons=1e8, distance=1.0), 2)
-    1.73
+    1.64
     """
     distance = positive("distance", distance, unit="m")
     in_range("electrons", electrons, 2.0, open_low=True)

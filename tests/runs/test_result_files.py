@@ -104,7 +104,7 @@ def test_a_reconstruction_comes_back(found: nlos.Result, tmp_path: Path) -> None
     full.save(tmp_path / "full")
     assert_same(full, nlos.load_result(tmp_path / "full"))
     tensor = replace(answer, object=torch.zeros(16, 16))
-    with pytest.raises(SceneError, match=r"reconstruction.object is of type Tensor, .* cannot store"):
+    with pytest.raises(SceneError, match=r"reconstruction.object is of type Tensor, .* store"):
         replace(found, reconstruction=tensor).save(tmp_path / "tensor")
     assert not (tmp_path / "tensor").exists()
 
