@@ -1,4 +1,4 @@
-"""Commands that simulate: plan, run and schema."""
+"""Commands plan, run and schema."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def plan_command(
     max_seconds: MaxSeconds = MOST_SECONDS,
     debug: Debug = False,
 ) -> None:
-    """Say what a run computes, what it skips and why, with predicted seconds and error."""
+    """Show which stages a run computes or skips, why, and the predicted time and error."""
     with errors_told(debug):
         from ..runs.plan import plan
 
@@ -64,13 +64,16 @@ def run_command(
     ] = None,
     size: Size = None,
     reconstruct: Annotated[
-        bool, typer.Option("--reconstruct/--no-reconstruct", help="Reconstruct the hidden object.")
+        bool,
+        typer.Option(
+            "--reconstruct/--no-reconstruct", help="Also reconstruct the hidden object (torch)."
+        ),
     ] = True,
     memory: Memory = None,
     max_seconds: MaxSeconds = MOST_SECONDS,
     debug: Debug = False,
 ) -> None:
-    """Simulate a scene file; write figures, arrays and pictures into one folder."""
+    """Simulate a scene, and write key figures, arrays and pictures to a folder."""
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
@@ -101,7 +104,7 @@ def run_command(
 
 @app.command("schema")
 def schema_command(debug: Debug = False) -> None:
-    """Print the JSON schema of scene files, for editors."""
+    """Print the JSON schema of scene files, for completion and checks in editors."""
     with errors_told(debug):
         from ..scene.file.scene_file import scene_schema
 
@@ -109,7 +112,7 @@ def schema_command(debug: Debug = False) -> None:
 
 
 def _write_pictures(result: Result, folder: Path) -> None:
-    """Write the pictures, one PNG each."""
+    """Write each picture of a result as a PNG file."""
     from .. import views
 
     views.save(views.scene_sketch(result.scene), folder / "scene.png")
