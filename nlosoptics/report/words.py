@@ -47,7 +47,7 @@ REGIME: Final = {
     "slope_per_sample": ("Slope per sample", "waves", "of the pupil's grid; the limit is 0.5"),
     "pixel": ("Pixel", "λN", "side of an image pixel"),
     "fresnel_number": ("Fresnel number", "", "a²/(λd) of the exit pupil"),
-    "folded": ("Caustic", "", "whether rays cross before the image plane"),
+    "folded": ("Caustic", "", "whether the image plane cuts a caustic of the rays"),
     "rayleigh_parameter": ("Rayleigh parameter", "rad", "of the wall's roughness; 0 if smooth"),
     "coherent_fraction": ("Coherent share", "", "fraction of light in the smooth wall's core"),
 }
