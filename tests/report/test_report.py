@@ -203,9 +203,9 @@ def test_pictures_are_the_arrays(run, text):
         electrons, truth, made = image["electrons"], image["ideal"], found["object"]
     span = electrons.max() - electrons.min()
     for alt, values in (
-        ("What the camera reads", (electrons - electrons.min()) / span),
+        ("Camera image", (electrons - electrons.min()) / span),
         ("without blur", truth[:, ::-1] / truth.max()),
-        ("reconstructed", made[:, ::-1] / max(1.0, made.max())),
+        ("Reconstructed", made[:, ::-1] / max(1.0, made.max())),
     ):
         # half a grey level
         assert embedded(text, alt) == pytest.approx(255 * np.clip(values, 0, 1), abs=0.501)
@@ -233,7 +233,7 @@ def test_large_pictures_are_drawn_as_means(copy):
         values[name] = np.kron(values[name], np.ones((32, 32)))
     np.savez(copy / "image.npz", **values)
     page = report.page(copy, interactive=False)
-    assert embedded(page, "What the camera reads").shape == (1024, 1024)
+    assert embedded(page, "Camera image").shape == (1024, 1024)
     assert "2048 × 2048 pixels, drawn as means of 2 × 2." in told(page)
     assert len(page) < 8e6
 

@@ -99,7 +99,7 @@ def evidence_fit(
     fit_background : bool
         Whether each image has a further even background of unknown strength.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     strength : float or None
         rms of the wall's wave, waves; None: unknown, several are tried.
     max_iterations : int, optional

@@ -59,7 +59,7 @@ def pcin(
     start : mapping, optional
         A state of the same recipe, from which it goes on; see `checkpoints`.
     progress : callable or None
-        Called with a line of text and the fraction done; may raise `Stop`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`.
     **options
         Handed to the recipe, which refuses what it does not know.
 

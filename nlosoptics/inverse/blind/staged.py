@@ -125,7 +125,7 @@ def staged_fit(
     background_shape : array_like or None
         (H, W), shape of it; None: uniform.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     max_iterations : int, optional
         Shortens all stages in proportion.
     tolerance : float
@@ -137,7 +137,7 @@ def staged_fit(
         images and options, from which it goes on; see `checkpoints`. None: a Wiener filter's
         answer.
     progress : callable or None
-        Called with a line of text and the fraction done; may raise `Stop`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`.
 
     Returns
     -------

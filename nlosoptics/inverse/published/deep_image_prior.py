@@ -77,9 +77,9 @@ def deep_image_prior(
     Parameters
     ----------
     image : ndarray or Tensor
-        (H, W), any unit.
+        Image, (H, W), any unit.
     model : ForwardModel or TorchForwardModel
-        Of shape (H, W).
+        Image model with the shape (H, W).
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units; None: estimated by
         `estimate_noise`.
@@ -99,11 +99,11 @@ def deep_image_prior(
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
-        Whether the strength of a further background is unknown and fitted besides.
+        Whether to fit the strength of an additional background.
     background_shape : array_like or None
-        (H, W), non-negative, shape of that further background; None: uniform.
+        Shape of the additional background, (H, W), non-negative; None: uniform.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     max_iterations : int
         Steps of Adam.
     tolerance : float
@@ -114,7 +114,7 @@ def deep_image_prior(
         A state of this solver with the same options, from which it goes on bit by bit; an object
         alone is no start for a network. See `checkpoints`.
     progress : callable or None
-        Called now and then with a line of text and the fraction done; may raise `Stop`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`.
 
     Returns
     -------
