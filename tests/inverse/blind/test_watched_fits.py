@@ -217,7 +217,7 @@ def test_a_state_of_another_network_is_refused() -> None:
     with pytest.raises(SceneError, match="start's numbers are"):
         image_prior(start={**watch.states[0], "numbers": np.ones(5)})
     kept = {**watch.states[0], "network": np.ones(7)}
-    with pytest.raises(SamplingError, match="7 network, this fit"):
+    with pytest.raises(SamplingError, match="7 network, must be"):
         image_prior(start=kept)
     del kept["network"]
     with pytest.raises(SceneError, match="no network"):
