@@ -327,7 +327,7 @@ def taken_up(state: State, kept: Mapping[str, Any]) -> State:
         if values.shape[1:] != mine.shape[1:]:
             raise SamplingError(
                 f"start's {name} has shape {tuple(values.shape)}, this fit's has "
-                f"{tuple(mine.shape)}; it is of other images, leave it out"
+                f"{tuple(mine.shape)}; it belongs to other images, leave it out"
             )
         setattr(state, name, values)
     return state

@@ -115,12 +115,12 @@ def frames_of(
     """Check images and what is known of them; arguments as of `pcin`."""
     if not isinstance(pupil_psf, PupilPSF):
         raise SceneError(
-            f"pupil_psf of type {type(pupil_psf).__name__} is no point spread with an unknown "
+            f"pupil_psf of type {type(pupil_psf).__name__} is not a point spread with an unknown "
             "wave; give an inverse.PupilPSF"
         )
     if not isinstance(pupil_psf.waves, ZernikeWaves):
         raise SceneError(
-            "pupil_psf has other leaves than Zernike coefficients; build it by "
+            "pupil_psf has slopes instead of Zernike coefficients; build it by "
             "PupilPSF.from_zernike"
         )
     stack = _stack(images)
@@ -140,9 +140,7 @@ def frames_of(
     )
     for number, one in enumerate(measured):
         if one.sigma == 0.0:
-            raise SceneError(
-                f"image {number} is without noise (noise_sigma None, estimated 0); give noise_sigma"
-            )
+            raise SceneError(f"the estimated noise of image {number} is 0; give noise_sigma")
     pupil = _on_grid(pupil_psf, shape, boundary)
     like = torch.zeros((), dtype=pupil.optics.dtype, device=pupil.optics.device)
     scale = max(float(one.data.max() - one.data.min()) for one in measured)
@@ -247,8 +245,8 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         return pupil_psf
     if pupil_psf.holds_more:
         raise SamplingError(
-            f"pupil_psf has shape {own}, and its known wave or transmission cannot be had on the "
-            f"{wide} samples that padded images need; build it with that shape"
+            f"pupil_psf has shape {own}, but padded images need {wide} samples, on which its known "
+            "wave or transmission is not available; build it with that shape"
         )
     samples = None
     if optics.method == "mdft":

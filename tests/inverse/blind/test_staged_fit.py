@@ -240,7 +240,7 @@ def test_no_light_is_said():
     [
         ({"images": np.ones((2, 2, 32, 40))}, SamplingError, "(K, H, W) or (H, W)"),
         ({"images": np.full((32, 40), np.nan)}, SceneError, "not finite"),
-        ({"images": np.full((32, 40), 3.0)}, SceneError, "without noise"),
+        ({"images": np.full((32, 40), 3.0)}, SceneError, "estimated noise"),
         ({"images": np.eye(64)}, SamplingError, "larger"),
         ({"defocus": [0.0, 1e-7]}, SamplingError, "one value per image"),
         ({"defocus": [0.5]}, SceneError, "metres, not waves"),
