@@ -232,7 +232,7 @@ def _checked_modes(modes: Iterable[int]) -> tuple[int, ...]:
     if not found:
         raise SceneError("modes is empty; give Noll indices from 2 on")
     if 1 in found:
-        raise SceneError("modes holds 1, piston, which moves no image; leave it out")
+        raise SceneError("modes holds 1, piston, which has no effect on the image; leave it out")
     if len(set(found)) < len(found):
         twice = next(mode for mode in found if found.count(mode) > 1)
         raise SceneError(f"modes holds {twice} more than once; give each index once")
