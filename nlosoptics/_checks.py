@@ -74,9 +74,9 @@ def whole(name: str, value: Any, low: int = 1, high: int | None = None) -> int:
     """Return ``value`` as an int from ``low`` to ``high``; reject booleans and fractions."""
     # integers may have more digits than a float
     if not isinstance(value, Integral) and not real(name, value).is_integer():
-        raise SceneError(f"{name} = {value!r} is not a whole number")
+        raise SceneError(f"{name} = {value!r} is not a whole number; give an integer")
     if isinstance(value, bool):
-        raise SceneError(f"{name} = {value!r} is not a whole number")
+        raise SceneError(f"{name} = {value!r} is not a whole number; give an integer")
     number = int(value)
     if number < low or (high is not None and number > high):
         limit = f"at least {low}" if high is None else f"from {low} to {high}"

@@ -246,7 +246,8 @@ def _finite_kernel(kernel: Any) -> Array:
         ) from None
     if values.ndim != 2 or values.size == 0:
         raise SamplingError(
-            f"kernel has shape {values.shape}, must be (ky, kx) with at least one pixel"
+            f"kernel has shape {values.shape}, must be (ky, kx) with at least one pixel; give a "
+            "PointSpread or such an array"
         )
     if not np.isfinite(values).all():
         raise SamplingError(

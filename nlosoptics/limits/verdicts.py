@@ -139,7 +139,7 @@ def _longer(factor: float) -> str:
 
 
 def _exposure_factor(picture: Picture) -> float | None:
-    """Times as long an exposure with which the score is good; None beyond `MOST_EXPOSURE`."""
+    """Exposure factor at which the score becomes good; None if it exceeds `MOST_EXPOSURE`."""
 
     def good(factor: float) -> bool:
         return picture.with_noise(picture.noise.exposed(factor)).score() >= GOOD

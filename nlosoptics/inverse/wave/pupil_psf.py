@@ -132,11 +132,10 @@ class PupilPSF(nn.Module):
         Examples
         --------
         >>> from nlosoptics.inverse import PupilPSF
-        >>> pupil = PupilPSF.from_zernike(
-        ...     {4: 50e-9, 5: 0.0}, wavelength=633e-9, pupil_radius=5e-3, image_distance=0.05,
-        ...     pitch=1.5e-6, shape=32,
-        ... )
-        >>> tuple(pupil().shape), round(float(pupil().sum()), 4)
+        >>> optics = {"wavelength": 633e-9, "pupil_radius": 5e-3, "image_distance": 0.05}
+        >>> pupil = PupilPSF.from_zernike({4: 50e-9, 5: 0.0}, **optics, pitch=1.5e-6, shape=32)
+        >>> spread = pupil().detach()
+        >>> tuple(spread.shape), round(float(spread.sum()), 4)
         ((32, 32), 1.0)
         """
         optics = PupilOptics(
