@@ -201,7 +201,7 @@ def test_an_object_is_a_start_of_a_staged_fit() -> None:
         (evidence, {"object": np.ones((SIDE, SIDE))}, "no wall"),
         (evidence, {"coefficients": np.ones(5), "rounds": 1}, "shape (5,)"),
         (staged, np.ones((3, 3)), "start has shape (3, 3)"),
-        (staged, {"coefficients": np.ones(5)}, "start holds coefficients, no object"),
+        (staged, {"coefficients": np.ones(5)}, "start contains coefficients, but no object"),
     ],
 )
 def test_bad_starts_are_named(solver, start, named) -> None:
