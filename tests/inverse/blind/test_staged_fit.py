@@ -371,6 +371,6 @@ def test_a_padded_frame_of_matrix_products_wraps_nothing_around():
 def test_a_scene_is_not_widened_without_what_is_known_of_it(examples):
     scene = Scene.load(examples / "scenes" / "letter_speckle.toml")
     spread = PupilPSF.from_scene(scene, [4, 5], pitch=4.5e-6, shape=(32, 40))
-    with pytest.raises(SamplingError, match=r"\(48, 60\) samples that padded images need"):
+    with pytest.raises(SamplingError, match=r"padded images need \(48, 60\) samples"):
         framed(spread, "padded")
     assert framed(spread, "circular").pupil is spread
