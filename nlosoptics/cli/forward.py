@@ -66,7 +66,7 @@ def run_command(
     reconstruct: Annotated[
         bool,
         typer.Option(
-            "--reconstruct/--no-reconstruct", help="Also reconstruct the hidden object (torch)."
+            "--reconstruct/--no-reconstruct", help="Also reconstruct the object; needs torch."
         ),
     ] = True,
     memory: Memory = None,

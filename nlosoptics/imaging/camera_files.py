@@ -160,7 +160,8 @@ def camera_image(
     flat : path, optional
         Flat field: an image of uniform illumination. The images are divided by it.
     full : float, optional
-        Count at which a pixel is saturated; by default the largest value of the file's type.
+        Count at which a pixel is saturated. By default the largest value of unsigned 8 or 16-bit
+        data; other types then have no saturated pixels.
 
     Returns
     -------
