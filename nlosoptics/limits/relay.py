@@ -51,16 +51,16 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    lambert_relay_limit : Highest frequency above the photon noise.
+    lobe_relay_transfer : Transfer of a mirror-like lobe.
+
     Notes
     -----
     The result is q z K1(q z), with q = 2 pi f, distance z and the modified Bessel function K1. It
     is the Fourier transform of the irradiance of a Lambertian point, z^2/(r^2 + z^2)^2, normalised
     to 1 at zero frequency.
-
-    See Also
-    --------
-    lambert_relay_limit : Highest frequency above the photon noise.
-    lobe_relay_transfer : Transfer of a mirror-like lobe.
 
     Examples
     --------

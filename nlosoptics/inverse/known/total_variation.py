@@ -199,6 +199,11 @@ def tv_deconvolve(
     computation uses float32 unless the noise is below 1e-4 of the image's range. ``objective`` is
     evaluated at the final weight, so it may rise while the weight is being adjusted.
 
+    References
+    ----------
+    .. [1] Almeida and Figueiredo, IEEE Trans. Image Process. 22 (2013) 3074.
+    .. [2] Wen and Chan, IEEE Trans. Image Process. 21 (2012) 1770.
+
     Examples
     --------
     >>> import numpy as np
@@ -211,11 +216,6 @@ def tv_deconvolve(
     >>> found = tv_deconvolve(image, model, noise_sigma=0.01)
     >>> found.status, registered_correlation(found, truth) > 0.99
     ('converged', True)
-
-    References
-    ----------
-    .. [1] Almeida and Figueiredo, IEEE Trans. Image Process. 22 (2013) 3074.
-    .. [2] Wen and Chan, IEEE Trans. Image Process. 21 (2012) 1770.
     """
     started = time.perf_counter()
     max_iterations = whole("max_iterations", max_iterations)
