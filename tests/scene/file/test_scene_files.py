@@ -41,8 +41,8 @@ from nlosoptics.scene.file.scene_file import scene_files, scene_schema
 FOLDER = Path(__file__).parents[3] / "examples" / "scenes"
 SCENES = sorted(path for path in FOLDER.glob("*.toml") if not path.name.startswith("camera"))
 NAMES = [path.stem for path in SCENES]
-#: Of images; light over time has other distances.
-WU = [path for path in SCENES if not path.name.startswith("transient")]
+#: Scenes with the geometry of Wu 2024; light over time and the lead scene have other distances.
+WU = [path for path in SCENES if not path.name.startswith(("transient", "corner"))]
 
 
 @pytest.fixture
