@@ -350,7 +350,7 @@ def test_coarse_sampling_is_warned_of():
     [
         (SINGLE, {"camera": "pinhole"}, SceneError, "camera = 'pinhole' is unknown"),
         (SINGLE, {"camera": "transient"}, SceneError, "needs times"),
-        (SINGLE, {"times": "now"}, SceneError, "times of type <U3 are no real numbers"),
+        (SINGLE, {"times": "now"}, SceneError, "times of type <U3 are not real numbers"),
         (SINGLE, {"times": [[0.0], [0.0, 0.1]]}, SamplingError, "times have rows of several"),
         (SINGLE, {"aperture": [[True], [True, False]]}, SamplingError, "rows of several lengths"),
         (SINGLE, {"camera": "direct_light", "times": [0.1]}, SceneError, "is at t = 0"),
