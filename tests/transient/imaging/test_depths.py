@@ -155,7 +155,7 @@ def test_walls_along_the_view_are_voxels_too():
                 picture(SLOPE), replace(depth_map(picture(SLOPE)), x=VOLUME.x + 0.1)
             ),
             SamplingError,
-            "0.1 m beside",
+            "shifted by up to 0.1 m",
         ),
         (
             lambda: depth_error(
