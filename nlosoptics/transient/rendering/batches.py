@@ -149,8 +149,8 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
 def _spread(job: Job, seen: Array, factor: Array) -> NDArray[np.int64]:
     """Return the ranges (vertices + 1,) of paths that leave each first vertex.
 
-    The few vertices near a sensor contribute most to it. The number of paths from a vertex is
-    therefore proportional to the root mean square of its weight at all sensors.
+    The few vertices near a sensor contribute most to it. The number of paths from a vertex
+    therefore grows with the root mean square of its weight at all sensors.
     """
     weight = seen[:, kernels.WEIGHT] * np.sqrt(np.einsum("cj,cj->j", factor, factor))
     if not weight.any():

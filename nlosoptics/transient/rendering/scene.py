@@ -78,7 +78,9 @@ def render_scene(
     >>> from nlosoptics.transient import render_scene
     >>> place, aim = (-0.5, 0.0, 0.25), (0.0, 0.0, 0.0)
     >>> room = scene.Scene(
-    ...     laser=scene.Laser(532e-9, 0.1, 3e-3, position=place, aim=aim),
+    ...     laser=scene.Laser(
+    ...         wavelength=532e-9, power=0.1, beam_diameter=3e-3, position=place, aim=aim
+    ...     ),
     ...     wall=scene.FlatWall(),
     ...     wall_material=scene.Lambert(0.8),
     ...     hidden=scene.PlanarObject(np.ones((8, 8)), 0.4, position=(0.0, 0.0, 1.0)),
