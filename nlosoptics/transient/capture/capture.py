@@ -235,6 +235,20 @@ class TransientCapture(Noun, Shown):
         ignores them: ``by_bounce``, ``standard_error`` and array-valued ``details`` as attributes
         of ``H``, everything else as JSON in ``scene_info``. ``details`` without a JSON form become
         lists or text.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from nlosoptics.transient import TransientCapture
+        >>> capture = TransientCapture(
+        ...     H=[0.0, 1.0, 2.0], laser_points=(0, 0, 0), sensor_points=(0.1, 0, 0), delta_t=0.02
+        ... )
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     capture.save(Path(folder) / "one.hdf5")
+        ...     again = TransientCapture.load(Path(folder) / "one.hdf5")
+        >>> print(again.H)
+        [0. 1. 2.]
         """
         from .tal_files import save
 
@@ -297,6 +311,10 @@ class TransientCapture(Noun, Shown):
         SceneError, SamplingError
             If the file is missing, truncated or of an unknown layout; if a value is missing, not
             finite or in another unit; or if array shapes are inconsistent.
+
+        See Also
+        --------
+        TransientCapture.save : Write a capture; its example also reads it.
         """
         from .formats import load_capture
 

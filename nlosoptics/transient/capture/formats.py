@@ -107,8 +107,8 @@ def _layout(variables: Mapping[str, Any]) -> str:
         if "sampling_spacing" in variables:
             return "phasor_field_2020"
         raise SceneError(
-            "rect_data comes without width (LCT) and sampling_spacing (phasor field 2020), one of "
-            "them must give the size of the wall; add it to the file"
+            "rect_data needs width (LCT) or sampling_spacing (phasor field 2020) for the size of "
+            "the wall, and the file has neither; add one of them to the file"
         )
     for key, layout in (
         ("dataset", "phasor_field_2019"),

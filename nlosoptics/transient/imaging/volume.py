@@ -115,8 +115,8 @@ class Volume(Noun):
         points : array_like
             (ny, nx, 3): wall points, m, increasing along x and y, and even to 1/1000 of the pitch.
         planes : (float, float, float)
-            Nearest and farthest distance from the wall and the step, m. The last plane is the
-            last multiple of the step that does not exceed the farthest distance.
+            Nearest and farthest distance from the wall and the step, m. The first plane is at the
+            nearest distance; the last one does not exceed the farthest.
 
         Returns
         -------

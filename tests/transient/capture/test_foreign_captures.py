@@ -250,7 +250,7 @@ def test_phasor_field_2020(tmp_path, version):
         ({"SPAD_index": np.array([[np.nan, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": np.array([[1.5, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": None}, "no laser points; give laser_point"),
-        ({"sampling_spacing": None}, "rect_data comes without width"),
+        ({"sampling_spacing": None}, "rect_data needs width"),
     ],
 )
 def test_bad_phasor_field_2020(tmp_path, changes, words):
