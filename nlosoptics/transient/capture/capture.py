@@ -192,9 +192,9 @@ class TransientCapture(Noun, Shown):
             "sensor points": told(self.sensor_shape),
             "pairing": self.pairing,
             "quantity": self.quantity,
-            "outer legs": "in the times" if self.outer_legs else "not in the times",
+            "outer legs": "included in times" if self.outer_legs else "not included in times",
         }
-        alt = "Light on the relay wall: optical path against sensor position"
+        alt = "Intensity at the relay wall: optical path against sensor position"
         return Figures("Transient", figures, alt)
 
     def with_details(self, **more: Any) -> TransientCapture:

@@ -255,7 +255,9 @@ def camera_setup(
                 f"capture has {len(lasers)} and {len(sensors)}; give another camera"
             )
         if focus is None:
-            raise SceneError("camera = 'projector_camera' needs projector_focus, (x, y, z) in m")
+            raise SceneError(
+                "camera = 'projector_camera' needs projector_focus; give (x, y, z) in m"
+            )
         lead = np.linalg.norm(lasers - np.asarray(vector("projector_focus", focus)), axis=-1)
         outer, far, merged = outer + lead[:, None], np.empty((0, 3)), True
     return Setup(

@@ -202,7 +202,9 @@ def phasor_image(
 def _times(camera: str, times: Any) -> Array:
     if times is None:
         if camera == "transient":
-            raise SceneError("camera = 'transient' needs times, m of optical path since the laser")
+            raise SceneError(
+                "camera = 'transient' needs times; give m of optical path after the laser point"
+            )
         return np.zeros(1)
     if camera == "direct_light":
         raise SceneError(

@@ -21,7 +21,7 @@ from ...raytrace.light._surround_kernels import dot, three
 from ._sight_kernels import blocked
 
 VERTEX = 12
-P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
+P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (I as in incidence)
 WEIGHT, LENGTH, TRIANGLE = range(9, 12)
 LEAVE = 4
 DENSITY, SENT, REACH, COSINE = range(4)

@@ -51,7 +51,7 @@ def _inverse(x):
 def blocked(rows, boxes, p, d):
     """Whether a triangle lies between p and p + d; both ends may lie on triangles."""
     if rows.shape[0] <= FEW:
-        for m in range(rows.shape[0]):  # noqa: SIM110  (numba has no any of a generator)
+        for m in range(rows.shape[0]):  # noqa: SIM110  (numba has no any() of generators)
             if _crossed(rows[m], p, d):
                 return True
         return False
