@@ -616,17 +616,17 @@ def test_cells_may_touch():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"nodes": "polar"}, "'polar' know the round pupil alone"),
+        ({"nodes": "polar"}, "'polar' cannot follow an aperture"),
         ({"nodes": "cells", "aperture": None, "pupil_radius": 1e-3}, "without an aperture"),
         ({"aperture": None}, "pupil_radius is missing"),
-        ({"obscuration": 0.3}, "beside an aperture"),
+        ({"obscuration": 0.3}, "with an aperture, limit 0"),
         ({"pistons": [1.0, 2.0]}, r"pistons have shape \(2,\); give \(1,\)"),
         ({"pistons": [math.nan]}, r"pistons\[0\] = nan"),
         ({"tilts": [1.0]}, r"tilts have shape \(1,\); give \(1, 2\)"),
-        ({"aperture": None, "pupil_radius": 1e-3, "pistons": [0.0]}, "without an aperture"),
+        ({"aperture": None, "pupil_radius": 1e-3, "pistons": [0.0]}, "need an aperture"),
         ({"aberration": lambda u, v: np.log(u)}, r"aberration\(u, v\) = nan at u = -"),
-        ({"aberration": lambda u, v: np.zeros(3)}, "no real number for each"),
-        ({"amplitude": lambda u, v: np.exp(1j * u)}, "no real number for each: they are complex"),
+        ({"aberration": lambda u, v: np.zeros(3)}, "does not return one real number"),
+        ({"amplitude": lambda u, v: np.exp(1j * u)}, "nodes: the values are complex"),
         ({"amplitude": lambda u, v: -1.0}, "is below 0"),
         ({"nodes": "grid", "samples": (4, 5)}, "a grid is square"),
         ({"samples": (0, 5)}, "n_s = 0 is out of range"),
@@ -657,7 +657,7 @@ def test_wavefronts_that_do_not_fit_their_aperture_are_refused():
     with pytest.raises(SceneError, match="the aperture's 3 patches need"):
         replace(wave, aperture=psf.Aperture.regular(6, 1e-3))
     polar = psf.Wavefront.from_zernike({}, pupil_radius=1e-3, **SYSTEM)
-    with pytest.raises(SceneError, match="which does not follow it"):
+    with pytest.raises(SceneError, match="'polar' cannot follow an aperture"):
         replace(polar, aperture=APERTURES["box"])
 
 
