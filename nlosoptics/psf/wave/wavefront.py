@@ -104,7 +104,7 @@ class Wavefront(Noun, Shown):
     def __post_init__(self) -> None:
         put = object.__setattr__
         one_of("wavefront.layout", self.layout, LAYOUTS)
-        hint = "give the vacuum wavelength in metres"
+        hint = "give metres (vacuum wavelength)"
         in_range("wavefront.wavelength", self.wavelength, 1e-8, 1e-3, unit="m", remedy=hint)
         positive("wavefront.pupil_radius", self.pupil_radius, unit="m")
         in_range("wavefront.obscuration", self.obscuration, 0.0, 0.99)
