@@ -127,9 +127,9 @@ def read_poppy(
     half_pixel : {"refuse", "shift", "scattered"}
         Treatment of arrays with an even side. Their centre is between four pixels in POPPY, but on
         pixel n//2 in a grid of this library; values are never interpolated. "refuse" raises an
-        error. "shift" moves the pupil by half a pixel toward lower u and v, which leaves the
-        intensity of the image unchanged, but not its phase. "scattered" makes every lit pixel a
-        scattered node at its true position.
+        error. "shift" moves the pupil by half a pixel toward lower u and v, which changes the phase
+        of the image field but not the intensity. "scattered" makes every lit pixel a scattered node
+        at its true position.
 
     Returns
     -------

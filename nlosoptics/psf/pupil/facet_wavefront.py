@@ -81,7 +81,7 @@ def facet_wavefront(
             f"a slope_rms of at most {slope_rms * limit / reach:.3g} rad or rays instead of waves"
         )
     mean = wavefront(scene, nodes="grid", samples=samples)
-    # cells just outside the disc can have areas of the order of rounding error
+    # Cells just outside the disc can have areas of the order of rounding error.
     mask = mean.weights > 1e-12 * mean.pupil_pitch**2
     nodes = np.stack([mean.u[mask], mean.v[mask]], axis=1)
     zoom = _zoom(scene)

@@ -14,7 +14,8 @@ from .aiming import aim, pupil_points
 
 Array = NDArray[np.float64]
 
-RINGS, SPOKES = 6, 24  # sample rays over the lens, its rim included
+#: Rings and spokes of the sample rays over the lens, including its rim.
+RINGS, SPOKES = 6, 24
 
 
 def check_cone(scene: Scene, object_point: Array | None = None) -> bool:

@@ -267,11 +267,13 @@ def _poisson(right: Array, pairs_x: Mask, pairs_y: Mask) -> Array:
     inside[:-1] |= pairs_y
 
     def laplacian(w: Array) -> Array:
+        """Graph Laplacian over the pairs."""
         return _divergence(
             np.where(pairs_x, np.diff(w, axis=1), 0.0), np.where(pairs_y, np.diff(w, axis=0), 0.0)
         )
 
     def preconditioned(r: Array) -> Array:
+        """Solution on the full rectangle, restricted to the mask."""
         solution = fft.idctn(fft.dctn(r, norm="ortho") / spectrum, norm="ortho")
         return np.where(inside, solution, 0.0)
 

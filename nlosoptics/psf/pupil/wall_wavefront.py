@@ -23,6 +23,7 @@ from .exit_pupil import ExitPupil, exit_pupil
 from .obstruction import hides
 
 Array = NDArray[np.float64]
+#: Default numbers of pupil nodes for each layout, see `wavefront`.
 POLAR_SAMPLES = (24, 96)
 CELL_SAMPLES = (24, 24)
 GRID_SAMPLES = 256
@@ -492,7 +493,9 @@ def _defocus(scene: Scene, o: Array, nodes: Array) -> Array:
     line = o * (1.0, 1.0, -1.0) - centre
     depth = float(line @ axis)
     if depth <= 0:
-        raise SceneError("the mirrored object point is behind the camera; aim it at the wall")
+        raise SceneError(
+            "the mirrored object point is behind the camera; aim the camera at the wall"
+        )
     distance = float(np.linalg.norm(line))
     in_focus = distance * scene.focus_distance / depth
     if in_focus == distance:

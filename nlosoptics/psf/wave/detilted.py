@@ -282,8 +282,8 @@ class Residual:
     def _grid_cells(self) -> tuple[NDArray[np.int64], float]:
         """Label of the aperture cell of each grid square, and the value of `mixed_area`.
 
-        A square shared by several cells gets a label of its own: its sample belongs to one of
-        them, so differences with its neighbours are no slopes.
+        A square shared by several cells gets a label of its own. Its sample holds the wave of only
+        one of them, so that differences with its neighbours are not slopes.
         """
         wave = self.wavefront
         if wave.aperture is None or len(wave.aperture.cells) == 1:

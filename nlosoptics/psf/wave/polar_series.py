@@ -197,6 +197,7 @@ def values_at(
     coord[..., 1] = angle
 
     def transform(series: list[ComplexArray], points: Array) -> ComplexArray:
+        """Evaluate one or two Fourier series at points by a non-uniform FFT."""
         # Both functions are real, so the second travels as the imaginary part.
         grid = series[0] if len(series) == 1 else series[0] + 1j * series[1]
         image: ComplexArray = ducc0.nufft.u2nu(

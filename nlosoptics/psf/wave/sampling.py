@@ -130,6 +130,7 @@ def segment_terms(
     centres = np.array([cell.centroid for cell in aperture.cells])
 
     def path(nodes: PupilNodes) -> Array:
+        """Path of the cells' pistons and tilts at nodes, m."""
         k = nodes.owners
         along_u = slopes[k, 0] * (nodes.u - centres[k, 0])
         return np.asarray(heights[k] + along_u + slopes[k, 1] * (nodes.v - centres[k, 1]))

@@ -81,7 +81,7 @@ def radial(n: int, m: int, rho: ArrayLike) -> Array:
         s = 2 * k + m
         scale = 2 * k * (k + m) * max(s - 2, 1)
         linear = (s - 1) * (s * (s - 2) * x - m**2)
-        if s == 2:  # k = 1, m = 0: the general line is 0/0, and P_1 = x
+        if s == 2:  # k = 1, m = 0: the recurrence would be 0/0, and P_1 = x
             before, now = now, x * now
             continue
         before, now = now, (linear * now - 2 * (k - 1) * (k + m - 1) * s * before) / scale

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # loads scipy.special on first use, a tenth of a second
+import scipy  # scipy.special is loaded lazily, on first use; that takes about 0.1 s
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 

@@ -146,8 +146,8 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
     Returns
     -------
     int
-        Odd number of pixels per side, for a window centred on the image origin. It includes the
-        image shift by a tilt.
+        Odd number of pixels per side, for a window centred on the reference point x = y = 0. It is
+        large enough for the image shift by a tilt.
 
     Raises
     ------
