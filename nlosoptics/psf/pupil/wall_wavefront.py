@@ -83,8 +83,13 @@ def wall_aberration(
     The defocus of a convex wall delays the rim of the pupil:
 
     >>> from nlosoptics import psf, scene
-    >>> points = (0.3, 0.0, 1.0), (-0.3, 0.0, 1.0), (0.0, 0.0, 0.0)
-    >>> w = psf.wall_aberration(scene.ConvexWall(20.0), *points, [(0.0, 0.0), (0.0, 0.01)])
+    >>> w = psf.wall_aberration(
+    ...     scene.ConvexWall(20.0),
+    ...     object_point=(0.3, 0.0, 1.0),
+    ...     pupil_centre=(-0.3, 0.0, 1.0),
+    ...     pupil_aim=(0.0, 0.0, 0.0),
+    ...     nodes=[(0.0, 0.0), (0.0, 0.01)],
+    ... )
     >>> print((1e9 * w).round(1))
     [   0.  1140.3]
     """
