@@ -249,7 +249,7 @@ def _read_fits(path: Path) -> tuple[Array, Any]:
         raise SceneError(f"{path} is not a FITS file ({error}); give a FITS file") from None
     if data is None or data.ndim != 2 or data.shape[0] != data.shape[1]:
         shape = "nothing" if data is None else f"an array of shape {data.shape}"
-        raise SceneError(f"{path} begins with {shape}; give one square image, of a cube one slice")
+        raise SceneError(f"{path} begins with {shape}; give a square image (one slice of a cube)")
     return data.astype(np.float64), header
 
 

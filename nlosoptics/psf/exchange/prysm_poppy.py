@@ -150,7 +150,7 @@ def maps(name: str, amplitude: ArrayLike, path: ArrayLike) -> tuple[Array, Array
     if light.ndim != 2 or light.shape[0] != light.shape[1] or light.shape != lead.shape:
         raise SceneError(
             f"{name}: amplitude has shape {light.shape} and path {lead.shape}; give two square "
-            "arrays of the same shape, of a cube one slice"
+            "arrays of the same shape (one slice of a cube)"
         )
     lead[(light == 0) & ~np.isfinite(lead)] = 0.0
     return light, lead

@@ -477,7 +477,7 @@ class Wavefront(Noun, Shown):
             given = " x ".join(map(str, new))
             raise SamplingError(
                 f"{given} {self.layout} nodes are fewer than the present {old[0]} x {old[1]}; "
-                "resampled only refines, give as many or more"
+                "give as many or more"
             )
         shape = (*self.u.shape[:-2], *new)
         u, v, weights = self.nodes(*shape)

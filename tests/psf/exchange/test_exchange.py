@@ -291,7 +291,7 @@ def test_what_files_are_refused(fits, tmp_path):
         psf.read_poppy(opd=tmp_path / "text.fits", **given)
     with pytest.raises(SceneError, match="the files have no WAVELEN, the wavelength"):
         psf.read_poppy(opd=square, image_distance=DISTANCE)
-    with pytest.raises(SceneError, match="of a cube one slice"):
+    with pytest.raises(SceneError, match="one slice of a cube"):
         psf.read_poppy(opd=written("cube.fits", np.ones((2, 5, 5)), PUPLSCAL=1e-3), **given)
     with pytest.raises(SceneError, match="neither PUPLSCAL nor PIXELSCL"):
         psf.read_poppy(opd=written("bare.fits", np.ones((5, 5)), BUNIT="m"), **given)
