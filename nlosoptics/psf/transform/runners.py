@@ -222,9 +222,9 @@ def _quadrature(task: Task) -> tuple[Array, float]:
     residual = task.residual
     if not residual.wavefront.is_spectral:
         raise SamplingError(
-            "quadrature needs a wavefront of layout 'polar' or 'cells', not "
-            f"'{residual.wavefront.layout}', which does not hold the pupil's rim; sample it with "
-            f"nodes='cells' or nodes='polar', or use method='{_sum_of(residual)}'"
+            "quadrature needs a polar wavefront or one of cells, not one of layout "
+            f"'{residual.wavefront.layout}'; sample it with nodes='cells' or nodes='polar', or use "
+            f"method='{_sum_of(residual)}'"
         )
     epsilon = quadrature.epsilon(residual, task.samples, task.tol)
     mean = task.means(quadrature.field(residual, task.samples, epsilon))

@@ -103,7 +103,7 @@ def test_layouts_that_do_not_fit():
         psf.point_spread(grid, method="quadrature")
     with pytest.raises(SamplingError, match="nodes='polar', or use method='mdft'"):
         psf.point_spread(grid, method="airy")
-    with pytest.raises(SamplingError, match="use method='mdft' for pixel_integrated"):
+    with pytest.raises(SamplingError, match="use method='mdft' with pixel_integrated"):
         psf.point_spread(grid, method="fft", pitch=UNIT, shape=9, pixel_integrated=True)
     polar = zernike_wave()
     scattered = replace(
