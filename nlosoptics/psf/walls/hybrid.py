@@ -225,7 +225,7 @@ def wave_parts(
         missed /= float(found.max())
         if missed > tol:
             raise SamplingError(
-                f"the halo of the rough mirror reaches an error of {missed:.2g}, limit tol = "
+                f"the halo of the rough mirror has an error of {missed:.2g}, limit tol = "
                 f"{tol:g}; use tol = {rounded_up(1.5 * missed)}"
             )
         halo[middle(shape, inner)] += watts * found
