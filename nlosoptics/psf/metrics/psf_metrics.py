@@ -33,10 +33,10 @@ class MetricEstimate(Noun):
 
     Parameters
     ----------
-    value : ndarray of the shape of the metric
-        Metric of the mean of all patterns.
-    standard_error : ndarray of the same shape
-        Standard deviation of ``value`` over independent sets of as many patterns.
+    value : ndarray
+        Metric of the mean of all patterns, of the metric's shape.
+    standard_error : ndarray
+        Standard deviation of ``value`` over independent sets of as many patterns, of its shape.
     n_patterns : int
         Number of patterns.
     """
@@ -284,12 +284,13 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         For a polar wavefront the result is accurate to rounding: ``2 pi sum_m int |U_m|^2 r dr``
         over the angular orders of the image field. For a point spread it is a sum over pixels,
         weighted by their area within the circle.
-    radius : array_like of any shape
-        Radii, m.
+    radius : array_like
+        Radii, m, of any shape.
 
     Returns
     -------
-    ndarray of the shape of ``radius``
+    ndarray
+        Of the shape of ``radius``.
 
     Raises
     ------
@@ -347,14 +348,15 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
         shifted pupils, by quadrature. For a point spread it is the modulus of its spectrum
         relative to frequency 0. It then lacks energy outside the window and includes the pixel's
         sinc factor if the values are integrated over pixels.
-    frequency : array_like of any shape
-        Cycles per m in the image. The result is 0 beyond 1/(lambda N).
+    frequency : array_like
+        Cycles per m in the image, of any shape. The result is 0 beyond 1/(lambda N).
     azimuth : float
         Direction, rad from x toward y.
 
     Returns
     -------
-    ndarray of the shape of ``frequency``
+    ndarray
+        Of the shape of ``frequency``.
 
     Raises
     ------

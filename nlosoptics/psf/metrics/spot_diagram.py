@@ -153,12 +153,13 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     ----------
     point_spread : PointSpread
         Pixels are weighted by their area within the square.
-    side : array_like of any shape
-        Sides of the squares, m.
+    side : array_like
+        Sides of the squares, m, of any shape.
 
     Returns
     -------
-    ndarray of the shape of ``side``
+    ndarray
+        Of the shape of ``side``.
 
     Raises
     ------
@@ -194,15 +195,16 @@ def ptf(point_spread: PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0
     ----------
     point_spread : PointSpread
         Energy outside its window is not included.
-    frequency : array_like of any shape
-        Cycles per m in the image.
+    frequency : array_like
+        Cycles per m in the image, of any shape.
     azimuth : float
         Direction, rad from x toward y.
 
     Returns
     -------
-    ndarray of the shape of ``frequency``
-        rad, in (-pi, pi]. For a spot at +x the phase decreases with the frequency along x.
+    ndarray
+        Phase, rad, in (-pi, pi], of the shape of ``frequency``. For a spot at +x it decreases with
+        the frequency along x.
 
     Raises
     ------

@@ -33,7 +33,7 @@ SINGLE = 1e-4
 RINGS = np.linspace(0.0, 1.0, 17)
 #: Distances outside the rim, cells, at which leakage is evaluated.
 BEYOND = np.arange(1.5, antialiased_disc.REACH, 3.0)
-#: Rows of a `BEYOND` distance and of the soft rim's field there, times cells per radius.
+#: Rows (distance, strength): each `BEYOND`, and the leakage from there times cells per radius.
 ZONES = np.stack(
     [BEYOND, 6.0 * np.exp(-((math.pi * antialiased_disc.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)],
     axis=1,
@@ -149,9 +149,9 @@ def _densest(residual: Residual) -> float:
 def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     """Return the wave's arguments of `_antialiased_kernels.rim_errors`, in Airy units.
 
-    These are the reach of the rays, the length of the rims over the pupil's area, `ZONES`, the
-    landing distance of rays from outside the rim, where a polynomial is steeper, and the width of
-    the kernel's step.
+    These are: the reach of the rays; the rims' length over the pupil's area, relative to a clear
+    disc, times `SoftWave.strength`; `ZONES`; the landing distance of rays from outside the rim,
+    where a polynomial is steeper; the width of the kernel's step.
     """
     from ..wave import _wave_kernels
 
@@ -160,7 +160,7 @@ def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     _wave_kernels.slopes(wave.aberration, CIRCLES, COSINE, SINE, du, dv)
     steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
     landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
-    # total length of both rims over the pupil's area
+    # total length of both rims over the pupil's area, relative to a clear disc
     edges = wave.strength / (1 - pupil.obscuration)
     return residual.rays.reach / residual.airy_unit, edges, ZONES, landing, antialiased_disc.STEP
 

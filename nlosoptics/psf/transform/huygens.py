@@ -36,11 +36,11 @@ class SurfacePointSpread(Noun):
 
     Parameters
     ----------
-    points : ndarray of shape (..., 3)
-        Read-only, m, in the pupil's frame: origin at the pupil's centre, x and y along u and v,
-        the image plane at z = ``image_distance``.
-    intensity : ndarray of the shape of the points without the last axis
-        Read-only.
+    points : ndarray
+        Shape (..., 3), read-only, m, in the pupil's frame: origin at the pupil's centre, x and y
+        along u and v, the image plane at z = ``image_distance``.
+    intensity : ndarray
+        Shape (...) of the points, read-only.
     normalisation : {"ideal-peak", "irradiance"}
         Meaning of 1: the peak without aberration, or the energy transmitted by the pupil, per m^2.
     error_estimate : float

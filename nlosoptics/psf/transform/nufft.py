@@ -51,8 +51,8 @@ def image_field(
     ----------
     residual : Residual
         Wave, for the wavelength, the image distance and the tilt's shift, from which x is counted.
-    u, v, path, size : ndarray, all of one shape
-        Nodes and aberration, m, and weights.
+    u, v, path, size : ndarray
+        Nodes and aberration, m, and weights; all of one shape.
     window : Window
         Image points x.
     epsilon : float

@@ -199,6 +199,7 @@ def transform(task: Task, method: str) -> Result:
 
 
 def _airy(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by the closed form without aberration."""
     residual = task.residual
     if residual.wavefront.layout != "polar":
         raise SamplingError(
@@ -219,6 +220,7 @@ def _airy(task: Task) -> tuple[Array, float]:
 
 
 def _quadrature(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a sum over polar or cell nodes."""
     residual = task.residual
     if not residual.wavefront.is_spectral:
         raise SamplingError(
@@ -233,6 +235,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 
 
 def _fft(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "fft")
     soft = _soft(task, "fft")
@@ -290,6 +293,7 @@ def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
 
 
 def _mdft(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "mdft")
     soft = _soft(task, "mdft")
@@ -313,6 +317,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
 
 
 def _check_not_scattered(residual: Residual, method: str) -> None:
+    """Refuse scattered nodes for a method that needs a grid."""
     if residual.wavefront.layout == "scattered":
         raise SamplingError(
             f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
@@ -327,6 +332,7 @@ def _sum_of(residual: Residual) -> str:
 
 
 def _nufft(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a sum over the given nodes."""
     residual, samples = task.residual, task.samples
     wave = residual.wavefront
     if wave.is_spectral:
@@ -365,6 +371,7 @@ def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
 
 
 def _huygens(task: Task) -> Result:
+    """Sum spherical waves on the image surface."""
     residual, window = task.residual, task.pixels
     wave = residual.wavefront
     if task.rule is not None:
@@ -385,6 +392,7 @@ def _huygens(task: Task) -> Result:
 
 
 def _geometric(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by the density of rays."""
     if task.rule is None:
         raise SamplingError(
             "geometric computes energy per pixel, not intensity at points; use "

@@ -115,6 +115,7 @@ def candidates(task: Task, regime: Regime) -> list[Candidate]:
 
 
 def _airy(task: Task) -> Candidate:
+    """Return the closed form, ruled out if its error bound exceeds tol."""
     bound = airy.error_bound(task.residual)
     ruled_out = "" if bound <= task.tol else "the wave is not flat"
     if ruled_out and math.isfinite(bound):
@@ -123,6 +124,7 @@ def _airy(task: Task) -> Candidate:
 
 
 def _quadrature(task: Task) -> Candidate:
+    """Return the quadrature, ruled out if the wavefront's nodes leave too large an error."""
     residual = task.residual
     # lower bound of the relative error, since the peak is at most 1
     least = 2 * error_bounds.beat(task.pixel) * residual.truncation
@@ -131,6 +133,7 @@ def _quadrature(task: Task) -> Candidate:
 
 
 def _soft_grid(task: Task) -> Candidate:
+    """Return the fastest transform of a polar wave on a grid with a softened rim."""
     residual = task.residual
     if task.soft is not None:
         fast, few = (task.soft.grid(task, method) for method in ("fft", "mdft"))
@@ -153,6 +156,7 @@ def _soft_grid(task: Task) -> Candidate:
 
 
 def _maps(task: Task) -> list[Candidate]:
+    """Return the transforms of a grid wavefront."""
     residual = task.residual
     chirp = Candidate(costs.map_chirp(residual, task.samples), "mdft")
     wave = residual.wavefront
@@ -166,6 +170,7 @@ def _maps(task: Task) -> list[Candidate]:
 
 
 def _rays(task: Task, regime: Regime) -> Candidate:
+    """Return the geometric method, ruled out if diffraction matters."""
     least = geometric.least_error(task.residual, task.pitch)
     ruled_out = ""
     if task.rule is None:
@@ -260,4 +265,5 @@ def _too_long(
 
 
 def _first_clause(refusal: NlosError) -> str:
+    """Return an error message without its remedy."""
     return str(refusal).split(";")[0]

@@ -67,9 +67,9 @@ class PointSpreadField(Noun):
 
         Parameters
         ----------
-        across, up : array_like of shapes that broadcast
-            Coordinates, -1 to 1 over the object. Points outside take the weights at the nearest
-            edge.
+        across, up : array_like
+            Coordinates, -1 to 1 over the object; their shapes broadcast. Points outside take the
+            weights at the nearest edge.
 
         Returns
         -------
