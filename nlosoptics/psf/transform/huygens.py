@@ -37,10 +37,10 @@ class SurfacePointSpread(Noun):
     Parameters
     ----------
     points : ndarray
-        Shape (..., 3), read-only, m, in the pupil's frame: origin at the pupil's centre, x and y
-        along u and v, the image plane at z = ``image_distance``.
+        Read-only, of shape (..., 3), m, in the pupil's frame: origin at the pupil's centre, x and
+        y along u and v, the image plane at z = ``image_distance``.
     intensity : ndarray
-        Shape (...) of the points, read-only.
+        Read-only, of the shape of the points without their last axis.
     normalisation : {"ideal-peak", "irradiance"}
         Meaning of 1: the peak without aberration, or the energy transmitted by the pupil, per m^2.
     error_estimate : float
