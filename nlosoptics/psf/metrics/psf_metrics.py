@@ -382,7 +382,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     """
     frequencies = np.asarray(frequency, dtype=np.float64)
     if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
-        raise SceneError("frequency and azimuth must be finite; give 1/m and rad")
+        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
     if isinstance(source, PointSpread):
         spectrum = spectrum_along(source, frequencies.ravel(), azimuth)
         modulus = np.abs(spectrum) / float(np.sum(source.intensity))

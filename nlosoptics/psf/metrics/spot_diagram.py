@@ -217,7 +217,7 @@ def ptf(point_spread: PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0
     """
     frequencies = np.asarray(frequency, dtype=np.float64)
     if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
-        raise SceneError("frequency and azimuth must be finite; give 1/m and rad")
+        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
     spectrum = spectrum_along(point_spread, frequencies.ravel(), azimuth)
     return np.asarray(np.angle(spectrum).reshape(frequencies.shape))
 

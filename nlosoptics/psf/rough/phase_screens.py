@@ -230,7 +230,7 @@ def _torus(
     gap = independent * float(np.linalg.norm(np.linalg.inv(view.footprint), 2))
     least = max(cells + (2 * reach + gap) / pitch, 2 * gap / pitch)
     fits_memory(
-        f"a screen of {least:.6g} x {least:.6g} cells, {pitch:.3g} m in the pupil",
+        f"a phase screen of {least:.6g} x {least:.6g} cells of {pitch:.3g} m in the pupil",
         100.0 * least * least,
         "use psf.mean_point_spread, which needs no screen, or longer or lower roughness",
     )

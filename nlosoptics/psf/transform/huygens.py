@@ -325,7 +325,7 @@ def _nodes(residual: Residual, points: Array) -> tuple[_Nodes, _Nodes | None]:
     slope = steepness(residual, points) + residual.rays.slope
     v = residual.wavenumber * wave.pupil_radius * slope
     n_r, n_theta = math.ceil(0.29 * v + 27), math.ceil(v + 12 * v ** (1 / 3) + 40)
-    fits_memory(f"{n_r} x {n_theta} pupil nodes", 600.0 * n_r * n_theta, "give nearer points")
+    fits_memory(f"{n_r} x {n_theta} pupil nodes", 600.0 * n_r * n_theta, "use nearer points")
     a, b, weights, path, amplitude, doubt = residual.local.on_polar(wave, n_r, n_theta)
     # The interpolation error is added to the path, so that it enters the error estimate.
     return own, _gathered(residual, a, b, path + doubt, amplitude, weights)

@@ -380,7 +380,7 @@ def hybrid_point_spread(
     alone = point_scene(scene, object_point)
     pitch = alone.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     size = alone.camera.shape if shape is None else shape_of(shape)
-    fits_memory(f"parts of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
+    fits_memory(f"a shape of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
     smooth, rough = image_lobes(alone, roughness)
     normal = point_normal(scene) if emission == "lambertian" else None
     seen = SceneOptics(alone).reference
