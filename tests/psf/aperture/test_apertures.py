@@ -668,7 +668,7 @@ def test_transforms_that_need_another_layout_say_so():
             psf.point_spread(wave, method=method)
     with pytest.raises(SamplingError, match="needs a polar wavefront"):
         psf.point_spread(wave, method="airy")
-    with pytest.raises(SamplingError, match="energy of a cells wavefront"):
+    with pytest.raises(SamplingError, match="encircled energy needs a polar wavefront"):
         psf.encircled_energy(wave, 1e-6)
     with pytest.raises(SamplingError, match="unobscured polar wavefront"):
         psf.mtf(wave, 1e4)
