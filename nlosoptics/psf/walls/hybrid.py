@@ -363,13 +363,14 @@ def hybrid_point_spread(
 
     Notes
     -----
-    One reflection by the mirror-like lobes sends ``R T Int I(p) t(p) dp`` through the lens. I is
-    the radiant intensity toward the pupil point p and t the spreading of ray tubes, the square of
-    the amplitude of `psf.wavefront`. The fraction ``exp(-s^2)``, s the Rayleigh parameter, is
-    coherent; the rest is the halo. To second order in the slope, a rough wall sends the same power
-    to the pupil as a smooth one, since scattering into the pupil balances scattering out of it if
-    the wall is large enough. All other paths are traced. The energies of the parts add, since a
-    rough surface and the body below it have no fixed phase relation.
+    One reflection by the mirror-like lobes sends ``R T Int I(p) t(p) dp`` through the lens: R is
+    the reflectance, T the lens transmission, I the radiant intensity toward the pupil point p, and
+    t the spreading of ray tubes, the square of the amplitude of `psf.wavefront`. The fraction
+    ``exp(-s^2)``, s the Rayleigh parameter, is coherent; the rest is the halo. To second order in
+    the slope, a rough wall sends the same power to the pupil as a smooth one, since scattering into
+    the pupil balances scattering out of it if the wall is large enough. All other paths are traced.
+    The energies of the parts add, since a rough surface and the body below it have no fixed phase
+    relation.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("emission", emission, EMISSIONS)
