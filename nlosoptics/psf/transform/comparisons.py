@@ -123,7 +123,7 @@ def compare(
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
     ... )
-    >>> found = psf.compare(wave, pitch=1.25e-6, shape=33)
+    >>> found = psf.compare(wave, pitch=1.25e-6, shape=9)
     >>> found.best, [row.method for row in found.rows if row.seconds is None]
     ('quadrature', ['airy', 'geometric'])
     """

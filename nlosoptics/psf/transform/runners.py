@@ -395,8 +395,7 @@ def _geometric(task: Task) -> tuple[Array, float]:
     """Compute mean intensity and error bound by the density of rays."""
     if task.rule is None:
         raise SamplingError(
-            "geometric computes energy per pixel, not intensity at points; use "
-            "pixel_integrated=True"
+            "rays give the energy per pixel, not the intensity at points; use pixel_integrated=True"
         )
     energy, error = geometric.density(task.residual, task.pixels)
     return energy / task.level, error
