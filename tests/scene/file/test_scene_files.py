@@ -515,7 +515,7 @@ def test_transient_table_round_trips(flat: Scene, tmp_path: Path) -> None:
         ({"n_bins": 1.5}, "transient.n_bins = 1.5 is not a whole number"),
         ({"scan": "raster"}, "must be one of single, confocal, exhaustive"),
         ({"max_bounces": 2}, "transient.max_bounces = 2"),
-        ({"near": 1.0}, "transient.far is missing beside transient.near"),
+        ({"near": 1.0}, "transient.far is missing although transient.near is given"),
         ({"near": 1.0, "far": 0.5, "step": 0.1}, "transient.far = 0.5 m is out of range"),
     ],
 )
