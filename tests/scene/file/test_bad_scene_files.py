@@ -167,7 +167,7 @@ WRONG = {
     "image and mesh": (
         'size = "0.7 m"\n',
         'mesh = "x.stl"\n',
-        ("hidden.mesh stands beside hidden.image", "limit is one", "remove"),
+        ("hidden.mesh and hidden.image are both given", "limit is one", "remove"),
     ),
     "negative size": (
         'size = "0.7 m"\n',
@@ -232,7 +232,7 @@ WRONG = {
     "laser position twice": (
         'distance = "1.2 m"',
         'position = ["1 m", "0 m", "1 m"]\ndistance = "1.2 m"',
-        ("laser.distance stands beside laser.position", "give position, or"),
+        ("laser.distance and laser.position are both given", "give position, or"),
     ),
     "camera looking away": (
         'file = "camera_wu2024.toml"',
@@ -247,7 +247,7 @@ WRONG = {
     "both focal length and field of view": (
         'file = "camera_wu2024.toml"',
         'file = "camera_wu2024.toml"\nfocal_length = "50 mm"\nfield_of_view = "40 deg"',
-        ("camera.field_of_view stands beside camera.focal_length", "remove"),
+        ("camera.field_of_view and camera.focal_length are both given", "remove"),
     ),
     "no stop": (
         'file = "camera_wu2024.toml"',

@@ -108,8 +108,8 @@ def test_rays_meet_it_as_the_compiled_wall(wall, size):
 def test_functions_that_break_their_word_are_named():
     good = bump(1e-6)
     for changes, message in (
-        ({"max_height": 1e-9}, "wall.max_height = 1e-09 is passed by"),
-        ({"max_curvature": 1e-5}, "wall.max_curvature = 1e-05 is passed by"),
+        ({"max_height": 1e-9}, "wall.max_height = 1e-09 is exceeded by"),
+        ({"max_curvature": 1e-5}, "wall.max_curvature = 1e-05 is exceeded by"),
         ({"height": lambda x, y: np.zeros(3)}, r"wall.height returned shape \(3,\)"),
         ({"height": lambda x, y: np.nan}, "wall.height returned NaN"),
         ({"gradient": lambda x, y: (x, y, x)}, "wall.gradient returned 3 values"),
