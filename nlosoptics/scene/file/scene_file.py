@@ -96,8 +96,8 @@ def save_scene(scene: Any, path: str | Path) -> None:
     paths relative to its own folder. Those in memory, and those whose file is missing or was
     changed, are written losslessly next to the scene file. Their names consist of its stem and
     their key, for ``room.toml``: ``room_hidden_image.png`` (``.npy`` if the values are no 8- or
-    16-bit levels), ``room_wall_heights.npy`` and ``room_wall_mesh.ply``. Either all files are
-    written completely, or none.
+    16-bit levels), ``room_wall_heights.npy`` and ``room_wall_mesh.ply``. If writing fails, no
+    incomplete file is left behind.
 
     Parameters
     ----------
