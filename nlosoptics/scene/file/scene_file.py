@@ -131,7 +131,7 @@ def _read(path: Path) -> dict[str, Any]:
             f"{path}: byte {error.start} is not UTF-8 text; give a TOML file"
         ) from None
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{path}: not TOML: {error}; mend that line") from None
+        raise SceneError(f"{path}: not TOML: {error}; correct that line") from None
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); check the file") from None
 

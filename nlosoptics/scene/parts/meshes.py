@@ -49,7 +49,7 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise SceneError(f"{name}: {given} holds no triangles; give a surface mesh")
     if not np.isfinite(mesh.vertices).all():
-        raise SceneError(f"{name}: {given} has NaN or infinite vertices; mend the mesh")
+        raise SceneError(f"{name}: {given} has NaN or infinite vertices; repair the mesh")
     if not mesh.area > 0:
         raise SceneError(f"{name}: {given} has no area; give a surface mesh")
     return mesh

@@ -374,7 +374,7 @@ CASES = (
         ),
         "broken TOML names its line": (
             (('power = "5 mW"', 'power "5 mW"'),),
-            ("not TOML", "line 9", "mend"),
+            ("not TOML", "line 9", "correct that line"),
         ),
         "image that is not there": (
             (("F.png", "Q.png"),),
@@ -466,7 +466,7 @@ MESHES = {
     "not a mesh": (b"\x00\x01 nothing", ("holds no triangles", "give a surface mesh")),
     "points only": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", ("holds no triangles", "give a surface mesh")),
     "a line": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", ("has no area", "give a surface mesh")),
-    "NaN": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ("NaN or infinite", "mend the mesh")),
+    "NaN": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ("NaN or infinite", "repair the mesh")),
     "vertex out of range": (b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", ("is not a mesh", "give STL, OBJ")),
     "beside the origin": (
         b"v 1 1 0\nv 2 1 0\nv 1 2 0\nf 1 2 3\n",
