@@ -99,10 +99,11 @@ class Scene(Noun, Shown):
         ):
             value = getattr(self, name)
             if not isinstance(value, kind):
-                raise SceneError(f"scene.{name} is a {type(value).__name__}, which it cannot be")
+                wanted = getattr(kind, "__name__", "PlanarObject or MeshObject")
+                raise SceneError(f"scene.{name} is a {type(value).__name__}; give a {wanted}")
         if not isinstance(self.transient, TransientScan | None):
             raise SceneError(
-                f"scene.transient is a {type(self.transient).__name__}, which it cannot be"
+                f"scene.transient is a {type(self.transient).__name__}; give a TransientScan"
             )
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         if self.laser.aim[2] != 0.0:

@@ -210,7 +210,9 @@ def _refuse_darkness(scene: Scene) -> None:
         if not (lobes[:, 1] * lobes[:, 3] > 0.0).any():
             raise SceneError(f"{name} reflects nothing, so no light can arrive; raise its albedo")
     if getattr(scene.hidden, "reflectance", np.ones(1)).max() == 0.0:
-        raise SceneError("hidden.image is black, so no light can arrive; give a picture")
+        raise SceneError(
+            "hidden.image is black, so no light can arrive; give an image with bright pixels"
+        )
 
 
 def in_blocks(

@@ -132,7 +132,9 @@ def _material_table(material: Material) -> Any:
         return _file_tables.WardTable.model_construct(
             lobe="ward", albedo=material.rho, alpha=material.alpha, variant=material.variant
         )
-    raise SceneError(f"{type(material).__name__} has no form in a scene file; write a sum of lobes")
+    raise SceneError(
+        f"{type(material).__name__} cannot be written in a scene file; use a material made of lobes"
+    )
 
 
 def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> Any:
@@ -176,7 +178,7 @@ def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> An
             shape=shape, radius=wall.radius, axis=wall.axis, **common
         )
     raise SceneError(
-        f"{type(wall).__name__} has no form in a scene file; save its heights as an .npy file and "
+        f"{type(wall).__name__} cannot be written in a scene file; save its heights as .npy and "
         "use HeightMapWall"
     )
 

@@ -101,7 +101,7 @@ class PlanarObject(Posed):
         if self.position[2] <= drop:
             raise SceneError(
                 f"hidden.position has z = {self.position[2]:g} m, which puts a corner of the "
-                f"picture at z = {self.position[2] - drop:g} m, behind the wall; move it into the "
+                f"image at z = {self.position[2] - drop:g} m, behind the wall; move it into the "
                 "room, turn it less or make hidden.size smaller"
             )
 
@@ -162,10 +162,10 @@ def checked_picture(name: str, values: Any) -> Array:
         raw = np.asarray(values)
     except ValueError:
         raise SceneError(
-            f"{name} has rows of unlike length; give a grey picture (ny, nx)"
+            f"{name} has rows of unequal length; give a greyscale image (ny, nx)"
         ) from None
     if raw.ndim != 2 or raw.size == 0:
-        raise SceneError(f"{name} has shape {raw.shape}; give a grey picture (ny, nx)")
+        raise SceneError(f"{name} has shape {raw.shape}; give a greyscale image (ny, nx)")
     if raw.dtype.kind not in "biuf":
         raise SceneError(f"{name} holds {raw.dtype} values; give real brightness from 0 to 1")
     short = raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2
@@ -190,14 +190,14 @@ def read_picture(path: Path) -> Array:
     """
     file = SourceFile.at(path)
     if not file.is_held and not file.is_file():
-        raise SceneError(f"hidden.image: there is no file {path}; give the path of a picture")
+        raise SceneError(f"hidden.image: there is no file {path}; give the path of an image")
     content = file.content
     try:
         raw = _decoded(path.suffix, content)
     # Pillow raises SyntaxError for broken files and its own exception for decompression bombs
     except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} is not a picture ({type(error).__name__}); give PNG, TIFF, JPEG "
+            f"hidden.image: {path} is not an image ({type(error).__name__}); give PNG, TIFF, JPEG "
             "or .npy"
         ) from None
     if not isinstance(raw, np.ndarray):

@@ -440,7 +440,9 @@ class SumWall(Wall):
         if not terms or not all(isinstance(t, Wall) for t in terms):
             raise SceneError(f"SumWall got {terms!r}; give at least one wall")
         if not all(term.is_compiled for term in terms):
-            raise SceneError("SumWall cannot add a CallableWall; add the others in its functions")
+            raise SceneError(
+                "SumWall cannot add a CallableWall; add the other heights in its functions instead"
+            )
         object.__setattr__(self, "terms", terms)
         object.__setattr__(self, "size", size)
         self._check_size()

@@ -67,7 +67,7 @@ class HeightMapWall(Wall):
             object.__setattr__(self, "heights", own)
         samples = self._samples
         if samples.ndim != 2 or min(samples.shape) < 4:
-            raise SceneError(f"wall.heights has shape {samples.shape}; give (ny, nx), 4 at least")
+            raise SceneError(f"wall.heights has shape {samples.shape}; give at least (4, 4)")
         if not np.isfinite(samples).all():
             place = np.argwhere(~np.isfinite(samples))[0].tolist()
             raise SceneError(f"wall.heights{place} is NaN or infinite; fill the gaps first")

@@ -79,7 +79,7 @@ class MeshWall(Wall):
         if not (reach > 0).all():
             raise SceneError(
                 f"wall.mesh spans x {low[0]:g} to {high[0]:g} m and y {low[1]:g} to {high[1]:g} m; "
-                "it must surround the origin"
+                "it must surround the origin; shift the mesh"
             )
         return (2 * float(reach[0]), 2 * float(reach[1]))
 

@@ -378,7 +378,7 @@ CASES = (
         ),
         "image that is not there": (
             (("F.png", "Q.png"),),
-            ("hidden.image", "there is no file", "Q.png", "give the path of a picture"),
+            ("hidden.image", "there is no file", "Q.png", "give the path of an image"),
         ),
         "one occluder is still one of several": (
             (("[camera]", OCCLUDER.replace("[[occluder]]", "[occluder]") + "[camera]"),),
@@ -442,14 +442,14 @@ def test_camera_file_that_names_itself(folder: Path) -> None:
 def test_image_that_is_no_image(folder: Path) -> None:
     (folder.parent / "objects" / "F.png").write_text("a letter")
     line = message(folder, ("F.png", "F.png"))
-    expect(line, "hidden.image", "F.png is not a picture", "give PNG")
+    expect(line, "hidden.image", "F.png is not an image", "give PNG")
 
 
 def test_image_cut_short(folder: Path) -> None:
     picture = folder.parent / "objects" / "F.png"
     picture.write_bytes(picture.read_bytes()[:300])
     line = message(folder, ("F.png", "F.png"))
-    expect(line, "hidden.image", "F.png is not a picture", "give PNG")
+    expect(line, "hidden.image", "F.png is not an image", "give PNG")
 
 
 def test_object_mesh_behind_the_wall(folder: Path) -> None:

@@ -127,5 +127,5 @@ def test_what_needs_compiled_heights_refuses_it(tmp_path):
     with pytest.raises(SceneError, match="SumWall cannot add a CallableWall"):
         SumWall(bump(1e-6), WavyWall(1e-6, 0.1))
     scene = replace(Scene.load(EXAMPLES / "letter_flat.toml"), wall=replace(bump(1e-6), size=0.3))
-    with pytest.raises(SceneError, match="CallableWall has no form in a scene file"):
+    with pytest.raises(SceneError, match="CallableWall cannot be written in a scene file"):
         scene.save(tmp_path / "scene.toml")
