@@ -18,6 +18,7 @@ _forked = False
 
 
 def _note_fork() -> None:
+    """Record in a forked child that numba's threads must not be used."""
     global _forked
     _forked = True
 

@@ -166,6 +166,7 @@ class Scene(Noun, Shown):
         save_scene(self, path_of("path", path))
 
     def _figures(self) -> Figures:
+        """Return the key figures of the scene, for display in notebooks."""
         laser, camera = self.laser, self.camera
         size = self.wall.size
         ny, nx = camera.shape

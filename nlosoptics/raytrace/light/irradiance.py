@@ -200,6 +200,7 @@ def _arrivals(
     found, power = [], np.empty(n)
 
     def collect(points: Array, power: Array) -> None:
+        """Append the cells and powers of light that arrives at points."""
         cells, powers = np.empty(n, dtype=np.int64), np.empty(n)
         count = arriving.cells_of(points, power, first, *grid, cells, powers)
         found.append((cells[:count], powers[:count]))

@@ -108,7 +108,7 @@ def ray_plan(scene: Scene) -> RayPlan:
     -----
     A flat or convex wall cannot illuminate itself. A concave sphere or cylinder can. The room
     inside it is convex, so that it does not block lines between points there. Its rim may block
-    lines to points outside that room.
+    lines to points outside that room. Walls of other shapes can do both.
 
     Examples
     --------
@@ -193,7 +193,7 @@ class Surroundings:
         origins, directions : ndarray, (n, 3)
             Starts, world, m, and unit directions.
         live : ndarray of bool, (n,)
-            Rays to trace; the others count as escaped.
+            Rays to trace; the others get no hit.
         on_wall : ndarray of bool, (n,)
             Rays that start on the wall.
         counts : Counter

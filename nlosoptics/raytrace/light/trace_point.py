@@ -167,11 +167,11 @@ def trace_point(
     connected to the point and to vertices of its light. A wall out of focus is blurred: the point
     where a ray meets the plane in focus is projected through the centre of the lens.
 
-    Limits: the hidden object does not block light. Light that meets only smooth mirrors, two or
-    more of them, is found by chance; if a lobe is also glossy, single pixels are far noisier than
-    the others. If the point is much closer to the wall than the width of a pixel there, the rays of
-    a pixel may miss its light and report no error. The sum of ``energy`` and ``missed`` is then far
-    below ``flux``.
+    Limits: the hidden object does not block light. On walls that see themselves, paths over two or
+    more mirror-like reflections are found by chance; if one of the lobes is glossy rather than
+    smooth, single pixels are far noisier than the others. If the point is much closer to the wall
+    than the width of a pixel there, the rays of a pixel may miss its light and report no error. The
+    sum of ``energy`` and ``missed`` is then far below ``flux``.
 
     Examples
     --------

@@ -228,6 +228,7 @@ def _choose(key: str, tables: dict[str, str]) -> Discriminator:
     """Return a discriminator of tables by the value of ``key``; ``tables`` maps values to tags."""
 
     def tag(table: Any) -> str | None:
+        """Return the tag of a table's class; None if the key is missing or unknown."""
         value = table.get(key) if isinstance(table, dict) else getattr(table, key, None)
         return tables.get(value) if isinstance(value, str) else None
 
@@ -266,6 +267,8 @@ class LaserTable(Table):
 
 
 class _WallTable(Table):
+    """Keys common to most walls."""
+
     shape: str
     size: SizeText | None = None
     material: MaterialTable | None = None
@@ -353,6 +356,8 @@ WallTable = Annotated[
 
 
 class _HiddenTable(Table):
+    """Keys common to hidden objects."""
+
     position: VectorText
     yaw: AngleText | None = None
     pitch: AngleText | None = None

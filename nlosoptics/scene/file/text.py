@@ -46,6 +46,7 @@ def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
     made: dict[Path, bytes] = {}
 
     def placed(key: str, held: SourceFile | tuple[str, bytes]) -> str:
+        """Return the name for ``key``; collect the data unless an unchanged file holds them."""
         if isinstance(held, SourceFile):
             if held.is_in_place:
                 return _relative(held, base)
@@ -80,6 +81,7 @@ def scene_files(scene: Any) -> dict[str, bytes]:
     copies: dict[str, bytes] = {}
 
     def copied(key: str, held: SourceFile | tuple[str, bytes]) -> str:
+        """Return the name for ``key``, and collect a copy of the data."""
         try:
             suffix, content = (held.suffix, held.content) if isinstance(held, SourceFile) else held
         except SceneError as error:

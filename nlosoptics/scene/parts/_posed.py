@@ -65,6 +65,7 @@ class Posed(Noun):
         )
 
     def _same_source(self, other: Any) -> bool:
+        """Return whether the files or data of two objects are equal."""
         return equal_sources(getattr(self, self.source), getattr(other, self.source))
 
     __hash__ = None  # type: ignore[assignment]

@@ -118,6 +118,7 @@ class PlanarObject(Posed):
             object.__setattr__(self, "image", picture)
 
     def _same_source(self, other: Any) -> bool:
+        """Return whether the images are equal; a file and an array are compared by pixels."""
         if isinstance(self.image, SourceFile) == isinstance(other.image, SourceFile):
             return super()._same_source(other)
         return np.array_equal(self.reflectance, other.reflectance)

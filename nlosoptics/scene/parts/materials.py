@@ -246,8 +246,9 @@ class Ward(MirrorLobe):
     bounded 0.368 0.840 0.990
     ======= ===== ===== =====
 
-    Toward grazing incidence the albedo of the first two grows without limit. It exceeds 1 beyond
-    about 82 deg for "duer", and beyond 89.7 deg for "1992". Only "bounded" conserves energy.
+    Toward grazing incidence the albedo of the first two grows without limit. Where it exceeds 1
+    depends on alpha: at the earliest at about 82 deg for "duer", and at 89.7 deg for "1992". Only
+    "bounded" conserves energy.
 
     References
     ----------

@@ -202,6 +202,7 @@ class Wall(Noun):
         return trimesh.Trimesh(vertices, faces, process=False)
 
     def _check_size(self) -> None:
+        """Store ``size`` as a pair of extents above 0, m; raise `SceneError` otherwise."""
         if self.size is not None:
             object.__setattr__(self, "size", pair("wall.size", self.size))
 
@@ -287,6 +288,7 @@ class _CurvedWall(Wall):
         return 1.0 / self.radius
 
     def _max_bend(self, size: tuple[float, float]) -> float:
+        """Return the largest second derivative, at the rim, 1/m; infinite beyond the radius."""
         cosine_sq = 1.0 - self._rim_sq(size) / self.radius**2
         return math.inf if cosine_sq <= 0 else 1.0 / (self.radius * cosine_sq**1.5)
 
@@ -465,6 +467,7 @@ class SumWall(Wall):
         return sum(term.max_curvature for term in self.terms)
 
     def _max_bend(self, size: tuple[float, float]) -> float:
+        """Return the sum of the summands' bounds on the second derivatives, 1/m."""
         return sum(term._max_bend(size) for term in self.terms)
 
     @property

@@ -92,6 +92,7 @@ class HeightMapWall(Wall):
 
     @cached_property
     def _samples(self) -> Array:
+        """Heights on the grid, (ny, nx), m."""
         return _read(self.heights) if isinstance(self.heights, SourceFile) else self.heights
 
     @classmethod
@@ -199,6 +200,7 @@ class HeightMapWall(Wall):
 
     @cached_property
     def _fit(self) -> tuple[Array, Array]:
+        """Height term and table of the bicubic surface."""
         from scipy.interpolate import RectBivariateSpline
 
         ny, nx = self._samples.shape
@@ -253,9 +255,11 @@ def grid_limits(row: Array, tables: Array) -> tuple[float, float, float]:
     v, vx, vy, vxy = tables[offset : offset + 4 * nx * ny].reshape(4, ny, nx)
 
     def top(a: Array) -> float:
+        """Return the largest magnitude."""
         return float(np.abs(a).max())
 
     def second(values: Array, slopes: Array, step: float) -> float:
+        """Return the largest second derivative along axis 1, which occurs at a node."""
         quotient = 6 * np.diff(values) / step
         start, stop = slopes[:, :-1], slopes[:, 1:]
         return (
