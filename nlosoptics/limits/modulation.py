@@ -161,7 +161,7 @@ def object_scale(scene: Scene) -> float:
     >>> from nlosoptics import limits
     >>> scene = nlos.Scene.load("examples/scenes/letter_flat.toml")
     >>> round(1e3 * limits.object_scale(scene) * scene.camera.image_pitch, 2)
-    2.89
+    2.84
     """
     depth = float(
         (scene.mirrored_object_point - np.array(scene.camera.position)) @ scene.camera.axis
