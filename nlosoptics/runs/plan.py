@@ -518,8 +518,12 @@ def _shadow_stage(scene: Scene) -> Stage:
 
 
 def _image_stage(scene: Scene) -> Stage:
-    ny, nx = scene.camera.shape
+    camera = scene.camera
+    ny, nx = camera.shape
     reason = f"{nx} x {ny} pixels by reverse chief rays"
+    if (n := camera.binning) > 1:
+        across, up = camera.pixels
+        reason += f"; each sums {n} x {n} of the sensor's {across} x {up} (camera.binning = {n})"
     if scene.wall_material.specular_reflectance == 0:
         reason += "; background only, because the wall has no mirror-like lobe"
     return Stage(

@@ -121,6 +121,18 @@ def test_every_stage_runs_or_says_why_not(flat_scene):
         assert stage.reason in str(plan)
 
 
+def test_the_plan_says_how_binning_reduces_the_sensor(flat_scene):
+    whole = replace(flat_scene.camera, pixels=(512, 256), binning=Camera.binning)
+    (image,) = (s for s in nlos.plan(replace(flat_scene, camera=whole)).stages if s.name == "image")
+    assert image.reason.startswith("64 x 32 pixels")
+    assert "8 x 8 of the sensor's 512 x 256 (camera.binning = 8)" in image.reason
+    native = replace(whole, pixels=(64, 32), binning=1)
+    (image,) = (
+        s for s in nlos.plan(replace(flat_scene, camera=native)).stages if s.name == "image"
+    )
+    assert "binning" not in image.reason
+
+
 @pytest.mark.parametrize("wall", [FlatWall(), *CURVED], ids=lambda w: type(w).__name__)
 def test_simulation_runs_exactly_the_plan(flat_scene, wall):
     result = nlos.simulate(replace(flat_scene, wall=wall))
