@@ -27,6 +27,7 @@ from ..psf import (
     wide_point_spread,
 )
 from ..scene import PlanarObject, Scene
+from . import frequency_table
 from .modulation import (
     Noise,
     object_scale,
@@ -41,7 +42,6 @@ from .wave_bounds import DEFOCUS, wave_bounds
 
 Array = NDArray[np.float64]
 
-POINTS = 33  # frequencies in the table
 TOL = 1e-2  # error tolerance of the point spread, relative to its peak
 
 
@@ -76,7 +76,7 @@ class Feasibility(Noun, Shown):
         Mean width of the object's bright parts, m.
     frequency : ndarray, (n,)
         Spatial frequencies on the object, increasing from 0 to the pixels' Nyquist frequency,
-        cycles/m.
+        cycles/m: even steps, and octaves of the frequency that the strokes need, 1/(2 stroke).
     modulation : ndarray, (n,)
         Modulation transfer through mirror-like lobes, lens and pixels; 0 without such a lobe.
     relay_modulation : ndarray, (n,)
@@ -146,8 +146,7 @@ class Feasibility(Noun, Shown):
             f"noise of a pixel        {n['total']:.3g} electrons rms: photons {n['photons']:.3g}, "
             f"readout {n['readout']:.3g}, speckle {n['speckle']:.3g}",
             f"modes above noise       {self.modes}, by diffuse light alone {self.diffuse_modes}",
-            f"resolution              {self.limit:.3g} cycles/m; strokes are "
-            f"{1e3 * self.stroke:.3g} mm wide",
+            f"resolution              {self.limit:.3g} cycles/m; {self._strokes()}",
         ]
         for name, bounds in (
             ("wave, one frame", self.wave_bounds),
@@ -156,19 +155,20 @@ class Feasibility(Noun, Shown):
             if bounds:
                 told = ", ".join(f"Z{index} {value:.2g}" for index, value in bounds.items())
                 lines.append(f"{name:23s} {told} waves rms at least")
-        lines.append("cycles/m  modulation  signal/noise  matt wall  signal/noise")
-        lines.extend(
-            f"{f:8.3g}  {m:10.3g}  {s:12.3g}  {r:9.3g}  {d:12.3g}"
-            for f, m, s, r, d in zip(
-                self.frequency[::4],
-                self.modulation[::4],
-                self.signal_to_noise[::4],
-                self.relay_modulation[::4],
-                self.relay_signal_to_noise[::4],
-                strict=True,
-            )
+        lines += frequency_table.lines(
+            self.stroke,
+            self.frequency,
+            (self.modulation, self.signal_to_noise),
+            (self.relay_modulation, self.relay_signal_to_noise),
         )
         return "\n".join(lines)
+
+    def _strokes(self) -> str:
+        """Width of the strokes and the frequency that they need, as text."""
+        if self.stroke <= 0.0:
+            return "the object has no bright strokes"
+        needed = frequency_table.needed(self.stroke)
+        return f"strokes are {1e3 * self.stroke:.3g} mm wide and need {needed:.3g} cycles/m"
 
     def _figures(self) -> Figures:
         e = self.electrons
@@ -180,7 +180,7 @@ class Feasibility(Noun, Shown):
             "veil": f"{100 * self.veil:.2g} % of the light",
             "electrons": ", ".join(f"{name} {e[name]:.3g}" for name in e),
             "modes above noise": f"{self.modes}, by diffuse light alone {self.diffuse_modes}",
-            "resolution": f"{self.limit:.3g} cycles/m, strokes {1e3 * self.stroke:.3g} mm wide",
+            "resolution": f"{self.limit:.3g} cycles/m; {self._strokes()}",
         }
         alt = "Modulation against frequency on the object, with the noise limit"
         return Figures("Feasibility", figures, alt)
@@ -319,7 +319,7 @@ class _View:
         well = camera.full_well * camera.binning**2
         self.full = float((image.expected >= well).mean())
         top = 0.5 / (image.pitch * self._scale)
-        self.frequency = np.linspace(0.0, top, POINTS)
+        self.frequency = frequency_table.frequencies(self.stroke, top)
         self._shown = self._object_pixels()
 
     def _reach(self) -> float:
@@ -349,7 +349,7 @@ class _View:
     def modulation(self) -> Array:
         """Modulation of the image at `frequency`, rms of both axes; 0 without mirror-like lobes."""
         if self.mirror == 0.0:
-            return np.zeros(POINTS)
+            return np.zeros_like(self.frequency)
         along, across = (
             mtf(self._spread, self.frequency * self._scale, azimuth=a) for a in (0.0, math.pi / 2)
         )
