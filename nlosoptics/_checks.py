@@ -108,7 +108,9 @@ def vector(name: str, value: Any) -> Vector:
     if is_single(value) or not (isinstance(value, Sequence) or hasattr(value, "__array__")):
         raise SceneError(f"{name} = {value!r} is not a vector; give three numbers in m")
     if len(value) != 3:
-        raise SceneError(f"{name} has {len(value)} components; give three, x, y and z in m")
+        raise SceneError(
+            f"{name} has {counted(len(value), 'component')}; give three, x, y and z in m"
+        )
     x, y, z = (real(f"{name}[{axis}]", v) for axis, v in zip("xyz", value, strict=True))
     return (x, y, z)
 
@@ -125,7 +127,9 @@ def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
     if not isinstance(value, Sequence) and not hasattr(value, "__array__"):
         raise SceneError(f"{name} = {value!r} is not a size; give one number or two")
     if len(value) != 2:
-        raise SceneError(f"{name} has {len(value)} components; give one number or (x, y)")
+        raise SceneError(
+            f"{name} has {counted(len(value), 'component')}; give one number or (x, y)"
+        )
     x, y = (positive(f"{name}[{axis}]", v, unit=unit) for axis, v in zip("xy", value, strict=True))
     return (x, y)
 
@@ -200,6 +204,20 @@ def seconds_limit(without: float) -> float:
     """Return the current time limit, s; ``without`` if there is no budget."""
     budget = _budget.get()
     return without if budget is None else budget.seconds
+
+
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a count with its noun, such as "1 pair" or "2 pairs".
+
+    Parameters
+    ----------
+    count : int
+    noun : str
+        In the singular.
+    plural : str, optional
+        Where it is not the singular with an s, such as "axes".
+    """
+    return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
 
 
 def fits_memory(what: str, n_bytes: float, remedy: str) -> None:

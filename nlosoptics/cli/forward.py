@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._checks import counted
 from .._whole_files import whole_folder
 from .shell import (
     MOST_SECONDS,
@@ -149,7 +150,8 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
     if f["field_nodes"] > 1:
         error = f["errors"]["field of point spreads"]
         table.add_row(
-            "field", f"{f['field_nodes']} points in {f['field_modes']} modes, error {error:.1e}"
+            "field",
+            f"{f['field_nodes']} points in {counted(f['field_modes'], 'mode')}, error {error:.1e}",
         )
     table.add_row(
         "electrons per pixel",

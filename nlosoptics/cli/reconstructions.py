@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .._checks import counted
 from .shell import (
     FAILED,
     Debug,
@@ -216,9 +217,10 @@ def train_command(
             )
             training.network.save(out)
         error = training.history["validation"].min()
+        held, epochs = max(1, round(0.1 * pairs)), len(training.history["validation"])
         typer.echo(
-            f"{out}: mean squared error {error:.4f} on {max(1, round(0.1 * pairs))} validation "
-            f"pairs, {len(training.history['validation'])} epochs, {training.seconds:.0f} s"
+            f"{out}: mean squared error {error:.4f} on {counted(held, 'validation pair')}, "
+            f"{counted(epochs, 'epoch')}, {training.seconds:.0f} s"
         )
         if training.interrupted:
             typer.echo(f"nlosoptics: interrupted; the best network so far is in {out}", err=True)
@@ -233,7 +235,9 @@ def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
 
     f = report["figures"]
     table = Table("figure", "value", box=box.SIMPLE_HEAD)
-    told = f"{f['method']}: {f['reconstruction_status']} after {f['iterations']} iterations"
+    told = (
+        f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"
+    )
     table.add_row("reconstruction", told)
     if f["method"] == "phase_retrieval":
         table.add_row("agreement of halves", f"{f['reconstruction_score']:.4g}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import positive, whole
+from .._checks import counted, positive, whole
 from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 
@@ -224,7 +224,7 @@ def camera_image(
 
 def _whole_shape(shape: tuple[int, int]) -> tuple[int, int]:
     if len(shape) != 2:
-        raise SamplingError(f"shape has {len(shape)} counts; give (rows, columns)")
+        raise SamplingError(f"shape has {counted(len(shape), 'count')}; give (rows, columns)")
     rows, columns = (whole(f"shape[{i}]", count) for i, count in enumerate(shape))
     return rows, columns
 

@@ -188,8 +188,8 @@ class ForwardModel(Noun):
             )
         if not np.isfinite(picture).all():
             raise SamplingError(
-                f"{name} has {np.count_nonzero(~np.isfinite(picture))} values that are not "
-                "finite; replace them first"
+                f"{name} has {np.count_nonzero(~np.isfinite(picture))} of {picture.size} values "
+                "that are not finite; replace them first"
             )
         return picture
 
@@ -251,8 +251,8 @@ def _finite_kernel(kernel: Any) -> Array:
         )
     if not np.isfinite(values).all():
         raise SamplingError(
-            f"kernel has {np.count_nonzero(~np.isfinite(values))} values that are not finite; "
-            "compute the point spread again on a grid that holds it"
+            f"kernel has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that are "
+            "not finite; compute the point spread again on a grid that holds it"
         )
     if not values.any():
         raise SamplingError("kernel is zero everywhere; give a point spread that carries energy")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import counted
 from .modulation import Noise, Picture
 
 Array = NDArray[np.float64]
@@ -89,7 +90,8 @@ def _diffuse(case: Case) -> str:
     needed = case.stroke / case.reach
     told = f" of slope below {needed:.2g} rad" if needed > 0.0 else ""
     return (
-        f"the wall has no mirror-like lobe, and by diffuse light {case.diffuse_modes} modes rise "
+        "the wall has no mirror-like lobe, and by diffuse light "
+        f"{counted(case.diffuse_modes, 'mode')} {'rises' if case.diffuse_modes == 1 else 'rise'} "
         f"above the noise; a lobe{told}, or an occluder near the object, would carry more"
     )
 

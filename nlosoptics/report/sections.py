@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from .. import __version__
+from .._checks import counted
 from .._html import Column, Html, joined, png, table, tag
 from ..runs.plan import FIELD
 from . import words
@@ -234,7 +235,7 @@ def _spread(held: Folder) -> Iterator[Html]:
     error = f.point_spread_error
     field = None
     if f.field_nodes > 1:
-        field = f"{f.field_nodes} points over the object, in {f.field_modes} modes"
+        field = f"{f.field_nodes} points over the object, in {counted(f.field_modes, 'mode')}"
     yield facts(
         [
             ("Method", f.point_spread_method),

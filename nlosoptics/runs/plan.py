@@ -10,7 +10,16 @@ from typing import Literal
 import numpy as np
 
 from .. import _cost_model
-from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
+from .._checks import (
+    SHARE,
+    Budget,
+    available_memory,
+    counted,
+    fits_memory,
+    in_range,
+    positive,
+    within,
+)
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
 from ..imaging.image_fields import expected_counts, picture_frame
@@ -503,7 +512,7 @@ def _shadow_stage(scene: Scene) -> Stage:
     if not scene.occluders:
         return _skipped("shadow rays", "no occluders")
     count = len(scene.occluders)
-    reason = f"{count} occluder{'s' if count > 1 else ''} between spot, object, wall and lens"
+    reason = f"{counted(count, 'occluder')} between spot, object, wall and lens"
     if check_cone(scene):
         reason += "; the object's reference point is hidden"
     ny, nx = scene.camera.shape

@@ -20,6 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import counted
 from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
@@ -170,7 +171,8 @@ def prepared(
         )
     if defocus and len(defocus) != len(paths):
         raise SceneError(
-            f"defocus has {len(defocus)} values for {len(paths)} pictures; give one for each"
+            f"defocus has {counted(len(defocus), 'value')} for {counted(len(paths), 'picture')}; "
+            "give one for each"
         )
     if iterations is not None and method in (CNN, "inverse_filter"):
         raise SceneError(f"iterations is given, but {method} does not iterate; leave it out")

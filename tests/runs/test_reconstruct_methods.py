@@ -209,7 +209,7 @@ def test_methods_without_a_state_say_so(frames: np.ndarray, capsys) -> None:
         (["a.npy", "--network", "a.npy"], ["network is given, but tv uses none"]),
         (
             ["a.npy", "b.npy", "--method", "staged", "--defocus", "0"],
-            ["defocus has 1 values for 2"],
+            ["defocus has 1 value for 2 pictures"],
         ),
         (["a.npy", "b.npy", "--method", "wu2024"], ["images has 2 frames"]),
         (["fine.toml"], ["fine.toml"]),

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, one_of, positive, whole
+from ..._checks import counted, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
@@ -191,8 +191,8 @@ def staged_fit(
     refined = len(frames.images) == 1 and support is None and known_object is None
     if object_model == "unet" and not refined:
         raise SceneError(
-            f"object_model = 'unet' with {len(frames.images)} images, a support or a known object; "
-            "it needs one image without these, use 'pixels'"
+            f"object_model = 'unet' with {counted(len(frames.images), 'image')}, a support or a "
+            "known object; it needs one image without these, use 'pixels'"
         )
     first = _first_coefficients(frames, pupil_psf)
     if start_error is None:
@@ -277,8 +277,8 @@ def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Tensor:
         given = given.expand(frames.n_walls, -1)
     if given.ndim != 2 or len(given) != frames.n_walls:
         raise SamplingError(
-            f"pupil_psf.coefficients have shape {tuple(given.shape)} for {frames.n_walls} walls; "
-            "give (M,) or (n_walls, M)"
+            f"pupil_psf.coefficients have shape {tuple(given.shape)} for "
+            f"{counted(frames.n_walls, 'wall')}; give (M,) or (n_walls, M)"
         )
     return given.clone()
 

@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..._checks import counted
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
 from .measurement import real_array
@@ -149,8 +150,8 @@ def kept_numbers(state: Mapping[str, Any], count: int, solver: str) -> list[floa
     numbers: list[float] = real_array("start's numbers", state["numbers"]).ravel().tolist()
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise SceneError(
-            f"start's numbers are {numbers}, must be {count} finite ones; give a state of "
-            f"{solver}, or leave it out"
+            f"start's numbers are {numbers}, must be {counted(count, 'finite value')}; give a "
+            f"state of {solver}, or leave it out"
         )
     return numbers
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from ..._checks import counted
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel, padded_grid
 
@@ -208,7 +209,7 @@ def one_kernel_shape(model: Any) -> tuple[int, int]:
     shape = model_shape(model)
     if model.weights is not None:
         raise SamplingError(
-            f"the model's point spread varies over the field ({len(model.weights)} modes), but "
-            "this solver needs a single one; give a model of one PointSpread"
+            f"the model's point spread varies over the field ({counted(len(model.weights), 'mode')}), "
+            "but this solver needs a single one; give a model of one PointSpread"
         )
     return shape

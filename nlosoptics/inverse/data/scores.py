@@ -264,8 +264,8 @@ def _values(name: str, image: Any) -> Array:
         raise SamplingError(f"{name} has shape {values.shape}; give one image, (H, W)")
     if not np.isfinite(values).all():
         raise SceneError(
-            f"{name} has {np.count_nonzero(~np.isfinite(values))} values that are not finite; "
-            "replace them before comparing"
+            f"{name} has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that "
+            "are not finite; replace them before comparing"
         )
     return values
 

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, positive, whole
+from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
@@ -198,7 +198,7 @@ class _Maximisation:
                 on = goes_on(
                     progress,
                     f"Richardson-Lucy: residual {residual:.3g} of the noise after "
-                    f"{iteration + 1} iterations",
+                    f"{counted(iteration + 1, 'iteration')}",
                     1.0 if last else (iteration + 1) / max_iterations,
                     partial(state_of, self.best.double() * self.scale),
                 )

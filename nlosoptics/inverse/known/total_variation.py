@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, positive, whole
+from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
@@ -453,7 +453,7 @@ class _Splitting:
         return goes_on(
             progress,
             f"total variation: residual {self._residuals[-1]:.3f}, change "
-            f"{self._changes[-1]:.1e} after {count} iterations",
+            f"{self._changes[-1]:.1e} after {counted(count, 'iteration')}",
             done,
             lambda: self._state(count),
         )

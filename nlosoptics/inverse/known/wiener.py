@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, positive, whole
+from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
@@ -240,7 +240,7 @@ def _conjugate_gradients(
         done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
         on = goes_on(
             progress,
-            f"Wiener filter: residual {left:.1e} after {iteration + 1} iterations",
+            f"Wiener filter: residual {left:.1e} after {counted(iteration + 1, 'iteration')}",
             min(max(done, (iteration + 1) / max_iterations), 1.0),
             partial(state_of, level),
         )

@@ -148,8 +148,8 @@ def checked_lags(autocorrelation: Any) -> Array:
         )
     if not np.isfinite(lags).all():
         raise SceneError(
-            f"autocorrelation has {np.count_nonzero(~np.isfinite(lags))} values that are not "
-            "finite; mend them first"
+            f"autocorrelation has {np.count_nonzero(~np.isfinite(lags))} of {lags.size} values "
+            "that are not finite; mend them first"
         )
     if np.ptp(lags) == 0.0:
         raise SceneError(

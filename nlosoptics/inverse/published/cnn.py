@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import in_range, positive, whole
+from ..._checks import counted, in_range, positive, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import checked_seed, generator
@@ -314,7 +314,9 @@ def train_cnn(
     held = min(max(1, round(validation * count)), count - 1)
     shown = count - held
     if held < 1:
-        raise SceneError(f"{count} pairs, must be at least 2, one for validation; simulate more")
+        raise SceneError(
+            f"{counted(count, 'pair')}, must be at least 2, one for validation; simulate more"
+        )
     made = CnnBaseline(base=base, depth=depth, seed=seed).to(device)
     images, objects = (values.to(device) for values in _tensors(pairs))
     adam = torch.optim.Adam(made.parameters(), learning_rate, fused=True)

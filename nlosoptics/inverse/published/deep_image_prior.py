@@ -11,7 +11,7 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, one_of, positive, whole
+from ..._checks import counted, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SceneError
@@ -275,7 +275,8 @@ class _Fit:
             if done or iteration % 10 == 9:
                 on = goes_on(
                     progress,
-                    f"deep image prior: residual {residual:.3f} after {iteration + 1} iterations",
+                    f"deep image prior: residual {residual:.3f} after "
+                    f"{counted(iteration + 1, 'iteration')}",
                     1.0 if done else (iteration + 1) / max_iterations,
                     partial(self._state, iteration + 1),
                 )

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from ..._checks import one_of, whole
+from ..._checks import counted, one_of, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
@@ -262,7 +262,7 @@ class _Search:
 
             self._ended = not goes_on(
                 self._progress,
-                f"phase retrieval: {self._restarts} restarts by {self._method}",
+                f"phase retrieval: {counted(self._restarts, 'restart')} by {self._method}",
                 done,
                 preview,
             )

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import in_range, one_of, positive, whole
+from ..._checks import counted, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
@@ -246,8 +246,8 @@ class _Pcin:
             done = max_iterations - left
             if not goes_on(
                 progress,
-                f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after {done} "
-                "iterations",
+                f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after "
+                f"{counted(done, 'iteration')}",
                 done / max_iterations,
                 partial(self._state, done),
             ):

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..._checks import one_of
+from ..._checks import counted, one_of
 from ...errors import SamplingError, SceneError
 from ..data.measurement import Measurement, measurement, real_array, shape_of
 from .pupil_psf import MOST_DEFOCUS, PupilPSF
@@ -183,7 +183,10 @@ def _per_image(name: str, value: Any, count: int, ndim: int) -> list[Any]:
     if dimensions in (0, ndim - 1):
         return [value] * count
     if len(value) != count:
-        raise SamplingError(f"{name} has {len(value)} values for {count} images; give one for each")
+        raise SamplingError(
+            f"{name} has {counted(len(value), 'value')} for {counted(count, 'image')}; give one "
+            "for each"
+        )
     return list(value)
 
 
@@ -194,8 +197,8 @@ def _wall_numbers(walls: Any, count: int) -> Tensor:
     numbers = np.asarray(walls)
     if numbers.shape != (count,) or numbers.dtype.kind not in "iu":
         raise SamplingError(
-            f"walls has shape {numbers.shape} and type {numbers.dtype}; give {count} whole "
-            "numbers, the wall of each image"
+            f"walls has shape {numbers.shape} and type {numbers.dtype}; give "
+            f"{counted(count, 'whole number')}, the wall of each image"
         )
     if sorted(set(numbers.tolist())) != list(range(int(numbers.max()) + 1)):
         raise SamplingError(f"walls = {numbers.tolist()}; number them 0, 1, ... without gaps")

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import fits_memory, real, whole
+from ..._checks import counted, fits_memory, real, whole
 from ...errors import SamplingError, SceneError
 from ...psf import Wavefront, fit_zernike
 from ...psf.pupil.slope_integration import integrated_slopes, slope_filter
@@ -61,7 +61,8 @@ class ZernikeWaves(nn.Module):
                 "larger shape"
             )
         size = optics.share.size * len(self.modes)
-        fits_memory(f"{len(self.modes)} modes on the pupil", 24.0 * size, "use fewer modes")
+        held = f"{counted(len(self.modes), 'mode')} on the pupil"
+        fits_memory(held, 24.0 * size, "use fewer modes")
         basis = np.stack([noll_mode(mode, optics) for mode in self.modes])
         self.register_buffer("_basis", like(optics, basis))
         turns = None if rest is None else np.where(optics.share > 0, rest, 0.0) / optics.wavelength

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, in_range, one_of, positive, real
+from ..._checks import counted, fits_memory, in_range, one_of, positive, real
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError, ValidityWarning
 from ..capture.capture import TransientCapture
@@ -272,13 +272,13 @@ def _check_memory(
     size = 8 if dtype == "float32" else 16
     voxels = float(np.prod(volume.shape))
     fits_memory(
-        f"a field at {len(moments)} times on {voxels:.3g} voxels",
+        f"a field at {counted(len(moments), 'time')} on {voxels:.3g} voxels",
         2.5 * size * len(moments) * voxels,
         "ask for fewer voxels or times",
     )
     n_waves, each = _slice(setup, grid, len(band.numbers), dtype)
     fits_memory(
-        f"spectra of {setup.columns.size} pairs",
+        f"spectra of {counted(setup.columns.size, 'pair')}",
         3.0 * each * n_waves,
         "use a smaller aperture, or dtype='float32'",
     )

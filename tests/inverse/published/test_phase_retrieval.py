@@ -227,7 +227,7 @@ def test_bad_input_is_refused_in_one_line(change, kind, words):
     [
         (np.ones((8, 9)), SamplingError, r"autocorrelation has shape \(8, 9\)"),
         (np.ones((9, 9)), SceneError, "autocorrelation is 1 everywhere"),
-        (np.full((9, 9), np.inf), SceneError, "81 values that are not finite"),
+        (np.full((9, 9), np.inf), SceneError, "81 of 81 values that are not finite"),
     ],
 )
 def test_bad_autocorrelation_is_refused(lags, kind, words):
