@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._whole_files import whole_folder
+from ..errors import SceneError
 from ..runs.record import arrays, now, peak_memory, scene_hash, versions
 from .shell import (
     Debug,
@@ -31,6 +32,23 @@ if TYPE_CHECKING:
     from ..transient import PhasorImage, TransientCapture
 
 PICOSECOND = 299792458e-12  # m of optical path
+
+#: Options of `phasor` that stand for what a capture lacks, with their values, by argument.
+OPTIONS = {
+    "format": "--format",
+    "side": "--side (whole side of the square scanned, m)",
+    "pairing": "--pairing confocal or --laser-point 'x, y, z' (m)",
+    "laser_point": "--laser-point 'x, y, z' (m)",
+    "bin_width": "--bin-width (m of optical path)",
+    "t_start": "--t-start (where bin 0 begins, m of optical path)",
+    "outer_legs": "--outer-legs or --no-outer-legs (whether times hold the legs from the laser to "
+    "the wall and on to the sensor)",
+    "gate_start": "--gate-start (m of optical path; earlier bins become 0, 0 keeps all)",
+    "wl_mean": "--wl-mean (virtual wavelength, m)",
+    "near": "--near (first plane, m from the wall)",
+    "far": "--far (last plane, m)",
+    "step": "--step (between planes, m)",
+}
 
 
 @app.command("transient")
@@ -209,18 +227,19 @@ def phasor_command(
 
         check_target(folder)
         require("matplotlib", "views")
-        capture = transient.TransientCapture.load(
+        picture = {"wl_mean": wl_mean, "near": near, "far": far, "step": step}
+        capture, wanted = _loaded(
             capture_file,
+            picture,
             format=layout,
             bin_width=bin_width,
             t_start=t_start,
             side=side,
-            pairing=pairing,  # type: ignore[arg-type]  # checked there
+            pairing=pairing,
             laser_point=numbers("--laser-point", laser_point) or None,
             outer_legs=outer_legs,
             gate_start=gate_start,
         )
-        wanted = _picture(capture, {"wl_mean": wl_mean, "near": near, "far": far, "step": step})
         volume = transient.Volume.facing(
             _grid(capture), (wanted["near"], wanted["far"], wanted["step"])
         )
@@ -256,18 +275,43 @@ def _grid(capture: TransientCapture) -> Any:
     return lasers if alone else sensors
 
 
-def _picture(capture: TransientCapture, given: dict[str, float | None]) -> dict[str, float]:
-    """Wavelength and planes: the given options, otherwise the values stored in the capture."""
-    held = capture.details.get("picture")
+def _loaded(
+    path: Path, picture: dict[str, float | None], **given: Any
+) -> tuple[TransientCapture, dict[str, float]]:
+    """Capture of a file, with the wavelength and planes of its picture.
+
+    Parameters
+    ----------
+    path : Path
+    picture : dict
+        Options of the picture, None where the capture's scene decides.
+    **given
+        Arguments of `TransientCapture.load`.
+
+    Raises
+    ------
+    SceneError
+        If options are missing; it names all of them.
+    """
+    from ..transient import TransientCapture
+    from ..transient.capture.formats import LackingFileError
+
+    missing: list[str] = []
+    try:
+        capture = TransientCapture.load(path, **given)
+        details = capture.details
+    except LackingFileError as error:
+        details = error.details
+        for lack in error.lacks:
+            kind = f" {error.layout} ({lack.why})" if lack.argument == "format" else ""
+            missing.append(OPTIONS[lack.argument] + kind)
+    held = details.get("picture")
     wanted = dict(held) if isinstance(held, dict) else {}
-    wanted |= {name: value for name, value in given.items() if value is not None}
-    for name in given:
-        if name not in wanted:
-            option = f"--{name.replace('_', '-')}"
-            raise typer.BadParameter(
-                "is missing, and the capture does not say it", param_hint=option
-            )
-    return wanted
+    wanted |= {name: value for name, value in picture.items() if value is not None}
+    missing += [OPTIONS[name] for name in picture if name not in wanted]
+    if missing:
+        raise SceneError(f"{path} does not give all that a picture needs; add {', '.join(missing)}")
+    return capture, wanted
 
 
 def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[str, Any]:

@@ -209,7 +209,8 @@ def one_kernel_shape(model: Any) -> tuple[int, int]:
     shape = model_shape(model)
     if model.weights is not None:
         raise SamplingError(
-            f"the model's point spread varies over the field ({counted(len(model.weights), 'mode')}), "
-            "but this solver needs a single one; give a model of one PointSpread"
+            "the model's point spread varies over the field "
+            f"({counted(len(model.weights), 'mode')}), but this solver needs a single one; "
+            "give a model of one PointSpread"
         )
     return shape
