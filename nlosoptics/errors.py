@@ -10,7 +10,8 @@ derives from a suitable builtin exception, so that either can be caught:
 - `MemoryLimitError`: an array would not fit in memory; raised before it is allocated.
 - `MissingExtraError`: an optional dependency is not installed.
 
-`ValidityWarning` is not an error: it marks a result from samples that are too coarse or too few.
+Two warnings are not errors. `ValidityWarning` marks a result from samples that are too coarse or
+too few. `PerformanceWarning` marks a computation that takes much longer than an equivalent one.
 """
 
 from __future__ import annotations
@@ -46,3 +47,7 @@ class MissingExtraError(NlosError, ImportError):
 
 class ValidityWarning(UserWarning):
     """The samples limit the accuracy of a result."""
+
+
+class PerformanceWarning(UserWarning):
+    """A computation takes much longer than one with slightly different input would."""
