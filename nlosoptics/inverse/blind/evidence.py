@@ -307,7 +307,7 @@ class _Search:
     def result(
         self, best: Starts | None, gain: float | None, status: Status, started: float
     ) -> Reconstruction:
-        """What is returned, in image units; without walls, no object."""
+        """Return the reconstruction in image units; it has no object if no wall was found."""
         frames, data = self._frames, self._frames.measured[0]
         if best is None:
             level = np.zeros(frames.images.shape[-2:])
@@ -384,7 +384,7 @@ class _Search:
         return best
 
     def _model_error(self, best: Starts) -> float:
-        """What is unexplained beyond the noise, rms over the images' range."""
+        """Estimate the residual beyond the noise, rms relative to the images' range."""
         beyond: Floats = (best.chi_square[0] - 1.0) * self._sigmas**2
         return math.sqrt(max(float(beyond.mean()), 0.0))
 
@@ -404,7 +404,7 @@ class _Search:
         return None if self._start is None else self._finished(self._start, frames=frames)
 
     def _finished(self, wall: Floats, *, frames: bool) -> Starts:
-        """What one wall, (M,), comes to."""
+        """Return the result of one wall with coefficients (M,)."""
         found = refine(
             self._energy,
             self._energy.starts(wall[None], 3.0),

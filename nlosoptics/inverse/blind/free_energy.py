@@ -107,11 +107,11 @@ class Starts:
         return Starts(**{name: values[rows] for name, values in vars(self).items()})
 
     def held(self, radius: Floats | float) -> Starts:
-        """The same with other lengths of the coefficients; infinity frees them."""
+        """Return these starts with other bounds of the coefficient norm; infinity removes them."""
         return replace(self, radius=np.broadcast_to(np.float64(radius), len(self)).copy())
 
     def best(self, count: int) -> Starts:
-        """Those of least free energy, least first."""
+        """Return the ``count`` starts of least free energy, least first."""
         return self[np.argsort(self.energy, kind="stable")[:count]]
 
 

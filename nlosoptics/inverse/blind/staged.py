@@ -262,7 +262,7 @@ def _through(
 
 
 def _object_of(start: Any) -> Any:
-    """What a start holds of the object."""
+    """Return the initial object of a start."""
     if not isinstance(start, Mapping):
         return start
     if "place" in start:  # ended before the first stage: all is still to do
@@ -271,7 +271,7 @@ def _object_of(start: Any) -> Any:
 
 
 def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Tensor:
-    """Where the fit starts, (n_walls, M)."""
+    """Return the initial coefficients, (n_walls, M)."""
     given = pupil_psf.coefficients.detach()
     if given.ndim == 1:
         given = given.expand(frames.n_walls, -1)
@@ -395,7 +395,7 @@ def _assembled(
     margin: float,
     level: Tensor | None = None,
 ) -> Reconstruction:
-    """What is returned, in image units."""
+    """Assemble the reconstruction, in image units."""
     frames = fit.frames
     if level is None:
         level = fit.energy.level(state.theta)

@@ -243,7 +243,7 @@ class _Maximisation:
 
 
 def _reach(moves: list[Tensor]) -> float:
-    """How far beyond the last step to start, from the last two, 0 to 1."""
+    """Return the extrapolation factor, 0 to 1, computed from the last two steps."""
     if len(moves) < 2:
         return 0.0
     earlier, later = moves

@@ -27,7 +27,7 @@ _ROOM = 1.4
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpectrumModulus:
-    """What phase retrieval starts from.
+    """Estimated modulus of the object's spectrum, the input of phase retrieval.
 
     Parameters
     ----------

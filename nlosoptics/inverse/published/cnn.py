@@ -408,7 +408,7 @@ def _safetensors() -> Any:
 
 
 def _metadata(content: bytes) -> dict[str, Any]:
-    """What `save` told beside the tensors: a file begins with the length of its head, then JSON."""
+    """Read the metadata of a saved network; the file begins with a JSON header and its length."""
     length = int.from_bytes(content[:8], "little")
     head = json.loads(content[8 : 8 + length])
     return dict(json.loads(head.get("__metadata__", {}).get(_ENTRY, "{}")))

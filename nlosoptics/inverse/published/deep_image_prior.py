@@ -210,7 +210,7 @@ def _guide(
     model: ForwardModel | TorchForwardModel,
     seed: int,
 ) -> tuple[Tensor, float, float]:
-    """What the network is fed with, its gain, and the weight of the total variation."""
+    """Return the network's input, its gain and the weight of the total variation."""
     known: dict[str, Any] = {
         "noise_sigma": data.sigma if data.weights is None else data.sigma / data.weights.sqrt(),
         "fit_background": data.fit_background,

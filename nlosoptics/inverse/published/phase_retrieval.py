@@ -290,7 +290,7 @@ class _Search:
     def _objects(
         self, spectrum: SpectrumModulus, modulus: Tensor, watch: Callable[[float, Tensor], bool]
     ) -> tuple[Tensor, Tensor]:
-        """What each restart finds, (R, g_y, g_x), and its Fourier error; fewer if ended."""
+        """Return objects (R, g_y, g_x) of all restarts and their Fourier errors; fewer if ended."""
         rows, columns = spectrum.object_size
         support = torch.zeros(spectrum.grid, dtype=torch.bool, device=modulus.device)
         support[:rows, :columns] = True

@@ -372,7 +372,7 @@ def _only(images: Any, pupil_psf: PupilPSF) -> Any:
 
 
 def _of_one(name: str, value: Any) -> Any:
-    """What holds of one image, of (1,) or (1, H, W) as of a list of images."""
+    """Return the element of a value of shape (1,) or (1, H, W), and any other value itself."""
     shape = shape_of(name, value)
     return value[0] if len(shape) in (1, 3) and shape[0] == 1 else value
 

@@ -128,12 +128,12 @@ class PupilOptics(nn.Module):
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of all real tensors."""
+        """Data type of all real tensors."""
         return self._amplitude.dtype
 
     @property
     def device(self) -> torch.device:
-        """Where the tensors are."""
+        """Device of the tensors."""
         return self._amplitude.device
 
     def point_spread(self, turns: Tensor) -> Tensor:

@@ -77,7 +77,7 @@ class ZernikeWaves(nn.Module):
         return turns if self._phase is None else turns + self._phase
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
-        """The same with its whole turns."""
+        """Return the aberration over wavelength with its whole turns, (..., n_v, n_u)."""
         turns = self._sum(coefficients)
         return turns if self.rest is None else turns + self.rest
 
@@ -142,7 +142,7 @@ class SlopeWaves(nn.Module):
         return surface * self._lit
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
-        """The same: nothing was taken off."""
+        """Return the aberration over wavelength; `forward` removes no turns here."""
         turns: Tensor = self(coefficients)
         return turns
 
@@ -157,7 +157,7 @@ class SlopeWaves(nn.Module):
 def fitted_modes(
     wave: Wavefront, modes: Sequence[int], optics: PupilOptics
 ) -> tuple[Array, list[float]]:
-    """What modes leave of a polar wave, on the pupil's cells, m; and their fit to it, waves."""
+    """Fit modes to a polar wave; return the residual on the cells, m, and the fit, waves."""
     found = _checked_modes(modes)
     fit = fit_zernike(wave, max(found))
     v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
