@@ -12,7 +12,9 @@ from .._checks import in_range, seconds_limit, whole
 from .._progress import Progress
 from ..errors import SamplingError, SceneError
 from ..psf import PointSpreadField, SceneOptics, point_spread_field
+from ..psf.pupil.paraxial import wave_bends
 from ..psf.pupil.scene_optics import optics_of
+from ..psf.walls.field import chebyshev_weights, picture_nodes, picture_point
 from ..psf.window.error_bounds import rounded_up
 from ..scene import PlanarObject, Scene
 from .forward_model import ForwardModel
@@ -25,6 +27,8 @@ COUNTS = (1, 2, 4, 6, 9, 13, 19, 27)
 SURE = 0.1
 #: Largest number of pixels along the picture's longer side when fields are compared.
 WIDEST = 512
+#: Points along a line over the picture at which the interpolation between nodes is tested.
+TESTED = 109
 
 
 def image_field(
@@ -106,8 +110,10 @@ def image_field(
     )
 
 
-def expected_counts(error: float, swing: float, tol: float) -> list[int]:
-    """Predict the grids that `image_field` computes until their images agree, nodes per side.
+def expected_counts(
+    error: float, swing: float, tol: float, decay: Array | None = None
+) -> tuple[list[int], float]:
+    """Predict the grids that `image_field` computes until their images agree.
 
     Parameters
     ----------
@@ -117,16 +123,71 @@ def expected_counts(error: float, swing: float, tol: float) -> list[int]:
         Estimated change of the waves over the picture, rad.
     tol : float
         Tolerance of the image, rms over rms.
+    decay : ndarray, (8,), optional
+        Relative interpolation errors of `interpolation_errors`.
+
+    Returns
+    -------
+    counts : list of int
+        Nodes per side of the grids.
+    change : float
+        Predicted difference of the images of the last grids, rms over rms; above ``tol`` if no
+        grid suffices.
     """
     bend = 0.4 * max(1.0, swing / 2)
     before = math.inf
     for i, n in enumerate(COUNTS[:-1]):
         # the difference of two grids is the error of the coarser one
         off = error * min(1.0, bend / n) ** (n - 1)
+        if decay is not None:
+            off = max(off, error * min(1.0, float(decay[i])))
         if off <= SURE * tol or max(before, off) <= tol:
-            return list(COUNTS[: i + 2])
-        before = off
-    return list(COUNTS)
+            return list(COUNTS[: i + 2]), off
+        last, before = max(before, off), off
+    return list(COUNTS), last
+
+
+def interpolation_errors(scene: Scene) -> Array | None:
+    """Test how well each grid of `COUNTS` interpolates the wave's curvature over the picture.
+
+    The second derivatives of W in closed form follow the wall's curvature from point to point.
+    A wall with several periods across the picture needs a grid that resolves them.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene.
+
+    Returns
+    -------
+    ndarray, (8,), or None
+        Largest interpolation error along two lines for each grid, relative to that of one node.
+        None if the wall is flat, if the object is a mesh, if a point is reflected outside the
+        wall's domain, or if the light to the lens covers more than one period of the wall, which
+        averages the curvature.
+    """
+    wall, hidden, lens = scene.wall, scene.hidden, scene.camera.position[2]
+    mirrored = scene.mirrored_object_point
+    footprint = scene.camera.stop_diameter * mirrored[2] / (mirrored[2] - lens)
+    if wall.is_flat or footprint > wall.finest_period or not isinstance(hidden, PlanarObject):
+        return None
+    errors = np.zeros(len(COUNTS))
+    at = np.linspace(-1.0, 1.0, TESTED)
+    try:
+        for axis in (0, 1):
+
+            def bends(places: Array, axis: int = axis) -> Array:
+                pairs = np.insert(np.full((len(places), 1), 0.3), axis, places, axis=1)
+                points = [picture_point(hidden, *pair) for pair in pairs]
+                return wave_bends(scene, np.array(points)).reshape(len(places), 4)
+
+            exact = bends(at)
+            for i, n in enumerate(COUNTS):
+                found = chebyshev_weights(n, at) @ bends(picture_nodes(n))
+                errors[i] = max(errors[i], float(np.abs(found - exact).max()))
+    except SceneError:
+        return None
+    return errors / errors[0] if errors[0] > 0.0 else None
 
 
 def picture_frame(scene: Scene) -> Array:

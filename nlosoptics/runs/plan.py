@@ -22,7 +22,7 @@ from .._checks import (
 )
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
-from ..imaging.image_fields import expected_counts, picture_frame
+from ..imaging.image_fields import expected_counts, interpolation_errors, picture_frame
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
 from ..imaging.objects import object_patches
 from ..imaging.radiometry import background_work, laser_spot
@@ -474,8 +474,17 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
             FIELD, f"one point spread is enough: it changes over the object by {change:.1g} at most"
         )
     error, swing = look.change
+    decay = interpolation_errors(scene)
     # the error estimate is uncertain by a factor of 3 either way; take the geometric mean
-    ends = [expected_counts(doubt * error, swing, tol) for doubt in (1 / 3, 1.0, 3.0)]
+    found = [expected_counts(doubt * error, swing, tol, decay) for doubt in (1 / 3, 1.0, 3.0)]
+    ends, left = [counts for counts, _ in found], found[1][1]
+    if left > tol:
+        wider = f"use tol = {1.1 * left:.2g}, or" if 1.1 * left < 0.1 else "use"
+        raise SamplingError(
+            f"the wall's shape changes too fast over the picture: with {ends[1][-1]} x "
+            f"{ends[1][-1]} point spreads its image would still change by about {left:.2g} of its "
+            f"rms, limit tol = {tol:g}; {wider} a smaller picture"
+        )
     spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
     waves = spreads + sum(min(n**2, 5) for n in ends[1])
     counts = ends[-1]

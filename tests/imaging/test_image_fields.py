@@ -12,9 +12,15 @@ from nlosoptics import psf
 from nlosoptics._checks import Budget, within
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.imaging import ForwardModel, image_field
-from nlosoptics.imaging.image_fields import picture_frame, rms_difference
+from nlosoptics.imaging.image_fields import (
+    COUNTS,
+    expected_counts,
+    interpolation_errors,
+    picture_frame,
+    rms_difference,
+)
 from nlosoptics.psf import point_spread_field
-from nlosoptics.scene import ConcaveWall, MeshObject
+from nlosoptics.scene import ConcaveWall, FlatWall, MeshObject, WavyWall
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +99,32 @@ def test_a_field_beyond_the_seconds_of_a_run_is_refused(scene):
         pytest.raises(SamplingError, match="point spreads over the object .* max_seconds = 0.01"),
     ):
         image_field(scene, tol=1e-6)
+
+
+@pytest.mark.parametrize("periods", [1.0, 2.5, 5.0])
+def test_interpolation_needs_pi_nodes_per_period(scene, periods):
+    """Chebyshev nodes resolve a sinusoid from pi per period on, and converge fast beyond."""
+    crossed = 0.5 * scene.hidden.size[0]  # m on the wall, about, at half the object's distance
+    wall = WavyWall(1e-7, crossed / periods)
+    small = replace(scene, wall=wall, camera=replace(scene.camera, stop_diameter=1e-3))
+    errors = interpolation_errors(small)
+    counts = np.array(COUNTS)
+    assert (errors[counts < 0.6 * np.pi * periods] > 0.05).all()
+    assert (errors[counts > 2.0 * np.pi * periods + 6] < 1e-2).all()
+
+
+def test_a_grid_that_cannot_resolve_the_wall_is_foreseen(scene):
+    """With 0.1 of error from one point spread and 40 periods, no grid reaches 1 %."""
+    period = 0.5 * scene.hidden.size[0] / 40
+    camera = replace(scene.camera, stop_diameter=1e-3)
+    errors = interpolation_errors(replace(scene, wall=WavyWall(1e-7, period), camera=camera))
+    counts, change = expected_counts(0.1, 0.1, 0.01, errors)
+    assert counts == list(COUNTS)
+    assert change > 0.01
+    assert expected_counts(0.1, 0.1, 0.01)[1] <= 0.01
+
+
+def test_interpolation_is_not_tested_where_curvature_says_nothing(scene):
+    """Flat walls, meshes, and lenses that see several periods at once."""
+    assert interpolation_errors(replace(scene, wall=FlatWall())) is None
+    assert interpolation_errors(replace(scene, wall=WavyWall(1e-7, 1e-3))) is None

@@ -13,7 +13,7 @@ import trimesh
 from pytest import approx
 
 import nlosoptics as nlos
-from nlosoptics.errors import MemoryLimitError, SceneError
+from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.scene import (
     Camera,
     ConcaveWall,
@@ -27,6 +27,8 @@ from nlosoptics.scene import (
     SumWall,
     WavyWall,
 )
+
+from .random_scenes import random_case
 
 CURVED = [
     ConcaveWall(5.0),
@@ -359,3 +361,10 @@ def test_interreflection_is_named_where_the_wall_sees_itself(flat_scene):
         plan = nlos.plan(replace(flat_scene, wall=wall))
         reason = next(s.reason for s in plan.skipped if s.name == "interreflection")
         assert ("raytrace.trace" in reason) == seen
+
+
+def test_a_picture_seen_by_too_many_periods_of_the_wall_is_refused_by_the_plan():
+    """The run found it only after 27 x 27 point spreads that still changed."""
+    case = random_case(301393, wild=True)
+    with pytest.raises(SamplingError, match=r"27 x 27 point spreads .* use tol = 0\.00"):
+        nlos.plan(case.scene, tol=case.tol)

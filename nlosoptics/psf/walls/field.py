@@ -83,8 +83,8 @@ class PointSpreadField(Noun):
         x, y = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (across, up)))
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             raise SamplingError("across or up holds NaN or infinity; give coordinates from -1 to 1")
-        on_x = _chebyshev(len(self.across), x.ravel())
-        on_y = _chebyshev(len(self.up), y.ravel())
+        on_x = chebyshev_weights(len(self.across), x.ravel())
+        on_y = chebyshev_weights(len(self.up), y.ravel())
         # einsum without BLAS, whose rounding can depend on the number of threads
         half = np.einsum("kyx,nx->kyn", self.weights, on_x)
         weights = np.einsum("kyn,ny->kn", half, on_y)
@@ -279,7 +279,7 @@ def picture_nodes(count: int) -> Array:
     return nodes
 
 
-def _chebyshev(count: int, at: Array) -> Array:
+def chebyshev_weights(count: int, at: Array) -> Array:
     """Return Chebyshev interpolation weights (n, count) at points, clipped to [-1, 1]."""
     angles = np.pi * (np.arange(count) + 0.5) / count
     orders = np.arange(count)
