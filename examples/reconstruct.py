@@ -8,10 +8,10 @@ from nlosoptics import imaging, inverse, reconstructing, views
 scene_file, *pictures = sys.argv[1:]
 scene = nlos.Scene.load(scene_file)
 print(nlos.limits.feasibility(scene).verdict)
-
 taken = imaging.camera_image(pictures, shape=scene.camera.shape)  # dark=, flat=
 model = reconstructing.known_model(scene)
 noise = taken.noise(inverse.estimate_noise(taken.values))
-found = inverse.tv_deconvolve(taken.values, model, noise_sigma=noise)
+veil = imaging.diffuse_background(scene)  # shape of the wall's diffuse light
+found = inverse.tv_deconvolve(taken.values, model, noise_sigma=noise, background_shape=veil)
 print(f"{found.status}, residual {found.score:.2f} of the noise")
 views.save(views.reconstruction(found), "object.png")

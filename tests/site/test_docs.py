@@ -59,6 +59,21 @@ def test_code_runs(
             exec(compiled, names)
 
 
+def test_study_of_the_page_gains_by_light(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code_blocks: Blocks
+) -> None:
+    """A fit that is not told of the wall's diffuse light gets worse with more light."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(code_blocks(DOCS / "howto" / "run_a_study.md", "python")[0], names)
+    dim, bright = (
+        [row["correlation"] for row in names["rows"] if row["power"] == power]
+        for power in (0.5e-3, 5e-3)
+    )
+    assert min(bright) > max(dim) > 0.99
+
+
 def commands(block: str) -> Iterator[str]:
     """Yield the program's own commands; those that install or measure are not run."""
     for line in re.sub(r"\\\n>?", " ", block).splitlines():
