@@ -137,7 +137,11 @@ def test_outer_legs_are_taken_away_path_by_path(pairing):
     [
         (lambda: gated(capture(), start=2.15), SamplingError, "holds no bin"),
         (lambda: gated(capture(), start=float("nan")), SceneError, "start"),
-        (lambda: downsampled(capture(), bins=5), SamplingError, "12 bins are no multiple"),
+        (
+            lambda: downsampled(capture(), bins=5),
+            SamplingError,
+            "the capture has 12 bins, no multiple",
+        ),
         (lambda: downsampled(capture(), grid=3), SamplingError, "4 points along an axis"),
         (lambda: downsampled(capture(), bins=0), SceneError, "bins"),
         (lambda: distance_weighted(capture(t_start=-0.1), 2), SceneError, "gate the capture"),

@@ -57,7 +57,7 @@ def test_confocal_pairs():
         ({"by_bounce": {3: np.zeros((5, 4, 4))}}, SamplingError, r"by_bounce\[3\] has 5 bins"),
         ({"by_bounce": {3.5: np.zeros((6, 4, 4))}}, SceneError, "key of by_bounce = 3.5 is not"),
         ({"by_bounce": [np.zeros((6, 4, 4))]}, SceneError, "by_bounce is a list"),
-        ({"standard_error": np.zeros((1, 4, 4))}, SamplingError, "standard_error has 1 bins"),
+        ({"standard_error": np.zeros((1, 4, 4))}, SamplingError, "standard_error has 1 bin,"),
         ({"sensor_normals": np.zeros(3)}, SamplingError, "sensor_normals"),
         ({"H": [[1.0, 2.0], [1.0]]}, SamplingError, "H has rows of several lengths"),
         ({"laser_points": [[0, 0, 0], [1]]}, SamplingError, "laser_points have rows of several"),
