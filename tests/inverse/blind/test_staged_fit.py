@@ -247,7 +247,7 @@ def test_no_light_is_said():
         ({"defocus": "far"}, SceneError, "defocus of type str is not an array"),
         ({"walls": [1]}, SamplingError, "without gaps"),
         ({"walls": [[0], [0, 1]]}, SceneError, "walls of type list has rows"),
-        ({"walls": [0.5]}, SamplingError, "whole numbers"),
+        ({"walls": [0.5]}, SamplingError, "give 1 whole number, the wall"),
         ({"noise_sigma": [1.0, 2.0]}, SamplingError, "one for each"),
         ({"noise_sigma": -1.0}, SceneError, "noise_sigma"),
         ({"noise_sigma": [[1.0], [2.0, 3.0]]}, SceneError, "noise_sigma of type list has rows"),
