@@ -342,7 +342,7 @@ def remedied(rng, case, refusal):
     longer = re.search(r"use max_seconds = ([0-9.e+-]+)", refusal)
     if longer and float(longer[1]) <= LONGEST:
         return replace(case, options={**case.options, "max_seconds": float(longer[1])})
-    rays = re.search(r"tol well above ([0-9.e+-]+), at which rays do", refusal)
+    rays = re.search(r"tol well above ([0-9.e+-]+), so that", refusal)
     if rays and float(rays[1]) < 0.3:
         return replace(case, options={**case.options, "tol": 3 * float(rays[1])})
     more = re.search(r"use (\d+) or more pupil samples", refusal)

@@ -109,18 +109,20 @@ def schema_command(debug: Debug = False) -> None:
 
 
 def _write_pictures(result: Result, folder: Path) -> None:
-    """Write the pictures, one PNG each."""
-    from .. import views
+    """Write the pictures: one that shows all, and one PNG each."""
+    from .. import limits, views
 
+    scale = limits.object_scale(result.scene)
+    views.save(views.overview(result), folder / "overview.png")
     views.save(views.scene_sketch(result.scene), folder / "scene.png")
     views.save(views.scene_sketch(result.scene, stacked=True), folder / "scene_narrow.png")
     views.save(views.wavefront(result.wavefront), folder / "wavefront.png")
     views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
-    views.save(views.image(result.image), folder / "image.png")
+    views.save(views.image(result.image, object_scale=scale), folder / "image.png")
     if result.reconstruction is not None:
         brightest = result.image.ideal.max()
         truth = result.image.ideal / brightest if brightest > 0 else None
-        axes = views.reconstruction(result.reconstruction, truth)
+        axes = views.reconstruction(result.reconstruction, truth, pitch=scale * result.image.pitch)
         views.save(axes, folder / "reconstruction.png")
 
 

@@ -1,1 +1,1 @@
-"""Compiled functions that several packages call: wall heights, lobes, random draws."""
+"""Compiled functions shared by several packages: wall heights, material lobes, random numbers."""

@@ -1,7 +1,7 @@
-"""Heights of relay walls and lobes of materials, as compiled scalar functions.
+"""Heights of relay walls as compiled scalar functions.
 
-A wall is handed over as ``terms``, (n, 8) float64: one row a summand, its kind in column 0 and
-its parameters behind; and ``tables``, a flat float64 array that gridded terms point into.
+A wall is given by two float64 arrays. ``terms`` (n, 8) has one row per summand: its kind in column
+0, then its parameters in SI units. ``tables`` is a flat array with the samples of gridded summands.
 """
 
 from __future__ import annotations
@@ -20,7 +20,10 @@ from .codes import (
 
 @njit(cache=True, inline="always")
 def _hermite(t, step):
-    """Cubic Hermite basis at t in [0, 1], with first and second derivatives in x."""
+    """Return the cubic Hermite basis at t in [0, 1] and its first and second x derivatives.
+
+    The order is: values at nodes 0 and 1, slopes at nodes 0 and 1; ``step`` is the node distance.
+    """
     t2 = t * t
     t3 = t2 * t
     values = (1 - 3 * t2 + 2 * t3, 3 * t2 - 2 * t3, (t - 2 * t2 + t3) * step, (t3 - t2) * step)
@@ -36,7 +39,11 @@ def _hermite(t, step):
 
 @njit(cache=True)
 def _grid(row, tables, x, y):
-    """Bicubic Hermite patch: row = (kind, x0, y0, step_x, step_y, n_x, n_y, offset)."""
+    """Return height and derivatives of a bicubic Hermite surface at (x, y); NaN off its grid.
+
+    ``row`` is (kind, x0, y0, step_x, step_y, n_x, n_y, offset). From the offset on, ``tables``
+    holds h, dh/dx, dh/dy and d2h/dxdy at all nodes, each as (n_y, n_x).
+    """
     step_x, step_y = row[3], row[4]
     n_x, n_y, offset = int(row[5]), int(row[6]), int(row[7])
     fx, fy = (x - row[1]) / step_x, (y - row[2]) / step_y
@@ -66,21 +73,21 @@ def _grid(row, tables, x, y):
 
 @njit(cache=True)
 def surface(terms, tables, x, y):
-    """Height of the wall and its derivatives (h, hx, hy, hxx, hxy, hyy) at (x, y).
+    """Return the wall's height and derivatives (h, hx, hy, hxx, hxy, hyy) at (x, y), in m.
 
-    NaN where the wall has no height; callers turn that into a status.
+    All are NaN where the wall has no height; callers convert that to a status.
     """
     h = hx = hy = hxx = hxy = hyy = 0.0
     for i in range(terms.shape[0]):
         row = terms[i]
         kind = int(row[0])
         if kind == SPHERE:
-            c = row[1]  # signed curvature, positive toward the room at the rim
+            c = row[1]  # signed curvature, positive if the rim rises toward the room
             root_sq = 1.0 - c * c * (x * x + y * y)
             if not root_sq > 0.0:
                 return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
             root = math.sqrt(root_sq)
-            # sag in the form that keeps its relative accuracy near the vertex
+            # this form of the sag keeps its relative accuracy near the vertex
             h += c * (x * x + y * y) / (1.0 + root)
             hx += c * x / root
             hy += c * y / root

@@ -1,8 +1,8 @@
-"""Compiled loops over numba's threads, which run on one thread in a forked process.
+"""Parallel compiled loops that fall back to one thread in a forked process.
 
-GNU OpenMP, numba's usual pool of threads on Linux, cannot be used on both sides of a fork: numba
-ends the child. The other pools are no way out, as TBB has to be installed and numba's own must not
-be entered by two threads of Python at once.
+On Linux numba usually runs its threads with GNU OpenMP, which cannot be used both before and after
+a fork: numba terminates the child process. The other threading layers do not help. TBB must be
+installed separately, and numba's own layer must not be entered by two Python threads at once.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ _forked = False
 
 
 def _note_fork() -> None:
+    """Record in a forked child that numba's threads must not be used."""
     global _forked
     _forked = True
 
@@ -27,13 +28,13 @@ if hasattr(os, "register_at_fork"):
 
 
 class _Loop:
-    """A function compiled for all threads, and for one where this process was forked."""
+    """Function compiled twice: for all threads, and for one thread in a forked process."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         self.__doc__, self.__name__ = function.__doc__, function.__name__
         self.py_func = function
         self.threaded = njit(cache=True, parallel=True, **options)(function)
-        # numba's cache goes by the name, and would take one for the other
+        # numba's cache is keyed by the qualified name, so the second version needs another name
         alone = FunctionType(
             function.__code__, function.__globals__, function.__name__, function.__defaults__
         )
@@ -46,12 +47,14 @@ class _Loop:
 
 
 def threaded(**options: Any) -> Callable[[Callable[..., Any]], _Loop]:
-    """Compile a function whose ``prange`` runs on all threads, for Python to call.
+    """Return a decorator that compiles a function whose ``prange`` loops run on all threads.
+
+    The iterations must be independent, and sums must not be shared between them. The result is
+    then bitwise identical for any number of threads.
 
     Parameters
     ----------
     **options
-        Of `numba.njit`. The iterations must be independent and each thread's sums its own, so that
-        the number of threads does not change a bit.
+        Options of `numba.njit`.
     """
     return lambda function: _Loop(function, options)

@@ -1,4 +1,4 @@
-"""Uniform numbers addressed by place, compiled: the same address gives the same bits anywhere."""
+"""Counter-based uniform random numbers: the same address gives the same bits on any thread."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SHIFT = np.uint64(11)
 
 @njit(cache=True, inline="always")
 def _rounds(c0, c1, c2, c3, k0, k1):
-    """Philox4x32-10, all words held in uint64: Salmon et al., SC 2011."""
+    """Return the four words of Philox4x32-10, in uint64 variables; Salmon et al., SC 2011."""
     for _ in range(10):
         p0, p1 = np.uint64(0xD2511F53) * c0, np.uint64(0xCD9E8D57) * c2
         c0, c1, c2, c3 = (p1 >> HALF) ^ c1 ^ k0, p1 & LOW, (p0 >> HALF) ^ c3 ^ k1, p0 & LOW
@@ -24,7 +24,7 @@ def _rounds(c0, c1, c2, c3, k0, k1):
 
 @njit(cache=True)
 def philox(counters, seed, words):
-    """Fill ``words`` (n, 4) uint32 with those of the counters (n, 4) uint32 and a 64-bit key."""
+    """Fill ``words`` (n, 4), uint32, with the Philox words of ``counters`` and the key ``seed``."""
     k0, k1 = seed & LOW, seed >> HALF
     for i in range(counters.shape[0]):
         a, b, c, d = _rounds(
@@ -40,16 +40,26 @@ def philox(counters, seed, words):
 
 @njit(cache=True)
 def uniform(seed, stream, ray, draw):
-    """Uniform number in [0, 1), 53 bits, of its address; all arguments uint64, stream < 2^32."""
+    """Return the uniform number in [0, 1), 53 bits, of an address.
+
+    All arguments are uint64; ``stream`` is below 2^32.
+    """
     a, b, _, _ = _rounds(ray & LOW, ray >> HALF, draw & LOW, stream, seed & LOW, seed >> HALF)
     return float(((a << HALF) | b) >> SHIFT) * 1.1102230246251565e-16
 
 
 @njit(cache=True)
 def scramble(columns, matrices, out):
-    """Multiply columns (dimensions, 32) by binary matrices (groups, dimensions, 32), uint32.
+    """Multiply Sobol columns by random binary matrices, which scrambles the points.
 
-    A matrix is given by the digits that each digit goes to.
+    Parameters
+    ----------
+    columns : ndarray of uint32, (dimensions, 32)
+        Generator columns of each dimension.
+    matrices : ndarray of uint32, (groups, dimensions, 32)
+        Matrices by columns: element k holds the digits to which digit k contributes.
+    out : ndarray of uint32, (groups, dimensions, 32)
+        Scrambled columns; filled.
     """
     for group in range(out.shape[0]):
         for dimension in range(out.shape[1]):
@@ -63,24 +73,27 @@ def scramble(columns, matrices, out):
 
 @njit(cache=True)
 def sobol(columns, shift, index):
-    """Point ``index`` of one scrambled Sobol dimension: ``columns`` (32,) and ``shift``, uint32."""
+    """Return coordinate ``index`` of one scrambled Sobol dimension, in (0, 1).
+
+    ``columns`` (32,) are its generator columns and ``shift`` its digital shift, uint32.
+    """
     x = np.uint64(shift)
     bit = 0
     while index:
-        # all ones or none: a jump on these digits would be guessed wrong half of the time
+        # a mask of all ones or zeros instead of a branch, which would be mispredicted half the time
         x ^= columns[bit] & (np.uint64(0) - (index & np.uint64(1)))
         index >>= np.uint64(1)
         bit += 1
-    # the middle of the cell of 2^-32 that the digits name
+    # centre of the interval of width 2^-32 that the digits determine
     return (float(x) + 0.5) * 2.3283064365386963e-10
 
 
 @njit(cache=True)
 def draw(sampler, group, index, ray, number):
-    """Uniform number ``number`` of a ray: Sobol while its dimensions last, Philox beyond.
+    """Return uniform number ``number`` of a ray: from Sobol points, beyond their dimensions Philox.
 
-    ``sampler`` is (seed, columns (groups, dimensions, 32), shifts (groups, dimensions)); without
-    dimensions all numbers are Philox's. The ray is point ``index`` of its group.
+    ``sampler`` is (seed, columns (groups, dimensions, 32), shifts (groups, dimensions)). With zero
+    dimensions all numbers come from Philox. The ray is point ``index`` of its group.
     """
     seed, columns, shifts = sampler
     if number < columns.shape[1]:
@@ -90,7 +103,10 @@ def draw(sampler, group, index, ray, number):
 
 @njit(cache=True)
 def disc(u, v):
-    """Point of the unit disc, by areas kept in order: Shirley and Chiu, J. Graph. Tools 2, 1997."""
+    """Map the unit square to the unit disc with equal areas.
+
+    Neighbours stay neighbours: Shirley and Chiu, J. Graph. Tools 2, 1997.
+    """
     a, b = 2.0 * u - 1.0, 2.0 * v - 1.0
     if a == 0.0 and b == 0.0:
         return 0.0, 0.0

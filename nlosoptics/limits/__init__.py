@@ -6,6 +6,7 @@
 - `verdicts`: all of that in words; `reports`: `feasibility`.
 """
 
+from .modulation import object_scale
 from .relay import lambert_relay_limit, lambert_relay_transfer, lobe_relay_transfer
 from .reports import Feasibility, feasibility
 
@@ -15,4 +16,5 @@ __all__ = [
     "lambert_relay_limit",
     "lambert_relay_transfer",
     "lobe_relay_transfer",
+    "object_scale",
 ]

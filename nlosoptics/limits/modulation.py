@@ -135,7 +135,29 @@ class Picture:
 
 
 def object_scale(scene: Scene) -> float:
-    """Metres on the object per metre on the detector, at the middle of the object's image."""
+    """Return metres on the hidden object per metre on the detector, at the middle of its image.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene. A mesh or a flat wall has the scale of a plane mirror; for a curved wall and a planar
+        object the scale is that of traced chief rays, the root of the ratio of areas.
+
+    Returns
+    -------
+    float
+        Scale, dimensionless.
+
+    Examples
+    --------
+    A pixel's side on the object, in millimetres:
+
+    >>> import nlosoptics as nlos
+    >>> from nlosoptics import limits
+    >>> scene = nlos.Scene.load("examples/scenes/letter_flat.toml")
+    >>> round(1e3 * limits.object_scale(scene) * scene.camera.image_pitch, 2)
+    2.89
+    """
     depth = float(
         (scene.mirrored_object_point - np.array(scene.camera.position)) @ scene.camera.axis
     )

@@ -1,7 +1,12 @@
-"""From a scene or a wave to its point spread function, and its metrics.
+"""Exit pupils, waves, point spread functions (PSFs) and their metrics.
 
-`scene_point_spread` goes from a scene to wave and point spread function; `Wavefront` and
-`point_spread` do without a scene. ARCHITECTURE.md lists the rooms that hold them.
+`scene_point_spread` computes the wave and the PSF of a scene. Without a scene, make a `Wavefront`
+(`Wavefront.from_zernike`, `from_function`, `from_map`) and pass it to `point_spread`.
+
+Sub-folders: ``aperture`` (pupil outlines and nodes), ``wave`` (sampled waves), ``pupil`` (exit
+pupil and wave of a scene), ``window`` (image windows, pixels, error bounds), ``transform`` (from
+wave to PSF), ``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl
+ratio, MTF and others), ``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
 """
 
 from .aperture.aperture import Aperture

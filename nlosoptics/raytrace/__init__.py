@@ -1,4 +1,4 @@
-"""Rays: their intersections with wall and meshes, facets of a rough wall, and traced light."""
+"""Ray tracing: intersections with walls and meshes, facets of rough walls, and light transport."""
 
 from .fans.facets import facet_angles
 from .fans.paths import RayPaths

@@ -1,4 +1,4 @@
-"""What is there: laser, wall, hidden object, occluders, camera, materials; the scene file."""
+"""Scene description: laser, wall, hidden object, occluders, camera, materials and scene files."""
 
 from .parts._material import MirrorLobe
 from .parts.camera import Camera, pupil_frame

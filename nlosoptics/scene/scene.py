@@ -1,4 +1,4 @@
-"""The scene: everything that light meets."""
+"""The scene: laser, relay wall, hidden object, occluders and camera."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .walls.mesh_walls import MeshWall
 if TYPE_CHECKING:
     import trimesh
 
-#: Matt white paint with a faint gloss; without a mirror-like lobe no wall passes a letter.
+#: Matt white paint with a faint gloss: without a mirror-like lobe the wall transfers no letter.
 PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
 
 
@@ -35,24 +35,50 @@ PAINT = SumMaterial(Lambert(0.7), SpecularMicrofacet(0.05, 0.0))
 class Scene(Noun, Shown):
     """Laser, relay wall, hidden object and camera in one world frame.
 
-    The origin is the wall's centre, the mean wall plane is z = 0 with its normal +z into the room,
-    and y is up; object, laser and camera have z > 0, and are in front of a curved wall too.
-    A picture is checked at its corners and centre. What takes a file to be read or a surface to be
-    fitted, a `MeshWall`, a `MeshObject` or an `Occluder`, is left to `imaging.form_image`.
+    The origin is the wall's centre. The mean wall plane is z = 0, its normal +z points into the
+    room, and y is up. Laser, object and camera have z > 0 and lie in front of a curved wall.
 
     Parameters
     ----------
     laser : Laser
+        Light source and the point of the wall that it is aimed at.
     wall : Wall
         Shape of the relay wall.
     hidden : PlanarObject or MeshObject
+        Hidden object: an image on a plane, or a triangle mesh.
     camera : Camera
+        Thin-lens camera that looks at the wall.
     occluders : tuple of trimesh.Trimesh or Occluder
-        Black bodies that block light: meshes in the world frame, m, or files with a place.
+        Black bodies that block light: meshes in the world frame, m, or mesh files with a pose.
     wall_material : Material
-        What the relay wall is made of; the default is matt paint with a 5 % mirror-like lobe.
+        Scattering of the relay wall; the default is matt paint with a 5 % mirror-like lobe.
     transient : TransientScan, optional
-        How its light is taken over time.
+        Time-resolved capture and the volume that is reconstructed from it.
+
+    Raises
+    ------
+    SceneError
+        If a part has the wrong type, the laser is not aimed at the plane z = 0, or a part lies
+        behind the wall.
+
+    Notes
+    -----
+    A planar object is checked against a curved wall at its corners and centre. Checks that must
+    read a mesh file or fit a surface (`MeshWall`, `MeshObject`, `Occluder`) are made later, by
+    `imaging.form_image` and `raytrace.trace`.
+
+    See Also
+    --------
+    Scene.load : Read a scene file.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> scene.camera.shape, scene.hidden.size
+    ((512, 512), (0.7, 0.7))
+    >>> round(scene.focus_distance, 3), round(1e3 * scene.image_distance, 2)
+    (2.049, 51.92)
     """
 
     laser: Laser
@@ -73,10 +99,11 @@ class Scene(Noun, Shown):
         ):
             value = getattr(self, name)
             if not isinstance(value, kind):
-                raise SceneError(f"scene.{name} is a {type(value).__name__}, which it cannot be")
+                wanted = getattr(kind, "__name__", "PlanarObject or MeshObject")
+                raise SceneError(f"scene.{name} is a {type(value).__name__}; give a {wanted}")
         if not isinstance(self.transient, TransientScan | None):
             raise SceneError(
-                f"scene.transient is a {type(self.transient).__name__}, which it cannot be"
+                f"scene.transient is a {type(self.transient).__name__}; give a TransientScan"
             )
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         if self.laser.aim[2] != 0.0:
@@ -91,28 +118,55 @@ class Scene(Noun, Shown):
 
     @classmethod
     def load(cls, path: str | Path) -> Scene:
-        """Read a scene file (TOML); see `scene.file` for its keys.
+        """Read a scene file (TOML).
+
+        Parameters
+        ----------
+        path : str or Path
+            Scene file. Its keys are described by the JSON schema from ``nlosoptics schema``.
+
+        Returns
+        -------
+        Scene
+            The scene, with the image and mesh files of object and occluders read.
 
         Raises
         ------
         SceneError
-            Naming file, key, value, limit and remedy.
+            If the file is missing or wrong. The message names file, key, value, limit and remedy.
+
+        Examples
+        --------
+        >>> from nlosoptics import Scene
+        >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+        >>> print(f"{1e9 * scene.laser.wavelength:.1f} nm, {type(scene.wall).__name__}")
+        632.8 nm, FlatWall
         """
         from .file.scene_file import read_scene
 
         return read_scene(path_of("path", path), cls)
 
     def save(self, path: str | Path) -> None:
-        """Write a scene file that `load` reads back to a scene of the same numbers.
+        """Write a scene file that `load` reads back without any change of values.
 
-        A picture, heights or meshes in memory are written beside it, without loss; see
-        `scene.file.save_scene`.
+        An image, heights or meshes held in memory are written losslessly into the same folder.
+
+        Parameters
+        ----------
+        path : str or Path
+            File to write; an existing file is replaced.
+
+        Raises
+        ------
+        SceneError
+            If the folder does not exist, or a wall or material cannot be written as TOML.
         """
         from .file.scene_file import save_scene
 
         save_scene(self, path_of("path", path))
 
     def _figures(self) -> Figures:
+        """Return the key figures of the scene, for display in notebooks."""
         laser, camera = self.laser, self.camera
         size = self.wall.size
         ny, nx = camera.shape
@@ -137,16 +191,34 @@ class Scene(Noun, Shown):
         return Figures("Scene", figures, alt)
 
     def resized(self, size: int) -> Scene:
-        """The same scene with an image of ``size`` pixels across the same field."""
+        """Return a copy whose camera image has ``size`` pixels along x over the same field.
+
+        Parameters
+        ----------
+        size : int
+            Image pixels along x; must divide the camera's native pixels.
+
+        Raises
+        ------
+        SceneError
+            If ``size`` does not divide the native pixels.
+        """
         return replace(self, camera=self.camera.resized(size))
 
     def check_in_front(self, *, meshes: bool = True) -> None:
-        """Refuse a laser, camera or object behind the wall, wherever the wall has a height.
+        """Check that laser, camera and hidden object lie in front of the wall's surface.
+
+        Points beyond the wall's edges are not checked against its height.
 
         Parameters
         ----------
         meshes : bool
-            Whether to read the vertices of a `MeshObject`.
+            Whether to check the vertices of a `MeshObject` too, which reads its file.
+
+        Raises
+        ------
+        SceneError
+            If one of them lies behind the wall.
         """
         if self.wall.is_flat:
             return  # each of them checks its own z > 0
@@ -164,24 +236,24 @@ class Scene(Noun, Shown):
 
     @cached_property
     def occluding_mesh(self) -> trimesh.Trimesh | None:
-        """All occluders as one mesh in the world frame, m; None where there are none."""
+        """All occluders as one mesh in the world frame, m; None without occluders."""
         return joined(self.occluders)
 
     @property
     def object_point(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Reference point of the hidden object, world, m: its centre, or its mesh's centroid."""
+        """Reference point of the hidden object, (3,), world, m: image centre or mesh centroid."""
         if isinstance(self.hidden, MeshObject):
             return np.asarray(self.hidden.surface.centroid)
         return np.array(self.hidden.position)
 
     @property
     def mirrored_object_point(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """`object_point` mirrored in the plane z = 0, world, m."""
+        """Mirror image of `object_point` in the plane z = 0, (3,), world, m."""
         return self.object_point * (1.0, 1.0, -1.0)
 
     @property
     def focus_distance(self) -> float:
-        """Axial distance in front of the lens that is in focus, m."""
+        """Axial distance from the lens to the plane in focus, m."""
         if self.camera.focus_distance is not None:
             return self.camera.focus_distance
         return float(
@@ -190,7 +262,7 @@ class Scene(Noun, Shown):
 
     @property
     def image_distance(self) -> float:
-        """Distance from the lens to the detector, m, by the thin-lens equation."""
+        """Distance from the lens to the detector, m, from the thin-lens equation."""
         f, s = self.camera.focal_length, self.focus_distance
         if s <= f:
             raise SceneError(
@@ -201,7 +273,7 @@ class Scene(Noun, Shown):
 
 
 def _height_bound(wall: Wall, square: Array) -> Array | None:
-    """Bound on the height at the squared distances from the origin; None where it takes a look."""
+    """Upper bound on the height at squared distances from the origin, m; None if not known."""
     if isinstance(wall, SumWall):
         bounds = [_height_bound(term, square) for term in wall.terms]
         known = [bound for bound in bounds if bound is not None]
@@ -209,13 +281,13 @@ def _height_bound(wall: Wall, square: Array) -> Array | None:
     if isinstance(wall, WavyWall):
         return np.full_like(square, abs(wall.amplitude))
     if isinstance(wall, ConcaveWall):
-        # a sag is at most its curvature times the distance squared
+        # the sag r^2/(R + sqrt(R^2 - r^2)) is at most r^2/R
         return square / wall.radius
     return np.zeros_like(square) if isinstance(wall, FlatWall | ConvexWall) else None
 
 
 def _holds_mesh(wall: Wall) -> bool:
-    """Whether the wall's height takes the fit of a mesh."""
+    """Whether the wall is a mesh or contains one, so that its height requires a surface fit."""
     if isinstance(wall, SumWall):
         return any(_holds_mesh(term) for term in wall.terms)
     return isinstance(wall, MeshWall)
@@ -226,7 +298,7 @@ def _refuse_behind(wall: Wall, name: str, points: Array) -> None:
     points = points[wall.contains(points[:, 0], points[:, 1])]
     bound = _height_bound(wall, points[:, 0] ** 2 + points[:, 1] ** 2)
     if bound is not None:
-        points = points[points[:, 2] <= bound]  # most walls need no compiler for this
+        points = points[points[:, 2] <= bound]  # usually none is left and no kernel is compiled
     if not len(points):
         return
     x, y, z = np.ascontiguousarray(points.T)
@@ -237,7 +309,7 @@ def _refuse_behind(wall: Wall, name: str, points: Array) -> None:
         heights.surfaces(*wall.compiled(), x, y, surface)
     else:
         surface[:, 0] = wall.height(x, y)
-    # NaN where the wall has no height compares false
+    # where the wall has no height, NaN compares false and the point passes
     behind = np.nonzero(z <= surface[:, 0])[0]
     if len(behind):
         i = behind[0]

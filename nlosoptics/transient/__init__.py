@@ -1,8 +1,8 @@
-"""Time-resolved light: captures off a relay wall, rendered or measured, and images of them.
+"""Time-resolved captures of a relay wall, and images reconstructed from them.
 
-`render` and `render_scene` make a `TransientCapture`, `TransientCapture.load` reads one of this or
-another program; `phasor_image`, `fk_migration`, `lct` and `backprojection` return a `VolumeImage`,
-and `depth_map` its depths.
+`render` and `render_scene` compute a `TransientCapture`; `TransientCapture.load` reads one from a
+file of this or another program. `phasor_image`, `fk_migration`, `lct` and `backprojection`
+reconstruct a `VolumeImage`, and `depth_map` returns its depths.
 """
 
 from .capture.capture import TransientCapture

@@ -10,13 +10,13 @@ from .curves import encircled_energy, history, mtf, spot_diagram
 from .films import transient, transient_film
 from .forecasts import feasibility, plan
 from .maps import hybrid_parts, image, irradiance, point_spread, reconstruction, wavefront
+from .overview import overview
 from .pages import html_page
-from .phasor_volumes import phasor_volume
 from .rooms import ray_paths, scene_3d
 from .saving import save
 from .sketch import scene_sketch
 from .stages import rendering_works, window
-from .volumes import volume
+from .volumes import phasor_volume, volume
 
 __all__ = [
     "compare_methods",
@@ -28,6 +28,7 @@ __all__ = [
     "image",
     "irradiance",
     "mtf",
+    "overview",
     "phasor_volume",
     "plan",
     "point_spread",

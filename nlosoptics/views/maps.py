@@ -1,4 +1,4 @@
-"""Maps: wave aberration, point spread, image, reconstruction."""
+"""Maps: wave aberration, point spread function, image, reconstruction, irradiance."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, positive
-from .canvas import new_axes
+from .canvas import new_axes, round_step
+from .palette import SKY
 from .reliefs import relief, spread_norm
 
 if TYPE_CHECKING:
@@ -24,7 +25,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: What the value 1 of a point spread stands for.
+SCALE_BAR = SKY  # readable on black, grey and white
+
+#: Labels of colour bars, by the normalisation of a point spread function.
 MEANING = {
     "unit-sum": "energy per sample, whole image plane 1",
     "flux": "energy per sample, clear pupil 1",
@@ -40,16 +43,16 @@ def wavefront(
     Parameters
     ----------
     wavefront : Wavefront
-        In any layout of nodes; nodes without light are left blank.
+        Wave with any layout of nodes. Nodes without light are left blank.
     unit : {"waves", "nm"}
-        Of the colour bar.
+        Unit of the colour bar.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Pupil coordinates in mm; red where the wave has gone the longer path.
+        Axes in pupil coordinates, mm. Red marks a longer optical path.
     """
     one_of("unit", unit, ("waves", "nm"))
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
@@ -88,28 +91,28 @@ def point_spread(
     Parameters
     ----------
     point_spread : PointSpread
-        What to draw.
+        Function to draw.
     scale : {"log", "linear", "surface"}
-        Of the colours; "surface" draws heights in a linear scale under colours in a logarithmic
-        one, on axes of three dimensions.
+        Scale of the colours. "surface" draws a relief with linear heights and logarithmic colours
+        on 3-D axes.
     decades : float
-        Of the logarithmic scale, below the peak; what is fainter is drawn like the faintest.
+        Range of the logarithmic scale below the peak. Fainter samples are drawn as the faintest.
     half_width : float, optional
-        Half the side of the square that is shown about the centre, m; all by default.
+        Half the side of the displayed square about the centre, m; the whole window by default.
     axes : matplotlib Axes, optional
-        Where to draw, for a surface with ``projection="3d"``; a new figure by default.
+        Axes to draw on, made with ``projection="3d"`` for a surface; a new figure by default.
 
     Returns
     -------
     Axes
-        Image coordinates in um, turned as the camera shows them: y grows downward, on a surface
+        Axes in image coordinates, um, oriented as `image`: -y points up. On a surface y points
         toward the viewer.
 
     Raises
     ------
     SceneError
-        If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or a surface is
-        wanted on flat axes.
+        If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or ``axes`` are flat
+        for a surface.
     """
     one_of("scale", scale, ("log", "linear", "surface"))
     positive("decades", decades)
@@ -124,10 +127,10 @@ def point_spread(
     drawn = _spread_map(axes, point_spread.intensity, point_spread.pitch, norm)
     if half_width is not None:
         axes.set(
-            xlim=(-half_width * 1e6, half_width * 1e6), ylim=(half_width * 1e6, -half_width * 1e6)
+            xlim=(-half_width * 1e6, half_width * 1e6), ylim=(-half_width * 1e6, half_width * 1e6)
         )
     colour_bar(axes, drawn, meaning)
-    axes.set(xlabel="x (µm)", ylabel="y (µm)", title=title)
+    axes.set(xlabel="x (µm)", ylabel="−y, up (µm)", title=title)
     return axes
 
 
@@ -137,22 +140,22 @@ def hybrid_parts(
     decades: float = 6.0,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw the parts of a hybrid point spread: coherent, halo and diffuse, in one scale.
+    """Draw the three parts of a hybrid point spread function with a common scale.
 
     Parameters
     ----------
     point_spread : HybridPointSpread
-        What to draw.
+        Function to draw: its coherent part, its halo and its diffuse part.
     decades : float
-        Of the logarithmic scale, below the peak of the sum; what is fainter is drawn like the
+        Range of the logarithmic scale below the peak of the sum. Fainter samples are drawn as the
         faintest.
     axes : sequence of three matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     tuple of three Axes
-        Image coordinates in um, turned as the camera shows them: y grows downward.
+        Axes in image coordinates, um, oriented as `image`: -y points up.
     """
     positive("decades", decades)
     drawn_on = tuple(axes) if axes is not None else new_axes(3, width=13.0, height=4.2)
@@ -160,97 +163,145 @@ def hybrid_parts(
     for axis, name in zip(drawn_on, ("coherent", "halo", "diffuse"), strict=True):
         drawn = _spread_map(axis, getattr(point_spread, name), point_spread.pitch, norm)
         share = getattr(point_spread, f"{name}_flux")
-        axis.set(xlabel="x (µm)", ylabel="y (µm)", title=f"{name}, {share:.3g} in all")
+        axis.set(xlabel="x (µm)", ylabel="−y, up (µm)", title=f"{name}, {share:.3g} in all")
     colour_bar(drawn_on[-1], drawn, MEANING[point_spread.normalisation])
     return drawn_on
 
 
 def _spread_map(axes: Axes, intensity: Array, pitch: float, norm: Normalize) -> AxesImage:
-    """Draw samples of the image plane about their centre, as the camera shows them."""
+    """Draw samples of the image plane with row 0 on top, so that -y points up."""
     ny, nx = intensity.shape
     pixel = pitch * 1e6
-    left, low = (-(n // 2 + 0.5) * pixel for n in (nx, ny))
+    left, top = -(nx // 2 + 0.5) * pixel, (ny // 2 + 0.5) * pixel
     return axes.imshow(
         np.maximum(intensity, norm.vmin or 0.0),
         norm=norm,
         cmap="viridis",
-        extent=(left, left + nx * pixel, low + ny * pixel, low),
+        extent=(left, left + nx * pixel, top - ny * pixel, top),
         interpolation="nearest",
     )
 
 
-def image(speckle_image: SpeckleImage, *, axes: Axes | None = None) -> Axes:
-    """Draw a camera image as the camera shows it: upright, mirror-reversed by the wall.
+def image(
+    speckle_image: SpeckleImage, *, object_scale: float | None = None, axes: Axes | None = None
+) -> Axes:
+    """Draw a camera image upright, as the camera shows it. The wall has mirror-reversed it.
 
     Parameters
     ----------
     speckle_image : SpeckleImage
-        What to draw.
+        Image to draw.
+    object_scale : float, optional
+        Metres on the hidden object per metre on the detector, such as
+        `limits.object_scale` returns. Adds a scale bar with a length on the object.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Detector coordinates in mm, row 0 on top; colours are electrons per pixel.
+        Axes in detector coordinates, mm. The lens inverts, so that -y points up. Colours are
+        electrons per pixel.
     """
+    if object_scale is not None:
+        object_scale = positive("object_scale", object_scale)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
     ny, nx = speckle_image.electrons.shape
-    right, low = (n / 2 * speckle_image.pitch * 1e3 for n in (nx, ny))
+    right, top = (n / 2 * speckle_image.pitch * 1e3 for n in (nx, ny))
     drawn = axes.imshow(
         speckle_image.electrons,
         cmap="gray",
-        extent=(-right, right, low, -low),
+        extent=(-right, right, -top, top),
         interpolation="nearest",
     )
+    if object_scale is not None:
+        _scale_bar(axes, 1e3 / object_scale)
     colour_bar(axes, drawn, "electrons per pixel")
-    axes.set(xlabel="x (mm)", ylabel="y (mm)", title="speckle image")
+    axes.set(xlabel="x (mm)", ylabel="−y, up (mm)", title="camera image")
     return axes
+
+
+def _scale_bar(axes: Axes, per_metre: float) -> None:
+    """Draw a bar of a round length on the object; an axes unit is 1 / ``per_metre`` m there."""
+    left, right = axes.get_xlim()
+    low, high = axes.get_ylim()
+    width = right - left
+    length = round_step(0.25 * width / per_metre)
+    x, y = left + 0.05 * width, low + 0.06 * (high - low)
+    style: dict[str, Any] = {"color": SCALE_BAR, "solid_capstyle": "butt", "linewidth": 3}
+    axes.plot([x, x + length * per_metre], [y, y], scalex=False, scaley=False, **style)
+    name = f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm"
+    axes.annotate(
+        f"{name} on the object",
+        (x, y),
+        (0, 4),
+        textcoords="offset points",
+        color=SCALE_BAR,
+        fontsize="small",
+    )
 
 
 def reconstruction(
     reconstruction: Reconstruction,
     truth: ArrayLike | None = None,
     *,
+    pitch: float | None = None,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw a reconstruction, beside the ground truth where it is known.
+    """Draw a reconstruction, next to the ground truth if that is known.
 
     Parameters
     ----------
     reconstruction : Reconstruction
-        What to draw.
+        Reconstruction to draw.
     truth : array_like (ny, nx), optional
-        The object in the frame of the reconstruction, in the same units.
+        True object on the pixels of the reconstruction, in the same units.
+    pitch : float, optional
+        Side of a pixel on the object, m. The axes are then in metres about the middle of the image;
+        without it they count pixels.
     axes : sequence of matplotlib Axes, optional
-        Where to draw, one axes or, with a truth, two; a new figure by default.
+        Axes to draw on: one, or two with a truth. A new figure by default.
 
     Returns
     -------
     tuple of Axes
-        Truth, where it is given, and reconstruction. The mirror is undone: columns count from right
-        to left, so that letters read. Colours are relative brightness where the largest value is
-        1, and else in the units that the given gain refers to.
+        Axes of the truth (if given) and of the reconstruction. The wall's mirror reversal is
+        undone, so that letters read; y points up. Colours are relative to the largest value where
+        that is 1, and in the units of the object otherwise.
     """
-    pictures = [] if truth is None else [("ground truth", np.asarray(truth))]
+    if pitch is not None:
+        pitch = positive("pitch", pitch, unit="m")
+    shown = [] if truth is None else [("ground truth", np.asarray(truth))]
     found = reconstruction.object
     if hasattr(found, "detach"):  # a tensor, which may be on another device or carry gradients
         found = found.detach().cpu()
-    told = reconstruction.status.replace("_", " ")
-    pictures.append((f"reconstruction, {told}", np.asarray(found)))
+    status = reconstruction.status.replace("_", " ")
+    shown.append((f"reconstruction, {status}", np.asarray(found)))
     if axes is None:
-        axes = new_axes(len(pictures), width=0.6 + 4.8 * len(pictures), height=4.6)
-    for where, (title, picture) in zip(axes, pictures, strict=True):
-        drawn = where.imshow(picture, cmap="gray", interpolation="nearest")
-        where.invert_xaxis()
-        relative = np.isclose(picture.max(), 1.0)
+        axes = new_axes(len(shown), width=0.6 + 4.8 * len(shown), height=4.6)
+    for where, (title, values) in zip(axes, shown, strict=True):
+        ny, nx = values.shape
+        if pitch is None:
+            drawn = where.imshow(values, cmap="gray", interpolation="nearest")
+            where.invert_xaxis()
+            where.set(xlabel="column (pixels)", ylabel="row (pixels)")
+        else:
+            right, top = nx / 2 * pitch, ny / 2 * pitch
+            drawn = where.imshow(
+                values[:, ::-1],
+                cmap="gray",
+                extent=(-right, right, -top, top),
+                interpolation="nearest",
+            )
+            where.set(xlabel="right (m on the object)", ylabel="up (m on the object)")
+        relative = np.isclose(values.max(), 1.0)
         colour_bar(where, drawn, "relative brightness" if relative else "object units")
-        where.set(xlabel="column (pixels)", ylabel="row (pixels)", title=title)
+        where.set(title=title)
     return tuple(axes)
 
 
 def colour_bar(axes: Axes, drawn: Any, label: str) -> None:
-    """Add a colour bar beside axes, as high as what is drawn on them."""
+    """Add a colour bar to the right of axes, as high as their map."""
     figure: Any = axes.get_figure(root=True)
     figure.colorbar(drawn, cax=axes.inset_axes((1.03, 0.0, 0.045, 1.0)), label=label)
 
@@ -261,18 +312,19 @@ def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
     Parameters
     ----------
     irradiance : WallIrradiance
+        Irradiance to draw.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        World x and y in m, as seen from the room: x grows to the right, y up.
+        Axes in world x and y, m; y points up.
     """
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.6)
     drawn = axes.pcolormesh(
         irradiance.x, irradiance.y, irradiance.irradiance, shading="nearest", rasterized=True
     )
     colour_bar(axes, drawn, "irradiance (W/m$^2$)")
-    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="light on the relay wall")
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="irradiance of the relay wall")
     return axes

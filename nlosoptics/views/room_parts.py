@@ -249,9 +249,3 @@ def triad(origin: Array, length: float, facing: Array) -> PolyData:
         letter.points = (flat - flat.mean(axis=0)) @ facing + origin + 1.35 * length * direction
         found += [arrow.triangulate(), letter.triangulate()]
     return pv.merge(found)
-
-
-def round_step(length: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is no longer, m."""
-    power = 10.0 ** math.floor(math.log10(length))
-    return max(m * power for m in (1, 2, 5) if m * power <= length * (1 + 1e-9))

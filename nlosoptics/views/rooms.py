@@ -8,6 +8,7 @@ import numpy as np
 
 from ..scene import PlanarObject, Scene
 from . import room_parts as parts
+from .canvas import round_step
 from .rays import COLOURS, chosen_paths, colour_style, path_lines
 from .sketch import CAMERA, LASER, OBJECT, OCCLUDER
 from .stages import INK, add_legend, bar_style, finish_bar, look_at, new_plotter
@@ -72,7 +73,7 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
         mesh = parts.mesh_surface(scene.occluding_mesh)
         plotter.add_mesh(mesh, color=OCCLUDER, name="occluders", **MATT)
         legend["occluders"] = OCCLUDER
-    step = parts.round_step(extent / 6)
+    step = round_step(extent / 6)
     floor = parts.floor_grid(low, high, step)
     plotter.add_mesh(floor, color=GRID, line_width=1, name="floor grid", **FLAT)
     legend[f"floor grid, {step:g} m"] = GRID

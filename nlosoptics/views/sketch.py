@@ -30,37 +30,28 @@ def scene_sketch(
     Parameters
     ----------
     scene : Scene
-        What to draw: the wall's profile through the origin, the laser beam, the hidden object and
-        its mirror image in the mean wall, the camera with its axis, the chief path of the light
-        from the laser by way of the object to the camera, as a flat wall would send it, and boxes
-        around occluders.
+        Scene to draw: the wall's profile through the origin, the laser beam, the hidden object and
+        its mirror image in the mean wall, the camera with its axis, boxes around occluders, and
+        the chief path of the light from the laser via the object to the camera. The chief path is
+        that of a flat wall.
     stacked : bool
-        One view above the other on a new figure, to be read on a phone.
+        Whether a new figure has one view above the other, which suits a phone.
     axes : sequence of two matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     (Axes, Axes)
-        Top view and side view, m.
+        Axes of the top view and of the side view, m.
     """
     if axes is not None:
         top, side = axes
     elif stacked:
-        top, side = new_axes(2, width=3.2, height=7.6, stacked=True, dots=FINE)
+        top, side = new_axes(2, width=3.2, height=7.6, columns=1, dots=FINE)
     else:
         top, side = new_axes(2, width=10.5, height=5.4)
-    outlines = _outlines(scene)
-    reach = 1.1 * max(np.abs(points[:, :2]).max() for _, points, _ in outlines)
-    for view, (across, up) in ((top, (0, 2)), (side, (2, 1))):
-        profile = _profile(scene, along=0 if view is top else 1, reach=reach)
-        view.plot(*profile[:, [across, up]].T, color=WALL, linewidth=2.5, label="relay wall")
-        for label, points, style in outlines:
-            view.plot(*points[:, [across, up]].T, label=label, **style)
-        view.set_aspect("equal", adjustable="datalim")
-        view.grid(alpha=0.25)
-    top.yaxis.set_inverted(True)  # who looks down and has x on the right has z toward himself
-    top.set(xlabel="x (m)", ylabel="z, into the room (m)", title="from above")
+    room_from_above(scene, top)
+    _draw(scene, side, across=2, up=1)
     side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="from the side")
     if axes is None:
         figure: Any = top.get_figure(root=True)
@@ -72,8 +63,27 @@ def scene_sketch(
     return top, side
 
 
+def room_from_above(scene: Scene, axes: Axes) -> None:
+    """Draw the top view of a scene: x to the right, z toward the reader, m."""
+    _draw(scene, axes, across=0, up=2)
+    axes.yaxis.set_inverted(True)  # seen from above with x to the right, z points down
+    axes.set(xlabel="x (m)", ylabel="z, into the room (m)", title="from above")
+
+
+def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:
+    """Draw one view, by the indices of its world axes."""
+    outlines = _outlines(scene)
+    reach = 1.1 * max(np.abs(points[:, :2]).max() for _, points, _ in outlines)
+    profile = _profile(scene, along=0 if across == 0 else 1, reach=reach)
+    axes.plot(*profile[:, [across, up]].T, color=WALL, linewidth=2.5, label="relay wall")
+    for label, points, style in outlines:
+        axes.plot(*points[:, [across, up]].T, label=label, **style)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.grid(alpha=0.25)
+
+
 def _profile(scene: Scene, *, along: int, reach: float) -> Any:
-    """Points of the wall along world x or y through the origin, (n, 3), m."""
+    """Return points of the wall along world x or y through the origin, (n, 3), m."""
     size = scene.wall.size
     half = reach if size is None else size[along] / 2
     t, zero = np.linspace(-half, half, 401), np.zeros(401)
@@ -88,7 +98,7 @@ def _profile(scene: Scene, *, along: int, reach: float) -> Any:
 
 
 def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
-    """Label, world points (n, 3) in m and line style of all but the wall."""
+    """Return label, world points (n, 3) in m and line style of everything but the wall."""
     camera, laser = np.array(scene.camera.position), np.array(scene.laser.position)
     x, y, _ = scene.laser.aim
     spot = np.array([x, y, float(scene.wall.height(x, y))])

@@ -112,7 +112,7 @@ def test_options_stand_for_what_a_capture_lacks(run):
         file["delta_t"] = 0.02 / 299792458
     code, out, err = run("phasor", "x.hdf5")
     assert (code, out) == (2, "")
-    assert "as seconds it would be bin_width = 0.02" in err
+    assert "if it is in seconds, give bin_width = 0.02" in err
     code, _, err = run("phasor", "x.hdf5", "--bin-width", 0.02)
     assert code == 2
     assert "--wl-mean" in err

@@ -259,6 +259,6 @@ def test_a_scene_of_functions_is_not_saved(found: nlos.Result, tmp_path: Path) -
     wall = scene.CallableWall(
         lambda x, y: 0 * x, lambda x, y: (0 * x, 0 * y), max_height=1.0, max_curvature=1.0
     )
-    with pytest.raises(SceneError, match=r"CallableWall has no form in a scene file"):
+    with pytest.raises(SceneError, match=r"CallableWall cannot be written in a scene file"):
         replace(found, scene=replace(found.scene, wall=wall)).save(tmp_path / "kept")
     assert list(tmp_path.iterdir()) == []

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from nlosoptics import psf, views
+import nlosoptics as nlos
+from nlosoptics import limits, psf, views
 from nlosoptics.errors import SceneError
 from nlosoptics.psf import Comparison, ComparisonRow
 from nlosoptics.runs.plan import Plan, Stage
@@ -188,7 +190,8 @@ import sys
 sys.modules["matplotlib"] = None
 import numpy as np
 from types import SimpleNamespace
-from nlosoptics import psf, views
+import nlosoptics as nlos
+from nlosoptics import limits, psf, views
 from nlosoptics.errors import MissingExtraError
 from nlosoptics.runs.plan import Plan
 from nlosoptics.transient import TransientCapture, wall_grid
@@ -230,3 +233,24 @@ for draw in (
 def test_without_matplotlib_every_picture_names_the_extra():
     answer = subprocess.run([sys.executable, "-c", NO_MATPLOTLIB], capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
+
+
+def test_overview_shows_a_whole_run(flat_scene, assert_drawn):
+    """Six maps with a reconstruction and four without; the scale is that of the camera image."""
+    scene = flat_scene.resized(32)
+    result = nlos.simulate(scene, seed=0, reconstruct=True)
+    axes = views.overview(result)
+    assert_drawn(axes)
+    titles = [drawn.get_title().split(",")[0] for drawn in axes]
+    assert titles == [
+        "from above",
+        "wave aberration",
+        "point spread",
+        "camera image",
+        "reconstruction",
+        "ground truth",
+    ]
+    width = limits.object_scale(scene) * scene.camera.image_pitch * 32
+    assert np.ptp(axes[4].get_xlim()) == pytest.approx(width)
+    without = views.overview(replace(result, reconstruction=None))
+    assert [drawn.get_title() for drawn in without][3:] == ["camera image"]

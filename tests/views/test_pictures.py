@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from nlosoptics import psf, views
+from nlosoptics.errors import SceneError
 from nlosoptics.psf.wave.wavefront import Wavefront
 from nlosoptics.scene import Scene
 
@@ -131,7 +132,7 @@ def test_point_spread_centre_is_at_zero() -> None:
         # rounding of a few um
         assert (columns[j] + columns[j + 1]) / 2 == pytest.approx(0, abs=1e-12)
         assert (rows[i] + rows[i + 1]) / 2 == pytest.approx(0, abs=1e-12)
-        assert top < bottom  # y grows downward
+        assert bottom < top  # -y, which points up
 
 
 def test_log_scale_spans_its_decades() -> None:
@@ -140,15 +141,26 @@ def test_log_scale_spans_its_decades() -> None:
     (drawn,) = axes.images
     assert drawn.get_clim() == (1e-4, 1.0)
     assert drawn.get_array().min() == 1e-4
-    assert axes.get_ylim() == (3.0, -3.0)
+    assert axes.get_ylim() == (-3.0, 3.0)
 
 
 def test_image_has_row_zero_on_top() -> None:
     """Drawn as the camera shows it, in mm about the axis."""
     axes = views.image(SimpleNamespace(electrons=letter(), pitch=72e-6))  # type: ignore[arg-type]
     np.testing.assert_array_equal(shown(axes), letter())
-    # eight pixels of 72 um straddle the axis; y grows downward
-    np.testing.assert_allclose(axes.images[0].get_extent(), (-0.288, 0.288, 0.288, -0.288))
+    # eight pixels of 72 um straddle the axis; -y points up
+    np.testing.assert_allclose(axes.images[0].get_extent(), (-0.288, 0.288, -0.288, 0.288))
+
+
+def test_scale_bar_has_a_round_length_on_the_object() -> None:
+    """At 25 m on the object per m on the detector, 2 mm there are 0.08 mm here."""
+    seen = SimpleNamespace(electrons=letter(), pitch=72e-6)
+    axes = views.image(seen, object_scale=25.0)  # type: ignore[arg-type]
+    (bar,) = axes.lines
+    assert np.ptp(bar.get_xdata()) == pytest.approx(0.08)
+    assert axes.texts[0].get_text() == "2 mm on the object"
+    with pytest.raises(SceneError, match="object_scale = 0 is out of range"):
+        views.image(seen, object_scale=0.0)  # type: ignore[arg-type]
 
 
 def test_reconstruction_reads() -> None:
@@ -157,6 +169,16 @@ def test_reconstruction_reads() -> None:
     found = SimpleNamespace(object=seen, status="converged")
     for axes in views.reconstruction(found, seen):  # type: ignore[arg-type]
         np.testing.assert_array_equal(shown(axes), letter())
+
+
+def test_reconstruction_in_metres_reads() -> None:
+    """Axes about the middle of the image grow to the right and up."""
+    seen = letter()[:, ::-1]
+    found = SimpleNamespace(object=seen, status="converged")
+    (axes,) = views.reconstruction(found, pitch=0.01)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(shown(axes), letter())
+    np.testing.assert_allclose((*axes.get_xlim(), *axes.get_ylim()), (-0.04, 0.04, -0.04, 0.04))
+    assert axes.get_ylabel() == "up (m on the object)"
 
 
 def test_reconstruction_names_its_scale() -> None:

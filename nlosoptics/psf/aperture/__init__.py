@@ -1,1 +1,1 @@
-"""Outlines of pupils, and the quadrature nodes inside them."""
+"""Pupil outlines, and the quadrature nodes and grids inside them."""

@@ -1,4 +1,4 @@
-"""Pupils of any outline: ellipses, polygons, segments, cut discs, vanes."""
+"""Pupil outlines: ellipses, polygons, segmented mirrors, intersecting discs, vanes."""
 
 from __future__ import annotations
 
@@ -23,23 +23,32 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Point = tuple[float, float]
 
-#: Of the farthest corner's distance, how far each side's line at least passes by the middle of a
-#: similar hole; nearer, rounding alone would tell the sides of it apart.
+#: Least distance from the centroid of an obscured polygon to the line of each side, relative to the
+#: distance of the farthest corner. Below it, rounding decides on which side the centroid lies.
 SEEN: Final = 1e-9
-#: Share of a patch's size by which its rim is drawn in where cells are tested for overlap.
+#: Inset of the points that test cells for overlap, as a fraction of the patch's size: cells that
+#: merely touch do not overlap.
 TOUCH: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Cell(Noun):
-    """Connected part of a pupil, over which a wave is smooth.
+    """Connected part of a pupil, over which the wave is smooth.
 
     Parameters
     ----------
     outline : tuple of Curve
-        Closed curves, the outer counterclockwise and holes clockwise.
+        Curves that form closed loops: the outer boundary counterclockwise, holes clockwise.
     sides : tuple of (Curve, Curve)
-        Patches that cover it: the straight lines between points of equal t on two curves.
+        Patches that cover the cell, each given by two opposite sides. A patch consists of the
+        straight lines between points of equal t on its two sides.
+
+    Attributes
+    ----------
+    area : float
+        Area, m^2.
+    centroid : (float, float)
+        Centre of area, m.
     """
 
     outline: tuple[Curve, ...]
@@ -55,21 +64,38 @@ class Cell(Noun):
 
 @dataclass(frozen=True, eq=False)
 class Aperture(Noun):
-    """Outline of a pupil: disjoint cells, each of segments and elliptic arcs.
+    """Pupil outline made of disjoint cells, each bounded by line segments and elliptic arcs.
 
-    Made by `ellipse`, `round`, `polygon`, `regular`, `hexagons`, `discs` and `union`. All
+    Build one with `ellipse`, `round`, `polygon`, `regular`, `hexagons`, `discs` or `union`. All
     coordinates are (u, v) in the exit pupil, m.
 
     Parameters
     ----------
     cells : tuple of Cell
+        Connected parts of the pupil; they must not overlap.
+
+    See Also
+    --------
+    Wavefront.from_function : Sample a wave on an aperture.
 
     Notes
     -----
-    Every cell is covered by patches: the straight lines between points of equal t on two opposite
-    sides, ``(1 - s) A(t) + s B(t)``. A side may be a point, as at the middle of a fan. On
-    Gauss-Legendre nodes of s and t with the map's Jacobian in the weights, a wave that is smooth
-    over a cell is integrated with spectral convergence, and a polynomial exactly on straight sides.
+    Patches cover every cell. A patch has two opposite sides A and B and the map
+    ``(1 - s) A(t) + s B(t)``, 0 <= s, t <= 1. A side may shrink to a point, for example at the
+    centre of a fan. Quadrature uses Gauss-Legendre nodes in s and t, with the Jacobian of the map
+    in the weights. It converges spectrally for waves that are smooth over a cell, and is exact for
+    polynomials where the sides are straight.
+
+    Examples
+    --------
+    A mirror of 36 hexagonal segments without the central one:
+
+    >>> from nlosoptics import psf
+    >>> pupil = psf.Aperture.hexagons(3, flat_to_flat=1.8e-3, gap=5e-6, central=False)
+    >>> len(pupil.cells)
+    36
+    >>> print(f"{1e6 * pupil.area:.2f} mm^2")
+    101.01 mm^2
     """
 
     cells: tuple[Cell, ...]
@@ -84,18 +110,27 @@ class Aperture(Noun):
         obscuration: float = 0.0,
         centre: Point = (0.0, 0.0),
     ) -> Aperture:
-        """Ellipse, or the ring between it and a similar one.
+        """Return an ellipse, or the ring between two similar concentric ellipses.
 
         Parameters
         ----------
         a, b : float
             Half axes, m.
         angle : float
-            Of the axis a from u toward v, rad.
+            Angle of the axis a from u toward v, rad.
         obscuration : float
-            Size of the inner ellipse as a fraction of the outer.
+            Size of the inner ellipse as a fraction of the outer, 0 to 0.99.
         centre : (float, float)
-            m.
+            Centre (u, v), m.
+
+        Returns
+        -------
+        Aperture
+
+        Raises
+        ------
+        SceneError
+            If a value is out of range.
         """
         axes = parts.ellipse_axes(a, b, angle)
         inner = in_range("obscuration", obscuration, 0.0, 0.99)
@@ -113,25 +148,46 @@ class Aperture(Noun):
         vane_width: float = 0.0,
         angle: float = 0.0,
     ) -> Aperture:
-        """Disc or ring, with vanes that hold the obscuration; a cell between each two of them.
+        """Return a disc or ring about the axis, optionally crossed by straight vanes.
+
+        Each sector between two vanes is a cell.
 
         Parameters
         ----------
         radius : float
-            m.
+            Outer radius, m.
         obscuration : float
-            Inner radius as a fraction of the outer.
+            Inner radius as a fraction of the outer, 0 to 0.99.
         vanes : int
-            Straight arms from the middle to the rim, at equal angles.
+            Number of straight arms from the centre to the rim, at equal angles.
         vane_width : float
-            m.
+            Width of each arm, m.
         angle : float
-            Of the first vane, rad from u toward v.
+            Angle of the first vane from u toward v, rad.
+
+        Returns
+        -------
+        Aperture
+
+        Raises
+        ------
+        SceneError
+            If a value is out of range, a width is given without vanes, there is one vane without
+            an obscuration, or the vanes are so wide that they cover the pupil or the hole.
+
+        Examples
+        --------
+        >>> from nlosoptics import psf
+        >>> pupil = psf.Aperture.round(0.01, 0.3, vanes=3, vane_width=5e-4)
+        >>> len(pupil.cells)
+        3
+        >>> print(f"{1e6 * pupil.area:.1f} mm^2")
+        275.4 mm^2
         """
         real("angle", angle)
         if whole("vanes", vanes, 0) == 0:
             if real("vane_width", vane_width) != 0:
-                raise SceneError(f"vane_width = {vane_width:g} m without vanes; give their number")
+                raise SceneError(f"vane_width = {vane_width:g} m with vanes = 0; set vanes as well")
             return cls.ellipse(radius, radius, obscuration=obscuration)
         positive("radius", radius, unit="m")
         in_range("obscuration", obscuration, 0.0, 0.99)
@@ -140,15 +196,25 @@ class Aperture(Noun):
 
     @classmethod
     def polygon(cls, vertices: ArrayLike, *, obscuration: float = 0.0) -> Aperture:
-        """Any polygon that does not cross itself.
+        """Return any polygon that does not cross itself.
 
         Parameters
         ----------
-        vertices : array_like
-            Corners (n, 2), m, in order either way.
+        vertices : array_like, (n, 2)
+            Corners (u, v), m, clockwise or counterclockwise.
         obscuration : float
-            Size, as a fraction, of a similar polygon about the centroid that is left out; the
-            centroid must see every side.
+            Size of a hole as a fraction of the polygon, 0 to 0.99. The hole is a similar polygon
+            about the centroid, from which every side must be visible.
+
+        Returns
+        -------
+        Aperture
+
+        Raises
+        ------
+        SceneError
+            If the polygon crosses itself, has no area or has fewer than 3 corners, or if a hole
+            is wanted and some side is not visible from the centroid.
         """
         return cls((_polygon_cell(simple_polygon(vertices), obscuration),))
 
@@ -156,17 +222,27 @@ class Aperture(Noun):
     def regular(
         cls, sides: int, radius: float, angle: float = 0.0, *, obscuration: float = 0.0
     ) -> Aperture:
-        """Regular polygon about the axis.
+        """Return a regular polygon about the axis.
 
         Parameters
         ----------
         sides : int
+            Number of sides, 3 or more.
         radius : float
-            Of the circle through its corners, m.
+            Radius of the circle through the corners, m.
         angle : float
-            Of one corner from u toward v, rad.
+            Angle of one corner from u toward v, rad.
         obscuration : float
-            Size of a similar polygon that is left out.
+            Size of a similar central hole as a fraction of the polygon, 0 to 0.99.
+
+        Returns
+        -------
+        Aperture
+
+        Raises
+        ------
+        SceneError
+            If a value is out of range.
         """
         whole("sides", sides, 3)
         positive("radius", radius, unit="m")
@@ -184,31 +260,40 @@ class Aperture(Noun):
         angle: float = 0.0,
         central: bool = True,
     ) -> Aperture:
-        """Segmented mirror of equal hexagons.
+        """Return a segmented mirror of equal hexagons.
 
         Parameters
         ----------
         rings : int
-            About the central segment; 3 rings are 37 segments.
+            Number of rings about the central segment; 3 rings make 37 segments.
         flat_to_flat : float
             Width of a segment between opposite sides, m.
         gap : float
-            Between neighbours' sides, m.
+            Distance between the sides of neighbouring segments, m.
         angle : float
-            Of one corner of each segment from u toward v, rad.
+            Angle of one corner of each segment from u toward v, rad.
         central : bool
             Whether there is a central segment.
 
+        Returns
+        -------
+        Aperture
+
+        Raises
+        ------
+        SceneError
+            If a value is out of range, or no segment is left.
+
         Notes
         -----
-        Cells go from the centre outward, ring by ring, each ring counterclockwise from the segment
-        at ``angle + pi/6``.
+        Cells are ordered ring by ring from the centre outward. Each ring runs counterclockwise
+        from the segment at ``angle + pi/6``.
         """
         whole("rings", rings, 0)
         width = positive("flat_to_flat", flat_to_flat, unit="m")
         pitch = width + in_range("gap", gap, 0.0, unit="m")
         if rings == 0 and not central:
-            raise SceneError("rings = 0 without a central segment leaves none; give more rings")
+            raise SceneError("rings = 0 with central = False leaves no segment; give more rings")
         turn = real("angle", angle) + math.pi / 3 * np.arange(6)
         corners = width / math.sqrt(3) * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         centres = parts.hexagon_centres(rings, pitch, float(turn[0]) + math.pi / 6)
@@ -220,14 +305,23 @@ class Aperture(Noun):
     def discs(
         cls, discs: Iterable[tuple[Point, float]], *, within: ArrayLike | None = None
     ) -> Aperture:
-        """What discs have in common, as a lens barrel leaves of an oblique beam.
+        """Return the intersection of discs, for example a beam vignetted by a lens barrel.
 
         Parameters
         ----------
         discs : iterable of ((float, float), float)
-            Centre and radius of each, m.
-        within : array_like, optional
-            Corners (n, 2), m, of a convex polygon that cuts them too.
+            Centre (u, v) and radius of each disc, m.
+        within : array_like, (n, 2), optional
+            Corners (u, v), m, of a convex polygon. The aperture is the part of the discs inside it.
+
+        Returns
+        -------
+        Aperture
+
+        Raises
+        ------
+        SceneError
+            If the discs and the polygon have no area in common, or the polygon is not convex.
         """
         corners = None if within is None else convex_polygon(within, "within")
         outer, middle = parts.common_outline(discs, corners)
@@ -235,24 +329,34 @@ class Aperture(Noun):
 
     @classmethod
     def union(cls, *apertures: Aperture) -> Aperture:
-        """Several apertures side by side.
+        """Return one aperture with the cells of several.
+
+        Parameters
+        ----------
+        *apertures : Aperture
+            One or more apertures that do not overlap.
+
+        Returns
+        -------
+        Aperture
+            Cells in the order of the arguments.
 
         Raises
         ------
         SceneError
-            If two of their cells overlap.
+            If two cells overlap, or an argument is not an `Aperture`.
         """
         for a in apertures:
             if not isinstance(a, Aperture):
-                raise SceneError(f"a union of a {type(a).__name__}; give apertures alone")
+                raise SceneError(f"union got a {type(a).__name__}; give Aperture objects only")
         if not apertures:
-            raise SceneError("a union of no apertures; give one or more")
+            raise SceneError("union got no apertures; give one or more")
         whole_one = cls(tuple(cell for a in apertures for cell in a.cells))
         whole_one._check_apart()
         return whole_one
 
     def moved(self, by: Point) -> Aperture:
-        """Shifted by (u, v), m."""
+        """Return the aperture shifted by ``by`` = (u, v), m."""
         step = parts.place("by", by)
         return Aperture(
             tuple(
@@ -266,23 +370,23 @@ class Aperture(Noun):
 
     @cached_property
     def area(self) -> float:
-        """m^2."""
+        """Area of the pupil, m^2."""
         return math.fsum(cell.area for cell in self.cells)
 
     @cached_property
     def perimeter(self) -> float:
-        """Length of all rims, m."""
+        """Length of all outer and inner rims, m."""
         return float(np.sum(lengths(self.rims)))
 
     @cached_property
     def rims(self) -> Curve:
-        """Every curve of the outlines, (n,)."""
+        """All curves of the outlines, stacked as one `Curve` of shape (n,)."""
         return Curve.stack([curve for cell in self.cells for curve in cell.outline])
 
     @cached_property
     def bounding_radius(self) -> float:
-        """Radius of the circle about the axis that holds the pupil, m."""
-        # the distance of an arc turns at few places: a dense look, then a parabola's top
+        """Radius of the smallest circle about the axis that encloses the pupil, m."""
+        # The distance along an arc has few maxima: sample densely, then refine by a parabola.
         t = np.linspace(0.0, 1.0, 129)
         r = np.hypot(*np.moveaxis(self.rims.at(t), -1, 0))
         left, middle, right = r[:, :-2], r[:, 1:-1], r[:, 2:]
@@ -296,18 +400,18 @@ class Aperture(Noun):
 
     @cached_property
     def half_width(self) -> float:
-        """Farthest |u| or |v|, m."""
+        """Largest ``|u|`` or ``|v|`` in the pupil, m."""
         low, high = box([curve for cell in self.cells for curve in cell.outline])
         return float(max(np.abs(low).max(), np.abs(high).max()))
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Index of the cell of every patch, (n_patches,)."""
+        """Index of the cell that each patch belongs to, (n_patches,)."""
         return np.repeat(np.arange(len(self.cells)), [len(cell.sides) for cell in self.cells])
 
     @cached_property
     def patches(self) -> tuple[Curve, Curve]:
-        """The two sides of all patches, (n_patches,) each."""
+        """Sides A and B of all patches, each a `Curve` of shape (n_patches,)."""
         pairs = [pair for cell in self.cells for pair in cell.sides]
         return Curve.stack([a for a, _ in pairs]), Curve.stack([b for _, b in pairs])
 
@@ -318,7 +422,7 @@ class Aperture(Noun):
 
     @cached_property
     def patch_size(self) -> tuple[float, float]:
-        """Longest lines along s and along t of any patch, m."""
+        """Longest coordinate line along s, and along t, of any patch, m."""
         a, b = self.patches
         t = np.linspace(0.0, 1.0, 17)
         across = np.hypot(*np.moveaxis(b.at(t) - a.at(t), -1, 0))
@@ -326,7 +430,10 @@ class Aperture(Noun):
         return float(across.max()), float(max(r.max() for r in along))
 
     def map(self, s: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Points of the patches and their derivatives with s and t, (n_patches, n_s, n_t, 2)."""
+        """Return the patches' points at (s, t), m, and their derivatives with s and with t, m.
+
+        ``s`` (n_s,) and ``t`` (n_t,) lie in [0, 1]; results are (n_patches, n_s, n_t, 2).
+        """
         a, b = self.patches
         low, high = a.at(t)[:, None], b.at(t)[:, None]
         s = s[:, None, None]
@@ -336,17 +443,24 @@ class Aperture(Noun):
         return place, along_s, along_t
 
     def nodes(self, n_s: int, n_t: int) -> tuple[Array, Array, Array]:
-        """Gauss-Legendre nodes of every patch.
+        """Return Gauss-Legendre nodes of every patch.
 
         Parameters
         ----------
         n_s, n_t : int
-            Along s and t.
+            Nodes per patch along s and along t.
 
         Returns
         -------
-        u, v, weights : ndarray
-            (n_patches, n_s, n_t); m, m and m^2. The weights sum to the area.
+        u, v : ndarray
+            Coordinates (n_patches, n_s, n_t), m.
+        weights : ndarray
+            Area of each node, (n_patches, n_s, n_t), m^2. The weights sum to the area.
+
+        Raises
+        ------
+        MemoryLimitError
+            If the nodes do not fit into memory.
         """
         n = len(self.owners)
         whole("n_s", n_s)
@@ -360,22 +474,31 @@ class Aperture(Noun):
     def grid_nodes(
         self, samples: int, radius: float | None = None
     ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-        """Square grid over the pupil, each of its squares with its exact area inside.
+        """Return a square grid over the pupil, weighted by the area of each square inside it.
 
         Parameters
         ----------
         samples : int
             Squares per side.
         radius : float, optional
-            The grid just holds the centred square of this half side, m; default `half_width`.
+            Half side of the centred square that the grid just covers, m; default `half_width`.
 
         Returns
         -------
-        u, v, weights : ndarray
-            (samples, samples), rows are v; m, m and m^2, to 1e-12 of the pupil's area. Coordinates
-            are ``(arange(n) - n//2) * pitch``.
+        u, v : ndarray
+            Coordinates ``(arange(n) - n//2) * pitch`` of the squares' centres, (samples, samples),
+            rows are v, m.
+        weights : ndarray
+            Area of each square inside the pupil, (samples, samples), m^2, accurate to 1e-12 of the
+            pupil's area.
         owners : ndarray of int
-            Cell that has the largest part of each square, 0 where none has any.
+            Index of the cell that covers most of each square, (samples, samples); 0 where no cell
+            covers any of it.
+
+        Raises
+        ------
+        MemoryLimitError
+            If the grid does not fit into memory.
         """
         n = whole("samples", samples, 2)
         fits_memory(f"a pupil of {n} x {n} samples", 120.0 * n * n, "use fewer")
@@ -387,21 +510,23 @@ class Aperture(Noun):
         return u, v, total * pitch**2, owners
 
     def grid_shares(self, samples: int, pitch: float) -> tuple[Array, Array, NDArray[np.int64]]:
-        """Shares of a grid's squares inside, the largest of one cell, and whose that is.
+        """Return the fraction of each square of a grid inside the pupil and inside one cell.
 
         Parameters
         ----------
         samples : int
             Squares per side, n.
         pitch : float
-            m; square [n//2, n//2] is about the axis.
+            Side of a square, m; square [n//2, n//2] is centred on the axis.
 
         Returns
         -------
-        total, largest : ndarray
-            (n, n).
+        total : ndarray
+            Fraction of each square inside the pupil, (n, n).
+        largest : ndarray
+            Fraction of each square inside the cell that covers most of it, (n, n).
         owners : ndarray of int
-            (n, n), 0 where none has any.
+            Index of that cell, (n, n); 0 where no cell covers any of the square.
         """
         n = samples
         axis = (np.arange(n, dtype=np.float64) - n // 2) * pitch
@@ -421,7 +546,7 @@ class Aperture(Noun):
         return np.minimum(total, 1.0), most, owners
 
     def contains(self, u: ArrayLike, v: ArrayLike) -> Bools:
-        """Whether points (u, v), m, lie within, of the broadcast shape."""
+        """Return whether points (u, v), m, lie inside the pupil, in their broadcast shape."""
         x, y = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         inside = np.zeros(np.broadcast(x, y).shape, dtype=bool)
         for cell in self.cells:
@@ -429,7 +554,7 @@ class Aperture(Noun):
         return inside
 
     def _check_apart(self) -> None:
-        """Refuse cells that overlap: points of one's patches that lie within another."""
+        """Raise `SceneError` if sample points of one cell's patches lie inside another cell."""
         boxes = [box(cell.outline) for cell in self.cells]
         points = [parts.drawn_in(cell.sides, TOUCH) for cell in self.cells]
         for i, (low, high) in enumerate(boxes):
@@ -446,7 +571,7 @@ class Aperture(Noun):
 
 
 def _ring(outer: Sequence[Curve], centre: Array, inner: float) -> Cell:
-    """Cell between a convex outline and a similar one about a point within."""
+    """Cell between an outline and a similar one, ``inner`` times as large, about ``centre``."""
     if inner == 0:
         return Cell(tuple(outer), tuple((Curve.point(centre), c) for c in outer))
     holes = [c.scaled(inner, centre) for c in outer]
@@ -455,6 +580,7 @@ def _ring(outer: Sequence[Curve], centre: Array, inner: float) -> Cell:
 
 
 def _polygon_cell(corners: Array, obscuration: float) -> Cell:
+    """Cell of a simple counterclockwise polygon, with a similar hole if it is obscured."""
     outer = [Curve.line(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
     area, x, y = moments(outer)
     centre = np.array([x / area, y / area])
@@ -462,8 +588,8 @@ def _polygon_cell(corners: Array, obscuration: float) -> Cell:
     if inner > 0:
         if not sees_all(corners, centre, SEEN):
             raise SceneError(
-                f"obscuration = {inner:g} of a polygon whose centroid does not see every side; "
-                "give two polygons and their union"
+                f"obscuration = {inner:g} needs a polygon with every side visible from its "
+                "centroid; give two polygons and their union"
             )
         return _ring(outer, centre, inner)
     return Cell(tuple(outer), tuple(straight_sides(corners, centre)))

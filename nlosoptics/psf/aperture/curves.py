@@ -1,4 +1,4 @@
-"""Curves that bound a pupil: their points, area, crossings with a grid, what lies within."""
+"""Curves that bound a pupil: points, areas, grid crossings and point-in-outline tests."""
 
 from __future__ import annotations
 
@@ -14,25 +14,30 @@ from .quadrature_nodes import gauss_legendre
 
 Array = NDArray[np.float64]
 
-#: Longest piece of an arc, rad: on it a few Gauss-Legendre nodes are exact to rounding.
+#: Longest arc after `Curve.parts`, rad: a few Gauss-Legendre nodes integrate it to rounding error.
 LONGEST = math.pi / 2 * (1 + 1e-12)
 
-#: Share of a grid's square that counts as none.
+#: Fraction of a grid square below which it counts as empty.
 SLIVER = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
 class Curve(Noun):
-    """Segment, arc of an ellipse or point; with leading dimensions many at once.
+    """Line segment, elliptic arc or point; leading dimensions hold several curves.
 
-    ``base + step t + cosine cos(a) + sine sin(a)`` with ``a = phase + turn t``, 0 <= t <= 1.
+    Points are ``base + step t + cosine cos(a) + sine sin(a)`` with ``a = phase + turn t``,
+    0 <= t <= 1.
 
     Parameters
     ----------
-    base, step, cosine, sine : ndarray
-        (..., 2), m.
+    base : ndarray
+        Start of a segment or centre of an arc, (..., 2), m.
+    step : ndarray
+        Vector from start to end of a segment, (..., 2), m; 0 for an arc.
+    cosine, sine : ndarray
+        Half axes of an arc, (..., 2), m; 0 for a segment.
     phase, turn : ndarray
-        (...), rad.
+        Start angle and signed angular length of an arc, (...), rad; 0 for a segment.
     """
 
     base: Array
@@ -44,49 +49,49 @@ class Curve(Noun):
 
     @classmethod
     def line(cls, start: ArrayLike, end: ArrayLike) -> Curve:
-        """Straight from one point to another."""
+        """Return the line segment from one point to another."""
         a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
         zero = np.zeros_like(a)
         return cls(a, b - a, zero, zero, zero[..., 0], zero[..., 0])
 
     @classmethod
     def point(cls, place: ArrayLike) -> Curve:
-        """A point."""
+        """Return a point as a curve of length 0."""
         return cls.line(place, place)
 
     @classmethod
     def arc(
         cls, centre: ArrayLike, cosine: ArrayLike, sine: ArrayLike, low: float, high: float
     ) -> Curve:
-        """``centre + cosine cos(a) + sine sin(a)`` for a from ``low`` to ``high``."""
+        """Return the arc ``centre + cosine cos(a) + sine sin(a)``, a from ``low`` to ``high``."""
         base, c, s = (np.asarray(a, dtype=np.float64) for a in (centre, cosine, sine))
         return cls(base, np.zeros(2), c, s, np.asarray(low), np.asarray(high - low))
 
     @classmethod
     def circle(cls, centre: ArrayLike, radius: float, low: float, high: float) -> Curve:
-        """The same of a circle."""
+        """Return a circular arc from angle ``low`` to angle ``high``, rad."""
         return cls.arc(centre, (radius, 0.0), (0.0, radius), low, high)
 
     @classmethod
     def stack(cls, curves: Sequence[Curve]) -> Curve:
-        """Single curves as one of a leading dimension."""
+        """Return single curves as one curve with a leading dimension."""
         names = ("base", "step", "cosine", "sine", "phase", "turn")
         return cls(*(np.stack([np.asarray(getattr(c, n)) for c in curves]) for n in names))
 
     @property
     def is_arc(self) -> bool:
-        """Whether a single curve is bent."""
+        """Whether a single curve is an arc."""
         return bool(self.turn != 0)
 
     def at(self, t: ArrayLike) -> Array:
-        """Points (..., len(t), 2), m."""
+        """Return the points at parameters t, (..., len(t), 2), m."""
         t = np.asarray(t, dtype=np.float64)[:, None]
         angle = self.phase[..., None, None] + self.turn[..., None, None] * t
         bent = self.cosine[..., None, :] * np.cos(angle) + self.sine[..., None, :] * np.sin(angle)
         return np.asarray(self.base[..., None, :] + self.step[..., None, :] * t + bent)
 
     def rate(self, t: ArrayLike) -> Array:
-        """Derivatives with t (..., len(t), 2), m."""
+        """Return the derivatives with respect to t, (..., len(t), 2), m."""
         t = np.asarray(t, dtype=np.float64)[:, None]
         turn = self.turn[..., None, None]
         angle = self.phase[..., None, None] + turn * t
@@ -94,7 +99,7 @@ class Curve(Noun):
         return np.asarray(self.step[..., None, :] + turn * bent)
 
     def part(self, low: float, high: float) -> Curve:
-        """From t = low to t = high; backward if low is above."""
+        """Return the part from t = low to t = high, reversed if low > high."""
         return Curve(
             self.base + self.step * low,
             self.step * (high - low),
@@ -105,12 +110,12 @@ class Curve(Noun):
         )
 
     def parts(self) -> list[Curve]:
-        """A single curve in pieces of equal angle, none above `LONGEST`."""
+        """Return a single curve in pieces of equal angle, each at most `LONGEST`."""
         count = max(1, math.ceil(abs(float(self.turn)) / LONGEST))
         return [self.part(i / count, (i + 1) / count) for i in range(count)]
 
     def scaled(self, factor: float, about: ArrayLike) -> Curve:
-        """Shrunk or grown about a point."""
+        """Return the curve scaled about a point."""
         centre = np.asarray(about, dtype=np.float64)
         return Curve(
             centre + (self.base - centre) * factor,
@@ -122,12 +127,12 @@ class Curve(Noun):
         )
 
     def moved(self, by: ArrayLike) -> Curve:
-        """Shifted, m."""
+        """Return the curve shifted by a vector, m."""
         step = np.asarray(by, dtype=np.float64)
         return Curve(self.base + step, self.step, self.cosine, self.sine, self.phase, self.turn)
 
     def meets(self, level: float | Array, axis: int) -> Array:
-        """Where a single curve has the coordinate ``level``, all t in (0, 1) in no order."""
+        """Return all t in (0, 1), unsorted, where a coordinate of a single curve is ``level``."""
         level = np.asarray(level, dtype=np.float64)
         base, step = float(self.base[axis]), float(self.step[axis])
         if not self.is_arc:
@@ -146,16 +151,19 @@ class Curve(Noun):
 
 
 def cross(a: Array, b: Array) -> Array:
-    """a_x b_y - a_y b_x of (..., 2)."""
+    """Cross product ``a_x b_y - a_y b_x`` of plane vectors (..., 2)."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def moments(outline: Iterable[Curve]) -> tuple[float, float, float]:
-    """Area, m^2, and first moments, m^3, within closed curves, counterclockwise ones positive."""
+    """Area, m^2, and first moments in u and v, m^3, inside closed curves.
+
+    Counterclockwise loops count positive, clockwise loops (holes) negative.
+    """
     pieces = Curve.stack(list(outline))
     t, w = gauss_legendre(20)
     p, d = pieces.at(t), pieces.rate(t)
-    about = p.reshape(-1, 2).mean(axis=0)  # near, so that little cancels
+    about = p.reshape(-1, 2).mean(axis=0)  # a nearby origin keeps cancellation small
     p = p - about
     swept = cross(p, d) * w
     area = float(np.sum(swept)) / 2
@@ -164,13 +172,13 @@ def moments(outline: Iterable[Curve]) -> tuple[float, float, float]:
 
 
 def lengths(pieces: Curve) -> Array:
-    """Lengths (n,) of curves (n,), m."""
+    """Length of each of n stacked curves, (n,), m."""
     t, w = gauss_legendre(32)
     return np.asarray(np.sum(np.hypot(*np.moveaxis(pieces.rate(t), -1, 0)) * w, axis=-1))
 
 
 def box(pieces: Iterable[Curve]) -> tuple[Array, Array]:
-    """Lowest and highest coordinates, (2,) each, m."""
+    """Lower and upper corner of the bounding box of curves, (2,) each, m."""
     points = []
     for piece in pieces:
         points.append(piece.at([0.0, 1.0]))
@@ -182,7 +190,7 @@ def box(pieces: Iterable[Curve]) -> tuple[Array, Array]:
 
 
 def _turning_points(arc: Curve, axis: int) -> Array:
-    """All t in (0, 1) at which a coordinate of an arc turns back."""
+    """All t in (0, 1) at which a coordinate of an arc has an extremum."""
     top = math.atan2(arc.sine[axis], arc.cosine[axis]) - float(arc.phase)
     turn = float(arc.turn)
     t = np.mod((top + np.array([0.0, math.pi])) * math.copysign(1, turn), 2 * math.pi) / abs(turn)
@@ -190,10 +198,12 @@ def _turning_points(arc: Curve, axis: int) -> Array:
 
 
 def shares(outline: Iterable[Curve], x: Array, y: Array, pitch: float) -> Array:
-    """Share of each square cell about the points ``y`` by ``x`` within closed curves, (ny, nx).
+    """Fraction of each grid square inside closed curves, (ny, nx).
 
-    Every curve is cut where it passes from cell to cell; a piece takes from its cell what lies to
-    its right, and from all cells to the right the rows that it passes.
+    Squares have the side ``pitch`` and are centred at ``x`` (nx,) and ``y`` (ny,), m. By Green's
+    theorem, each curve is cut where it passes from square to square. A piece that rises by dy
+    removes its strip of height dy from everything to its right: the area to its right in its own
+    square, and the full width in the squares further right. Falling pieces add it again.
     """
     ny, nx = len(y), len(x)
     own, passed = np.zeros(ny * nx), np.zeros(ny * (nx + 1))
@@ -221,12 +231,12 @@ def shares(outline: Iterable[Curve], x: Array, y: Array, pitch: float) -> Array:
         np.add.at(passed, row * (nx + 1) + np.maximum(column + 1, 0), -total)
     cover = np.cumsum(passed.reshape(ny, nx + 1), axis=1)[:, :nx]
     found = own.reshape(ny, nx) + cover
-    # sums of many curves leave rounding where there is nothing
+    # The contributions of many curves cancel only to rounding error in empty squares.
     return np.where(found < SLIVER, 0.0, np.minimum(found, 1.0))
 
 
 def within(outline: Sequence[Curve], u: Array, v: Array) -> NDArray[np.bool_]:
-    """Whether points lie within closed curves, by the number of curves to their right."""
+    """Whether points lie inside closed curves: an odd number of curves lies to their right."""
     inside = np.zeros(np.broadcast(u, v).shape, dtype=bool)
     for curve in outline:
         for piece in _rising_or_falling(curve):
@@ -239,6 +249,7 @@ def within(outline: Sequence[Curve], u: Array, v: Array) -> NDArray[np.bool_]:
 
 
 def _rising_or_falling(curve: Curve) -> list[Curve]:
+    """Pieces of a single curve along which v only rises or only falls."""
     if not curve.is_arc:
         return [curve]
     t = np.concatenate([[0.0], np.sort(_turning_points(curve, 1)), [1.0]])
@@ -246,12 +257,12 @@ def _rising_or_falling(curve: Curve) -> list[Curve]:
 
 
 def _abscissa(piece: Curve, v: Array) -> Array:
-    """Coordinate u where a piece of monotone height has the height v."""
+    """Coordinate u at which a piece that is monotone in v reaches v."""
     if not piece.is_arc:
         return np.asarray(piece.base[0] + (v - piece.base[1]) / piece.step[1] * piece.step[0])
     size = math.hypot(piece.cosine[1], piece.sine[1])
     top = math.atan2(piece.sine[1], piece.cosine[1])
-    # the half turn from one extreme to the other that holds the piece
+    # Index of the half turn between two extrema of v that contains the piece.
     half = math.floor((float(piece.phase) + float(piece.turn) / 2 - top) / math.pi)
     ratio = np.clip((v - piece.base[1]) / size * (-1) ** (half % 2), -1.0, 1.0)
     angle = top + half * math.pi + np.arccos(ratio)

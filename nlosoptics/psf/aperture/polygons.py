@@ -1,4 +1,4 @@
-"""Simple polygons: checks, and cells of straight sides that a smooth map covers."""
+"""Simple polygons: checks, and their division into patches with straight sides."""
 
 from __future__ import annotations
 
@@ -11,21 +11,30 @@ from ...errors import SceneError
 from .curves import Curve, cross
 
 Array = NDArray[np.float64]
-#: A pair of opposite sides of a cell, in the order of rising s; the first may be a point.
+#: Opposite sides of a patch, at s = 0 and at s = 1; the first may be a point.
 Sides = tuple[Curve, Curve]
 
+#: Largest number of corners of a polygon.
 MOST_CORNERS: Final = 1000
-#: Sine of the least corner of a cell, below which it is divided another way.
+#: Least sine of a patch's corner angle; sharper patches are avoided by another division.
 SHARP: Final = 0.05
 
 
 def simple_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
-    """Check a polygon's corners (n, 2), m, and turn them counterclockwise.
+    """Check a polygon's corners and return them in counterclockwise order, (n, 2), m.
+
+    Parameters
+    ----------
+    vertices : array_like, (n, 2)
+        Corners, m, in either order.
+    what : str
+        Name of the argument in error messages.
 
     Raises
     ------
     SceneError
-        If it has fewer than 3 corners or too many, no area, or meets itself.
+        If there are fewer than 3 corners or more than `MOST_CORNERS`, or if the polygon has no area
+        or crosses itself.
     """
     try:
         corners = np.array(vertices, dtype=np.float64)
@@ -44,47 +53,54 @@ def simple_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
     if size == 0 or short.any():
         worst = int(np.argmax(short))
         raise SceneError(
-            f"{what}[{worst}] = {corners[worst].tolist()} m is given twice in a row; leave one out"
+            f"{what}[{worst}] = {corners[worst].tolist()} m is repeated; remove the duplicate"
         )
     far = corners[int(np.argmax(np.hypot(*(corners - corners[0]).T)))] - corners[0]
     if np.abs(cross(far, corners - corners[0])).max() <= 1e-12 * size**2:
-        raise SceneError(f"{what} lie in a line and have no area; move a corner off it")
+        raise SceneError(f"{what} lie on a line and enclose no area; move a corner off it")
     pair = _crossing(corners, after)
     if pair is not None:
         raise SceneError(
-            f"{what}: the sides from corner {pair[0]} and from corner {pair[1]} meet; give the "
-            "corners of a polygon that does not cross itself, in order"
+            f"{what}: the sides that start at corners {pair[0]} and {pair[1]} meet; give the "
+            "corners in order, of a polygon that does not cross itself"
         )
     area = float(np.sum(cross(corners - corners[0], after - corners[0]))) / 2
     return corners if area > 0 else corners[::-1].copy()
 
 
 def convex_polygon(vertices: ArrayLike, what: str = "vertices") -> Array:
-    """`simple_polygon` that has no corner turned inward."""
+    """Check a convex polygon's corners and return them in counterclockwise order, (n, 2), m.
+
+    Raises `SceneError` as `simple_polygon`, and if a corner is turned inward.
+    """
     corners = simple_polygon(vertices, what)
     along = np.roll(corners, -1, axis=0) - corners
     turn = cross(np.roll(along, 1, axis=0), along)
     if turn.min() < -1e-12 * np.ptp(corners, axis=0).max() ** 2:
-        worst = corners[int(np.argmin(turn))].tolist()  # by its place: they may be in new order
+        # Report coordinates: the index may have changed when the order was reversed.
+        worst = corners[int(np.argmin(turn))].tolist()
         raise SceneError(f"{what}: the corner {worst} m is turned inward; give a convex polygon")
     return corners
 
 
 def _crossing(a: Array, b: Array) -> tuple[int, int] | None:
-    """Two sides from a (n, 2) to b that meet elsewhere than at a shared corner."""
+    """Find two sides, from corners a to corners b (n, 2), that meet other than at a shared corner.
+
+    Returns the indices of their first corners, or None if the polygon is simple.
+    """
     n = len(a)
     along = b - a
-    # side of each corner against each line, (n, n)
+    # Signed distance, times length, of each corner from each side's line, (n, n).
     first = cross(along[:, None], a[None] - a[:, None])
     second = np.roll(first, -1, axis=1)
-    # corners within rounding of a line are on it
+    # Corners within rounding error of a line count as on it.
     slack = 1e-12 * np.hypot(*along.T)[:, None] * np.ptp(a, axis=0).max()
     first, second = (np.where(np.abs(d) <= slack, 0.0, d) for d in (first, second))
     apart = np.sign(first) * np.sign(second) > 0
     meets = ~apart & ~apart.T
     both = (first == 0) & (second == 0)
     if np.any(both):
-        # in one line: they meet where their spans along it do
+        # Collinear sides meet if their intervals along the line overlap.
         square = np.sum(along**2, axis=1)[:, None]
         p = np.sum((a[None] - a[:, None]) * along[:, None], axis=2) / square
         q = np.roll(p, -1, axis=1)
@@ -93,7 +109,7 @@ def _crossing(a: Array, b: Array) -> tuple[int, int] | None:
     index = np.arange(n)
     meets[index, index] = False
     following = (index + 1) % n
-    # neighbours share a corner, and fold back only where they are in one line
+    # Neighbours share a corner; they overlap only if they are collinear and fold back.
     meets[index, following] = meets[following, index] = False
     back = (np.abs(cross(along, along[following])) <= slack[:, 0]) & (
         np.sum(along * along[following], axis=1) < 0
@@ -106,10 +122,11 @@ def _crossing(a: Array, b: Array) -> tuple[int, int] | None:
 
 
 def straight_sides(corners: Array, centre: Array) -> list[Sides]:
-    """Cells that cover a simple polygon, counterclockwise.
+    """Divide a simple counterclockwise polygon into patches with straight sides.
 
-    A convex quadrangle is one; others are fans about the centre, in pairs of triangles where such
-    are convex, or triangles of their own where the centre does not see every side.
+    A triangle or a convex quadrangle is one patch. Otherwise, if every side is visible from
+    ``centre``, the patches form a fan about it: quadrangles of two neighbouring triangles if all of
+    them are convex, else triangles. If some side is not visible, ears are cut off.
     """
     n = len(corners)
     if n == 4 and _is_quadrangle(*corners):
@@ -132,9 +149,9 @@ def straight_sides(corners: Array, centre: Array) -> list[Sides]:
 
 
 def sees_all(corners: Array, centre: Array, least: float = SHARP) -> bool:
-    """Whether every side is seen from a point, in turn and at a distance.
+    """Whether every side of a counterclockwise polygon is visible from a point inside.
 
-    ``least`` is that of a side's line over that of the farthest corner.
+    ``least`` is the least distance of a side's line, relative to that of the farthest corner.
     """
     from_here = corners - centre
     after = np.roll(from_here, -1, axis=0)
@@ -145,7 +162,7 @@ def sees_all(corners: Array, centre: Array, least: float = SHARP) -> bool:
 
 
 def _is_quadrangle(*corners: Array) -> bool:
-    """Whether four corners in turn make a convex quadrangle without a nearly flat corner."""
+    """Whether four corners in order form a convex quadrangle without nearly flat corners."""
     q = np.stack(corners)
     along = np.roll(q, -1, axis=0) - q
     length = np.hypot(*along.T)
@@ -154,7 +171,7 @@ def _is_quadrangle(*corners: Array) -> bool:
 
 
 def _ears(corners: Array) -> list[tuple[Array, Array, Array]]:
-    """Triangles of a simple polygon by cutting off ears, the bluntest first."""
+    """Divide a simple polygon into triangles by cutting off ears, the best shaped first."""
     left = [c for c in corners]
     found = []
     while len(left) > 3:
@@ -171,14 +188,17 @@ def _ears(corners: Array) -> list[tuple[Array, Array, Array]]:
                 found.append((before[i], q[i], after[i]))
             left.pop(int(i))
             break
-        else:  # rounding alone makes a polygon without ears
-            raise SceneError("vertices cannot be divided into triangles; leave out close corners")
+        else:  # every simple polygon has an ear, but rounding can hide it
+            raise SceneError(
+                "vertices cannot be divided into triangles to rounding accuracy; remove corners "
+                "that nearly coincide"
+            )
     found.append((left[0], left[1], left[2]))
     return found
 
 
 def _holds_none(q: Array, a: Array, b: Array, c: Array) -> bool:
-    """Whether a triangle is counterclockwise and holds no other corner, on its rim neither."""
+    """Whether a triangle is counterclockwise, with no other corner in it or on its boundary."""
     swept = cross(b - a, c - a)
     scale = 1e-12 * float(np.ptp(q, axis=0).max()) ** 2
     if swept < -scale:
@@ -191,6 +211,6 @@ def _holds_none(q: Array, a: Array, b: Array, c: Array) -> bool:
         & (cross(c - b, q - b) >= -scale)
         & (cross(a - c, q - c) >= -scale)
     )
-    if swept <= scale:  # a corner in a line with its neighbours
+    if swept <= scale:  # the corner is collinear with its neighbours
         return True
     return not bool(np.any(in_it & ~own))

@@ -1,4 +1,4 @@
-"""Pupil nodes and the area that each stands for."""
+"""Nodes and area weights of round and annular pupils."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ..._checks import fits_memory, in_range, positive, whole
 
 Array = NDArray[np.float64]
 
-#: Most nodes of a pupil that are kept for the next wave, 0.4 MB.
+#: Largest number of nodes of a pupil that is cached for later waves, 0.4 MB.
 KEPT = 2**14
 
 
 @lru_cache(maxsize=64)
 def gauss_legendre(n: int) -> tuple[Array, Array]:
-    """Half-open fractions ``(1 + x)/2`` of the Gauss-Legendre nodes x, ascending, and weights.
+    """Gauss-Legendre nodes on (0, 1), ascending, and their weights, which sum to 1.
 
-    The weights sum to 1. The fraction is sin^2(theta/2), which keeps its digits near 0. Both are
-    kept, and read-only.
+    A node is ``(1 + x)/2`` with x = -cos(theta), computed as sin^2(theta/2) to keep relative
+    accuracy near 0. Both arrays are cached and read-only.
     """
     theta = ducc0.misc.GL_thetas(n)
     return frozen(np.sin(theta / 2) ** 2), frozen(ducc0.misc.GL_weights(n, 1) / (4 * math.pi))
 
 
 def frozen(array: Array) -> Array:
-    """The array itself, from now on read-only."""
+    """Make an array read-only and return it."""
     array.setflags(write=False)
     return array
 
@@ -37,23 +37,41 @@ def frozen(array: Array) -> Array:
 def polar_nodes(
     radius: float, n_r: int, n_theta: int, obscuration: float = 0.0
 ) -> tuple[Array, Array, Array]:
-    """Nodes of a round or annular pupil: Gauss-Legendre in r^2, equal steps in angle.
+    """Return polar nodes of a round or annular pupil: Gauss-Legendre in r^2, uniform in angle.
 
-    Exact for polynomials of u and v whose degree is below min(4 n_r, n_theta).
+    The quadrature is exact for polynomials in u and v of degree below min(4 n_r, n_theta).
 
     Parameters
     ----------
     radius : float
         Outer radius, m.
     n_r, n_theta : int
-        Radii and angles.
+        Number of radii and of angles.
     obscuration : float
-        Inner radius as a fraction of the outer, 0 to 1.
+        Inner radius as a fraction of the outer, 0 to 0.99.
 
     Returns
     -------
-    u, v, weights : ndarray
-        (n_r, n_theta); m, m and m^2. The weights sum to the pupil's area.
+    u, v : ndarray
+        Coordinates (n_r, n_theta), m.
+    weights : ndarray
+        Area of each node, (n_r, n_theta), m^2. The weights sum to the pupil's area.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
+    MemoryLimitError
+        If the nodes do not fit into memory.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> u, v, weights = psf.polar_nodes(radius=1e-3, n_r=4, n_theta=16)
+    >>> u.shape
+    (4, 16)
+    >>> print(f"{1e6 * weights.sum():.6f} mm^2")
+    3.141593 mm^2
     """
     u, v, weights = shared_polar_nodes(radius, n_r, n_theta, obscuration)
     if u.size > KEPT:
@@ -64,7 +82,10 @@ def polar_nodes(
 def shared_polar_nodes(
     radius: float, n_r: int, n_theta: int, obscuration: float
 ) -> tuple[Array, Array, Array]:
-    """`polar_nodes`, those kept and read-only where there are at most `KEPT`."""
+    """Polar nodes without a copy: cached and read-only if there are at most `KEPT`.
+
+    Arguments and results are those of `polar_nodes`.
+    """
     radius, obscuration = positive("radius", radius, unit="m"), _inner(obscuration)
     n_r, n_theta = whole("n_r", n_r), whole("n_theta", n_theta)
     fits_memory(f"{n_r} x {n_theta} pupil nodes", 80.0 * n_r * n_theta, "use fewer")
@@ -75,6 +96,7 @@ def shared_polar_nodes(
 def _polar_nodes(
     radius: float, n_r: int, n_theta: int, obscuration: float
 ) -> tuple[Array, Array, Array]:
+    """Compute polar nodes of checked arguments."""
     inner = obscuration**2
     fraction, weight = gauss_legendre(n_r)
     r = radius * np.sqrt(inner + (1 - inner) * fraction)
@@ -88,35 +110,44 @@ def _polar_nodes(
 def kept_polar_nodes(
     radius: float, n_r: int, n_theta: int, obscuration: float
 ) -> tuple[Array, Array, Array]:
-    """`polar_nodes` of checked arguments, at most `KEPT` nodes, kept and read-only."""
+    """Polar nodes of checked arguments, cached and read-only; at most `KEPT` nodes."""
     u, v, weights = _polar_nodes(radius, n_r, n_theta, obscuration)
     return frozen(u), frozen(v), frozen(weights)
 
 
 @lru_cache(maxsize=16)
 def kept_even(n_r: int, n_theta: int) -> Array:
-    """Amplitude 1 on at most `KEPT` polar nodes, kept and read-only."""
+    """Amplitude 1 on at most `KEPT` polar nodes, cached and read-only."""
     return frozen(np.ones((n_r, n_theta)))
 
 
 def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[Array, Array, Array]:
-    """Square grid over a round or annular pupil, each cell with its exact area inside.
+    """Return a square grid over a round or annular pupil, with exact area weights at the rim.
 
     Parameters
     ----------
     radius : float
         Outer radius, m.
     samples : int
-        Cells per side.
+        Grid cells per side, 2 or more.
     obscuration : float
-        Inner radius as a fraction of the outer, 0 to 1.
+        Inner radius as a fraction of the outer, 0 to 0.99.
 
     Returns
     -------
-    u, v, weights : ndarray
-        (samples, samples), rows are v; m, m and m^2. Coordinates are
-        ``(arange(n) - n//2) * pitch`` with the pitch at which the pupil just fits:
-        ``2 radius/n`` for odd n, ``2 radius/(n - 1)`` for even n.
+    u, v : ndarray
+        Coordinates ``(arange(n) - n//2) * pitch`` of the cells' centres, (samples, samples), rows
+        are v, m. The pupil just fits: pitch is ``2 radius/n`` for odd n, ``2 radius/(n - 1)`` for
+        even n.
+    weights : ndarray
+        Area of each cell inside the pupil, (samples, samples), m^2.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
+    MemoryLimitError
+        If the grid does not fit into memory.
     """
     positive("radius", radius, unit="m")
     samples = whole("samples", samples, 2)
@@ -131,39 +162,40 @@ def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[A
 
 
 def fitting_pitch(radius: float, samples: int) -> float:
-    """Pitch at which a centred disc just fits a grid whose middle sample is ``samples//2``."""
+    """Pitch at which a centred disc just fits a grid with sample ``samples//2`` at its centre."""
     return 2 * radius / (samples - 1 + samples % 2)
 
 
 def circle_shares(
     x: Array, y: Array, pitch: float, radius: float, pitch_y: float | None = None
 ) -> Array:
-    """Share of each cell of the grid ``y`` by ``x`` that lies within ``radius`` of 0, (ny, nx).
+    """Fraction of each grid cell within ``radius`` of the origin, (ny, nx).
 
-    Cells are squares, or ``pitch`` by ``pitch_y``.
+    Cells are centred at ``x`` (nx,) and ``y`` (ny,), m. They are ``pitch`` wide and ``pitch_y``
+    high, m; squares by default.
     """
     height = pitch if pitch_y is None else pitch_y
     edges_x = np.append(x - pitch / 2, x[-1] + pitch / 2)
     edges_y = np.append(y - height / 2, y[-1] + height / 2)
     corner = _corner_areas(edges_x, edges_y, radius)
     share = np.diff(np.diff(corner, axis=0), axis=1) / (pitch * height)
-    # cells outside hold the rounding of areas up to radius^2, which must not pass for light
+    # Outside the disc the differences of areas up to radius^2 leave rounding error, not area.
     share[share < 4 * np.finfo(np.float64).eps * radius**2 / (pitch * height)] = 0.0
     return np.clip(share, 0.0, 1.0)
 
 
 def _corner_areas(x: Array, y: Array, radius: float) -> Array:
-    """Signed area of the disc within the rectangle from 0 to each corner, (len(y), len(x)).
+    """Signed area of the disc inside the rectangle from the origin to each corner, (ny, nx).
 
-    Inside the circle it is x y; beyond, the part left of ``xs = sqrt(R^2 - y^2)`` is a rectangle
-    and the rest the area under the arc, ``G(x) - G(xs)``.
+    For a corner inside the circle it is x y. Otherwise it is a rectangle up to
+    ``xs = sqrt(R^2 - y^2)``, plus the area ``G(x) - G(xs)`` under the arc beyond.
     """
 
     def other_leg(t: Array) -> Array:
         return np.sqrt((radius - t) * (radius + t))
 
     def under_arc(t: Array) -> Array:
-        # An arcsine would lose half the digits at t = R; here an error of the leg cancels.
+        # An arcsine would lose half the digits near t = R; here errors of `leg` cancel.
         leg = other_leg(t)
         return (t * leg + radius**2 * np.arctan2(t, leg)) / 2
 
@@ -176,5 +208,6 @@ def _corner_areas(x: Array, y: Array, radius: float) -> Array:
 
 
 def _inner(obscuration: float) -> float:
+    """Return a checked obscuration."""
     in_range("obscuration", obscuration, 0.0, 0.99)
     return float(obscuration)

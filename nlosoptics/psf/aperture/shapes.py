@@ -1,4 +1,4 @@
-"""Outlines of common pupils: sectors between vanes, hexagon lattices, cut discs."""
+"""Outlines of common pupils: sectors between vanes, hexagon lattices, intersecting discs."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .polygons import Sides
 
 Array = NDArray[np.float64]
 
-#: Points along s and t of every patch where overlap is looked for.
+#: Points along s, and along t, of every patch that test cells for overlap.
 LOOKS: Final = 64
-#: Of a radius, within which circles touch rather than cross.
+#: Distance, relative to a radius, within which circles touch rather than cross.
 TOUCHING: Final = 1e-12
 
 
 def place(name: str, value: Any) -> Array:
-    """Return two finite coordinates."""
+    """Check a point and return its two finite coordinates, (2,), m."""
     try:
         x, y = value
     except (TypeError, ValueError):
@@ -32,7 +32,7 @@ def place(name: str, value: Any) -> Array:
 
 
 def ellipse_axes(a: float, b: float, angle: float) -> Array:
-    """Half axes (2, 2), the first at ``angle``, m."""
+    """Half-axis vectors of an ellipse, (2, 2), m; the first, of length a, is at ``angle``."""
     positive("a", a, unit="m")
     positive("b", b, unit="m")
     c, s = math.cos(real("angle", angle)), math.sin(angle)
@@ -40,7 +40,10 @@ def ellipse_axes(a: float, b: float, angle: float) -> Array:
 
 
 def hexagon_centres(rings: int, pitch: float, angle: float) -> Array:
-    """Centre and rings of a triangular lattice, one neighbour at ``angle``, (n, 2), m."""
+    """Points of a triangular lattice, from the centre outward ring by ring, (n, 2), m.
+
+    One neighbour of the centre is at ``angle``; neighbours are ``pitch`` apart.
+    """
     turn = angle + math.pi / 3 * np.arange(8)
     step = pitch * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     found = [np.zeros(2)]
@@ -53,19 +56,22 @@ def hexagon_centres(rings: int, pitch: float, angle: float) -> Array:
 def sectors(
     radius: float, obscuration: float, vanes: int, width: float, angle: float
 ) -> list[tuple[list[Curve], list[Sides]]]:
-    """Outline and patches of what straight vanes leave between them of a disc or ring."""
+    """Outline and patches of each sector that straight vanes leave of a disc or ring."""
     positive("vane_width", width, unit="m")
     inner, spread = obscuration * radius, 2 * math.pi / vanes
     if obscuration == 0 and vanes == 1:
-        raise SceneError("one vane without an obscuration hangs in the air; give two or more")
-    # where two vanes' edges meet, or the half width that one alone needs
+        raise SceneError(
+            "vanes = 1 with obscuration = 0 does not divide the pupil into sectors; give two vanes "
+            "or more, or an obscuration"
+        )
+    # Radius at which the edges of two vanes meet, or half the width of a single vane.
     apex = width / 2 / math.sin(min(spread, math.pi) / 2)
     least = radius if obscuration == 0 else inner
     if apex >= least * (1 - 1e-9):
         raise SceneError(
-            f"vane_width = {width:.4g} m: {vanes} vanes of it meet {apex:.4g} m from the axis, "
-            f"limit {least:.4g} m, the radius of the {'pupil' if obscuration == 0 else 'hole'}; "
-            "use narrower vanes"
+            f"vane_width = {width:.4g} m: the edges of the {vanes} vanes meet {apex:.4g} m from "
+            f"the axis, limit {least:.4g} m, the radius of the "
+            f"{'pupil' if obscuration == 0 else 'hole'}; use narrower vanes"
         )
     found = []
     for k in range(vanes):
@@ -83,7 +89,7 @@ def sectors(
 
 
 def _between(inner: Curve, outer: Curve) -> tuple[list[Curve], list[Sides]]:
-    """Outline and patches between an arc and an outer one, their ends joined."""
+    """Outline and patches between an inner arc or point and an outer arc, their ends joined."""
     outers = outer.parts()
     count = len(outers)
     inners = [inner.part(i / count, (i + 1) / count) for i in range(count)]
@@ -97,9 +103,9 @@ def _between(inner: Curve, outer: Curve) -> tuple[list[Curve], list[Sides]]:
 def common_outline(
     discs: Iterable[tuple[Any, Any]], corners: Array | None = None
 ) -> tuple[list[Curve], Array]:
-    """Curves, counterclockwise, about what discs have in common, and a point well within.
+    """Counterclockwise outline of the intersection of discs, and a point well inside it.
 
-    ``corners`` (n, 2), counterclockwise, are those of a convex polygon that counts as well.
+    ``corners`` (n, 2), m, counterclockwise, add a convex polygon to the intersection.
     """
     centres, radii = _checked_discs(discs)
     pieces = [
@@ -120,18 +126,18 @@ def common_outline(
 
 
 def _middle(pieces: Sequence[Curve]) -> Array:
-    """Mean of the ends and middles of a convex outline's pieces, which lies within."""
+    """Mean of the ends and midpoints of a convex outline's pieces; it lies inside."""
     return np.asarray(np.mean([p.at([0.0, 0.5, 1.0]) for p in pieces], axis=(0, 1)))
 
 
 def _free_sides(corners: Array, centres: Array, radii: Array) -> list[Curve]:
-    """Parts of a convex polygon's sides that lie within all discs."""
+    """Parts of a convex polygon's sides that lie inside all discs."""
     found = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         low, high = 0.0, 1.0
         step = b - a
         for c, r in zip(centres, radii, strict=True):
-            # |a + t step - c| = r
+            # Solve |a + t step - c| = r for t.
             square, half, rest = step @ step, (a - c) @ step, (a - c) @ (a - c) - r * r
             root = half * half - square * rest
             if root <= 0:
@@ -145,6 +151,7 @@ def _free_sides(corners: Array, centres: Array, radii: Array) -> list[Curve]:
 
 
 def _checked_discs(discs: Iterable[tuple[Any, Any]]) -> tuple[Array, Array]:
+    """Check discs and return the centres (n, 2) and radii (n,) of distinct ones, m."""
     try:
         pairs = [(centre, radius) for centre, radius in discs]
     except (TypeError, ValueError):
@@ -155,7 +162,7 @@ def _checked_discs(discs: Iterable[tuple[Any, Any]]) -> tuple[Array, Array]:
     for k, (centre, radius) in enumerate(pairs):
         c = place(f"discs[{k}] centre", centre)
         r = positive(f"discs[{k}] radius", radius, unit="m")
-        # equal discs bound the same
+        # A repeated disc does not change the intersection.
         if not any(np.hypot(*(c - o)) + abs(r - s) <= TOUCHING * r for o, s in kept):
             kept.append((c, r))
     return np.stack([c for c, _ in kept]), np.array([r for _, r in kept])
@@ -164,15 +171,15 @@ def _checked_discs(discs: Iterable[tuple[Any, Any]]) -> tuple[Array, Array]:
 def _free_arcs(
     i: int, centres: Array, radii: Array, corners: Array | None
 ) -> list[tuple[float, float]]:
-    """Arcs of circle i, from one angle to another, within all other discs and a polygon."""
+    """Arcs of circle i, as (start, end) angles, inside all other discs and the polygon."""
     cuts: list[float] = []
     for j in range(len(radii)):
         step = centres[j] - centres[i]
         apart = float(np.hypot(*step))
         if j == i or apart + radii[i] <= radii[j] * (1 + TOUCHING):
-            continue  # it holds the whole of this circle
+            continue  # disc j contains the whole circle i
         if not abs(radii[i] - radii[j]) < apart < radii[i] + radii[j]:
-            return []  # it is within, or they are apart
+            return []  # disc j lies inside circle i, or the two are disjoint
         cosine = (apart**2 + radii[i] ** 2 - radii[j] ** 2) / (2 * apart * radii[i])
         half, middle = math.acos(min(1.0, max(-1.0, cosine))), math.atan2(step[1], step[0])
         cuts += [middle - half, middle + half]
@@ -194,11 +201,12 @@ def _free_arcs(
         inside &= all(a[0] * (point - c)[1] >= a[1] * (point - c)[0] for c, a in sides)
         if high - low > 1e-9 and inside:
             found.append((low, high))
-    # arcs that follow one another at a cut of a disc that takes nothing are one
+    # Join neighbouring arcs: the cut between them removed nothing.
     return _joined(found)
 
 
 def _joined(arcs: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Merge arcs that end where the next one starts."""
     joined: list[tuple[float, float]] = []
     for low, high in arcs:
         if joined and joined[-1][1] == low:
@@ -212,7 +220,7 @@ def _joined(arcs: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def drawn_in(sides: Sequence[Sides], share: float) -> Array:
-    """Points (n, 2) of a cell's patches, their sides drawn in by a share of their width."""
+    """Sample points of a cell's patches, (n, 2), m, inset by a fraction of the patch's size."""
     fraction = np.linspace(share, 1 - share, LOOKS)
     found = []
     for a, b in sides:

@@ -1,1 +1,1 @@
-"""Waves for other programs and from them."""
+"""Import and export of waves: POPPY files, prysm objects, Zernike tables."""

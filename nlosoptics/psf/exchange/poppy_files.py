@@ -1,4 +1,4 @@
-"""FITS files of pupils for POPPY, and from it; see `prysm_poppy` for signs and grids."""
+"""FITS files of pupils for POPPY and from POPPY; see `prysm_poppy` for signs and grids."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 HalfPixel = Literal["refuse", "shift", "scattered"]
 
-#: Names of OPD units, without a plural s, in m; a radian depends on the wavelength.
+#: Metres per OPD unit, by name without plural s; radians are treated apart, with the wavelength.
 UNITS: Final = {
     "m": 1.0,
     "meter": 1.0,
@@ -35,7 +35,7 @@ UNITS: Final = {
     "nm": 1e-9,
     "nanometer": 1e-9,
 }
-#: FITS keywords, of which POPPY's own are the first and ``BUNIT``, with what they say.
+#: FITS keywords and their comments. POPPY itself uses only the first of them, and ``BUNIT``.
 KEYWORDS: Final = {
     "PUPLSCAL": "m per pixel",
     "WAVELEN": "m, wavelength",
@@ -50,38 +50,43 @@ KEYWORDS: Final = {
 
 
 def write_poppy(wavefront: Wavefront, *, opd: str | Path, amplitude: str | Path) -> None:
-    """Write the two FITS files of a pupil that ``poppy.FITSOpticalElement`` reads.
+    """Write a pupil to the two FITS files that ``poppy.FITSOpticalElement`` reads.
 
     Parameters
     ----------
     wavefront : Wavefront
-        A grid. POPPY's pupils are centred on their array: an even grid, whose axis is on sample
-        n//2, gets a dark row and column at its upper end, which centre it exactly.
+        Wave of layout "grid". POPPY centres a pupil on its array. An even grid has its axis on
+        sample n//2, so a dark row and column are added at its upper end to centre it exactly.
     opd : str or Path
-        File of the path, m, turned to POPPY's sign: ``OPD = -W``.
+        File for the optical path difference, m, in POPPY's sign: ``OPD = -W``.
     amplitude : str or Path
-        File of the amplitude; cells that the rim cuts get the part of it that is inside.
+        File for the amplitude; in rim cells it is multiplied by the fraction inside the pupil.
 
     Raises
     ------
     SamplingError
         If the wave is not on a grid.
     SceneError
-        If a file cannot be written, or both are the same.
+        If a file cannot be written, or both names are the same.
     MissingExtraError
-        Without astropy.
+        If astropy is not installed.
+
+    See Also
+    --------
+    read_poppy : Read these files.
+    to_prysm : Arrays for prysm.
 
     Notes
     -----
-    float64, ``PUPLSCAL`` in m per pixel and ``BUNIT``; further keywords hold the rest of the
-    wavefront for `read_poppy`. POPPY's image is in angles, x and y over ``image_distance``: a
-    negative one turns the picture by half a turn. Both files are written before either replaces
-    an old one.
+    Values are float64. ``PUPLSCAL`` holds the pitch in m per pixel and ``BUNIT`` the unit; further
+    keywords hold the rest of the wavefront for `read_poppy`. POPPY's image coordinates are angles,
+    x and y divided by ``image_distance``; a negative distance rotates the image by 180 degrees.
+    Both files are written completely before either replaces an existing file.
     """
     fits = _fits()
     paths = {"opd": Path(opd), "amplitude": Path(amplitude)}
     if paths["opd"].absolute() == paths["amplitude"].absolute():
-        raise SceneError(f"opd and amplitude are both {opd}; name two files")
+        raise SceneError(f"opd and amplitude are both {opd}; name two different files")
     even = 1 - wavefront.u.shape[0] % 2 if wavefront.layout == "grid" else 0
     arrays = {
         "amplitude": np.pad(cell_amplitude(wavefront), (0, even)),
@@ -106,39 +111,40 @@ def read_poppy(
     pupil_radius: float | None = None,
     half_pixel: HalfPixel = "refuse",
 ) -> Wavefront:
-    """Wavefront of the FITS files of a POPPY pupil.
+    """Read a wavefront from the FITS files of a POPPY pupil.
 
     Parameters
     ----------
     opd : str or Path, optional
-        File of the path, in POPPY's sign, turned to ``W = -OPD``; its unit is that of ``BUNIT``:
-        metres, microns, nanometres or radians. Default 0 everywhere. It may be anything, even NaN,
-        where the amplitude is 0.
+        File with the optical path difference in POPPY's sign; ``W = -OPD``. ``BUNIT`` gives its
+        unit: metres, microns, nanometres or radians. Values where the amplitude is 0 are ignored
+        and may be NaN. Default 0 everywhere.
     amplitude : str or Path, optional
-        File of the amplitude transmission. Default 1 everywhere, a square pupil.
+        File with the amplitude transmission. Default 1 everywhere, which is a square pupil.
     wavelength, image_distance, pupil_radius : float, optional
-        m, before what the files say, of which POPPY's own say nothing. The radius is by default
-        that of the disc that just fits the array.
+        As in `Wavefront`, m. They override the values in the files; files written by POPPY have
+        none. The default radius is that of the disc that just fits the array.
     half_pixel : {"refuse", "shift", "scattered"}
-        What to do with arrays of even side, whose centre POPPY has between four pixels and a grid
-        here has on pixel n//2: nothing is ever interpolated. ``shift`` puts the pupil half a pixel
-        lower in u and v, which leaves the intensity of the image as it is, and only that;
-        ``scattered`` keeps every lit pixel in its place, as a scattered node.
+        Treatment of arrays with an even side. Their centre is between four pixels in POPPY, but on
+        pixel n//2 in a grid of this library; values are never interpolated. "refuse" raises an
+        error. "shift" moves the pupil by half a pixel toward lower u and v, which changes the phase
+        of the image field but not the intensity. "scattered" makes every lit pixel a scattered node
+        at its true position.
 
     Returns
     -------
     Wavefront
-        A grid, or scattered.
+        Layout "grid", or "scattered" if ``half_pixel`` is "scattered" and the side is even.
 
     Raises
     ------
     SceneError
-        If a file is missing, is no square picture, lacks its scale or unit, or does not fit the
-        other.
+        If a file is missing, is not a square image, lacks its scale or unit, or contradicts the
+        other file.
     SamplingError
-        If the side is even and ``half_pixel`` is ``refuse``.
+        If the side is even and ``half_pixel`` is "refuse".
     MissingExtraError
-        Without astropy.
+        If astropy is not installed.
     """
     one_of("half_pixel", half_pixel, ("refuse", "shift", "scattered"))
     if opd is None and amplitude is None:
@@ -156,8 +162,8 @@ def read_poppy(
     if n % 2 == 0 and half_pixel == "refuse":
         raise SamplingError(
             f"{path}: a side of {n} pixels is even, so the pupil's centre lies between pixels; "
-            "give half_pixel='shift' to move it by half a pixel, which the image's intensity does "
-            "not see, or 'scattered' to keep each place"
+            "give half_pixel='shift' to move it by half a pixel, which does not change the image's "
+            "intensity, or 'scattered' to keep the positions of all pixels"
         )
     length = _given(wavelength, heads, "WAVELEN", "wavelength")
     radius = pupil_radius if pupil_radius is not None else _common(heads, "PUPLRAD")
@@ -181,7 +187,7 @@ def read_poppy(
 
 
 def _scattered(wave: Wavefront, by: float) -> Wavefront:
-    """The lit nodes of a grid, moved along u and v by some m."""
+    """Return the lit nodes of a grid as a scattered wave, shifted by ``by``, m, along u and v."""
     lit = wave.amplitude > 0
     return replace(
         wave,
@@ -195,6 +201,7 @@ def _scattered(wave: Wavefront, by: float) -> Wavefront:
 
 
 def _fits() -> ModuleType:
+    """Import ``astropy.io.fits`` or raise `MissingExtraError`."""
     try:
         from astropy.io import fits
     except ImportError:
@@ -207,6 +214,7 @@ def _fits() -> ModuleType:
 
 
 def _describe(fits: ModuleType, header: Any, wave: Wavefront, *, is_opd: bool) -> None:
+    """Write a wave's geometry, wavelength and removed terms into a FITS header."""
     removed = wave.removed
     values = {
         "PUPLSCAL": wave.pupil_pitch,
@@ -220,7 +228,7 @@ def _describe(fits: ModuleType, header: Any, wave: Wavefront, *, is_opd: bool) -
         "RMDEFOC": removed.defocus,
     }
     for key, value in values.items():
-        # astropy's own cards have room for some 14 digits
+        # Formatted here, because astropy writes only about 14 digits.
         line = f"{key:<8}= {value:.16E} / {KEYWORDS[key]}"
         header.append(fits.Card.fromstring(line))
     if is_opd:
@@ -230,6 +238,7 @@ def _describe(fits: ModuleType, header: Any, wave: Wavefront, *, is_opd: bool) -
 
 
 def _read_fits(path: Path) -> tuple[Array, Any]:
+    """Read the square array and the header of a FITS file."""
     fits = _fits()
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file; give the path of a FITS file")
@@ -237,58 +246,61 @@ def _read_fits(path: Path) -> tuple[Array, Any]:
         with fits.open(path, memmap=False) as units:
             data, header = units[0].data, units[0].header
     except (OSError, ValueError) as error:
-        raise SceneError(f"{path} is no FITS file ({error}); give one") from None
+        raise SceneError(f"{path} is not a FITS file ({error}); give a FITS file") from None
     if data is None or data.ndim != 2 or data.shape[0] != data.shape[1]:
         shape = "nothing" if data is None else f"an array of shape {data.shape}"
-        raise SceneError(f"{path} begins with {shape}; give one square picture, of a cube a slice")
+        raise SceneError(f"{path} begins with {shape}; give a square image (one slice of a cube)")
     return data.astype(np.float64), header
 
 
 def _common(headers: dict[str, Any], key: str) -> float | None:
-    """Value that the files agree on; none where none has it."""
+    """Return the value of a keyword after checking that the files agree; None if it is missing."""
     found = {name: real(f"{name} file's {key}", h[key]) for name, h in headers.items() if key in h}
     values = list(found.values())
     if len(values) == 2 and not math.isclose(*values, rel_tol=1e-9):
         raise SceneError(
             f"{key} = {values[0]:g} in the amplitude file and {values[1]:g} in the OPD file; give "
-            "two files of one pupil"
+            "two files of the same pupil"
         )
     return values[0] if values else None
 
 
 def _given(value: float | None, headers: dict[str, Any], key: str, name: str) -> float:
+    """Return the caller's value, or else that of the files; raise `SceneError` if neither."""
     found = value if value is not None else _common(headers, key)
     if found is None:
-        raise SceneError(f"{name} is not in the files as {key}; give {name} in m")
+        raise SceneError(f"the files have no {key}, the {name}; give {name} in m")
     return real(name, found)
 
 
 def _pitch(headers: dict[str, Any]) -> float:
+    """Return the pupil pitch, m, from the headers."""
     for key in ("PUPLSCAL", "PIXELSCL"):
         found = _common(headers, key)
         if found is not None:
             return positive(key, found, unit="m")
-    raise SceneError("the files have neither PUPLSCAL nor PIXELSCL; add the m per pixel as one")
+    raise SceneError("the files have neither PUPLSCAL nor PIXELSCL; add one, in m per pixel")
 
 
 def _opd_unit(header: Any, wavelength: float, path: object) -> float:
-    """Metres per unit of an OPD file."""
+    """Return the unit of an OPD file in m."""
     if header is None:
         return 1.0
     name = str(header.get("BUNIT", "")).strip().lower()
-    # as POPPY does: nm, nanometer or nanometers
+    # Like POPPY, accept nm, nanometer and nanometers.
     name = name.removesuffix("s")
     if name == "radian":
         return wavelength / (2 * math.pi)
     if name not in UNITS:
         raise SceneError(
-            f"{path}: BUNIT = {header.get('BUNIT')!r} is no unit of OPD; use meter, micron, "
+            f"{path}: BUNIT = {header.get('BUNIT')!r} is not a unit of OPD; use meter, micron, "
             "nanometer or radian"
         )
     return UNITS[name]
 
 
 def _removed(headers: dict[str, Any]) -> Removed:
+    """Return the removed terms that the headers state; 0 for missing ones."""
     piston, tilt_u, tilt_v, defocus = (
         _common(headers, key) or 0.0 for key in ("RMPISTON", "RMTILTU", "RMTILTV", "RMDEFOC")
     )

@@ -1,18 +1,19 @@
-"""Pupil maps for prysm and from it, and what it and others mean by theirs.
+"""Pupil maps for prysm and from prysm, and the sign and grid conventions of several tools.
 
-What was found with their own transforms (POPPY 1.1.2, prysm 0.21.1, HCIPy 0.7.1; tests hold the
-first two) of a pupil map [row, column]:
+The conventions for a pupil map [row, column] were measured with the tools' own transforms (POPPY
+1.1.2, prysm 0.21.1, HCIPy 0.7.1); tests check the first two. Here a is a slope and d the distance:
 
 ========  =====================  ===========================  ==============================
-tool      OPD above 0            grid of n samples            W = a u moves the spot to
+tool      positive OPD means     grid of n samples            W = a u moves the spot to
 ========  =====================  ===========================  ==============================
 here      longer path            ``(arange(n) - n//2) dx``    ``+a d``
-prysm     longer path            the same                     ``+a d``
-HCIPy     (a phase, longer)      ``(arange(n) - (n-1)/2) dx`` ``+a d``
+prysm     longer path            ``(arange(n) - n//2) dx``    ``+a d``
+HCIPy     longer path (a phase)  ``(arange(n) - (n-1)/2) dx`` ``+a d``
 POPPY     shorter path           ``(arange(n) - (n-1)/2) dx`` ``+a d``, as OPD = -W
 ========  =====================  ===========================  ==============================
 
-All of them have columns along x and row 0 at the lowest y, so nothing is flipped or transposed.
+In all of them columns run along x and row 0 is at the lowest y, so maps are never flipped or
+transposed.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ Array = NDArray[np.float64]
 
 
 class PrysmPupil(NamedTuple):
-    """A pupil as prysm takes it, in prysm's units and its order of arguments.
+    """Pupil in prysm's units and in the order of prysm's arguments.
 
     Parameters
     ----------
-    amplitude : ndarray
-        (n, n), relative.
-    phase : ndarray
-        (n, n), nm, positive for a longer path.
+    amplitude : ndarray, (n, n)
+        Relative amplitude.
+    phase : ndarray, (n, n)
+        Aberration, nm, positive for a longer path.
     wavelength : float
-        Micrometres.
+        Wavelength, micrometres.
     dx : float
-        Pitch, mm.
+        Pitch of the samples, mm.
     """
 
     amplitude: Array
@@ -51,14 +52,15 @@ class PrysmPupil(NamedTuple):
 
 
 def to_prysm(wavefront: Wavefront) -> PrysmPupil:
-    """Pupil arrays for ``prysm.propagation.Wavefront.from_amp_and_phase(*pupil)``.
+    """Return pupil arrays for ``prysm.propagation.Wavefront.from_amp_and_phase(*pupil)``.
 
-    Focus it over ``1e3 * image_distance`` mm. What the wave has ``removed`` stays so.
+    In prysm, focus the wave over ``1e3 * image_distance`` mm. Terms in ``wavefront.removed`` are
+    not added back.
 
     Parameters
     ----------
     wavefront : Wavefront
-        A grid. Cells that the rim cuts get the amplitude times the part of them that is inside.
+        Wave of layout "grid". In rim cells the amplitude is multiplied by the fraction inside.
 
     Returns
     -------
@@ -68,6 +70,17 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     ------
     SamplingError
         If the wave is not on a grid.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 50e-9}, wavelength=632.8e-9, pupil_radius=0.0125, image_distance=1.0,
+    ...     nodes="grid", samples=65,
+    ... )
+    >>> pupil = psf.to_prysm(wave)
+    >>> print(pupil.phase.shape, f"{pupil.wavelength:.4f} um, {pupil.dx:.4f} mm")
+    (65, 65) 0.6328 um, 0.3846 mm
     """
     amplitude = cell_amplitude(wavefront)
     phase = wavefront.aberration * 1e9
@@ -80,28 +93,30 @@ def from_prysm(
     image_distance: float,
     pupil_radius: float | None = None,
 ) -> Wavefront:
-    """Wavefront of prysm's pupil arrays.
+    """Make a wavefront from prysm's pupil arrays.
 
     Parameters
     ----------
     pupil : PrysmPupil or tuple
-        Amplitude, phase in nm, wavelength in micrometres and dx in mm, as of `PrysmPupil`; the
-        phase may be anything, even NaN, where the amplitude is 0.
+        Amplitude, phase in nm, wavelength in micrometres and dx in mm, as in `PrysmPupil`. Phases
+        where the amplitude is 0 are ignored and may be NaN.
     image_distance, pupil_radius : float
-        m, as of `Wavefront.from_map`.
+        As in `Wavefront.from_map`, m.
 
     Returns
     -------
     Wavefront
-        A grid.
+        Wave of layout "grid".
 
     Raises
     ------
     SceneError
-        If arrays are not real, not square, not equal in shape or not finite.
+        If arrays are not real, not square, not finite or differ in shape.
     """
     if not isinstance(pupil, tuple) or len(pupil) != 4:
-        raise SceneError("pupil is no prysm pupil; give (amplitude, phase in nm, um, mm)")
+        raise SceneError(
+            "pupil is not a prysm pupil; give (amplitude, phase in nm, wavelength in um, dx in mm)"
+        )
     amplitude, phase = maps("pupil", pupil[0], pupil[1])
     return Wavefront.from_map(
         phase / 1e9,
@@ -114,28 +129,28 @@ def from_prysm(
 
 
 def cell_amplitude(wavefront: Wavefront) -> Array:
-    """Amplitude whose sum over whole cells is the wave's own: cut cells have their share."""
+    """Return amplitudes for whole cells: in rim cells, times the fraction inside the pupil."""
     if wavefront.layout != "grid":
         raise SamplingError(
-            f"a {wavefront.layout} wavefront is no picture of the pupil; sample it with "
-            "nodes='grid'"
+            f"wavefront.layout = '{wavefront.layout}' is not a pixel map of the pupil; sample it "
+            "with nodes='grid'"
         )
     return wavefront.amplitude * wavefront.weights / wavefront.pupil_pitch**2
 
 
 def maps(name: str, amplitude: ArrayLike, path: ArrayLike) -> tuple[Array, Array]:
-    """Both as float64 (n, n), the path 0 where there is no light."""
+    """Check amplitude and path and return them as float64 (n, n); invalid dark paths become 0."""
     for word, array in (("amplitude", amplitude), ("path", path)):
         if (kind := np.asarray(array).dtype).kind not in "biuf":
             raise SceneError(
-                f"{name}: {word} is of {kind}; give real numbers, of a complex pupil modulus "
-                "and phase"
+                f"{name}: {word} has type {kind}; give real numbers, for a complex pupil its "
+                "modulus and phase"
             )
     light, lead = np.array(amplitude, dtype=np.float64), np.array(path, dtype=np.float64)
     if light.ndim != 2 or light.shape[0] != light.shape[1] or light.shape != lead.shape:
         raise SceneError(
-            f"{name}: amplitude has shape {light.shape} and path {lead.shape}; give two equal "
-            "squares, of a cube one slice"
+            f"{name}: amplitude has shape {light.shape} and path {lead.shape}; give two square "
+            "arrays of the same shape (one slice of a cube)"
         )
     lead[(light == 0) & ~np.isfinite(lead)] = 0.0
     return light, lead

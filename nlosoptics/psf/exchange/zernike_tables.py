@@ -1,4 +1,4 @@
-"""Text tables of Zernike coefficients, for other tools and from them."""
+"""Text tables of Zernike coefficients, for exchange with other tools."""
 
 from __future__ import annotations
 
@@ -19,12 +19,14 @@ Sign = Literal["excess", "advance"]
 
 UNITS: Final = ("m", "um", "nm", "waves")
 SIGNS: Final = ("excess", "advance")
-#: Decimal digits that a unit moves the point by, so that no binary rounding comes in.
+#: Decimal places between metres and a unit; shifting the decimal point avoids binary rounding.
 DIGITS: Final = {"m": 0, "um": 6, "nm": 9}
+#: Fields that comments of a table may give.
 FIELDS: Final = ("ordering", "unit", "sign", "wavelength")
 
 COMMENT: Final = re.compile(r"[#!%]\s*(?:(\w+)\s*[:=]\s*(\S+)\s*$)?")
 NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+#: First line of a Zernike listing exported by Zemax.
 LISTING: Final = re.compile(r"\s*listing of zernike", re.IGNORECASE)
 #: Index and coefficient, as ``4,1.5``, ``4 1.5`` or a listing's ``Z 4  1.5 : formula``.
 LINE: Final = re.compile(rf"[zZ]?\s*(\d+)(?:\s*[,;:=]\s*|\s+)({NUMBER})\s*(?::.*)?")
@@ -32,16 +34,17 @@ LINE: Final = re.compile(rf"[zZ]?\s*(\d+)(?:\s*[,;:=]\s*|\s+)({NUMBER})\s*(?::.*
 
 @dataclass(frozen=True, kw_only=True)
 class ZernikeTable:
-    """Coefficients as `Wavefront.from_zernike` takes them, and what they refer to.
+    """Zernike coefficients for `Wavefront.from_zernike`, with their ordering and wavelength.
 
     Parameters
     ----------
     coefficients : mapping of int to float
-        Index to coefficient, m, positive for a longer path; rms for Noll and OSA, at the rim for
-        Fringe.
+        Index to coefficient, m, positive for a longer path: the rms over the full disc for Noll
+        and OSA, the value at the rim for Fringe.
     ordering : {"noll", "osa", "fringe"}
+        Index scheme, see `zernike_order`.
     wavelength : float or None
-        m, where the table says it.
+        Wavelength, m; None if the table does not give it.
     """
 
     coefficients: Mapping[int, float]
@@ -58,33 +61,45 @@ def write_zernikes(
     sign: Sign = "excess",
     wavelength: float | None = None,
 ) -> None:
-    """Write Zernike coefficients as comma-separated text that says what they mean.
+    """Write Zernike coefficients as comma-separated text, with ordering, unit and sign as comments.
 
     Parameters
     ----------
     path : str or Path
-        An existing file is replaced; the new one appears whole or not at all.
+        File to write. An existing file is replaced, but only by a complete new one.
     coefficients : mapping of int to float
-        Index to coefficient, m, positive for a longer path, as of `fit_zernike`.
+        Index to coefficient, m, positive for a longer path, as returned by `fit_zernike`.
     ordering : {"noll", "osa", "fringe"}
-        What the indices are; the file gets the same.
+        Index scheme of the coefficients, also used in the file; see `zernike_order`.
     unit : {"m", "um", "nm", "waves"}
-        Of the numbers in the file.
+        Unit of the numbers in the file.
     sign : {"excess", "advance"}
-        ``advance`` writes minus the coefficients, for tools that count a shorter path as positive,
-        as POPPY does; of Zemax it is said too, which no test here can hold.
+        "excess" writes the coefficients as they are. "advance" changes their sign, for tools that
+        count a shorter path as positive, such as POPPY and, untested here, Zemax.
     wavelength : float, optional
-        m; needed for waves.
+        Wavelength, m; required for unit "waves".
 
     Raises
     ------
     SceneError
-        If an index is not of the ordering, or the file cannot be written.
+        If an index does not exist in the ordering, a coefficient is not finite, the wavelength is
+        missing, or the file cannot be written.
 
     Notes
     -----
-    Metres, micrometres and nanometres come back from `read_zernikes` bit by bit; waves to one
-    rounding.
+    `read_zernikes` recovers coefficients in m, um and nm bit for bit, those in waves to rounding
+    error.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from nlosoptics import psf
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "wave.csv"
+    ...     psf.write_zernikes(path, {4: 50e-9, 8: -20e-9}, unit="nm")
+    ...     print(path.read_text().splitlines()[-2:], psf.read_zernikes(path).coefficients)
+    ['4,50', '8,-20'] {4: 5e-08, 8: -2e-08}
     """
     one_of("ordering", ordering, ORDERINGS)
     one_of("unit", unit, UNITS)
@@ -114,31 +129,32 @@ def read_zernikes(
     sign: Sign | None = None,
     wavelength: float | None = None,
 ) -> ZernikeTable:
-    """Read Zernike coefficients from text.
+    """Read Zernike coefficients from a text file.
 
     Parameters
     ----------
     path : str or Path
-        Lines of an index and a coefficient, parted by a comma, semicolon, colon or blanks, under a
-        heading that begins with ``index`` or none. Comments begin with # ! or %, and may say
-        ``ordering: noll``, ``unit: nm``, ``sign: advance`` and ``wavelength: 6.328e-07``. Of
-        Zemax's ``Listing of Zernike ...`` the lines ``Z 4 0.12 : formula`` count and no others;
-        its Standard terms are Noll's, in waves.
+        Text file. Each line holds an index and a coefficient, separated by a comma, semicolon,
+        colon or blanks. A heading that begins with ``index`` is allowed. Comments begin with #, !
+        or % and may give ``ordering: noll``, ``unit: nm``, ``sign: advance`` and
+        ``wavelength: 6.328e-07``. In a Zemax ``Listing of Zernike ...`` only lines such as
+        ``Z 4 0.12 : formula`` are read; its Standard terms have Noll ordering and are in waves.
     ordering, unit, sign : str, optional
-        As of `write_zernikes`; each must be given here or by the file, and may not differ.
+        Meaning of the numbers, as in `write_zernikes`. Each must be given here or in the file; if
+        given in both, they must agree.
     wavelength : float, optional
-        m; needed for waves.
+        Wavelength, m; required for numbers in waves if the file does not give it.
 
     Returns
     -------
     ZernikeTable
-        In m, positive for a longer path.
+        Coefficients in m, positive for a longer path.
 
     Raises
     ------
     SceneError
-        If a line is not understood or its number not finite, an index comes twice or is not of the
-        ordering, or the meaning of the numbers is not said or said twice.
+        If a line cannot be read, a number is not finite, an index is repeated or does not exist in
+        the ordering, or the meaning of the numbers is missing or contradictory.
     """
     path = Path(path)
     if not path.is_file():
@@ -172,15 +188,18 @@ def read_zernikes(
 
 
 def _meaning(ordering: Ordering) -> str:
+    """Return the meaning of a coefficient, for the file's first comment."""
     return "value at the rim" if ordering == "fringe" else "rms over the full disc"
 
 
 def _checked(wavelength: float) -> float:
-    return in_range("wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum")
+    """Return a wavelength, m, after checking its range."""
+    remedy = "give metres (vacuum wavelength)"
+    return in_range("wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy=remedy)
 
 
 def _shown(value: float, unit: Unit, wavelength: float | None) -> str:
-    """Shortest decimal that is read back to the same number."""
+    """Return the shortest decimal from which the same number is read."""
     if unit == "waves":
         if wavelength is None:
             raise SceneError("unit = 'waves' without a wavelength; give wavelength in m")
@@ -191,15 +210,16 @@ def _shown(value: float, unit: Unit, wavelength: float | None) -> str:
 
 
 def _metres(path: Path, number: str, unit: str, wavelength: float | None) -> float:
+    """Return a number of a table in m."""
     if unit == "waves":
         if wavelength is None:
-            raise SceneError(f"{path} is in waves of no said length; give wavelength in m")
+            raise SceneError(f"{path} is in waves but gives no wavelength; give wavelength in m")
         return float(number) * wavelength
     return float(Decimal(number).scaleb(-DIGITS[unit]))
 
 
 def _parsed(path: Path, text: str) -> tuple[dict[int, tuple[int, str]], dict[str, str]]:
-    """Index to line and number, and what the comments say."""
+    """Return a mapping from index to line number and value's text, and the comments' fields."""
     numbers: dict[int, tuple[int, str]] = {}
     said: dict[str, str] = {}
     is_listing = LISTING.match(text) is not None
@@ -209,7 +229,7 @@ def _parsed(path: Path, text: str) -> tuple[dict[int, tuple[int, str]], dict[str
             name = (comment[1] or "").lower()
             if name in FIELDS and said.setdefault(name, comment[2]) != comment[2]:
                 raise SceneError(
-                    f"{path}, line {count}: {name} = {comment[2]} after {said[name]}; say it once"
+                    f"{path}, line {count}: {name} = {comment[2]}, {said[name]} before; keep one"
                 )
             continue
         if not line or (not numbers and line.lower().startswith("index")):
@@ -219,24 +239,23 @@ def _parsed(path: Path, text: str) -> tuple[dict[int, tuple[int, str]], dict[str
             continue
         if found is None:
             raise SceneError(
-                f"{path}, line {count}: {line[:40]!r} is no index and coefficient; write 4,1.5e-8"
+                f"{path}, line {count}: {line[:40]!r} is not an index and a number; write 4,1.5e-8"
             )
         index = int(found[1])
         if index in numbers:
             raise SceneError(
-                f"{path}, line {count}: index {index} stands in line {numbers[index][0]} too; keep "
-                "one"
+                f"{path}, line {count}: index {index} is also in line {numbers[index][0]}; keep one"
             )
         numbers[index] = (count, found[2])
     if not numbers:
-        raise SceneError(f"{path} holds no coefficient; write lines such as 4,1.5e-8")
+        raise SceneError(f"{path} has no coefficients; write lines such as 4,1.5e-8")
     return numbers, said
 
 
 def _settled(
     path: Path, name: str, given: str | None, said: Mapping[str, str], choices: tuple[str, ...]
 ) -> str:
-    """What the caller and the file agree on."""
+    """Return a field given by the caller or the file; raise `SceneError` if they contradict."""
     if given is not None:
         one_of(name, given, choices)
     written = said.get(name)
@@ -247,19 +266,21 @@ def _settled(
     value = given if given is not None else written
     if value is None:
         raise SceneError(
-            f"{path} does not say its {name}; give {name}, one of {', '.join(choices)}"
+            f"{path} does not state its {name}; give {name}, one of {', '.join(choices)}"
         )
     return value
 
 
 def _wavelength(path: Path, given: float | None, said: Mapping[str, str]) -> float | None:
+    """Return the wavelength given by the caller or the file, m, or None."""
     written = None
     if "wavelength" in said:
         try:
             written = _checked(float(said["wavelength"]))
         except ValueError:
             raise SceneError(
-                f"{path}: wavelength = {said['wavelength']} is none; write m, such as 6.328e-07"
+                f"{path}: wavelength = {said['wavelength']} is no wavelength in m; write a number "
+                "such as 6.328e-07"
             ) from None
     if given is None:
         return written

@@ -1,1 +1,1 @@
-"""Figures of merit of waves and point spread functions."""
+"""Metrics of waves and point spread functions."""

@@ -1,4 +1,4 @@
-"""Figures of merit of a wave and of its point spread."""
+"""Metrics of a wave and of its point spread function: Strehl ratio, MTF, widths, energies."""
 
 from __future__ import annotations
 
@@ -29,15 +29,16 @@ ALIKE = ("shape", "pitch", "normalisation", "wavelength", "f_number", "pixel_int
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MetricEstimate(Noun):
-    """A metric of a mean point spread, known from so many patterns.
+    """Metric of a mean point spread function, with its statistical error.
 
     Parameters
     ----------
     value : ndarray
-        The metric of the mean of all patterns.
+        Metric of the mean of all patterns, of the metric's shape.
     standard_error : ndarray
-        Of the value's shape: the standard deviation of the value over other such draws.
+        Standard deviation of ``value`` over independent sets of as many patterns, of its shape.
     n_patterns : int
+        Number of patterns.
     """
 
     value: Array
@@ -48,16 +49,16 @@ class MetricEstimate(Noun):
 def metric_estimate(
     metric: Callable[[PointSpread], Any], patterns: Iterable[PointSpread]
 ) -> MetricEstimate:
-    """Metric of the mean of independent patterns, with its standard error by the jackknife.
+    """Evaluate a metric on the mean of independent patterns, with a jackknife standard error.
 
     Parameters
     ----------
     metric : callable
-        Function of a point spread that returns a number or an array of them, such as
+        Function of a point spread that returns a number or an array, such as
         ``lambda p: psf.encircled_energy(p, radii)``, `fwhm` or `centroid`.
     patterns : iterable of PointSpread
-        Two or more, drawn independently on one grid, such as ``psf.sample_point_spread(scene,
-        roughness, seed=s)`` for many s. Averages of several patterns do, if of equally many.
+        At least two, drawn independently on one grid, such as ``psf.sample_point_spread(scene,
+        roughness, seed=s)`` for many s. Each may be the mean of several draws, of equally many.
 
     Returns
     -------
@@ -66,18 +67,18 @@ def metric_estimate(
     Raises
     ------
     SceneError
-        If there are fewer than two patterns, or they differ in grid or meaning.
+        If there are fewer than two patterns, or their grids or units differ.
     SamplingError
         If the metric is not finite.
 
     Notes
     -----
-    ``s^2 = (n - 1)/n sum_i (t_i - mean t)^2``, t_i the metric of the mean of all patterns but the
-    i-th [1]_. The true value lies within t standard errors as often as Student's t of n - 1
-    degrees tells, for metrics that change smoothly with the image; one that jumps, as the width
-    through the brightest pixel does from speckle to speckle, needs many patterns. What all patterns
-    lack, such as light outside their window, no error bar tells, and a modulus such as `mtf` is too
-    large where it sinks into its own error.
+    ``s^2 = (n - 1)/n sum_i (t_i - mean t)^2``, where t_i is the metric of the mean of all patterns
+    except the i-th [1]_. For metrics that are smooth functions of the image, (value - truth)/s
+    follows Student's t distribution of n - 1 degrees of freedom. A metric that jumps needs many
+    patterns, such as the width through the brightest pixel, which moves from speckle to speckle.
+    The standard error does not include errors common to all patterns, such as energy outside the
+    window. A modulus such as `mtf` is biased upward where it is not larger than its error.
 
     References
     ----------
@@ -86,12 +87,15 @@ def metric_estimate(
     drawn = list(patterns)
     n = len(drawn)
     if n < 2:
-        raise SceneError(f"{n} patterns tell no error; draw two or more, with a seed each")
+        raise SceneError(
+            f"a standard error needs at least 2 patterns, got {n}; draw more, each with its own "
+            "seed"
+        )
     for name in ALIKE:
         found = {getattr(pattern, name) for pattern in drawn}
         if len(found) > 1:
             raise SceneError(
-                f"patterns differ in {name}, {sorted(found)[:2]}; draw all with the same options"
+                f"patterns differ in {name}: {sorted(found)[:2]}; draw all with the same options"
             )
     total = np.zeros(drawn[0].shape)
     energy = 0.0
@@ -117,10 +121,13 @@ def metric_estimate(
 def _measured(
     metric: Callable[[PointSpread], Any], like: PointSpread, mean: Array, energy: float
 ) -> Array:
+    """Evaluate the metric on a mean intensity (ny, nx) of the kind of the pattern ``like``."""
     spread = replace(like, intensity=mean, enclosed_energy=energy)
     value = np.asarray(metric(spread), dtype=np.float64)
     if not np.isfinite(value).all():
-        raise SamplingError(f"the metric is {value}; give one that is finite for these patterns")
+        raise SamplingError(
+            f"the metric is {value}; give a metric that is finite for these patterns"
+        )
     return value
 
 
@@ -129,21 +136,43 @@ TERMS = ("piston", "tilt", "defocus")
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:
-    """Intensity at the reference point over that of the same pupil without aberration.
+    """Compute the Strehl ratio: intensity at the reference point relative to no aberration.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Polar or cells (exact: more nodes are taken where the phase needs them), or a grid or
-        scattered (as sampled).
+        Wave of any layout. Polar nodes and cells are refined until the sum has converged; a grid
+        or scattered nodes are used as given.
     remove : iterable of {"piston", "tilt", "defocus"}
-        Terms fitted by least squares, weighted by amplitude, and taken out first. Without tilt
-        and defocus in it, this is the value at the reference point, not at the peak.
+        Terms that are fitted by least squares, weighted by amplitude, and removed first. They are
+        fitted jointly, so ``"defocus"`` (u^2 + v^2) is given together with ``"piston"``. Tilt that
+        is not removed moves the peak away from the reference point.
 
     Returns
     -------
     float
         ``|sum A w exp(ikW)|^2 / (sum A w)^2``.
+
+    Raises
+    ------
+    SceneError
+        If a term of ``remove`` is unknown.
+
+    See Also
+    --------
+    peak_strehl : Ratio at the brightest point of the image.
+
+    Examples
+    --------
+    A tenth of a wave of defocus:
+
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> focused = psf.strehl(wave, remove=("piston", "defocus"))
+    >>> print(f"{psf.strehl(wave):.4f}, {focused:.4f}")
+    0.6626, 1.0000
     """
     residual = split(_without(wavefront, remove))
     if residual.wavefront.is_spectral:
@@ -159,18 +188,33 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
 
 
 def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "tilt")) -> float:
-    """Root mean square of the aberration over the pupil, weighted by amplitude.
+    """Compute the root mean square aberration over the pupil, weighted by amplitude.
 
     Parameters
     ----------
     wavefront : Wavefront
+        Wave of any layout; the mean is taken over its nodes.
     remove : iterable of {"piston", "tilt", "defocus"}
-        Terms fitted by least squares and taken out first.
+        Terms that are fitted jointly by least squares, weighted by amplitude, and removed first.
 
     Returns
     -------
     float
         m.
+
+    Raises
+    ------
+    SceneError
+        If a term of ``remove`` is unknown.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> print(f"{1e9 * psf.rms_aberration(wave):.1f} nm")
+    50.0 nm
     """
     rest = _without(wavefront, remove)
     weights = rest.amplitude * rest.weights
@@ -180,20 +224,30 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
 def fit_zernike(
     wavefront: Wavefront, n_terms: int, *, ordering: Ordering = "noll"
 ) -> dict[int, float]:
-    """Least-squares Zernike coefficients of an aberration, weighted by amplitude.
+    """Fit Zernike coefficients to an aberration by least squares, weighted by amplitude.
 
     Parameters
     ----------
     wavefront : Wavefront
-        An obscured pupil is fitted with the polynomials of the full disc.
+        Wave of any layout. An obscured pupil is fitted with the polynomials of the full disc.
     n_terms : int
-        The first so many indices of the ordering.
+        Number of terms: the first ``n_terms`` indices of the ordering.
     ordering : {"noll", "osa", "fringe"}
+        Convention of indices and normalisation, see `zernike`.
 
     Returns
     -------
     dict of int to float
-        Index to coefficient, m; what `Wavefront.from_zernike` takes.
+        Coefficients by index, m, as for `Wavefront.from_zernike`.
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range.
+    SamplingError
+        If the nodes do not determine all terms.
+    MemoryLimitError
+        If the fit would not fit into memory.
     """
     one_of("ordering", ordering, ORDERINGS)
     whole("n_terms", n_terms)
@@ -215,28 +269,46 @@ def fit_zernike(
     )
     if rank < n_terms:
         raise SamplingError(
-            f"the nodes tell only {rank} of {n_terms} Zernike terms apart; use fewer terms or more "
+            f"the nodes determine only {rank} of {n_terms} Zernike terms; use fewer terms or more "
             "nodes"
         )
     return {index: float(value) for index, value in zip(indices, fit, strict=True)}
 
 
 def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Array:
-    """Share of the transmitted energy within circles around the reference point.
+    """Compute the fraction of the transmitted energy within circles around the reference point.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        A polar wavefront gives it to rounding, ``2 pi sum_m int |U_m|^2 r dr`` over the angular
-        orders of the image field. A point spread adds up pixels, those on the circle by the area
-        within.
+        For a polar wavefront the result is accurate to rounding: ``2 pi sum_m int |U_m|^2 r dr``
+        over the angular orders of the image field. For a point spread it is a sum over pixels,
+        weighted by their area within the circle.
     radius : array_like
-        m.
+        Radii, m, of any shape.
 
     Returns
     -------
     ndarray
-        Of the radii's shape.
+        Of the shape of ``radius``.
+
+    Raises
+    ------
+    SceneError
+        If a radius is negative or not finite.
+    SamplingError
+        If the wavefront is not polar, or a circle extends beyond the window of the point spread.
+
+    Examples
+    --------
+    Within the first dark ring of the Airy pattern, at 1.22 lambda N:
+
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> print(f"{psf.encircled_energy(wave, 6.0983e-6):.4f}")
+    0.8378
     """
     radii = np.asarray(radius, dtype=np.float64)
     if not np.all(np.isfinite(radii)) or np.any(radii < 0):
@@ -245,8 +317,8 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         residual = split(source)
         if source.layout != "polar":
             raise SamplingError(
-                f"the energy of a {source.layout} wavefront is summed over its point spread; give "
-                "psf.point_spread(wavefront), or sample a round pupil with nodes='polar'"
+                f"encircled energy needs a polar wavefront, not one of layout '{source.layout}'; "
+                "give psf.point_spread(wavefront), or sample a round pupil with nodes='polar'"
             )
         values = [_energy_within(residual, float(r)) for r in radii.ravel()]
         return np.array(values).reshape(radii.shape)
@@ -267,34 +339,58 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
 
 
 def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
-    """Modulation transfer along one direction.
+    """Compute the modulation transfer function along one direction.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        An unobscured polar wavefront gives it to rounding, by quadrature of the overlap of two
-        shifted pupils. A point spread gives the modulus of its spectrum over that at 0, which
-        lacks what lies outside its window and holds the pixels' sinc where it is integrated.
+        For an unobscured polar wavefront the result is accurate to rounding: the overlap of two
+        shifted pupils, by quadrature. For a point spread it is the modulus of its spectrum
+        relative to frequency 0. It then lacks energy outside the window and includes the pixel's
+        sinc factor if the values are integrated over pixels.
     frequency : array_like
-        Cycles per m in the image; 0 beyond 1/(lambda N).
+        Cycles per m in the image, of any shape. The result is 0 beyond 1/(lambda N).
     azimuth : float
         Direction, rad from x toward y.
 
     Returns
     -------
     ndarray
-        Of the frequencies' shape.
+        Of the shape of ``frequency``.
+
+    Raises
+    ------
+    SceneError
+        If a frequency or the azimuth is not finite.
+    SamplingError
+        If the wavefront is not polar or is obscured.
+
+    See Also
+    --------
+    ptf : Phase of the optical transfer function.
+
+    Examples
+    --------
+    At half the cutoff frequency 1/(lambda N), without aberration:
+
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> print(f"{psf.mtf(wave, 100e3):.4f}")
+    0.3910
     """
     frequencies = np.asarray(frequency, dtype=np.float64)
     if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
-        raise SceneError("frequency and azimuth must be finite; give 1/m and rad")
+        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
     if isinstance(source, PointSpread):
         spectrum = spectrum_along(source, frequencies.ravel(), azimuth)
         modulus = np.abs(spectrum) / float(np.sum(source.intensity))
         return np.asarray(modulus.reshape(frequencies.shape))
     if source.layout != "polar" or source.obscuration > 0:
         raise SamplingError(
-            "the overlap of shifted pupils is known for an unobscured polar wavefront; give "
+            "mtf needs an unobscured polar wavefront, not one of layout "
+            f"'{source.layout}' and obscuration {source.obscuration:g}; give "
             "psf.point_spread(wavefront) instead"
         )
     residual = split(source)
@@ -303,7 +399,10 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
 
 
 def spectrum_along(point_spread: PointSpread, frequencies: Array, azimuth: float) -> ComplexArray:
-    """Fourier sums (n,) of a point spread at frequencies (n,), 1/m, along one direction, rad."""
+    """Return the Fourier sums (n,) of a point spread at frequencies (n,), 1/m.
+
+    The frequencies lie along the direction ``azimuth``, rad from x toward y.
+    """
     along_x = 2 * math.pi * math.cos(azimuth) * frequencies[:, None]
     along_y = 2 * math.pi * math.sin(azimuth) * frequencies[:, None]
     half = np.einsum("fx,yx->fy", np.exp(-1j * along_x * point_spread.x), point_spread.intensity)
@@ -311,19 +410,37 @@ def spectrum_along(point_spread: PointSpread, frequencies: Array, azimuth: float
 
 
 def fwhm(point_spread: PointSpread) -> tuple[float, float]:
-    """Full width at half maximum along x and y through the brightest sample, m.
+    """Compute the full width at half maximum along x and y through the brightest sample.
 
-    Samples are interpolated by tenth-degree polynomials: 1e-5 of the width at a quarter of
-    lambda N, 1e-9 at a tenth.
+    Samples are interpolated by polynomials of degree 10. The relative error of the width is 1e-5
+    at a pitch of lambda N/4 and 1e-9 at lambda N/10.
 
     Parameters
     ----------
     point_spread : PointSpread
+        Its window must hold both half-maximum crossings.
 
     Returns
     -------
     (float, float)
-        m.
+        Widths along x and y, m.
+
+    Raises
+    ------
+    SamplingError
+        If the intensity stays above half its peak up to the window's edge.
+
+    Examples
+    --------
+    The Airy pattern has a width of 1.029 lambda N:
+
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> x, y = psf.fwhm(psf.point_spread(wave, shape=33))
+    >>> print(f"{1e6 * x:.2f} um, {1e6 * y:.2f} um")
+    5.14 um, 5.14 um
     """
     row, column = np.unravel_index(
         int(np.argmax(point_spread.intensity)), point_spread.intensity.shape
@@ -334,6 +451,7 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
 
 
 def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
+    """Return the wavefront without the least-squares fit of the named terms."""
     names = (remove,) if isinstance(remove, str) else tuple(remove)
     for name in names:
         one_of("remove", name, TERMS)
@@ -349,7 +467,10 @@ def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
 
 
 def pupil_function(residual: Residual, *counts: int) -> tuple[ComplexArray, Array]:
-    """A exp(ikW), tilt included, and weights on nodes of a shape, see `Wavefront.nodes`."""
+    """Return the pupil function A exp(ikW), tilt included, and the weights at refined nodes.
+
+    ``counts`` is the shape of the nodes, see `Wavefront.nodes`.
+    """
     wave = residual.wavefront
     u, v, weights = wave.nodes(*counts)
     path = residual.series.at_nodes(*counts) + residual.tilt[0] * u + residual.tilt[1] * v
@@ -362,10 +483,11 @@ def pupil_function(residual: Residual, *counts: int) -> tuple[ComplexArray, Arra
 
 
 def _energy_within(residual: Residual, radius: float) -> float:
+    """Return the fraction of the energy of a polar wave within a radius, m."""
     if radius == 0:
         return 0.0
     wave = residual.wavefront
-    # The window counts nodes for a reach of radius/sqrt(2) along both axes.
+    # A square window with the circle's radius as half its diagonal, to count the nodes.
     half = radius / math.sqrt(2)
     window = Window(2 * half, (2, 2), (-half, -half))
     pupil, weights = pupil_function(residual, *quadrature.node_counts(residual, window))
@@ -391,7 +513,7 @@ def _energy_within(residual: Residual, radius: float) -> float:
 
 
 def _overlap(residual: Residual, frequency: float, azimuth: float) -> float:
-    """|autocorrelation| of the pupil at a shift lambda d f, over that at 0."""
+    """Return the modulus of the pupil's autocorrelation at the shift lambda d f, 1 at 0."""
     wave = residual.wavefront
     a = wave.pupil_radius
     shift = wave.wavelength * abs(wave.image_distance) * frequency
@@ -424,10 +546,10 @@ def _overlap(residual: Residual, frequency: float, azimuth: float) -> float:
 
 
 def _width(cut: Array, pitch: float) -> float:
-    """Distance between the half-maximum crossings on either side of the largest sample."""
+    """Return the distance, m, between the half-maximum crossings around the largest sample."""
     top = int(np.argmax(cut))
-    # The peak lies within half a sample of the largest one; a parabola through fine samples of
-    # the interpolant finds its height.
+    # The true peak lies within half a sample of the largest sample. Its height is that of a
+    # parabola through fine samples of the interpolant.
     heights = np.array([_interpolated(cut, top + p) for p in np.arange(-24, 25) / 48])
     best = min(max(int(np.argmax(heights)), 1), heights.size - 2)
     left, middle, right = heights[best - 1 : best + 2]
@@ -437,13 +559,14 @@ def _width(cut: Array, pitch: float) -> float:
 
 
 def _crossing(cut: Array, top: int, step: int, level: float) -> float:
+    """Return the distance, samples, from ``top`` to the crossing of ``level`` on one side."""
     index = top
     while cut[index] >= level:
         index += step
         if not 0 <= index < cut.size:
             raise SamplingError(
-                f"the spot stays above half its peak up to the window's edge, {cut.size} samples; "
-                "use a larger shape"
+                "the intensity stays above half its peak up to the edge of the window of "
+                f"{cut.size} samples; use a larger shape"
             )
     low, high = float(index), float(index - step)  # below, above the level
     for _ in range(50):
@@ -456,7 +579,7 @@ def _crossing(cut: Array, top: int, step: int, level: float) -> float:
 
 
 def _interpolated(cut: Array, place: float) -> float:
-    """Polynomial through the eleven samples around a place, in samples."""
+    """Interpolate at a position, in samples, by a polynomial through the nearest eleven samples."""
     n = min(11, cut.size)
     start = min(max(round(place) - n // 2, 0), cut.size - n)
     t = place - start

@@ -1,4 +1,4 @@
-"""Where the light of a point lies: centroid, rays, energy in squares, phase, peak."""
+"""Spot diagram and centroid of a wave; ensquared energy, phase and peak of its image."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from .psf_metrics import pupil_function, spectrum_along
 
 Array = NDArray[np.float64]
 
-#: First zero of J1 over pi: the dark ring of a round pupil without aberration, in lambda N.
+#: First zero of J1 over pi: radius of the first dark ring of the Airy pattern, in lambda N.
 DARK_RING: Final = 1.2196698912665045
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpotDiagram(Noun):
-    """Where the rays of a wave land in the image plane, diffraction left out.
+    """Landing points of a wave's rays in the image plane, without diffraction.
 
     Parameters
     ----------
     x, y : ndarray
         (n,), read-only, m from the reference point.
     energy : ndarray
-        (n,), read-only: each ray's share of the light, above 0; sum 1.
+        (n,), read-only: fraction of the energy carried by each ray, above 0; sum 1.
     centroid : (float, float)
-        Mean of the rays, (x, y), m.
+        Energy-weighted mean of the landing points, (x, y), m.
     radius : float
-        Their root mean square distance from it, m.
+        Root mean square distance of the landing points from the centroid, m.
     airy_radius : float
-        Of the first dark ring of a round pupil of this F-number without aberration, m.
+        Radius of the first dark ring of the Airy pattern at this F-number, m.
     """
 
     x: Array
@@ -52,18 +52,33 @@ class SpotDiagram(Noun):
 
 
 def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
-    """Rays of a wave in the image plane, ``image_distance`` times the gradient of its aberration.
+    """Compute the landing points of a wave's rays: image distance times gradient of aberration.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Of any layout; one ray from every lit node.
+        Wave of any layout. One ray starts at each node of non-zero amplitude.
     rings : int
-        Of a polar wavefront, the least number of rings of rays, each of twice as many.
+        For a polar wavefront: least number of rings of rays, with ``2 rings`` rays per ring.
 
     Returns
     -------
     SpotDiagram
+
+    Raises
+    ------
+    SceneError
+        If ``rings`` is not a whole number above 0.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 500e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> spots = psf.spot_diagram(wave)
+    >>> print(f"rms radius {1e6 * spots.radius:.1f} um, Airy {1e6 * spots.airy_radius:.1f} um")
+    rms radius 49.0 um, Airy 6.1 um
     """
     rings = whole("rings", rings)
     residual = split(wavefront)
@@ -85,15 +100,20 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
 
 
 def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
-    """Centre of the light in the image plane, (x, y), m.
+    """Compute the centroid of the intensity in the image plane.
 
     Parameters
     ----------
     source : Wavefront or PointSpread
-        A wavefront gives the mean of its rays, ``image_distance`` times the energy-weighted mean
-        gradient of the aberration, which is also the centroid of its diffracted intensity
-        (Goodman, Introduction to Fourier Optics, 3rd ed., sec. 6.4). A point spread gives the mean
-        over its window, which the slow tails of diffraction reach beyond.
+        For a wavefront the result is ``image_distance`` times the energy-weighted mean gradient of
+        the aberration: the centroid of the rays and also of the diffracted intensity (Goodman,
+        Introduction to Fourier Optics, 3rd ed., sec. 6.4). For a point spread it is the mean over
+        the window, without the diffraction tails outside.
+
+    Returns
+    -------
+    (float, float)
+        (x, y), m from the reference point.
     """
     if isinstance(source, PointSpread):
         total = float(source.intensity.sum())
@@ -106,14 +126,19 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
 
 
 def spot_radius(wavefront: Wavefront) -> float:
-    """Root mean square distance of the rays from their centroid in the image plane, m.
+    """Compute the root mean square distance of the rays from their centroid in the image plane.
 
-    Diffraction has no second moment where the pupil has a hard edge, and no part in this.
+    Diffraction is not included: for a pupil with a hard edge its second moment is infinite.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Of any layout.
+        Wave of any layout.
+
+    Returns
+    -------
+    float
+        m.
     """
     rays = split(wavefront).rays
     x, y = (float((rays.energy * v).sum()) for v in (rays.x, rays.y))
@@ -122,26 +147,26 @@ def spot_radius(wavefront: Wavefront) -> float:
 
 
 def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
-    """Share of the transmitted energy within squares around the reference point.
+    """Compute the fraction of the transmitted energy within squares around the reference point.
 
     Parameters
     ----------
     point_spread : PointSpread
-        Its pixels count with the part of their area that lies within.
+        Pixels are weighted by their area within the square.
     side : array_like
-        Of the squares, m.
+        Sides of the squares, m, of any shape.
 
     Returns
     -------
     ndarray
-        Of the sides' shape.
+        Of the shape of ``side``.
 
     Raises
     ------
     SceneError
         If a side is negative or not finite.
     SamplingError
-        If a square passes the window's edge.
+        If a square extends beyond the window.
     """
     sides = np.asarray(side, dtype=np.float64)
     if not np.all(np.isfinite(sides)) or np.any(sides < 0):
@@ -157,49 +182,69 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     values = []
     for half in (sides.ravel() / 2).tolist():
         on_x, on_y = (np.clip((half - np.abs(v)) / pitch + 0.5, 0.0, 1.0) for v in (x, y))
-        # a square narrower than the central pixel is cut on both of its sides
+        # A square narrower than the central pixel covers the fraction 2 half/pitch of its width.
         on_x, on_y = (np.minimum(on, 2 * half / pitch) for on in (on_x, on_y))
         values.append(float(np.einsum("y,yx,x->", on_y, point_spread.intensity, on_x)))
     return np.array(values).reshape(sides.shape) * per_energy
 
 
 def ptf(point_spread: PointSpread, frequency: ArrayLike, *, azimuth: float = 0.0) -> Array:
-    """Phase of the optical transfer function along one direction, rad.
+    """Compute the phase of the optical transfer function along one direction.
 
     Parameters
     ----------
     point_spread : PointSpread
-        What lies outside its window is missing.
+        Energy outside its window is not included.
     frequency : array_like
-        Cycles per m in the image.
+        Cycles per m in the image, of any shape.
     azimuth : float
         Direction, rad from x toward y.
 
     Returns
     -------
     ndarray
-        In (-pi, pi], of the frequencies' shape; a spot at +x has a falling phase.
+        Phase, rad, in (-pi, pi], of the shape of ``frequency``. For a spot at +x it decreases with
+        the frequency along x.
+
+    Raises
+    ------
+    SceneError
+        If a frequency or the azimuth is not finite.
+
+    See Also
+    --------
+    mtf : Modulus of the optical transfer function.
     """
     frequencies = np.asarray(frequency, dtype=np.float64)
     if not np.all(np.isfinite(frequencies)) or not math.isfinite(azimuth):
-        raise SceneError("frequency and azimuth must be finite; give 1/m and rad")
+        raise SceneError("frequency or azimuth is NaN or infinite; give finite 1/m and rad")
     spectrum = spectrum_along(point_spread, frequencies.ravel(), azimuth)
     return np.asarray(np.angle(spectrum).reshape(frequencies.shape))
 
 
 def peak_strehl(wavefront: Wavefront) -> float:
-    """Largest intensity anywhere in the image plane over that without aberration.
+    """Compute the peak intensity anywhere in the image plane, relative to no aberration.
+
+    The peak is found to about 1e-12 by Newton steps from the brightest sample at lambda N/3.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Polar or cells, or a grid as sampled.
+        Wave of any layout. Polar nodes and cells are refined as needed; other nodes are used as
+        given.
 
     Returns
     -------
     float
-        To about 1e-12: Newton steps from the brightest sample at a third of lambda N. `strehl` has
-        the value at the reference point.
+
+    Raises
+    ------
+    SamplingError
+        If the starting image cannot be computed, see `point_spread`.
+
+    See Also
+    --------
+    strehl : Ratio at the reference point.
     """
     residual = split(wavefront)
     unit, wave = residual.airy_unit, residual.wavefront
@@ -217,7 +262,7 @@ def peak_strehl(wavefront: Wavefront) -> float:
         pupil = wave.amplitude * wave.weights * phase
     scale = 2 * math.pi / (wave.wavelength * wave.image_distance)
     place, best = np.array([found.x[column], found.y[row]]), -1.0
-    # moments of the pupil are the derivatives of the field
+    # The derivatives of the field are moments of the pupil function.
     for _ in range(30):
         spread = pupil * np.exp(-1j * scale * (place[0] * u + place[1] * v))
         field = spread.sum()
@@ -226,9 +271,10 @@ def peak_strehl(wavefront: Wavefront) -> float:
         best = max(best, abs(field) ** 2)
         slope = 2 * (np.conj(field) * first).real
         bend = 2 * (np.conj(field) * second + np.outer(np.conj(first), first)).real
-        # Newton's step to the top of the cap; where it bends upward, as far the other way, uphill
+        # Newton step to the maximum. Taking the modulus of the curvatures keeps the step uphill
+        # where the intensity is convex. The floor is for rings, which have none along them.
         bends, axes = np.linalg.eigh(bend)
-        bends = np.abs(bends).clip(min=1e-9 * np.abs(bends).max())  # a ring has none along it
+        bends = np.abs(bends).clip(min=1e-9 * np.abs(bends).max())
         move = axes @ (axes.T @ slope / bends)
         place = place + move
         if float(np.hypot(*move)) < 1e-9 * unit:

@@ -1,1 +1,1 @@
-"""From a scene to its wave: exit pupil, aimed rays, wall wavefront, facets."""
+"""Exit pupil of a scene and the wave in it: aimed rays, wall aberration, facets."""

@@ -1,4 +1,4 @@
-"""Aiming through the relay wall: stationary paths, their excess and their spreading."""
+"""Compiled ray aiming by the relay wall: stationary paths, path excess and ray-tube spreading."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ N_COLUMNS = 8  # x, y, z, excess, spreading, determinant, smaller curvature, sta
 
 @njit(cache=True)
 def _stationarity(o, p, x, y, s, side):
-    """Gradient and Hessian over (x, y) of |O - X| + side |X - p| on the surface ``s``."""
+    """Gradient and Hessian over (x, y) of the path |O - X| + side |X - p|, X on the surface.
+
+    ``s`` holds the surface's height and its derivatives hx, hy, hxx, hxy, hyy at (x, y).
+    """
     ax, ay, az = x - o[0], y - o[1], s[0] - o[2]
     bx, by, bz = p[0] - x, p[1] - y, p[2] - s[0]
     d1, d2 = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
@@ -23,7 +26,7 @@ def _stationarity(o, p, x, y, s, side):
     bx, by, bz = bx / d2, by / d2, bz / d2
     kx, ky, kz = ax - side * bx, ay - side * by, az - side * bz
     gx, gy = kx + kz * s[1], ky + kz * s[2]
-    # tangents (1, 0, hx) and (0, 1, hy), projected across each leg
+    # Components of both legs along the tangents (1, 0, hx) and (0, 1, hy).
     a1, a2 = ax + az * s[1], ay + az * s[2]
     b1, b2 = bx + bz * s[1], by + bz * s[2]
     i1, i2 = 1.0 / d1, side / d2
@@ -36,9 +39,10 @@ def _stationarity(o, p, x, y, s, side):
 
 @njit(cache=True)
 def stationary_point(terms, tables, o, p, x, y, side):
-    """Newton with backtracking on the gradient of the path from O by the wall to p.
+    """Find a wall point at which the path from O by the wall to p is stationary.
 
-    Returns (x, y, status). The start (x, y) must lie on the surface.
+    Newton's method with backtracking on the path's gradient, from the start (x, y), which must lie
+    on the surface. Returns (x, y, status).
     """
     s = surface(terms, tables, x, y)
     if math.isnan(s[0]):
@@ -66,7 +70,7 @@ def stationary_point(terms, tables, o, p, x, y, side):
                     break
             length *= 0.5
         if not moved:
-            # rounding stops the descent; the path is stationary to second order in what is left
+            # Rounding stopped the descent. The error of the path is of second order in the rest.
             return x, y, FOUND if norm < 1e-11 else NOT_FOUND
         x, y, s, norm = xn, yn, sn, norm_n
         gx, gy, hxx, hxy, hyy = trial
@@ -75,13 +79,13 @@ def stationary_point(terms, tables, o, p, x, y, side):
 
 @njit(cache=True)
 def _describe(o, p, x, y, s, axis, row):
-    """Fill a row of `aim`, its status apart, at the stationary point (x, y)."""
+    """Fill a row of `aim`, except its status, at the stationary point (x, y)."""
     row[0], row[1], row[2] = x, y, s[0]
     _, _, hxx, hxy, hyy = _stationarity(o, p, x, y, s, 1.0)
     det = hxx * hyy - hxy * hxy
     row[5] = det
     row[6] = 0.5 * (hxx + hyy - math.hypot(hxx - hyy, 2.0 * hxy))
-    # A = H - O', B = p - H; |A| + |B| - |A + B| without cancellation
+    # With A = H - O' and B = p - H, compute |A| + |B| - |A + B| without cancellation.
     ax, ay, az = x - o[0], y - o[1], s[0] + o[2]
     bx, by, bz = p[0] - x, p[1] - y, p[2] - s[0]
     a, b = math.sqrt(ax * ax + ay * ay + az * az), math.sqrt(bx * bx + by * by + bz * bz)
@@ -91,7 +95,7 @@ def _describe(o, p, x, y, s, axis, row):
     bend = 2.0 * (cx * cx + cy * cy + cz * cz) / ((a * b + dot) * (a + b + c))
     a_true = math.sqrt(ax * ax + ay * ay + (s[0] - o[2]) ** 2)
     row[3] = bend - 4.0 * o[2] * s[0] / (a_true + a)
-    # van Vleck determinant of the reduced path gives the spreading of a ray tube
+    # The van Vleck determinant of the reduced path gives the spreading of a ray tube.
     along_1 = abs(-s[1] * ax - s[2] * ay + (s[0] - o[2])) / a_true
     along_2 = abs(-s[1] * bx - s[2] * by + bz) / b
     cos_pupil = abs(bx * axis[0] + by * axis[1] + bz * axis[2]) / b
@@ -100,11 +104,11 @@ def _describe(o, p, x, y, s, axis, row):
 
 @threaded()
 def aim(terms, tables, o, nodes, starts, axis, out):
-    """Fill ``out`` (n, 8) for the stationary paths from O by the wall to each node (n, 3).
+    """Fill ``out`` (n, 8) with the stationary paths from O by the wall to each node (n, 3).
 
-    Columns: wall point x, y, z; path excess over |O' - p|, m; spreading (flux on the pupil
-    plane per solid angle at O, 1/m^2); determinant and smaller eigenvalue of the path's Hessian;
-    status. ``axis`` is the unit normal of the pupil plane.
+    Columns: wall point x, y, z, m; path excess over |O' - p|, m; spreading (irradiance on the
+    pupil plane per radiant intensity at O, 1/m^2); determinant and smaller eigenvalue of the path's
+    Hessian; status. ``axis`` is the unit normal of the pupil plane.
     """
     for i in prange(nodes.shape[0]):
         p = nodes[i]
@@ -118,7 +122,7 @@ def aim(terms, tables, o, nodes, starts, axis, out):
 
 @njit(cache=True)
 def stationarities(o, nodes, points, surfaces, side, out):
-    """Fill ``out`` (n, 5) with the path's gradient and Hessian at points (n, 2) of a surface."""
+    """Fill ``out`` (n, 5) with the path's gradient and Hessian at wall points (n, 2)."""
     for i in range(nodes.shape[0]):
         s = surfaces[i]
         out[i, 0], out[i, 1], out[i, 2], out[i, 3], out[i, 4] = _stationarity(
@@ -128,13 +132,14 @@ def stationarities(o, nodes, points, surfaces, side, out):
 
 @njit(cache=True)
 def describe(o, nodes, points, surfaces, axis, out):
-    """Fill rows (n, 8) of `aim`, their status apart, at stationary points (n, 2)."""
+    """Fill rows (n, 8) of `aim`, except their status, at stationary points (n, 2)."""
     for i in range(nodes.shape[0]):
         _describe(o, nodes[i], points[i, 0], points[i, 1], surfaces[i], axis, out[i])
 
 
 @njit(cache=True)
 def _two_sum(a, b):
+    """Sum of two doubles and its rounding error (Knuth)."""
     s = a + b
     t = s - a
     return s, (a - (s - t)) + (b - t)
@@ -142,7 +147,7 @@ def _two_sum(a, b):
 
 @njit(cache=True)
 def _square(a):
-    """Exact square as a sum of two doubles, by Veltkamp splitting."""
+    """Square of a double as an exact sum of two doubles, by Veltkamp splitting."""
     c = 134217729.0 * a
     high = c - (c - a)
     low = a - high
@@ -152,7 +157,7 @@ def _square(a):
 
 @njit(cache=True)
 def _distance(p, q):
-    """Distance as a sum of two doubles."""
+    """Distance of two points as a sum of two doubles."""
     high = low = 0.0
     for i in range(3):
         d, e = _two_sum(p[i], -q[i])
@@ -169,7 +174,7 @@ def _distance(p, q):
 
 @njit(cache=True)
 def path_difference(source, wall_point, target, side, reference):
-    """|source - X| + side |X - target| - reference, rounded once."""
+    """Return |source - X| + side |X - target| - reference, X the wall point, rounded once."""
     a, a_low = _distance(source, wall_point)
     b, b_low = _distance(wall_point, target)
     total, carry = _two_sum(a, side * b)

@@ -1,4 +1,4 @@
-"""Aiming: the paths from an object point by the relay wall to the points of a pupil."""
+"""Ray aiming: the paths from an object point by the relay wall to given points of a pupil."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class AimedRays:
     Parameters
     ----------
     points : ndarray, (n, 3)
-        Where the paths meet the wall, world, m.
+        Points at which the paths meet the wall, world, m.
     excess : ndarray, (n,)
-        Path length over the distance from the mirrored object point, m.
+        Path length minus the distance from the mirrored object point, m.
     spreading : ndarray, (n,)
-        Flux on the pupil plane per unit radiant intensity, 1/m^2.
+        Irradiance on the pupil plane per unit radiant intensity, 1/m^2.
     """
 
     points: Array
@@ -36,17 +36,18 @@ class AimedRays:
 
 
 def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> AimedRays:
-    """Find the path from an object point by the wall to each pupil node.
+    """Find the stationary path from an object point by the wall to each pupil node.
 
     Parameters
     ----------
     wall : Wall
+        Relay wall, used as a mirror.
     object_point : array_like, (3,)
-        World, m, in front of the wall.
+        Object point in front of the wall, world, m.
     nodes : ndarray, (n, 3)
-        Pupil points, world, m, in front of the wall.
+        Pupil points in front of the wall, world, m.
     axis : ndarray, (3,)
-        Unit normal of the pupil plane.
+        Unit normal of the pupil plane, world.
 
     Returns
     -------
@@ -55,7 +56,9 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
     Raises
     ------
     CausticError
-        If a node is reached by several rays or by none, or the rays of the pupil have crossed.
+        If several rays or none reach a node, or rays to the pupil cross.
+    SceneError
+        If the object point or the pupil is behind the wall.
     """
     o = np.array(vector("object_point", object_point))
     for name, height in (("object_point", o[2]), ("pupil", float(nodes[:, 2].min()))):
@@ -83,27 +86,27 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
     lost = out[:, 7] != _aiming_kernels.FOUND
     if lost.any():
         raise CausticError(
-            f"{int(lost.sum())} of {len(nodes)} pupil nodes are reached by no single ray by the "
-            f"wall, first node {int(np.argmax(lost))}; use a flatter wall or other distances"
+            f"no stationary path by the wall was found to {int(lost.sum())} of {len(nodes)} pupil "
+            f"nodes, first node {int(np.argmax(lost))}; use a flatter wall or other distances"
         )
     curvature = out[:, 6]
     if out[:, 5].min() < 0 < out[:, 5].max() or curvature.min() < 0 < curvature.max():
         raise CausticError(
-            f"the rays of the pupil cross on a caustic (the path's smaller curvature runs from "
-            f"{curvature.min():.3g} to {curvature.max():.3g} 1/m); use a flatter wall, a smaller "
-            "stop, or distances away from its focus"
+            f"rays to the pupil cross on a caustic (over the pupil the path's smaller curvature "
+            f"runs from {curvature.min():.3g} to {curvature.max():.3g} 1/m); use a flatter wall, a "
+            "smaller stop, or distances away from the wall's focus"
         )
     _refuse_several_paths(wall, o, nodes, out)
     return AimedRays(points=out[:, :3], excess=out[:, 3], spreading=out[:, 4])
 
 
 def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> None:
-    """Search for further stationary points where the wall bends enough to have them."""
+    """Raise `CausticError` if a node has further stationary paths; only curved walls can."""
     first = aimed[0]
     d1 = float(np.linalg.norm(first[:3] - o))
     d2 = float(np.linalg.norm(first[:3] - nodes[0]))
     cosines = (o[2] / d1, float(nodes[0, 2]) / d2)
-    # a wall flatter than this leaves the path convex, and a convex path has one minimum
+    # Below this curvature the path is a convex function on the wall, with a single minimum.
     least = cosines[0] ** 2 / d1 + cosines[1] ** 2 / d2
     if sum(cosines) * wall.max_curvature < 0.8 * least:
         return
@@ -122,8 +125,8 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
             apart = math.hypot(x - centre[0], y - centre[1])
             if status == _aiming_kernels.FOUND and apart > 1e-6 and bool(wall.contains(x, y)):
                 raise CausticError(
-                    f"the wall shows the object more than once: light also arrives from "
-                    f"x = {x:.4g} m, y = {y:.4g} m beside x = {centre[0]:.4g} m, "
+                    f"the wall shows the object more than once: pupil node {node} receives light "
+                    f"from x = {x:.4g} m, y = {y:.4g} m and from x = {centre[0]:.4g} m, "
                     f"y = {centre[1]:.4g} m; use a flatter wall or rays instead of waves"
                 )
 
@@ -131,7 +134,11 @@ def _refuse_several_paths(wall: Wall, o: Array, nodes: Array, aimed: Array) -> N
 def stationary_points(
     wall: Wall, o: Array, p: Array, starts: Array, side: float
 ) -> Iterator[tuple[float, float, int]]:
-    """Stationary wall points (x, y, status) of the path from O to p, from several starts."""
+    """Yield the stationary wall point (x, y, status) of the path from O to p for each start.
+
+    ``o`` and ``p`` (3,) are in the world, m; ``starts`` (n, 2) are first guesses on the wall, m;
+    ``side`` is 1 for p in front of the wall, -1 for a virtual point behind it.
+    """
     from . import _aiming_kernels, callable_aiming
 
     if isinstance(wall, CallableWall):
@@ -145,6 +152,9 @@ def stationary_points(
 
 
 def pupil_points(centre: ArrayLike, axis: Array, nodes: Array) -> Array:
-    """World coordinates of pupil nodes (n, 2) in the plane through ``centre`` across ``axis``."""
+    """Return world coordinates (n, 3), m, of pupil nodes (u, v), (n, 2), m.
+
+    The pupil plane passes through ``centre`` and is perpendicular to the unit vector ``axis``.
+    """
     e1, e2, _ = pupil_frame(axis)
     return np.asarray(np.asarray(centre) + nodes[:, :1] * e1 + nodes[:, 1:] * e2)

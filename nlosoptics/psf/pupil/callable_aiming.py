@@ -1,4 +1,4 @@
-"""Aiming through walls whose height is a Python function, for all pupil nodes at once."""
+"""Ray aiming by walls defined by a Python function, for all pupil nodes at once."""
 
 from __future__ import annotations
 
@@ -9,31 +9,36 @@ from ...scene import Wall
 from . import _aiming_kernels
 
 Array = NDArray[np.float64]
-STATIONARY = 1e-11  # gradient of a path that is stationary but for rounding
+#: Gradient of the path below which it counts as stationary; the remainder is rounding error.
+STATIONARY = 1e-11
 
 
 def stationary_points(
     wall: Wall, o: Array, nodes: Array, starts: Array, side: float
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Newton with backtracking on the gradient of the paths from O by the wall to each node.
+    """Find the wall points at which the paths from O by the wall to each node are stationary.
+
+    Newton's method with backtracking on the gradient of each path.
 
     Parameters
     ----------
     wall : Wall
+        Wall that evaluates its height and derivatives in Python.
     o : ndarray, (3,)
-        World, m.
+        Object point, world, m.
     nodes : ndarray, (n, 3)
-        World, m.
+        Ends of the paths, world, m.
     starts : ndarray, (n, 2)
-        First guesses of the wall points, m.
+        First guesses (x, y) of the wall points, m.
     side : float
-        1 for nodes in front of the wall, -1 for virtual ones behind.
+        1 for nodes in front of the wall, -1 for virtual nodes behind it.
 
     Returns
     -------
     points : ndarray, (n, 2)
+        Wall points (x, y), m.
     status : ndarray of int, (n,)
-        As `_aiming_kernels.stationary_point`.
+        ``_aiming_kernels.FOUND`` or ``NOT_FOUND``.
     """
 
     def stationarity(rows: NDArray[np.int64], at: Array) -> Array:
@@ -72,12 +77,12 @@ def stationary_points(
         active = active[norm[active] > 0]
         if not len(active):
             break
-    # rounding stops the descent; the paths are stationary to second order in what is left
+    # Rounding stops the descent. The error of the paths is of second order in the gradient left.
     return points, np.where(norm < STATIONARY, _aiming_kernels.FOUND, _aiming_kernels.NOT_FOUND)
 
 
 def aim(wall: Wall, o: Array, nodes: Array, starts: Array, axis: Array, out: Array) -> None:
-    """Fill ``out`` (n, 8) as `_aiming_kernels.aim` does."""
+    """Fill ``out`` (n, 8) with the stationary paths; the columns are those of the kernel `aim`."""
     points, status = stationary_points(wall, o, nodes, starts, 1.0)
     surfaces = wall.derivatives(points[:, 0], points[:, 1])
     _aiming_kernels.describe(o, nodes, points, surfaces, axis, out)

@@ -1,4 +1,4 @@
-"""Exit pupil: what limits the cone of light, imaged toward the detector."""
+"""Exit pupil of a scene: the image of its aperture stop as seen from the detector."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ExitPupil(Noun):
-    """Image of the aperture stop by all that follows it toward the detector.
+    """Exit pupil of lens and wall: the image of the aperture stop as seen from the detector.
 
     Parameters
     ----------
     centre : ndarray, (3,)
-        World, m; behind the lens when the wall is the stop.
+        Centre, world, m; it lies behind the lens if the wall is the stop.
     radius : float
-        m; of the inscribed circle when the wall, a rectangle, is the stop.
+        Radius, m; that of the inscribed circle if the rectangular wall is the stop.
     image_distance : float
-        From pupil to detector, m, signed: negative when the pupil lies behind the detector.
+        Signed distance from pupil to detector, m; negative if the pupil lies beyond the detector.
     f_number : float
-        Working F-number, |image_distance|/(2 radius); faster than F/1 by the sine of the cone.
+        Working F-number, ``|image_distance|/(2 radius)``. Below F/1 the sine of the cone's half
+        angle replaces its tangent.
     stop : {"lens", "wall"}
-        What limits the cone.
+        Element that limits the cone.
     entrance_radius : float
         Radius of the cone on the lens, m.
     vignetting : float
-        Share of that cone, drawn to the object's reference point by a flat wall of this size, that
-        misses the wall, 0 to 1.
+        Fraction, 0 to 1, of that cone to the object's reference point that misses the wall,
+        computed for a flat wall of the same size.
     """
 
     centre: Array
@@ -49,20 +50,21 @@ class ExitPupil(Noun):
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
-        """Layout of the pupil nodes that follow the rim of the light.
+        """Layout of pupil nodes that can follow the rim of the lit pupil.
 
-        ``polar`` where the rim is the lens stop's circle; ``grid`` where the wall's edge is the
-        stop or vignettes a part of the cone.
+        It is "polar" if that rim is the circle of the lens stop, and "grid" if the wall's edge is
+        the stop or vignettes a part of the cone.
         """
         return "polar" if self.stop == "lens" and self.vignetting == 0.0 else "grid"
 
 
 def exit_pupil(scene: Scene) -> ExitPupil:
-    """Exit pupil of lens and relay wall, by reverse trace from the axial detector point.
+    """Return the exit pupil of lens and wall, by reverse trace from the axial detector point.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the camera and the wall.
 
     Returns
     -------
@@ -73,12 +75,24 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     SceneError
         If the camera's axis misses the wall, or the object cannot be focused.
 
+    See Also
+    --------
+    wavefront : Wave in this pupil.
+
     Notes
     -----
-    Thin lens of focal length f, in-focus plane d1 + d2 in front of it, wall at d2: the lens limits
-    unless the wall's edge, at a from the axis, is within ``r_lens d1/(d1 + d2)``. The wall's image
-    then lies ``d2 f/(d2 - f)`` behind the lens, magnified by ``f/(d2 - f)``; it is the inscribed
-    circle that is reported, while `wavefront` follows the wall's true outline.
+    The lens is thin, with focal length f. The wall is at the distance d2 from it and the in-focus
+    plane at d1 + d2. The lens is the stop unless the distance a of the wall's edge from the axis
+    is below ``r_lens d1/(d1 + d2)``. In that case the wall's image lies ``d2 f/(d2 - f)`` behind
+    the lens, magnified by ``f/(d2 - f)``. Its inscribed circle is reported here, while `wavefront`
+    follows the wall's true outline.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, psf
+    >>> pupil = psf.exit_pupil(Scene.load("examples/scenes/letter_flat.toml"))
+    >>> print(f"{pupil.stop}, {1e3 * pupil.radius:.1f} mm, F/{pupil.f_number:.2f}")
+    lens, 12.5 mm, F/2.08
     """
     camera, image_distance = scene.camera, scene.image_distance
     position, axis = np.array(camera.position), camera.axis
@@ -88,8 +102,7 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     edge = math.inf
     if scene.wall.size is not None:
         hit = position + d2 * axis
-        # distance from the axis to the nearest edge, seen across the axis
-        # common perpendicular of the axis and each edge's line
+        # Distance between the axis and each edge's line, along their common perpendicular.
         gaps = [
             (side / 2 - abs(float(hit[i]))) * abs(float(axis[2])) / math.hypot(axis[i], axis[2])
             for i, side in enumerate(scene.wall.size)
@@ -131,7 +144,7 @@ def exit_pupil(scene: Scene) -> ExitPupil:
 
 
 def working_f_number(radius: float, distance: float) -> float:
-    """F-number of a cone: |distance|/(2 radius), beyond F/1 by the sine of its half angle."""
+    """Return a cone's F-number, |distance|/(2 radius), or 1/(2 sin) of its half angle below F/1."""
     paraxial = abs(distance) / (2 * radius)
     if paraxial >= 1:
         return paraxial
@@ -139,7 +152,7 @@ def working_f_number(radius: float, distance: float) -> float:
 
 
 def _vignetting(scene: Scene, radius: float) -> float:
-    """Share of the lens that sees the mirrored object past the wall's edge, as for a flat wall."""
+    """Fraction of the lens disc whose rays to the mirrored object miss a flat wall of this size."""
     if scene.wall.size is None:
         return 0.0
     r, angle = np.meshgrid(

@@ -1,4 +1,4 @@
-"""Waves from a wall of random facets: tilts on the wall become slopes in the pupil."""
+"""Waves from a wall of random facets: facet tilts on the wall become wave slopes in the pupil."""
 
 from __future__ import annotations
 
@@ -27,45 +27,46 @@ def facet_wavefront(
     samples: int = 256,
     seed: int = 0,
 ) -> tuple[Wavefront, float]:
-    """Wave of a wall with a random facet on each of its cells, on a pupil grid.
+    """Return the wave from a wall with one random facet per cell, on a pupil grid.
 
     Parameters
     ----------
     scene : Scene
-        Its wall is the mean one.
+        Scene with the camera and the wall, which is the mean surface of the facets.
     cell : float
-        Side of a facet's cell, m.
+        Side of a facet's square cell, m.
     slope_rms : float, optional
-        Of the facets per axis, rad; by default that of the wall material's strongest lobe that has
-        one.
+        Rms slope of the facets per axis, rad; by default that of the strongest lobe of the wall
+        material that has a slope.
     samples : int
         Cells of the pupil grid per side.
     seed : int
-        Of `raytrace.facet_angles`.
+        Seed of the facets, see `raytrace.facet_angles`.
 
     Returns
     -------
     wavefront : Wavefront
-        The mean wall's, as of `psf.wavefront`, plus the least-squares wave of the facets' slopes;
-        the tilt of the latter is left in.
+        Wave of the mean wall (`psf.wavefront`) plus the least-squares wave of the facets' slopes.
+        The tilt of the latter is not removed.
     curl_residual_rms : float
-        rms of the facets' pupil slopes that no wave has, rad; see `wavefront_from_slopes`.
+        Rms of the part of the pupil slopes that is not the gradient of a wave, rad; see
+        `wavefront_from_slopes`.
 
     Raises
     ------
     CausticError
-        If the facets throw light past their neighbours, so that W is undefined; or as of
-        `psf.wavefront`.
+        If facets deflect rays beyond neighbouring facets, so that W is undefined, or if the mean
+        wall has no single wave.
     SamplingError
-        If the pupil grid steps over cells.
+        If the pupil grid is so coarse that it skips cells.
 
     Notes
     -----
-    A facet of slope s shows a pupil point ``(cos_i + cos_o) s d_eff`` away from the wall point
-    that the mean wall shows it, `facet_reach`. Once that passes a cell, several facets or none
-    send their light to a pupil point, and once it passes the patch nothing of the mean wave is
-    left: then W is undefined. The wave of such slopes may still be wanted as a model: it is what
-    `raytrace.facet_angles`, `pupil_slopes` and `wavefront_from_slopes` return one by one.
+    With a facet of slope s, a pupil point sees a wall point that is ``(cos_i + cos_o) s d_eff``
+    away from the point seen by the mean wall, see `facet_reach`. If this distance exceeds a cell,
+    several facets or none reach a pupil point. If it exceeds the wall patch seen by the pupil,
+    nothing remains of the mean wave. In both cases W is undefined. To use such slopes as a model
+    nevertheless, call `raytrace.facet_angles`, `pupil_slopes` and `wavefront_from_slopes` in turn.
     """
     if slope_rms is None:
         slope_rms = material_slope(scene)
@@ -75,12 +76,12 @@ def facet_wavefront(
     if reach > limit:
         what = "one cell" if cell <= patch else "the patch that the pupil sees"
         raise CausticError(
-            f"facets of slope rms {slope_rms:.3g} rad throw light {reach:.3g} m along the wall, "
+            f"facets of slope_rms = {slope_rms:.3g} rad shift rays {reach:.3g} m along the wall, "
             f"limit {limit:.3g} m ({what}), {reach / limit:.3g} times too far: W is undefined; use "
             f"a slope_rms of at most {slope_rms * limit / reach:.3g} rad or rays instead of waves"
         )
     mean = wavefront(scene, nodes="grid", samples=samples)
-    # cells just outside the disc can have areas of the order of rounding error
+    # Cells just outside the disc can have areas of the order of rounding error.
     mask = mean.weights > 1e-12 * mean.pupil_pitch**2
     nodes = np.stack([mean.u[mask], mean.v[mask]], axis=1)
     zoom = _zoom(scene)
@@ -88,8 +89,9 @@ def facet_wavefront(
     step *= float(np.linalg.norm(_optics(scene, np.zeros((1, 2))).footprint[0], 2))
     if step > cell:
         raise SamplingError(
-            f"neighbours of {samples} x {samples} pupil samples see the wall {step:.3g} m apart, "
-            f"limit cell = {cell:.3g} m; use {int(np.ceil(samples * step / cell)) + 1} samples"
+            f"neighbours among {samples} x {samples} pupil samples see wall points {step:.3g} m "
+            f"apart, limit cell = {cell:.3g} m; use {int(np.ceil(samples * step / cell)) + 1} "
+            "samples"
         )
     table = np.zeros((*mask.shape, 2))
     table[mask] = pupil_slopes(scene, slopes, positions, nodes)
@@ -98,13 +100,14 @@ def facet_wavefront(
 
 
 def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: ArrayLike) -> Array:
-    """Slopes of the wave at fixed pupil points from the tilts of the wall's facets.
+    """Return the wave slopes that the tilts of wall facets cause at fixed pupil points.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the camera, the object and the mean wall.
     slopes : array_like, (ny, nx, 2)
-        Facet slopes against the mean wall, as of `raytrace.facet_angles`.
+        Facet slopes relative to the mean wall, see `raytrace.facet_angles`.
     positions : array_like, (ny, nx, 3)
         Centres of the cells, world, m.
     nodes : array_like, (n, 2)
@@ -113,21 +116,24 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
     Returns
     -------
     ndarray, (n, 2)
-        What the facets add to dW/du and dW/dv, rad, in first order of their slopes.
+        Contributions of the facets to dW/du and dW/dv, rad, to first order in their slopes.
 
     Raises
     ------
     SamplingError
-        If a node sees the wall beyond the cells.
+        If a node sees a wall point outside the cells.
     CausticError
-        If the mean wall's W is undefined.
+        If the W of the mean wall is undefined.
+    SceneError
+        If an array has the wrong shape or is not finite.
 
     Notes
     -----
     ``grad_p W = -(cos_i + cos_o) M^T grad h`` with
-    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``: the pupil point p sees the wall point
-    M p. P projects along the two legs, K is the mean wall's bend (positive hollow to the room) and
-    E takes the pupil's axes into the wall across the ray.
+    ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``. The pupil point p sees the wall point
+    M p. P_i and P_o project the wall's tangent plane across the two legs. K is the Hessian of the
+    mean wall (positive if concave to the room). E projects the pupil's axes across the ray into the
+    tangent plane.
     """
     table, x, y = _lattice(slopes, positions)
     points = np.asarray(nodes, dtype=np.float64)
@@ -142,7 +148,7 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
         raise SamplingError(
             f"pupil node {i} sees the wall at x = {seen.points[i, 0]:.6g} m, y = "
             f"{seen.points[i, 1]:.6g} m, beyond the cells (x from {x[0]:.6g} to {x[-1]:.6g} m, y "
-            f"from {y[0]:.6g} to {y[-1]:.6g} m); give facets over all that the pupil sees"
+            f"from {y[0]:.6g} to {y[-1]:.6g} m); give facets on the whole patch that the pupil sees"
         )
     tilt = table[rows, columns]
     found = -seen.cosines[:, None] * np.einsum("nba,nb->na", seen.footprint, tilt)
@@ -150,7 +156,7 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
 
 
 def _lattice(slopes: ArrayLike, positions: ArrayLike) -> tuple[Array, Array, Array]:
-    """Checked slopes and the coordinates of the cells' columns and rows, m."""
+    """Check facets and return their slopes (ny, nx, 2) and the cells' x (nx,) and y (ny,), m."""
     table, places = np.asarray(slopes, np.float64), np.asarray(positions, np.float64)
     if table.ndim != 3 or table.shape[2] != 2 or places.shape != (*table.shape[:2], 3):
         raise SceneError(
@@ -158,7 +164,7 @@ def _lattice(slopes: ArrayLike, positions: ArrayLike) -> tuple[Array, Array, Arr
             "(ny, nx, 3)"
         )
     if min(table.shape[:2]) < 2:
-        raise SceneError(f"slopes have shape {table.shape}; give two cells or more each way")
+        raise SceneError(f"slopes have shape {table.shape}; give two cells or more per axis")
     if not (np.isfinite(table).all() and np.isfinite(places).all()):
         raise SceneError("slopes or positions hold NaN or infinity; give finite facets")
     x, y = places[0, :, 0], places[:, 0, 1]
@@ -175,6 +181,6 @@ def _lattice(slopes: ArrayLike, positions: ArrayLike) -> tuple[Array, Array, Arr
 
 
 def _cell_index(centres: Array, at: Array) -> NDArray[np.int64]:
-    """Index of the cell that holds each coordinate; beyond the ends for those outside."""
+    """Index of the cell that contains each coordinate; out of range for coordinates outside."""
     step = (centres[-1] - centres[0]) / (len(centres) - 1)
     return np.asarray(np.floor((at - centres[0]) / step + 0.5), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""Occluders in the cone of light that makes a point spread."""
+"""Occluders in the cone of light from an object point by the wall to the lens."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from .aiming import aim, pupil_points
 
 Array = NDArray[np.float64]
 
-RINGS, SPOKES = 6, 24  # sample rays over the lens, its rim included
+#: Rings and spokes of the sample rays over the lens, including its rim.
+RINGS, SPOKES = 6, 24
 
 
 def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
-    """Whether the occluders hide an object point from the whole lens.
+    """Return whether the occluders hide an object point from the whole lens.
 
     Parameters
     ----------
     scene : Scene
         Scene with wall, camera and occluders.
     object_point : ndarray, (3,), optional
-        World, m; the object's reference point by default.
+        Object point, world, m; by default the object's reference point.
 
     Raises
     ------
     SceneError
-        If they hide it from a part of the lens: the point spread knows no such pupil.
+        If they hide it from a part of the lens: point spreads need the whole pupil.
     """
     radii = scene.camera.stop_diameter / 2 * np.arange(1, RINGS + 1)[:, None] / RINGS
     angles = 2 * math.pi * np.arange(SPOKES) / SPOKES
@@ -44,21 +45,22 @@ def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
 
 
 def hides(scene: Scene, object_point: Array, on_wall: Array, on_lens: Array) -> bool:
-    """Whether the occluders cut every path from a point by the wall to the lens.
+    """Return whether the occluders block every path from a point by the wall to the lens.
 
     Parameters
     ----------
     scene : Scene
+        Scene with wall and occluders.
     object_point : ndarray, (3,)
-        World, m.
+        Object point, world, m.
     on_wall, on_lens : ndarray, (n, 3)
-        Where the paths meet the wall and the lens, world, m; those beyond the wall's edge are left
-        out.
+        Points at which the paths meet the wall and the lens, world, m. Paths that miss the wall
+        are ignored.
 
     Raises
     ------
     SceneError
-        If some paths are cut and some are not.
+        If some paths are blocked and others are not.
     """
     mesh = scene.occluding_mesh
     if mesh is None:
@@ -70,7 +72,7 @@ def hides(scene: Scene, object_point: Array, on_wall: Array, on_lens: Array) -> 
         point = tuple(round(float(c), 6) for c in object_point)
         raise SceneError(
             f"scene.occluders cut {100 * cut.mean():.2g} % of the cone of light from the object "
-            f"point {point} m by the wall to the lens, limit 0 or 100 %: a point spread has the "
+            f"point {point} m by the wall to the lens, limit 0 or 100 %: a point spread needs the "
             "whole pupil; move the occluder, or make camera.stop_diameter smaller"
         )
     return bool(cut.size) and bool(cut.all())

@@ -1,4 +1,4 @@
-"""Second-order optics of a scene in closed form: no ray is aimed, no wave is sampled."""
+"""Second-order wave optics of a scene in closed form, without ray aiming or sampling."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ Array = NDArray[np.float64]
 
 
 def wave_bends(scene: Scene, points: Array) -> Array:
-    """Second derivatives of W over the lens, for object points.
+    """Return the second derivatives of W over the lens for object points.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the camera and the wall.
     points : ndarray, (n, 3)
-        World, m.
+        Object points, world, m.
 
     Returns
     -------
     ndarray, (n, 2, 2)
-        Along the camera's e1 and e2, 1/m: that of the wall, ``-(cos_i + cos_o) M_0^T K M``, and of
-        the focus. M_0 is M of a flat wall. The wall is taken where it would be met if it were
-        flat, so slopes of the mean wall are left out.
+        Derivatives along the camera's axes e1 and e2, 1/m: the sum of the wall's part,
+        ``-(cos_i + cos_o) M_0^T K M``, and of the defocus. M is that of `pupil_slopes` and M_0 that
+        of a flat wall. The wall's curvature is taken at the point that a flat wall would reflect
+        from, and its slope there is neglected.
     """
     e1, e2, axis = scene.camera.frame
     lens = np.array(scene.camera.position)
@@ -59,31 +61,32 @@ def wave_bends(scene: Scene, points: Array) -> Array:
 
 
 def change_over_object(scene: Scene, pupil: ExitPupil) -> float:
-    """Bound of how much the point spread's pixels change over the picture, max |dI|/max I.
+    """Bound the change of the point spread over a planar object, max |dI|/max I.
 
     Parameters
     ----------
     scene : Scene
-        With a `PlanarObject` and a mirror-like lobe.
+        Scene with a `PlanarObject` and a wall with a mirror-like lobe.
     pupil : ExitPupil
-        Of the scene.
+        Exit pupil of the scene.
 
     Returns
     -------
     float
-        From 0 to 1, of the camera's image pixels: the least of what the change of phase can do,
-        what the diffraction tail within a pixel can, and what moves from pixel to pixel.
+        Relative change of the point spread on the camera's image pixels, 0 to 1. It is the least
+        of three bounds: from the change of phase over the pupil, from the diffraction tail within
+        a pixel, and from the energy that moves between pixels.
     """
     hidden = scene.hidden
     if not isinstance(hidden, PlanarObject):
-        raise SceneError("scene.hidden is a mesh; point spreads over a picture need a PlanarObject")
+        raise SceneError("scene.hidden is a mesh; a field of point spreads needs a PlanarObject")
     right, up, _ = hidden.axes
     width, height = hidden.size
     places = [(0.0, 0.0), *((x, y) for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5))]
     points = [scene.object_point + x * width * right + y * height * up for x, y in places]
     try:
         bends = wave_bends(scene, np.array(points))
-    except SceneError:  # beyond the wall's rim
+    except SceneError:  # a point is reflected outside the wall's domain
         return 1.0
     change = float(np.linalg.norm(bends - bends[0], 2, axis=(1, 2)).max())
     radius, distance = pupil.radius, abs(pupil.image_distance)

@@ -1,4 +1,4 @@
-"""The wave at the exit pupil from traced rays."""
+"""The wave in the exit pupil, computed from traced rays."""
 
 from __future__ import annotations
 
@@ -18,50 +18,59 @@ from .exit_pupil import ExitPupil
 
 Array = NDArray[np.float64]
 
-FEWEST: Final = 64  # detected rays
-DEGREE: Final = 5  # of the polynomial through the rays about the pupil's centre
-NEAREST: Final = 48  # rays that it goes through
-HOLE: Final = 10.0  # times the median area of a ray, beyond which light is missing there
+#: Least number of detected rays.
+FEWEST: Final = 64
+#: Degree of the polynomial fitted to the rays near the pupil's centre.
+DEGREE: Final = 5
+#: Number of rays that it is fitted to.
+NEAREST: Final = 48
+#: Area of a ray, relative to the median, above which the pupil counts as dark around it.
+HOLE: Final = 10.0
 
 
 def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: float) -> Wavefront:
-    """Wave of the rays from one object point by one reflection to the lens.
+    """Return the wave of rays from one object point by one wall reflection to the lens.
 
     Parameters
     ----------
     paths : RayPaths
-        As of `raytrace.pupil_rays`: they start at one point, are reflected once and end in the
-        plane of the lens. Those that escape beside the lens tell the density at its rim.
+        Rays such as those of `raytrace.pupil_rays`. All start at one point, are reflected once and
+        end in the plane of the lens. Rays that end outside the lens serve to estimate the density
+        at its rim.
     exit_pupil : ExitPupil
-        The lens as its own exit pupil.
+        Exit pupil of the scene; the lens must be the stop.
     wavelength : float
-        m.
+        Wavelength, m.
 
     Returns
     -------
     Wavefront
-        Layout "scattered", one node for each detected ray in their order. ``aberration`` is the
-        path's excess over the distance from the mirrored object point, without the piston and tilt
-        of the chief ray, which are in ``removed``, as in `psf.wavefront`; the defocus of a camera
-        that is focused elsewhere is not in it. ``amplitude`` is the root of power per area, 1 at
-        the pupil's centre. ``weights`` are the areas of the rays' Voronoi cells within the pupil;
-        they add up to its area. A sum over rays is to weigh with amplitude times area, which is
-        the root of the area that a ray of equal power stands for.
+        Layout "scattered", with one node for each detected ray, in their order. ``aberration`` is
+        the path length minus the distance from the mirrored object point. The chief ray's piston
+        and tilt are subtracted and reported in ``removed``. Defocus of the camera is not included.
+        ``amplitude`` is the square root of power per area, 1 at the pupil's centre. ``weights``
+        are the areas of the rays' Voronoi cells inside the pupil; their sum is its area. Sums over
+        rays must be weighted by amplitude times area.
 
     Raises
     ------
     SceneError
-        If the paths are not such paths, or the wall is the stop.
+        If the paths do not start at one point, are not reflected once or do not end in the plane
+        of the lens; if two coincide; or if the wall is the stop.
     SamplingError
-        If there are too few rays, or light is missing in a part of the pupil.
+        If there are too few rays, or no rays in a part of the pupil.
     CausticError
-        If the path lengths of neighbours contradict the rays' directions: rays cross, or are too
+        If path lengths of neighbours contradict the rays' directions: rays cross, or there are too
         few for the wall's roughness.
+
+    See Also
+    --------
+    wavefront : Wave of a scene by ray aiming.
 
     Notes
     -----
-    A ray's direction is the gradient of the path length, so that every ray gives W and its slopes.
-    A polynomial of degree 5 through those near the centre gives W and its slopes there.
+    A ray's direction is the gradient of the path length, so every ray gives W and its slopes. A
+    polynomial of degree 5, fitted to both near the pupil's centre, gives W and its slopes there.
     """
     positive("wavelength", wavelength, unit="m")
     start, bounce, ends, share, n_inside = _checked(paths, exit_pupil)
@@ -71,10 +80,10 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
     farthest = float(np.hypot(*inside.T).max())
     if farthest > radius * (1 + 1e-9):
         raise SceneError(
-            f"a detected ray is {farthest:.6g} m off the pupil's centre, limit {radius:.6g} m, its "
-            "radius; trace with the scene of this pupil"
+            f"a detected ray is {farthest:.6g} m from exit_pupil.centre, limit {radius:.6g} m, its "
+            "radius; trace the rays with the scene of this pupil"
         )
-    near = np.hypot(*places.T) < 2 * radius  # all of the detected ones, first in order
+    near = np.hypot(*places.T) < 2 * radius  # contains all detected rays, which come first
     whole, _, neighbours = cell_areas(places[near], radius)
     _, area, _ = cell_areas(inside, radius)
     _check_cover(whole[:n_inside])
@@ -104,11 +113,14 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
 
 
 def _checked(paths: RayPaths, pupil: ExitPupil) -> tuple[Array, Array, Array, Array, int]:
-    """Start, wall points and ends (n, 3), powers, and how many are detected: those come first."""
+    """Check paths and return their start (3,), wall points and ends (n, 3), and powers (n,).
+
+    The last result is the number of detected rays, which come first.
+    """
     if pupil.stop != "lens":
         raise SceneError(
-            "exit_pupil.stop is the wall, whose image the rays do not reach; enlarge wall.size or "
-            "use psf.wavefront"
+            "exit_pupil.stop is the wall, but the rays end on the lens; enlarge wall.size or use "
+            "psf.wavefront"
         )
     if paths.points.ndim != 3 or paths.points.shape[1:] < (3, 3):
         raise SceneError(
@@ -123,8 +135,8 @@ def _checked(paths: RayPaths, pupil: ExitPupil) -> tuple[Array, Array, Array, Ar
     wrong = paths.n_bounces[detected] != 1
     if wrong.any():
         raise SceneError(
-            f"path {detected[np.argmax(wrong)]} has {paths.n_bounces[detected][wrong][0]} bounces; "
-            "a wave front is made of paths with one"
+            f"path {detected[np.argmax(wrong)]} has {paths.n_bounces[detected][wrong][0]} bounces, "
+            "limit 1; give paths with one reflection, as raytrace.pupil_rays"
         )
     beside = np.flatnonzero((paths.status == ESCAPED) & (paths.n_bounces == 1))
     last, wall_points = paths.points[beside, -1], paths.points[beside, 1]
@@ -135,14 +147,17 @@ def _checked(paths: RayPaths, pupil: ExitPupil) -> tuple[Array, Array, Array, Ar
     apart = float(np.abs(points[:, 0] - start).max())
     if apart > 0:
         raise SceneError(
-            f"paths start up to {apart:.3g} m apart; a wave front has one object point, as of "
+            f"paths start up to {apart:.3g} m apart, limit 0; give paths from one object point, as "
             "raytrace.pupil_rays"
         )
     return start, points[:, 1], points[:, -1], paths.weight[order], len(detected)
 
 
 def _pupil_places(ends: Array, bounce: Array, pupil: ExitPupil) -> tuple[Array, Array]:
-    """Coordinates (n, 2) of the ends in the pupil plane that they span, and its axes (3, 3)."""
+    """Coordinates (n, 2), m, of the paths' ends in the plane that they span, and its axes (3, 3).
+
+    The axes are two in the plane and its normal, which points toward the wall.
+    """
     offsets = ends - pupil.centre
     _, _, rows = np.linalg.svd(offsets[: 8 * FEWEST], full_matrices=False)
     normal = rows[2]
@@ -151,19 +166,19 @@ def _pupil_places(ends: Array, bounce: Array, pupil: ExitPupil) -> tuple[Array, 
     off = float(np.abs(offsets @ normal).max())
     if off > 1e-9 * max(1.0, float(np.abs(offsets).max()) / pupil.radius):
         raise SceneError(
-            f"paths end up to {off:.3g} m off a plane through exit_pupil.centre; trace with the "
-            "scene of this pupil"
+            f"paths end up to {off:.3g} m off a plane through exit_pupil.centre; trace the rays "
+            "with the scene of this pupil"
         )
     axes = pupil_frame(normal)
     return offsets @ axes[:2].T, axes
 
 
 def _check_cover(areas: Array) -> None:
-    """Refuse rays that leave a part of the pupil dark."""
+    """Raise an error if a part of the pupil has no rays, or two rays end at one point."""
     median, worst = float(np.median(areas)), int(np.argmax(areas))
     if areas[worst] > HOLE * median:
         raise SamplingError(
-            f"detected ray {worst} stands alone in {areas[worst]:.3g} m^2, limit {HOLE:g} times "
+            f"detected ray {worst} is the only one in {areas[worst]:.3g} m^2, limit {HOLE:g} times "
             f"the median {median:.3g} m^2: the wall's edge cuts the light, or rays are too few; "
             "enlarge wall.size, launch more rays, or use psf.wavefront with nodes='grid'"
         )
@@ -176,35 +191,35 @@ def _check_cover(areas: Array) -> None:
 def _check_agreement(
     places: Array, excess: Array, slopes: Array, pairs: NDArray[np.int64], wavelength: float
 ) -> None:
-    """Refuse neighbours whose path lengths and directions belong to different waves."""
+    """Raise `CausticError` if path lengths and directions of neighbouring rays disagree."""
     a, b = pairs.T
     step = np.sum((slopes[a] + slopes[b]) / 2 * (places[b] - places[a]), axis=1)
     miss = np.abs(excess[b] - excess[a] - step)
     worst = int(np.argmax(miss))
     if miss[worst] > wavelength / 4:
         raise CausticError(
-            f"rays {a[worst]} and {b[worst]}, neighbours in the pupil, differ by "
-            f"{miss[worst] / wavelength:.3g} waves from what their directions say, limit 0.25: "
-            "rays cross, or are too few for this wall; launch more, or use a smoother wall"
+            f"path lengths of rays {a[worst]} and {b[worst]}, neighbours in the pupil, differ by "
+            f"{miss[worst] / wavelength:.3g} waves from the prediction of their directions, limit "
+            "0.25: rays cross, or are too few for this wall; launch more, or use a smoother wall"
         )
 
 
 def _nearest(places: Array, count: int) -> tuple[NDArray[np.int64], float]:
-    """Indices of the points nearest to the centre, and the distance of the farthest of them."""
+    """Indices of the points nearest to the pupil's centre, and the largest of their distances."""
     distance = np.hypot(*places.T)
     chosen = np.argsort(distance, kind="stable")[:count]
     return chosen, float(distance[chosen[-1]])
 
 
 def _centre_terms(places: Array, excess: Array, slopes: Array) -> tuple[float, Array]:
-    """W, m, and its slopes at the pupil's centre."""
+    """W, m, and its slopes (2,) at the pupil's centre, from a polynomial fit."""
     chosen, scale = _nearest(places, NEAREST)
     x, y = (places[chosen] / scale).T
     orders = [(i, k - i) for k in range(DEGREE + 1) for i in range(k, -1, -1)]
     values = np.stack([x**i * y**j for i, j in orders], axis=1)
     along_x = np.stack([i * x ** max(i - 1, 0) * y**j for i, j in orders], axis=1)
     along_y = np.stack([j * x**i * y ** max(j - 1, 0) for i, j in orders], axis=1)
-    shift = float(excess[chosen[0]])  # what is fitted is to be small
+    shift = float(excess[chosen[0]])  # subtracted so that the fitted values are small
     right = np.concatenate(
         [excess[chosen] - shift, slopes[chosen, 0] * scale, slopes[chosen, 1] * scale]
     )
@@ -213,7 +228,7 @@ def _centre_terms(places: Array, excess: Array, slopes: Array) -> tuple[float, A
 
 
 def _centre_density(places: Array, density: Array) -> float:
-    """Power per area at the pupil's centre, by a quadratic through the rays about it."""
+    """Power per area at the pupil's centre, from a quadratic fit to the nearest rays."""
     chosen, scale = _nearest(places, NEAREST)
     x, y = (places[chosen] / scale).T
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)

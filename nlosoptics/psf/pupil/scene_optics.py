@@ -1,4 +1,4 @@
-"""Geometry of a scene, computed once and handed to everything that needs it."""
+"""Exit pupil and waves of a scene, computed once and shared by several computations."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .wall_wavefront import AimedWave, aimed_wave
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
 
-#: Pupil samples that follow those of ``nodes="auto"`` where they are too few: radii of polar nodes,
-#: with four times as many angles, or cells along each side of a grid.
+#: Numbers of pupil samples to try after those of ``nodes="auto"``: radii of polar nodes, with four
+#: times as many angles, or cells per side of a grid.
 FINER: Final = {"polar": (48, 96), "grid": (1024, 2048)}
 
 
 class PointOptics:
-    """Exit pupil, rays and wave of one object point by the wall.
+    """Exit pupil, rays and wave for one object point seen by the wall.
 
     Parameters
     ----------
@@ -34,48 +34,48 @@ class PointOptics:
     pupil : ExitPupil
         Exit pupil of the scene.
     object_point : ndarray, (3,)
-        World, m.
+        Object point, world, m.
 
     Attributes
     ----------
     first : AimedWave
-        Wave at the nodes that ``nodes="auto"`` takes, with its rays, the chief ray among them.
+        Wave at the nodes that ``nodes="auto"`` selects, with its rays, including the chief ray.
     """
 
     def __init__(self, scene: Scene, pupil: ExitPupil, object_point: Array) -> None:
         self.scene, self.exit_pupil, self.object_point = scene, pupil, object_point
-        # aimed at once: threads that look at several points would wait for a cached property
+        # Aimed here: the lock of a cached property would make threads for several points wait.
         self.first = aimed_wave(scene, pupil, object_point)
 
     @property
     def zoom(self) -> float:
-        """Size of the exit pupil over that of the lens; 1 where the lens is the stop."""
+        """Ratio of the exit pupil's size to that of the lens; 1 if the lens is the stop."""
         return self.exit_pupil.image_distance / self.scene.image_distance
 
     @cached_property
     def view(self) -> WallView:
-        """How the exit pupil sees the wall about the chief ray of this point."""
+        """First-order view of the wall from the exit pupil about the chief ray of this point."""
         return view_along(self.scene, self.zoom, self.object_point, self.first.rays.points[0])
 
     def refined(self, use: Callable[[AimedWave], Found]) -> tuple[AimedWave, Found]:
-        """Apply a function to the wave, with more pupil nodes as long as they are too few.
+        """Apply a function to the wave, with more pupil nodes each time they are too few.
 
         Parameters
         ----------
         use : callable
-            Takes an `AimedWave`, and raises `SamplingError` where its nodes are too few.
+            Function of an `AimedWave` that raises `SamplingError` if its nodes are too few.
 
         Returns
         -------
         aimed : AimedWave
-            Wave whose nodes are enough.
+            Wave with enough nodes.
         found : object
-            What the function returns for it.
+            Result of the function for it.
 
         Raises
         ------
         SamplingError
-            If the largest number of nodes is too few.
+            If even the largest number of nodes is too few.
         """
         aimed, layout = self.first, self.first.wave.layout
         for samples in FINER[layout]:
@@ -87,20 +87,27 @@ class PointOptics:
 
 
 class SceneOptics:
-    """Geometry of a scene that several computations share, each part computed at most once.
+    """Exit pupil and waves of a scene, shared by several calls and computed at most once.
 
     Parameters
     ----------
     scene : Scene
-        Scene to look at.
+        Scene with the wall, the camera and the hidden object.
     pupil : ExitPupil, optional
-        Its exit pupil, where that is known.
+        Exit pupil of the scene; computed if omitted.
 
     Notes
     -----
-    Functions that document ``scene : Scene or SceneOptics`` take either. With one `SceneOptics` for
-    several calls, the exit pupil and the wave of the reference point are computed once; it lives
-    and ends with the variable that holds it, and no scene or wave is kept anywhere else.
+    Functions that document ``scene : Scene or SceneOptics`` accept either. If several calls get the
+    same `SceneOptics`, the exit pupil and the wave of the reference point are computed only once.
+    Results are stored in this object only; there is no global cache.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, psf
+    >>> optics = psf.SceneOptics(Scene.load("examples/scenes/letter_flat.toml"))
+    >>> optics.at().first.wave.layout, optics.exit_pupil.stop
+    ('polar', 'lens')
     """
 
     def __init__(self, scene: Scene, pupil: ExitPupil | None = None) -> None:
@@ -125,12 +132,13 @@ class SceneOptics:
         return PointOptics(self.scene, self.exit_pupil, self.scene.object_point)
 
     def at(self, object_point: ArrayLike | None = None) -> PointOptics:
-        """Optics of an object point.
+        """Return the optics of an object point.
 
         Parameters
         ----------
         object_point : array_like, (3,), optional
-            World, m; by default the hidden object's reference point, whose optics are kept.
+            Object point, world, m; by default the hidden object's reference point. Only the optics
+            of the reference point are stored.
 
         Returns
         -------
@@ -145,5 +153,5 @@ class SceneOptics:
 
 
 def optics_of(scene: Scene | SceneOptics) -> SceneOptics:
-    """Optics of a scene, made where only the scene is given."""
+    """Return a scene's optics; a `SceneOptics` is returned unchanged."""
     return scene if isinstance(scene, SceneOptics) else SceneOptics(scene)

@@ -1,4 +1,4 @@
-"""Wave fronts from their slopes: least squares over any mask of a grid."""
+"""Wave fronts from slopes: least-squares integration over any mask of a grid."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from ..wave.wavefront import Wavefront
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-ROUNDING: Final = 1e-15  # of the start, where conjugate gradients stop
-MOST_STEPS: Final = 5000  # a disc takes some 20
+#: Residual, relative to the initial one, at which conjugate gradients stop.
+ROUNDING: Final = 1e-15
+#: Largest number of conjugate-gradient steps; a disc needs about 20.
+MOST_STEPS: Final = 5000
 
 
 def wavefront_from_slopes(
@@ -28,30 +30,30 @@ def wavefront_from_slopes(
     image_distance: float,
     pupil_radius: float | None = None,
 ) -> tuple[Wavefront, float]:
-    """Least-squares wave front of slopes at the nodes of a pupil grid.
+    """Return the wavefront that fits given slopes on a pupil grid in the least-squares sense.
 
     Parameters
     ----------
     slopes : array_like, (n, n, 2)
-        dW/du and dW/dv, rad, rows along v, node [n//2, n//2] on the axis. Not read where the mask
-        is false.
+        dW/du and dW/dv, rad; rows along v, node [n//2, n//2] on the axis. Values outside the mask
+        are ignored.
     pitch : float
-        Between nodes, m.
+        Distance between nodes, m.
     mask : array_like of bool, (n, n)
-        Nodes in the pupil; its pieces may be apart, and of any shape.
+        Nodes in the pupil; it may have several separate pieces of any shape.
     wavelength, image_distance : float
-        m.
+        As in `Wavefront`, m.
     pupil_radius : float, optional
-        What the F-number refers to, m; default the disc that just fits the grid.
+        Radius that defines the F-number, m; by default that of the disc that just fits the grid.
 
     Returns
     -------
     wavefront : Wavefront
-        Layout "grid": amplitude 1 on the mask, 0 beside it, each node with its whole cell. Every
-        piece of the mask has a mean aberration of 0: slopes do not tell their pistons.
+        Layout "grid", amplitude 1 on the mask and 0 elsewhere, each node with its whole cell. The
+        mean aberration of every piece of the mask is 0, since slopes do not determine pistons.
     curl_residual_rms : float
-        rms of what the slopes between neighbours differ by from those of the wave front, rad.
-        0 but for rounding if the slopes are the gradient of a quadratic.
+        Rms difference between the given slopes and those of the wavefront, over all pairs of
+        neighbours, rad. It is 0 to rounding error if the slopes are the gradient of a quadratic.
 
     Raises
     ------
@@ -60,8 +62,24 @@ def wavefront_from_slopes(
 
     Notes
     -----
-    See `integrated_slopes`. Slopes of facets drawn one by one are no gradient (theorem of Malus
-    and Dupin): the residual tells how much of them no wave front can have.
+    The method is described in `integrated_slopes`. Slopes of independently drawn facets are not a
+    gradient, but those of every wavefront are (theorem of Malus and Dupin). The residual measures
+    the part that no wavefront can have.
+
+    Examples
+    --------
+    Slopes of ``W = 1e-3 (u^2 + v^2)``, all lengths in m:
+
+    >>> import numpy as np
+    >>> from nlosoptics import psf
+    >>> axis = 1e-3 * (np.arange(9) - 4)
+    >>> v, u = np.meshgrid(axis, axis, indexing="ij")
+    >>> wave, residual = psf.wavefront_from_slopes(
+    ...     2e-3 * np.stack([u, v], axis=2), 1e-3, u**2 + v**2 < 2e-5,
+    ...     wavelength=550e-9, image_distance=0.1,
+    ... )
+    >>> print(f"{1e9 * np.ptp(wave.aberration[4]):.0f} nm", residual < 1e-15)
+    16 nm True
     """
     table, inside = _checked(slopes, mask)
     if table.shape[0] != table.shape[1]:
@@ -81,18 +99,20 @@ def wavefront_from_slopes(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SlopeFilter:
-    """`integrated_slopes` of a whole rectangle as products of small matrices.
+    """Least-squares integration of slopes on a full rectangle, as products of small matrices.
 
-    With slopes s_x, s_y at nodes (ny, nx), ``surface/pitch = Y' [(Y s_x G_x' + G_y s_y X')/L] X``.
+    It is `integrated_slopes` without a mask. With slopes s_x, s_y at nodes (ny, nx),
+    ``surface/pitch = Y' [(Y s_x G_x' + G_y s_y X')/L] X``, where ' is the transpose.
 
     Parameters
     ----------
     cosines : (ndarray, ndarray)
-        Y (ny, ny) and X (nx, nx), orthonormal: row k is the k-th cosine.
+        Y (ny, ny) and X (nx, nx), orthonormal; row k holds the k-th cosine.
     sources : (ndarray, ndarray)
-        G_y and G_x: cosine transforms of minus the divergence of the neighbours' mean slopes.
+        G_y (ny, ny) and G_x (nx, nx): cosine transforms of minus the divergence of the neighbours'
+        mean slopes.
     inverse : ndarray, (ny, nx)
-        1/L, L the Laplacian's values; 0 for the mean.
+        1/L with the eigenvalues L of the Laplacian; 0 for the mean.
     """
 
     cosines: tuple[Array, Array]
@@ -101,12 +121,12 @@ class SlopeFilter:
 
 
 def slope_filter(shape: tuple[int, int]) -> SlopeFilter:
-    """Filter from slopes to the least-squares surface on a rectangle without holes.
+    """Return the filter from slopes to the least-squares surface on a full rectangle.
 
     Parameters
     ----------
     shape : (int, int)
-        Nodes (ny, nx).
+        Number of nodes (ny, nx).
 
     Returns
     -------
@@ -130,37 +150,40 @@ def slope_filter(shape: tuple[int, int]) -> SlopeFilter:
 
 
 def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple[Array, float]:
-    """Least-squares surface of slopes on a masked grid, and the rms of what no surface has.
+    """Integrate slopes on a masked grid by least squares.
 
     Parameters
     ----------
     slopes : array_like, (ny, nx, 2)
-        Derivatives along columns and along rows, at the nodes.
+        Derivatives with respect to x (along a row) and to y (along a column) at the nodes, rad.
     pitch : float
-        m.
+        Distance between nodes, m.
     mask : array_like of bool, (ny, nx)
+        Nodes to integrate over; it may have several separate pieces.
 
     Returns
     -------
     surface : ndarray, (ny, nx)
-        m; mean 0 over every piece of the mask, and 0 beside it.
+        Surface, m; its mean is 0 over every piece of the mask, and it is 0 outside the mask.
     residual : float
-        rms over all pairs of neighbours in the mask, rad; 0 where there is no pair.
+        Rms of the slopes that no surface can have, over all pairs of neighbours in the mask, rad;
+        0 if there is no pair.
 
     Raises
     ------
     SceneError
         If shapes differ, the mask is empty, or a slope on it is not finite.
     SamplingError
-        If a mask as narrow as a maze keeps the iteration from its end.
+        If the iteration does not converge because the mask has long narrow passages.
 
     Notes
     -----
-    Neighbours a, b are to differ by ``pitch (s_a + s_b)/2`` [1]_, which is exact for quadratics and
-    wrong in second order of the pitch beyond. The normal equations are a Poisson problem with free
-    boundary; conjugate gradients solve it, with the full rectangle's solution by cosine transforms
-    as preconditioner: the number of steps depends on the mask's shape and not on the pitch. Sums
-    are taken without BLAS: any number of threads gives the same bits.
+    The difference of neighbours a, b is fitted to ``pitch (s_a + s_b)/2`` [1]_. This is exact for
+    quadratics; otherwise the error is of second order in the pitch. The normal equations are a
+    Poisson problem with free boundary. They are solved by conjugate gradients, preconditioned by
+    the full rectangle's solution (cosine transforms), so that the number of steps depends on the
+    mask's shape but not on the pitch. Sums do not use BLAS: results are bit-identical for any
+    number of threads.
 
     References
     ----------
@@ -187,29 +210,32 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
 
 
 def _checked(slopes: ArrayLike, mask: ArrayLike) -> tuple[Array, Mask]:
-    """Slopes (ny, nx, 2) and mask (ny, nx), finite where it is true."""
+    """Check and return slopes (ny, nx, 2), finite on the mask, and the mask (ny, nx)."""
     inside = np.asarray(mask)
     if inside.dtype != bool:
-        raise SceneError(f"mask holds {inside.dtype}; give booleans, as weights > 0")
+        raise SceneError(f"mask holds {inside.dtype}; give booleans, such as weights > 0")
     try:
         table = np.asarray(slopes, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError("slopes are not an array of real numbers") from None
+        raise SceneError("slopes are not an array of real numbers; give (ny, nx, 2)") from None
     if table.ndim != 3 or table.shape[2] != 2 or inside.shape != table.shape[:2]:
         raise SceneError(
             f"slopes have shape {table.shape} and mask {inside.shape}; give (n, n, 2) and (n, n)"
         )
     if not inside.any():
-        raise SceneError("mask is false everywhere; a wave front needs a node")
+        raise SceneError("mask is false everywhere; give at least one node")
     wrong = inside & ~np.isfinite(table).all(axis=-1)
     if wrong.any():
         place = np.argwhere(wrong)[0].tolist()
-        raise SceneError(f"slopes{place} hold NaN or infinity; mask such nodes out")
+        raise SceneError(f"slopes{place} hold NaN or infinity; give finite values or mask them out")
     return table, inside
 
 
 def _divergence(step_x: Array, step_y: Array) -> Array:
-    """Minus the adjoint of differences: what the normal equations have on their right, negated."""
+    """Minus the divergence of steps between neighbours, at the nodes (ny, nx).
+
+    It is the adjoint of the differences. Steps are (ny, nx - 1) along x and (ny - 1, nx) along y.
+    """
     out = np.zeros((step_x.shape[0], step_y.shape[1]))
     out[:, 1:] += step_x
     out[:, :-1] -= step_x
@@ -219,7 +245,7 @@ def _divergence(step_x: Array, step_y: Array) -> Array:
 
 
 def _laplacian_spectrum(ny: int, nx: int) -> Array:
-    """The Laplacian of a whole rectangle between its cosines."""
+    """Eigenvalues of a full rectangle's graph Laplacian for its cosines, (ny, nx)."""
     spectrum: Array = 4 * (
         np.sin(np.pi * np.arange(nx) / (2 * nx)) ** 2
         + np.sin(np.pi * np.arange(ny) / (2 * ny))[:, None] ** 2
@@ -228,12 +254,12 @@ def _laplacian_spectrum(ny: int, nx: int) -> Array:
 
 
 def _poisson(right: Array, pairs_x: Mask, pairs_y: Mask) -> Array:
-    """Surface whose graph Laplacian over the pairs is ``right``, by conjugate gradients."""
+    """Solve for the surface with the graph Laplacian ``right`` by conjugate gradients."""
     from scipy import fft
 
     ny, nx = right.shape
     spectrum = _laplacian_spectrum(ny, nx)
-    spectrum[0, 0] = 1.0  # its numerator is 0 but for rounding
+    spectrum[0, 0] = 1.0  # any value: the numerator is 0 to rounding error
     inside = np.zeros(right.shape, dtype=bool)
     inside[:, 1:] |= pairs_x
     inside[:, :-1] |= pairs_x
@@ -241,18 +267,20 @@ def _poisson(right: Array, pairs_x: Mask, pairs_y: Mask) -> Array:
     inside[:-1] |= pairs_y
 
     def laplacian(w: Array) -> Array:
+        """Graph Laplacian over the pairs."""
         return _divergence(
             np.where(pairs_x, np.diff(w, axis=1), 0.0), np.where(pairs_y, np.diff(w, axis=0), 0.0)
         )
 
     def preconditioned(r: Array) -> Array:
+        """Solution on the full rectangle, restricted to the mask."""
         solution = fft.idctn(fft.dctn(r, norm="ortho") / spectrum, norm="ortho")
         return np.where(inside, solution, 0.0)
 
     surface = np.zeros_like(right)
     first = 0.0
     residual = right
-    for _ in range(2):  # the second time for what rounding left
+    for _ in range(2):  # the second pass removes the rounding error of the first
         z = preconditioned(residual)
         direction, product = z, float(np.sum(residual * z))
         first = max(first, product)
@@ -261,8 +289,8 @@ def _poisson(right: Array, pairs_x: Mask, pairs_y: Mask) -> Array:
                 break
             if step == MOST_STEPS:
                 raise SamplingError(
-                    f"the least-squares surface is not found in {MOST_STEPS} steps; give a mask "
-                    "without narrow passages, or its parts one by one"
+                    f"the least-squares surface has not converged after {MOST_STEPS} steps; give a "
+                    "mask without narrow passages, or its parts one by one"
                 )
             image = laplacian(direction)
             length = product / float(np.sum(direction * image))

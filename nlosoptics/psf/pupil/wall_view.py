@@ -1,4 +1,4 @@
-"""First-order optics of the relay wall as seen from the exit pupil."""
+"""First-order (linear) optics of the relay wall as seen from the exit pupil."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WallView(Noun):
-    """How the exit pupil sees the wall about the chief ray, in first order.
+    """First-order map from the exit pupil to the wall about the chief ray.
 
     Parameters
     ----------
     footprint : ndarray, (2, 2)
-        M, which takes a step (du, dv) in the exit pupil to the step of the point that it sees in
-        the wall's tangent plane.
+        Matrix M from a step (du, dv) in the exit pupil to the step, in the wall's tangent plane, of
+        the wall point that it sees.
     cos_sum : float
         Sum of the cosines of incidence and exitance.
     effective_distance : ndarray, (2, 2)
-        m: inverse of the path's second derivatives over the wall; ``d1 d2/(d1 + d2)`` times the
-        unit matrix at normal incidence on a flat wall.
+        Inverse of the path's second derivatives over the wall, m. For a flat wall at normal
+        incidence it is ``d1 d2/(d1 + d2)`` times the unit matrix.
     """
 
     footprint: Array
@@ -39,18 +39,18 @@ class WallView(Noun):
 
 @dataclass(frozen=True, eq=False)
 class _Chief:
-    """First-order optics of a wall at the points that pupil nodes see.
+    """First-order optics of a wall at the points that lens points see.
 
     Parameters
     ----------
     points : ndarray, (n, 3)
-        World, m.
+        Wall points, world, m.
     cosines : ndarray, (n,)
         Sum of the cosines of incidence and exitance.
     bend : ndarray, (n, 2, 2)
-        Second derivatives of the path over the wall, 1/m.
+        Second derivatives of the path over the wall's tangent plane, 1/m.
     footprint : ndarray, (n, 2, 2)
-        M, which takes a step in the lens to the step of the point that it sees in the wall.
+        Matrix M from a step in the lens to the step of the wall point that it sees.
     """
 
     points: Array
@@ -60,21 +60,23 @@ class _Chief:
 
 
 def facet_reach(scene: Scene, *, slope_rms: float) -> tuple[float, float]:
-    """How far along the wall facets throw the light of a pupil point, and the patch it sees, m.
+    """Return the rms shift of rays on the wall by facet slopes, and the size of the patch seen.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the camera, the object and the mean wall.
     slope_rms : float
-        Per axis, rad.
+        Rms slope of the facets per axis, rad.
 
     Returns
     -------
     reach : float
-        ``(cos_i + cos_o) slope_rms d_eff`` at the chief ray, across the direction in which it is
-        the larger; ``2 slope_rms d_eff`` at normal incidence.
+        Shift on the wall of the point that a pupil point sees, m: ``(cos_i + cos_o) slope_rms
+        d_eff`` at the chief ray, in the direction in which it is larger; ``2 slope_rms d_eff`` at
+        normal incidence.
     patch : float
-        Smaller half width of the wall patch that the pupil sees, M times its radius.
+        Smaller half width of the wall patch that the pupil sees, m: M times the pupil's radius.
     """
     chief = _optics(scene, np.zeros((1, 2)))
     throw = chief.cosines[0] * np.linalg.norm(np.linalg.inv(chief.bend[0]), 2)
@@ -83,13 +85,14 @@ def facet_reach(scene: Scene, *, slope_rms: float) -> tuple[float, float]:
 
 
 def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
-    """How the exit pupil of a scene sees the wall about the chief ray.
+    """Return the first-order map from a scene's exit pupil to the wall about the chief ray.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the camera, the object and the wall.
     object_point : array_like, (3,), optional
-        Where the chief ray starts, world, m; by default the hidden object's reference point.
+        Start of the chief ray, world, m; by default the hidden object's reference point.
 
     Returns
     -------
@@ -98,28 +101,29 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     Raises
     ------
     CausticError
-        If the mean wall's W is undefined.
+        If the wall's W is undefined.
 
     Notes
     -----
-    M is that of `pupil_slopes`, with the exit pupil's magnification taken out.
+    M is the matrix given in `pupil_slopes`, divided by the ratio of exit pupil to lens.
     """
     o = None if object_point is None else np.array(vector("object_point", object_point))
     return _view_of(_optics(scene, np.zeros((1, 2)), o), _zoom(scene))
 
 
 def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> WallView:
-    """`wall_view` along a chief ray that is already aimed.
+    """Return the first-order map from the exit pupil to the wall for a known chief ray.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the camera and the wall.
     zoom : float
-        Size of the exit pupil over that of the lens.
+        Ratio of the exit pupil's size to that of the lens.
     object_point : ndarray, (3,)
-        World, m.
+        Start of the chief ray, world, m.
     hit : ndarray, (3,)
-        Where the chief ray meets the wall, world, m.
+        Point at which the chief ray meets the wall, world, m.
 
     Returns
     -------
@@ -129,6 +133,7 @@ def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> Wa
 
 
 def _view_of(chief: _Chief, zoom: float) -> WallView:
+    """Return the map from the exit pupil, given that from the lens."""
     return WallView(
         footprint=chief.footprint[0] / zoom,
         cos_sum=float(chief.cosines[0]),
@@ -137,17 +142,17 @@ def _view_of(chief: _Chief, zoom: float) -> WallView:
 
 
 def _zoom(scene: Scene) -> float:
-    """Exit pupil over lens: 1 but where the wall is the stop."""
+    """Ratio of the exit pupil's size to that of the lens; 1 unless the wall is the stop."""
     return exit_pupil(scene).image_distance / scene.image_distance
 
 
 def _optics(
     scene: Scene, on_lens: Array, o: Array | None = None, points: Array | None = None
 ) -> _Chief:
-    """First-order optics of the mean wall for points (n, 2) of the lens.
+    """First-order optics of the mean wall for points ``on_lens`` (n, 2), m.
 
-    ``o`` is the object point, by default the reference point, and ``points`` (n, 3) is where its
-    rays meet the wall, if that is already known.
+    ``o`` (3,) is the object point, by default the reference point. ``points`` (n, 3) are the wall
+    points of its rays, world, m; they are found by aiming if omitted.
     """
     o, axes = scene.object_point if o is None else o, scene.camera.frame
     ends = pupil_points(scene.camera.position, axes[2], on_lens)
@@ -169,7 +174,7 @@ def _optics(
 
 
 def _wall_frames(wall: Wall, points: Array) -> tuple[Array, Array, Array]:
-    """Tangents (n, 2, 3), normals (n, 3) and bends (n, 2, 2), 1/m, of the wall at its points."""
+    """Tangents (n, 2, 3), normals (n, 3) and curvature matrices (n, 2, 2), 1/m, at wall points."""
     if wall.is_flat:
         n = len(points)
         frame = np.broadcast_to(np.eye(3), (n, 3, 3))

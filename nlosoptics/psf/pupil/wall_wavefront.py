@@ -1,4 +1,4 @@
-"""Wave aberration of the relay wall used as a mirror, by aiming."""
+"""Wave aberration of the relay wall used as a mirror, by ray aiming."""
 
 from __future__ import annotations
 
@@ -23,13 +23,17 @@ from .exit_pupil import ExitPupil, exit_pupil
 from .obstruction import hides
 
 Array = NDArray[np.float64]
+#: Default numbers of pupil nodes for each layout, see `wavefront`.
 POLAR_SAMPLES = (24, 96)
 CELL_SAMPLES = (24, 24)
 GRID_SAMPLES = 256
-AUTO_GRID_SAMPLES = 512  # the error of a cut rim falls with the cells, and 512 take 0.3 s
+#: Grid cells per side for ``nodes="auto"``. More cells reduce the error of a cut rim; 512 take
+#: about 0.3 s.
+AUTO_GRID_SAMPLES = 512
 
 
 def _check_nodes(nodes: Array) -> None:
+    """Raise `SceneError` unless nodes are finite and of shape (n, 2)."""
     if nodes.ndim != 2 or nodes.shape[1] != 2:
         raise SceneError(f"nodes have shape {nodes.shape}; give (n, 2), u and v in m")
     if not np.isfinite(nodes).all():
@@ -43,17 +47,18 @@ def wall_aberration(
     pupil_aim: ArrayLike,
     nodes: ArrayLike,
 ) -> Array:
-    """Wave aberration of a wall used as a mirror, against the mirrored object point.
+    """Return the wave aberration of a wall used as a mirror, relative to the mirrored object point.
 
     Parameters
     ----------
     wall : Wall
+        Relay wall.
     object_point, pupil_centre, pupil_aim : array_like, (3,)
-        World, m. The pupil plane passes through ``pupil_centre`` across the direction to
-        ``pupil_aim``.
+        Points in front of the wall, world, m. The pupil plane passes through ``pupil_centre``; its
+        normal n points to ``pupil_aim``.
     nodes : array_like, (n, 2)
-        Pupil coordinates (u, v), m, along ``e1 = unit(Y x n)`` and ``e2 = n x e1``, n toward
-        ``pupil_aim``, Y = (0, 1, 0) (X where n is parallel to Y).
+        Pupil coordinates (u, v), m, along ``e1 = unit(Y x n)`` and ``e2 = n x e1``, with
+        Y = (0, 1, 0), or X if n is parallel to Y.
 
     Returns
     -------
@@ -63,15 +68,30 @@ def wall_aberration(
     Raises
     ------
     CausticError
-        If W has several values or none.
+        If W has several values or none at a node.
     NotWaveGradeError
         If the wall is a mesh that does not follow one smooth surface.
 
     Notes
     -----
-    ``W = [|O-H| + |H-p| - |O'-p|](p) - [same](0)`` with H the stationary (Fermat) wall point and
-    O' the mirror image of O in z = 0; differences of lengths are taken as
-    ``(a^2 - b^2)/(a + b)``, so that W keeps about 1e-17 m.
+    ``W(p) = D(p) - D(0)`` with ``D(p) = |O-H| + |H-p| - |O'-p|``, where H is the stationary
+    (Fermat) wall point and O' the mirror image of O in z = 0. Differences of lengths are computed
+    as ``(a^2 - b^2)/(a + b)``, so that W is accurate to about 1e-17 m.
+
+    Examples
+    --------
+    The defocus of a convex wall delays the rim of the pupil:
+
+    >>> from nlosoptics import psf, scene
+    >>> w = psf.wall_aberration(
+    ...     scene.ConvexWall(20.0),
+    ...     object_point=(0.3, 0.0, 1.0),
+    ...     pupil_centre=(-0.3, 0.0, 1.0),
+    ...     pupil_aim=(0.0, 0.0, 0.0),
+    ...     nodes=[(0.0, 0.0), (0.0, 0.01)],
+    ... )
+    >>> print((1e9 * w).round(1))
+    [   0.  1140.3]
     """
     centre = np.array(vector("pupil_centre", pupil_centre))
     axis = np.array(vector("pupil_aim", pupil_aim)) - centre
@@ -93,22 +113,24 @@ def path_difference(
     *,
     wall_point: ArrayLike | None = None,
 ) -> float:
-    """Length of the path source - wall - target minus a reference length.
+    """Return the length of the path source - wall - target minus a reference length.
 
     Parameters
     ----------
     wall : Wall
+        Relay wall.
     source, target : array_like, (3,)
-        World, m. A target behind the wall is a virtual image: its leg counts negative.
+        Ends of the path, world, m. A target behind the wall is a virtual image; the leg to it
+        counts negative.
     reference : float
         Signed reference length, m.
     wall_point : array_like, (2,), optional
-        (x, y) of the wall point, m; by default the stationary (Fermat) one.
+        Wall point (x, y), m; by default the stationary (Fermat) point.
 
     Returns
     -------
     float
-        m, carried in twice the working precision and rounded once.
+        Path difference, m, computed in twice the working precision and rounded once.
 
     Raises
     ------
@@ -125,7 +147,9 @@ def path_difference(
         x, y = (o + share * (p - o))[:2]
         side = 1.0 if p[2] >= float(wall.height(x, y)) else -1.0
         if wall.is_flat and side < 0:
-            raise CausticError("a virtual target of a flat wall has no single stationary path")
+            raise CausticError(
+                "a virtual target of a flat wall has no single stationary path; give wall_point"
+            )
         if not wall.is_flat:
             start = np.array([[x, y]])
             x, y, status = next(stationary_points(wall, o, p, start, side))
@@ -150,47 +174,64 @@ def wavefront(
     samples: int | tuple[int, int] | None = None,
     reference: str = "mirror_image",
 ) -> Wavefront:
-    """Wave at the exit pupil from one object point by the relay wall.
+    """Return the wave in the exit pupil from one object point, reflected by the relay wall.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the wall, the camera and the hidden object.
     object_point : array_like, (3,), optional
-        World, m; by default the hidden object's reference point.
+        Object point, world, m; by default the hidden object's reference point.
     nodes : {"auto", "polar", "cells", "grid"} or array_like (n, 2)
-        Pupil nodes; an array holds (u, v) in the exit pupil, m. Polar nodes know a round rim. Cells
-        follow the edge of a flat wall that cuts the cone of light, a grid that of any wall.
-        ``auto`` takes polar nodes, or a grid where the wall's edge cuts the cone or is the stop.
+        Layout of the pupil nodes, or coordinates (u, v) in the exit pupil, m. "polar" follows the
+        round rim of the lens. "cells" also follows the edge of a flat wall that cuts the cone of
+        light, "grid" that of any wall. "auto" selects polar nodes, or a grid if the wall's edge
+        cuts the cone or is the stop.
     samples : int or (int, int), optional
-        Polar: radii, with four times as many angles, or (radii, angles), default (24, 96). Cells:
-        nodes of each patch along both sides, default (24, 24). Grid: cells per side, default 256.
-        Auto: those of the layout that it takes, default (24, 96) or 512.
+        Polar: radii, with four times as many angles, or (radii, angles); default (24, 96). Cells:
+        nodes per patch along its two sides; default (24, 24). Grid: cells per side; default 256,
+        or 512 if "auto" selects the grid.
     reference : {"mirror_image", "best_focus"}
-        Remove the chief ray's piston and tilt, which shift the image exactly; or fit and remove
-        defocus as well. ``removed`` reports them.
+        "mirror_image" removes the chief ray's piston and tilt; the tilt is an exact image shift.
+        "best_focus" also fits and removes defocus. ``removed`` reports these terms.
 
     Returns
     -------
     Wavefront
-        In exit-pupil coordinates, parallel to the image's axes. Where the wall is the stop, its
-        pupil radius is that of the circle about the wall's outline.
+        Wave in exit-pupil coordinates parallel to the image's axes. If the wall is the stop, the
+        pupil radius is that of the circle around the wall's outline.
 
     Raises
     ------
-    CausticError, NotWaveGradeError
-        Where W is undefined or the wall is not known well enough.
+    CausticError
+        If W is undefined: several rays or none reach a node, or rays cross.
+    NotWaveGradeError
+        If a mesh wall is not accurate enough for waves.
     SamplingError
-        If the wall's edge cuts the cone and polar nodes are asked for, or cells where the wall is
-        curved.
+        If the wall's edge cuts the cone and ``nodes`` is "polar", or "cells" for a curved wall.
     SceneError
-        If occluders cut a part of the cone; cut as a whole, it keeps its wave, and the image its
-        shadow.
+        If occluders cut only a part of the cone. If they cut all of it, the wave is returned
+        nevertheless.
+
+    See Also
+    --------
+    scene_point_spread : Wave and point spread of a scene in one call.
+    exit_pupil : Pupil that the wave is sampled in.
 
     Notes
     -----
     The amplitude follows the spreading of ray tubes, 1/sqrt(J), from the van Vleck determinant of
-    the path. A camera focused elsewhere than on the mirrored object adds its defocus. Cells of a
-    grid that the wall's edge cuts count with the part that lies inside.
+    the path. A camera that is not focused on the mirrored object adds defocus. Grid cells that the
+    wall's edge cuts are weighted by the part inside.
+
+    Examples
+    --------
+    A flat wall is a perfect mirror, and the camera of this scene is focused on the object:
+
+    >>> from nlosoptics import Scene, psf
+    >>> wave = psf.wavefront(Scene.load("examples/scenes/letter_flat.toml"))
+    >>> print(wave.layout, wave.u.shape, f"{1e9 * psf.rms_aberration(wave):.1f} nm")
+    polar (24, 96) 0.0 nm
     """
     one_of("reference", reference, ("mirror_image", "best_focus"))
     if object_point is None:
@@ -203,22 +244,23 @@ def wavefront(
 
 @dataclass(frozen=True, eq=False)
 class AimedWave:
-    """Wave of an object point by the wall, with the rays that it was computed from.
+    """Wave from an object point by the wall, with the rays that it was computed from.
 
     Parameters
     ----------
     wave : Wavefront
+        Wave in the exit pupil.
     rays : AimedRays
-        The chief ray first, then one ray for each node that lies in the lens.
+        The chief ray, followed by one ray for each node inside the lens.
     on_lens : ndarray, (1 + n, 3)
-        Where these rays meet the lens, world, m.
+        Points at which these rays meet the lens, world, m.
     in_lens : ndarray of bool
-        Which of the wave's nodes lie in the lens, with the shape of the nodes.
+        Whether each node of the wave lies inside the lens, in the shape of the nodes.
     hidden : bool
-        Whether the occluders cut all of the rays.
+        Whether the occluders cut all rays.
     outline : Aperture or None
-        Outline of the pupil that a flat wall's edge cuts. It is no part of a grid wave, whose cells
-        follow it to their own size only.
+        Outline of a pupil that the edge of a flat wall cuts. A grid wave does not contain it, since
+        its cells follow the edge only to their own size.
     """
 
     wave: Wavefront
@@ -241,17 +283,18 @@ def aimed_wave(
     nodes: str | ArrayLike = "auto",
     samples: int | tuple[int, int] | None = None,
 ) -> AimedWave:
-    """Wave from an object point by the wall, at the nodes of a known exit pupil.
+    """Return the wave and its rays from an object point, for a known exit pupil.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the wall and the camera.
     pupil : ExitPupil
         Exit pupil of the scene.
     o : ndarray, (3,)
         Object point, world, m.
     nodes, samples
-        Pupil nodes, see `wavefront`.
+        Pupil nodes, as in `wavefront`.
 
     Returns
     -------
@@ -259,14 +302,15 @@ def aimed_wave(
     """
     if isinstance(nodes, str) and nodes == "auto":
         if pupil.layout == "polar":
-            # an edge may cut the rays of this point, or of a curved wall, and not the exit pupil's
+            # The edge may cut this point's rays although it does not cut the reference point's
+            # rays on a flat wall, which the exit pupil is computed from.
             with suppress(SamplingError):
                 return aimed_wave(scene, pupil, o, "polar", samples)
         return aimed_wave(
             scene, pupil, o, "grid", AUTO_GRID_SAMPLES if samples is None else samples
         )
     check_wave_grade(scene.wall, scene.laser.wavelength)
-    # the lens is the exit pupil, or the cone from the image through it, inverted if behind
+    # Ratio of exit pupil to lens; negative if the pupil is inverted because it is beyond the image.
     zoom = pupil.image_distance / scene.image_distance
     radius = _reach(scene, pupil, o) * abs(zoom)
     aperture = None
@@ -294,12 +338,13 @@ def aimed_wave(
     weights = weights * _share_on_wall(scene.wall, rays.points[1:], lit, layout)
     if not weights.any():
         raise SceneError(
-            f"object_point = {tuple(o.tolist())} m is mirrored to the lens by no part of the wall, "
-            f"wall.size = {scene.wall.size} m; enlarge the wall, or move object or camera"
+            f"light from object_point = {tuple(o.tolist())} m is reflected to the lens by no part "
+            f"of the wall, wall.size = {scene.wall.size} m; enlarge the wall, or move object or "
+            "camera"
         )
     outline = aperture
     if layout == "grid" and scene.wall.is_flat and weights.sum() < whole:
-        with suppress(SamplingError):  # an edge that has no closed image
+        with suppress(SamplingError):  # raised if the edge has no closed image
             outline = _aperture(scene, o, radius, zoom)
     wave = Wavefront(
         u=u,
@@ -318,19 +363,20 @@ def aimed_wave(
 
 
 def _reach(scene: Scene, pupil: ExitPupil, o: Array) -> float:
-    """Radius of the circle on the lens that holds all light from O by the wall, m."""
+    """Radius of the circle on the lens that contains all light from O by the wall, m."""
     lens_radius = scene.camera.stop_diameter / 2
     if pupil.stop == "lens" or scene.wall.size is None:
         return lens_radius
-    # curved walls send their corners a little elsewhere
+    # The corners of a curved wall are imaged slightly farther out.
     return min(lens_radius, 1.1 * float(np.linalg.norm(_corners(scene, o)[0], axis=1).max()))
 
 
 def _corners(scene: Scene, o: Array) -> tuple[Array, Array]:
-    """Where light from O by a flat wall's corners meets the lens's plane, and how far along.
+    """Project a flat wall's corners from the mirrored object point onto the plane of the lens.
 
-    Corners (4, 2), m along the camera's axes, in turn; and the shares (4,) of the straight line
-    from the mirrored O by each corner, 1 at the corner, below 0 where it leads away from the lens.
+    Returns the projected corners (4, 2), m along the camera's axes, in order, and the parameters
+    (4,) of the lens plane on the lines from the mirrored O (0) by the corner (1). A negative
+    parameter means that the line leads away from the lens.
     """
     half_x, half_y = (side / 2 for side in scene.wall.size or (math.inf, math.inf))
     corners = np.array([[1, 1, 0.0], [-1, 1, 0.0], [-1, -1, 0.0], [1, -1, 0.0]])
@@ -344,20 +390,20 @@ def _corners(scene: Scene, o: Array) -> tuple[Array, Array]:
 
 
 def _aperture(scene: Scene, o: Array, radius: float, zoom: float) -> Aperture:
-    """The lens as far as light from O by a flat wall reaches it, in the exit pupil."""
+    """Return the part of the exit pupil that light from O by a flat wall reaches."""
     disc = ((0.0, 0.0), min(radius, abs(zoom) * scene.camera.stop_diameter / 2))
     if scene.wall.size is None:
         return Aperture.discs([disc])
     if not scene.wall.is_flat:
         raise SamplingError(
-            "nodes = 'cells' follow the edge of a flat wall, and this one is curved; use "
-            "nodes='grid', or 'polar' where the wall holds the whole cone"
+            "nodes = 'cells' needs a flat wall with an edge, and this one is curved; use "
+            "nodes='grid', or 'polar' if the wall holds the whole cone"
         )
     corners, share = _corners(scene, o)
     if share.min() <= 0:
         raise SamplingError(
-            "light by a corner of the wall never meets the lens's plane, so the edge has no closed "
-            "image there; use nodes='grid'"
+            "light by a corner of the wall never meets the plane of the lens, so that the wall's "
+            "edge has no closed image there; use nodes='grid'"
         )
     return Aperture.discs([disc], within=corners * zoom)
 
@@ -368,7 +414,7 @@ def _pupil_nodes(
     radius: float,
     aperture: Aperture | None,
 ) -> tuple[Layout, Array, Array, Array]:
-    """Layout, coordinates and areas of the pupil nodes asked for."""
+    """Return layout, coordinates u and v, m, and areas, m^2, of the requested pupil nodes."""
     if not isinstance(nodes, str):
         points = np.asarray(nodes, dtype=np.float64)
         _check_nodes(points)
@@ -395,9 +441,9 @@ def _pupil_nodes(
 
 
 def _share_on_wall(wall: Wall, hits: Array, lit: NDArray[np.bool_], layout: Layout) -> Array:
-    """Part of every node's area whose light meets the wall."""
+    """Fraction of each node's area that receives light by the wall, in the shape of ``lit``."""
     if layout == "cells":
-        return np.ones(lit.shape)  # they follow the edge
+        return np.ones(lit.shape)  # the cells already follow the edge
     share = np.zeros(lit.shape)
     share[lit] = wall.contains(hits[:, 0], hits[:, 1])
     if layout == "polar" and not share.all():
@@ -413,14 +459,14 @@ def _share_on_wall(wall: Wall, hits: Array, lit: NDArray[np.bool_], layout: Layo
         )
         share[lit] = 1.0
         for i, side in enumerate(wall.size):
-            # a cell's footprint across the edge, as at the pupil's centre
+            # Width of a cell's footprint across the edge, taken at the pupil's centre.
             step = abs(right[i] - here[i]) + abs(above[i] - here[i])
             share[lit] *= np.clip(0.5 + (side / 2 - abs(hits[:, i])) / step, 0.0, 1.0)
     return share
 
 
 def _chief_tilt(scene: Scene, o: Array, hit: Array) -> tuple[float, float]:
-    """Slopes of W over the lens at its centre: what the wall's bend adds to the chief direction."""
+    """Slopes of W at the lens centre: change of the chief ray's direction by the wall's shape."""
     if scene.wall.is_flat:
         return 0.0, 0.0
     centre = np.array(scene.camera.position)
@@ -430,25 +476,31 @@ def _chief_tilt(scene: Scene, o: Array, hit: Array) -> tuple[float, float]:
 
 
 def _unit(a: Array) -> Array:
+    """Vector of length 1 along a."""
     return np.asarray(a / np.linalg.norm(a))
 
 
 def check_wave_grade(wall: Wall, wavelength: float) -> None:
-    """Raise `NotWaveGradeError` for a mesh that is not known to lambda/20."""
+    """Raise `NotWaveGradeError` for a mesh wall that is not accurate to lambda/20."""
     if isinstance(wall, MeshWall) and not wall.wave_grade(wavelength):
         raise NotWaveGradeError(
-            f"wall.mesh follows a smooth surface to {1e9 * wall.fit_residual:.3g} nm only, limit "
+            f"wall.mesh deviates from a smooth surface by {1e9 * wall.fit_residual:.3g} nm, limit "
             f"{1e9 * wavelength / 20:.3g} nm (lambda/20); give a finer or smoother mesh"
         )
 
 
 def _defocus(scene: Scene, o: Array, nodes: Array) -> Array:
-    """Path excess of the mirrored point over the point in focus along the same chief ray, m."""
+    """Defocus at lens nodes (n, 2), m: path from the mirrored point minus that from the focus.
+
+    Both points lie on the chief ray, and both paths are relative to it. Returns (n,), m.
+    """
     centre, axis = np.array(scene.camera.position), scene.camera.axis
     line = o * (1.0, 1.0, -1.0) - centre
     depth = float(line @ axis)
     if depth <= 0:
-        raise SceneError("the mirrored object point is behind the camera; aim it at the wall")
+        raise SceneError(
+            "the mirrored object point is behind the camera; aim the camera at the wall"
+        )
     distance = float(np.linalg.norm(line))
     in_focus = distance * scene.focus_distance / depth
     if in_focus == distance:
@@ -458,16 +510,16 @@ def _defocus(scene: Scene, o: Array, nodes: Array) -> Array:
     square = np.sum(nodes**2, axis=1)
 
     def over(a: float) -> Array:
-        """|a D - q| - a without cancellation."""
+        """Return |a D - q| - a without cancellation, D the chief direction, q a lens node."""
         change = square - 2 * a * toward
         return np.asarray(change / (np.sqrt(a * a + change) + a))
 
-    # the lens has the path from the in-focus point as its reference
+    # The lens images the in-focus point perfectly, so the path from it is the reference.
     return over(distance) - over(in_focus)
 
 
 def _best_focus(wave: Wavefront) -> Wavefront:
-    """Take the least-squares piston, tilt and defocus out of an aberration."""
+    """Remove the least-squares piston, tilt and defocus from a wave, and report them."""
     r = wave.pupil_radius
     u, v = wave.u / r, wave.v / r
     terms = np.stack([np.ones_like(u), u, v, (u * u + v * v) / 2])

@@ -1,1 +1,1 @@
-"""Point spread functions of rough walls: mean, samples, two scales."""
+"""Point spread functions of rough walls: mean, random samples, and two scales combined."""

@@ -1,7 +1,8 @@
 """Autocorrelations of the parts into which a Gaussian filter splits random heights.
 
-The filter passes ``exp(-(pi cutoff f)^2)`` of the power at the spatial frequency f. In lags it is
-the convolution with ``exp(-(r/cutoff)^2)/(pi cutoff^2)``, whose integrand changes no sign.
+The filter passes the fraction ``exp(-(pi cutoff f)^2)`` of the power at the spatial frequency f.
+In terms of lags it is the convolution with the positive kernel
+``exp(-(r/cutoff)^2)/(pi cutoff^2)``.
 """
 
 from __future__ import annotations
@@ -20,24 +21,26 @@ from ..aperture.quadrature_nodes import gauss_legendre
 Array = NDArray[np.float64]
 Correlation = Callable[[Array], Array]
 
-#: Cutoffs beyond which the filter's kernel, exp(-49), is nothing.
+#: Radius of the filter's kernel, in cutoffs; beyond it the kernel is below exp(-49).
 KERNEL: Final = 7.0
-#: Gauss nodes a panel; panels are at most a cutoff wide.
+#: Gauss nodes per panel; panels are at most one cutoff wide.
 NODES: Final = 12
-#: Step of the table in cutoffs; its quintics then err by 1e-9 of the variance.
+#: Step of the table, in cutoffs; its quintic splines then have an error of 1e-9 of the variance.
 STEP: Final = 0.05
-#: Share of the variance that each part must hold to be told from what the table errs by.
+#: Least fraction of the variance in each part, well above the error of the table.
 LEAST: Final = 1e-6
 
 
 @dataclass(frozen=True)
 class GaussianRemainder:
-    """What the filter holds back of ``exp(-r^2/length^2)``, 1 at lag 0, without cancellation.
+    """Autocorrelation of the short waves of a Gaussian one, without cancellation.
 
     Parameters
     ----------
-    length, cutoff : float
-        m.
+    length : float
+        Correlation length of the whole, ``exp(-r^2/length^2)``, m.
+    cutoff : float
+        Cutoff of the filter, m.
     """
 
     length: float
@@ -45,12 +48,12 @@ class GaussianRemainder:
 
     @property
     def passed(self) -> float:
-        """Share of the variance that the filter passes."""
+        """Fraction of the variance that the filter passes."""
         return (self.length / math.hypot(self.length, self.cutoff)) ** 2
 
     @property
     def held(self) -> float:
-        """Share of the variance that stays."""
+        """Fraction of the variance that the filter rejects, that of the short waves."""
         return (self.cutoff / math.hypot(self.length, self.cutoff)) ** 2
 
     @property
@@ -59,13 +62,13 @@ class GaussianRemainder:
         return 27 * math.hypot(self.length, self.cutoff)
 
     def __call__(self, r: Array) -> Array:
-        """C at lags of any shape, m."""
+        """Return C, 1 at lag 0, at lags of any shape, m."""
         x = np.square(np.asarray(r) / self.length)
         fall = 1 + np.expm1(-self.held * x) / self.held
         return np.asarray(np.exp(-self.passed * x) * fall)
 
     def structure(self, r: Array) -> Array:
-        """``1 - C``."""
+        """Return ``1 - C`` at lags of any shape, m."""
         x = np.square(np.asarray(r) / self.length)
         gain = np.exp(-self.passed * x) * np.expm1(-self.held * x) / self.held
         return np.asarray(-np.expm1(-self.passed * x) - gain)
@@ -73,16 +76,16 @@ class GaussianRemainder:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """What the filter passes of any C, 1 at lag 0; 0 beyond ``end``.
+    """Autocorrelation of the long waves of any C.
 
     Parameters
     ----------
     spline : callable
-        Covariance over lags from 0 to ``end``, in units of the whole variance.
+        Covariance at lags from 0 to ``end``, in units of the total variance.
     passed : float
-        Its value at 0.
+        Covariance at lag 0: fraction of the variance that the filter passes.
     end : float
-        m.
+        Lag beyond which the covariance is 0, m.
     """
 
     spline: Correlation
@@ -90,18 +93,26 @@ class Smoothed:
     end: float
 
     def covariance(self, r: Array) -> Array:
-        """``passed * C``."""
+        """Return ``passed * C`` at lags of any shape, m."""
         r = np.asarray(r, dtype=np.float64)
         return np.where(r < self.end, self.spline(np.minimum(r, self.end)), 0.0)
 
     def __call__(self, r: Array) -> Array:
-        """C at lags of any shape, m."""
+        """Return C, 1 at lag 0, at lags of any shape, m."""
         return self.covariance(r) / self.passed
 
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What the filter holds back of any C, 1 at lag 0: both parts add up to C by construction."""
+    """Autocorrelation of the short waves of any C, as the difference of the whole and long waves.
+
+    Parameters
+    ----------
+    whole : callable
+        Autocorrelation of the whole.
+    long : Smoothed
+        That of the long waves.
+    """
 
     whole: Correlation
     long: Smoothed
@@ -112,27 +123,31 @@ class Remainder:
         return self.long.end
 
     def __call__(self, r: Array) -> Array:
-        """C at lags of any shape, m."""
+        """Return C, 1 at lag 0, at lags of any shape, m."""
         return (self.whole(r) - self.long.covariance(r)) / (1 - self.long.passed)
 
 
 def smoothed(
     whole: Correlation, length: float, end: float, cutoff: float, lags: Array | None = None
 ) -> Smoothed:
-    """Filter an autocorrelation.
+    """Return the autocorrelation of the long waves, by filtering that of the whole.
 
     Parameters
     ----------
     whole : callable
-        C.
+        Autocorrelation C of the whole, a function of lags, m.
     length : float
-        Scale on which C falls, m.
+        Scale of the decay of C, m.
     end : float
         Lag beyond which C is 0, m.
     cutoff : float
-        m.
-    lags : ndarray, optional
-        Of a measured C, m, where its cubics meet.
+        Cutoff of the filter, m.
+    lags : ndarray, (n,), optional
+        Lags of a measured C, m, at which its interpolating cubics meet.
+
+    Returns
+    -------
+    Smoothed
 
     Raises
     ------
@@ -149,8 +164,8 @@ def smoothed(
     if not LEAST < passed < 1 - LEAST:
         raise SceneError(
             f"cutoff = {cutoff:.3g} m leaves {passed:.3g} of the variance to the long waves, must "
-            f"be {LEAST:g} to 1 - {LEAST:g} for an autocorrelation other than 'gaussian'; use a "
-            "cutoff nearer to the correlation length, 0 or infinity"
+            f"be {LEAST:g} to 1 - {LEAST:g} if autocorrelation is not 'gaussian'; use a cutoff "
+            "nearer to the correlation length, 0 or infinity"
         )
     from scipy.interpolate import make_interp_spline  # half a second to load
 
@@ -158,7 +173,7 @@ def smoothed(
 
 
 def fall_length(correlation: Correlation, scale: float) -> float:
-    """Smallest lag at which C comes to 1/e, m, searched about a scale."""
+    """Return the smallest lag, m, at which C falls to 1/e, searched around ``scale``, m."""
     lags = scale * np.geomspace(1e-4, 1e4, 801)
     below = int(np.argmax(correlation(lags) <= math.exp(-1)))
     low, high = float(lags[max(below - 1, 0)]), float(lags[below])
@@ -172,7 +187,10 @@ def fall_length(correlation: Correlation, scale: float) -> float:
 
 
 def _table_lags(length: float, far: float, cutoff: float, *, measured: bool) -> Array:
-    """Lags of the table: even where the filter rounds C off, wider where C alone has a shape."""
+    """Return the lags of the table: equidistant at short lags, with growing steps beyond.
+
+    The step grows only where C varies more slowly than the filter's kernel.
+    """
     step = STEP * cutoff
     even = far if measured or cutoff > length else min(8 * cutoff, far)
     lags = [np.arange(0.0, even, step)]
@@ -184,13 +202,17 @@ def _table_lags(length: float, far: float, cutoff: float, *, measured: bool) -> 
 
 
 def _near(lags: Array, cutoff: float) -> list[Array]:
-    """Runs of lags within four cutoffs of each other."""
+    """Split lags into runs of at most four cutoffs, which share their quadrature nodes."""
     runs = np.floor(lags / (4 * cutoff))
     return list(np.split(lags, np.nonzero(np.diff(runs))[0] + 1))
 
 
 def _filtered(whole: Correlation, r: Array, breaks: Array, end: float, cutoff: float) -> Array:
-    """Covariance at neighbouring lags: ``2/c^2 int C t I0(2 r t/c^2) exp(-(r^2 + t^2)/c^2) dt``."""
+    """Return the filtered covariance at neighbouring lags ``r`` by Gauss quadrature.
+
+    ``2/c^2 int C(t) t I0(2 r t/c^2) exp(-(r^2 + t^2)/c^2) dt`` with the cutoff c. Panels end at
+    ``breaks``.
+    """
     from scipy.special import i0e
 
     low, high = max(r[0] - KERNEL * cutoff, 0.0), min(r[-1] + KERNEL * cutoff, end)

@@ -1,4 +1,4 @@
-"""Mean point spread of a rough wall, without drawing one."""
+"""Mean point spread function of a rough wall in closed form, without random samples."""
 
 from __future__ import annotations
 
@@ -37,15 +37,15 @@ ALL_DIFFUSE: Final = 6.2
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RoughPointSpread(PointSpread):
-    """Mean image of a point by a rough wall, over all walls of the same statistics.
+    """Point spread function of a rough wall, divided into a coherent core and a diffuse halo.
 
     Parameters
     ----------
-    coherent : ndarray
-        (ny, nx), read-only: the part of ``intensity`` in the smooth core, which has the shape of
-        the smooth wall's point spread; the rest is `diffuse`.
+    coherent : ndarray, (ny, nx)
+        Read-only: the coherent part of ``intensity``. In a mean it has the shape of the smooth
+        wall's point spread. The rest is `diffuse`.
     rayleigh_parameter : float
-        ``s = k (cos_i + cos_o) height_rms``, rad: rms of the phase that the heights give.
+        ``s = k (cos_i + cos_o) height_rms``, rad: rms phase due to the heights.
     """
 
     coherent: Array
@@ -59,17 +59,17 @@ class RoughPointSpread(PointSpread):
 
     @property
     def diffuse(self) -> Array:
-        """The part of ``intensity`` that the roughness scatters."""
+        """Part of ``intensity`` scattered by the roughness, (ny, nx)."""
         return self.intensity - self.coherent
 
     @property
     def coherent_fraction(self) -> float:
-        """``exp(-s^2)``, the share of the light in the smooth core."""
+        """Fraction of the energy in the coherent core, ``exp(-s^2)``."""
         return math.exp(-(self.rayleigh_parameter**2))
 
     @property
     def total_integrated_scatter(self) -> float:
-        """``1 - exp(-s^2)``, the share that is scattered, into any angle."""
+        """Fraction of the energy scattered into all angles, ``1 - exp(-s^2)``."""
         return -math.expm1(-(self.rayleigh_parameter**2))
 
 
@@ -85,27 +85,30 @@ def mean_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> RoughPointSpread:
-    """Mean point spread over all rough walls of the same statistics, in closed form.
+    """Compute the mean point spread function over all rough walls of the same statistics.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
-        The pupil of a scene is sampled as finely as ``tol`` takes.
+        Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
+        sampled as finely as ``tol`` requires.
     roughness : Roughness
+        Statistics of the wall's heights.
     footprint : float or array_like (2, 2), optional
-        M, from a step in the exit pupil to the step seen in the wall; ``d1/(d1 + d2)`` at normal
-        incidence. Needed with a wavefront, taken from `wall_view` with a scene.
+        Matrix M from a step in the exit pupil to the corresponding step on the wall;
+        ``d1/(d1 + d2)`` at normal incidence. Required with a wavefront; a scene defines it
+        (`wall_view`).
     cos_sum : float, optional
-        Sum of the cosines of incidence and exitance, above 0 to 2; as ``footprint``.
+        Sum of the cosines of the angles of incidence and exitance, above 0 to 2. Required with a
+        wavefront; a scene defines it.
     tol : float
         Largest error of the result, relative to its peak.
     pitch : float, optional
-        Image sampling or pixel side, m. Default a quarter of lambda N.
+        Image sampling or pixel side, m. Default lambda N/4.
     shape : int or (int, int), optional
-        (ny, nx). Default at least 256 a side with all rays, their tails and the halo inside.
+        (ny, nx). Default at least 256 per side, with all rays, their tails and the halo inside.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        As of `point_spread`. The whole plane carries what the smooth wall sends.
+        Meaning of 1, see `point_spread`. The whole plane has the energy of the smooth wall.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 
@@ -118,19 +121,38 @@ def mean_point_spread(
     SceneError
         If ``footprint`` or ``cos_sum`` is missing, or given with a scene.
     SamplingError
-        As of `point_spread`, or if the sum over separations does not reach ``tol``.
+        If `point_spread` raises it for the core, or the halo does not reach ``tol``.
+    MemoryLimitError
+        If an array would not fit into memory.
+
+    See Also
+    --------
+    sample_point_spread : Speckle pattern of one random wall.
+    two_scale_point_spread : Random long waves and the mean over short ones.
 
     Notes
     -----
-    ``OTF_mean(d) = OTF_0(d) exp(-s^2 [1 - C(M d)])``, d the separation of exit-pupil points [1]_:
-    exact for a thin screen of Gaussian heights in first order, large against the footprint; without
-    shadowing or multiple scattering, so not for white foam. The plateau ``exp(-s^2)`` is the smooth
-    point spread; the rest is summed over lags M d with nodes of their own, which resolve a C that
-    is narrow against the pupil, and is exact in a window of any size.
+    ``OTF_mean(d) = OTF_0(d) exp(-s^2 [1 - C(M d)])`` for the separation d of exit-pupil points
+    [1]_. This is exact, to first order in the heights, for a thin screen of Gaussian heights that
+    is large compared with the footprint. It neglects shadowing and multiple scattering and does
+    therefore not hold for white foam. The plateau ``exp(-s^2)`` yields the smooth wall's point
+    spread. The rest is summed over separations at nodes of its own, which resolve a C that is
+    narrow compared with the pupil; the sum is accurate in a window of any size.
 
     References
     ----------
     .. [1] Goodman, Statistical Optics, 2nd ed., sec. 8.3.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=632.8e-9, pupil_radius=12.5e-3, image_distance=1.0
+    ... )
+    >>> rough = psf.Roughness(height_rms=50e-9, correlation_length=2e-3)
+    >>> mean = psf.mean_point_spread(wave, rough, footprint=0.5, cos_sum=2.0, shape=65)
+    >>> print(f"s = {mean.rayleigh_parameter:.3f} rad, core {mean.coherent_fraction:.3f}")
+    s = 0.993 rad, core 0.373
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
@@ -159,16 +181,16 @@ def detilted_mean(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> RoughPointSpread:
-    """`mean_point_spread` of a wave whose piston and tilt are already separated.
+    """Compute `mean_point_spread` for a wave already split into piston, tilt and residual.
 
     Parameters
     ----------
     residual : Residual
         Wave of the smooth wall.
     view : RoughView
-        Roughness as the wave's pupil sees it.
+        View of the roughness from the wave's pupil.
     tol, pitch, shape, normalisation, pixel_integrated
-        The options of `mean_point_spread`, already checked; the window holds the rays.
+        Options of `mean_point_spread`, already checked; the window holds the rays.
 
     Returns
     -------
@@ -193,7 +215,7 @@ def detilted_mean(
     if view.rayleigh_parameter > 0:
         window = Window.centred(pitch, shape)
         diffuse, error = scattered_light(residual, view, window, pixel_integrated, coherent, part)
-    # a mean of intensities is at least 0; what lies below is less than the error
+    # A mean of intensities is at least 0; negative values are within the error.
     total = np.maximum(coherent + diffuse, 0.0)
     peak = float(total.max())
     error = error / peak + 10 * EPSILON
@@ -201,7 +223,7 @@ def detilted_mean(
         error += core.error_estimate * float(coherent.max()) / peak
     if error > tol:
         raise SamplingError(
-            f"the mean of the rough wall reaches an error of {error:.2g}, limit tol = {tol:g}; use "
+            f"the mean over rough walls has an error of {error:.2g}, limit tol = {tol:g}; use "
             f"tol = {rounded_up(1.5 * error)}, or a wavefront of more pupil nodes"
         )
     scale = {
@@ -227,12 +249,12 @@ def detilted_mean(
 
 
 def _reason(view: RoughView, core: PointSpread | None) -> str:
-    """Why halo and core were computed as they were."""
+    """Return the text of `PointSpread.reason`: methods of halo and core."""
     s = view.rayleigh_parameter
     if s == 0:
         halo = "the wall is smooth"
     else:
-        halo = f"separations carry {100 * -math.expm1(-(s**2)):.3g} % of the light, s = {s:.3g} rad"
+        halo = f"halo of {100 * -math.expm1(-(s**2)):.3g} % of the energy, s = {s:.3g} rad"
     if core is None:
         return f"{halo}; no core: exp(-s^2) is below rounding"
     return f"{halo}; core: {core.reason}"
@@ -244,7 +266,10 @@ def image_sampling(
     pitch: float | None,
     shape: int | tuple[int, int] | None,
 ) -> tuple[float, tuple[int, int]]:
-    """Pitch and shape, given or by default; a given window must hold the rays."""
+    """Return the pitch, m, and the shape (ny, nx), checked if given, by default otherwise.
+
+    Raises `SamplingError` if a given window loses rays, or the default window is too large.
+    """
     if pitch is None:
         pitch = min(residual.airy_unit / 4, residual.nyquist_pitch / 2)
     pitch = positive("pitch", pitch, unit="m")

@@ -1,4 +1,4 @@
-"""Optical transfer function of a smooth wave at any separation of pupil points."""
+"""Optical transfer function of a smooth wave at arbitrary separations of pupil points."""
 
 from __future__ import annotations
 
@@ -21,30 +21,31 @@ from ..window.rim_tails import edge_ratio
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Cells across a polar wave that is put on a grid, at least.
+#: Least number of cells across a polar wave that is resampled to a grid, without a given error.
 CELLS = 512
-#: The same where an error is given.
+#: Least number of cells for a given error.
 FEW_CELLS = 128
-#: Largest step of the aberration between its cells, waves.
+#: Largest step of the aberration between neighbouring cells, waves.
 STEP = 0.08
-#: Bytes of a cell at the peak.
+#: Peak memory per cell, bytes.
 CELL_BYTES: Final = 400.0
-#: Order of the spline; 3 and 5 are the ones with small error constants.
+#: Order of the interpolating spline; 3 and 5 have small error constants.
 ORDER: Final = 5
 
 
 @dataclass(frozen=True, eq=False)
 class Transfer:
-    """Transfer function of a wave without its piston and tilt, 1 at separation 0.
+    """Optical transfer function of a wave without piston and tilt, 1 at separation 0.
 
     Parameters
     ----------
     at : callable
-        Separations (du, dv), m, to complex values; 0 beyond the pupil's diameter.
+        Function of separations (du, dv), m, that returns complex values; 0 beyond the pupil's
+        diameter.
     reach : float
-        Separation beyond which it is 0, m.
+        Separation beyond which the function is 0, m.
     error : float
-        Expected largest error.
+        Estimate of the largest error.
     """
 
     at: Callable[[Array, Array], ComplexArray]
@@ -53,17 +54,37 @@ class Transfer:
 
 
 def transfer(residual: Residual, cells: int = 0) -> Transfer:
-    """Transfer function of a polar or grid wave; from ``cells`` across a polar one, 0 for enough.
+    """Compute the optical transfer function of a polar or grid wave.
 
-    A clear pupil's is the common area of two displaced pupils in closed form. Any other is that,
-    or on a grid the cells' own, times the smooth ratio that aberration and amplitude make of it,
-    from a lattice, so that the rim's share of the error divides out.
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    cells : int
+        Cells across a polar wave that is resampled to a grid; 0 for the default.
+
+    Returns
+    -------
+    Transfer
+
+    Raises
+    ------
+    SamplingError
+        If the wave is neither polar nor on a grid.
+    MemoryLimitError
+        If the grid would not fit into memory.
+
+    Notes
+    -----
+    For a pupil without aberration it is the overlap area of two displaced pupils: in closed form
+    for polar nodes, that of the cells for a grid. Aberration and amplitude multiply it by a smooth
+    ratio, which is interpolated from a lattice. The error due to the rim cancels in that ratio.
     """
     wave = residual.wavefront
     if wave.layout not in ("polar", "grid"):
         raise SamplingError(
-            f"the transfer function needs a polar wavefront or a grid, and this one is "
-            f"{wave.layout}; sample it with nodes='grid'"
+            "the transfer function needs a polar or grid wavefront, not one of layout "
+            f"'{wave.layout}'; sample it with nodes='grid'"
         )
     if wave.layout == "polar":
         radius, inner = wave.pupil_radius, wave.obscuration * wave.pupil_radius
@@ -72,7 +93,7 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
             return annulus_overlap(np.hypot(du, dv), radius, inner)
 
         reference: Callable[[Array, Array], Array] = clear
-        # what a tilt's removal leaves is rounding
+        # removing a pure tilt leaves only rounding errors
         flat = residual.wavenumber * float(np.abs(residual.aberration).max()) < 1e-12
         if residual.is_uniform and flat:
             return Transfer(lambda du, dv: clear(du, dv).astype(np.complex128), 2 * radius, 1e-14)
@@ -89,11 +110,11 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
     ratio = LatticeRatio(weights, pitch).of(pupil)
     centre = float(ratio(np.zeros(1), np.zeros(1))[0].real)
     n = 2 * wave.pupil_radius / pitch
-    # the spline's error for a wave that turns by jump a cell, and the cells' blunted cusp at 0
+    # The spline's error for a phase step of jump waves per cell; the cells' rounded cusp at 0.
     cusp = (0.3 if wave.aperture is None else 0.6) * edge_ratio(wave) / n
     cusp = cusp if wave.layout == "grid" else 0.0
     error = (2 * math.pi * jump) ** (ORDER + 1) / 3e4 + cusp
-    # the ratio's, measured on waves of low order: at contact, and along the rim
+    # Error of the ratio, measured on low-order aberrations: where the rims touch, and along them.
     error += residual.truncation + 0.25 / n**1.5 + 0.6 * jump / n
 
     def at(du: Array, dv: Array) -> ComplexArray:
@@ -103,7 +124,7 @@ def transfer(residual: Residual, cells: int = 0) -> Transfer:
 
 
 def annulus_overlap(d: Array, radius: float, inner: float = 0.0) -> Array:
-    """Common area of two equal annuli a distance apart, over the area of one."""
+    """Return the overlap area of two equal annuli at a distance ``d``, over the area of one."""
     if inner == 0:
         return _overlap(d, radius, radius) / (math.pi * radius**2)
     both = _overlap(d, radius, radius) - 2 * _overlap(d, radius, inner) + _overlap(d, inner, inner)
@@ -111,10 +132,10 @@ def annulus_overlap(d: Array, radius: float, inner: float = 0.0) -> Array:
 
 
 def _overlap(d: Array, a: float, b: float) -> Array:
-    """Common area of two discs of radii a >= b whose centres are d apart: two sectors, two legs."""
-    # half angles by arctan2 of the lens's half chord, which keeps their digits at contact
+    """Return the overlap area of two discs of radii a >= b at a distance d of their centres."""
+    # Two sectors minus two triangles. Half angles by arctan2 are accurate also near contact.
     product = (a + b - d) * (d + a - b) * (d - a + b) * (d + a + b)
-    chord = np.sqrt(np.maximum(product, 0.0))  # times d, over 1/2
+    chord = np.sqrt(np.maximum(product, 0.0))  # chord length times d
     first = np.arctan2(chord, d**2 + a**2 - b**2)
     second = np.arctan2(chord, d**2 - a**2 + b**2)
     area = a**2 * first + b**2 * second - chord / 2
@@ -122,10 +143,10 @@ def _overlap(d: Array, a: float, b: float) -> Array:
 
 
 def cells_across(residual: Residual, error: float | None = None) -> int:
-    """Cells across a polar wave's pupil: `CELLS` or more, or as many as an error probably takes.
+    """Return the number of cells across a polar wave's pupil: the default, or for an image error.
 
-    What cells err by in an image is seldom more than a tenth of what they may err by at some
-    separation, since roughness damps the far ones.
+    The error of an image is seldom more than a tenth of the largest error at any separation, since
+    roughness damps long separations. The rule for a given ``error`` makes use of that.
     """
     wave = residual.wavefront
     waves = 2 * wave.pupil_radius * residual.rays.slope / wave.wavelength
@@ -137,7 +158,10 @@ def cells_across(residual: Residual, error: float | None = None) -> int:
 
 
 def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, Array, float]:
-    """Pupil function of a polar wave on cells, the cells' areas alone, and their pitch."""
+    """Return the pupil function of a polar wave on n or n + 1 cells across, their areas and pitch.
+
+    The pupil function includes the areas.
+    """
     wave = residual.wavefront
     fits_memory(f"the transfer function of {n} x {n} cells", CELL_BYTES * n * n, "use a larger tol")
     u, v, weights = grid_nodes(wave.pupil_radius, n + 1 - n % 2, wave.obscuration)
@@ -151,7 +175,7 @@ def _on_grid(residual: Residual, n: int) -> tuple[ComplexArray, Array, float]:
 
 
 def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
-    """Sums over p of ``P(p + d) P*(p)``, separation 0 in the middle of (2 n, 2 n)."""
+    """Return the autocorrelation ``sum_p P(p + d) P*(p)``, (2 n, 2 n), with d = 0 at [n, n]."""
     n = values.shape[0]
     padded = np.zeros((2 * n, 2 * n), dtype=np.complex128)
     padded[:n, :n] = values
@@ -162,14 +186,14 @@ def _correlation(values: NDArray[np.complex128] | Array) -> ComplexArray:
 
 
 class LatticeRatio:
-    """Correlation of pupil functions on a lattice over that of their weights, by spline.
+    """Autocorrelation of a pupil function relative to that of its weights, by spline.
 
     Parameters
     ----------
-    weights : ndarray
-        (n, n), below 0 at a softened rim alone.
+    weights : ndarray, (n, n)
+        Weights of the cells. They are negative only at a softened rim.
     pitch : float
-        m.
+        Cell pitch, m.
     """
 
     def __init__(self, weights: Array, pitch: float) -> None:
@@ -178,7 +202,10 @@ class LatticeRatio:
         self.seen = self.plain > 1e-5 * self.plain[self.centre, self.centre]
 
     def of(self, pupil: ComplexArray) -> Callable[[Array, Array], ComplexArray]:
-        """Ratio at separations (du, dv), m, of a pupil function (n, n)."""
+        """Return the ratio for a pupil function (n, n), as a function of separations (du, dv), m.
+
+        It is 0 where the autocorrelation of the weights is negligible.
+        """
         from scipy import ndimage
 
         table = np.zeros(self.plain.shape, dtype=np.complex128)
@@ -196,10 +223,10 @@ class LatticeRatio:
 
 
 def _cells(amplitude: Array, energy: float, pitch: float) -> Callable[[Array, Array], Array]:
-    """Correlation of cells of constant amplitude, over the light they pass.
+    """Return the autocorrelation of cells of constant amplitude, over the transmitted energy.
 
-    Between the lattice's separations it is bilinear. At 0 it is 1: cells that a rim cuts count
-    there with their share, not with its square.
+    It is bilinear between the separations of the lattice. At separation 0 it is set to 1, since a
+    cell that the rim cuts contributes its area fraction there, not the square of it.
     """
     from scipy import ndimage
 

@@ -1,4 +1,4 @@
-"""Random phase screens of a rough wall, and their light at the pupil."""
+"""Random phase screens of a rough wall, and their fields at the pupil."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 SCREENS: Final = 403  # stream of the random generator
-#: C below which screens that are so far apart count as independent.
+#: Value of C below which heights are treated as independent.
 INDEPENDENT: Final = 1e-6
-#: Variance that a C may ask below zero, of waves that no surface can have.
+#: Largest fraction of the variance in components of negative power, which no surface can have.
 NEGATIVE: Final = 2e-3
-#: ``max(1, s^2) (1 - C)`` between neighbours, at most: a pitch of l/(3 s) for the Gaussian C.
+#: Largest ``max(1, s^2) (1 - C)`` between neighbours: a pitch of l/(3 s) for the Gaussian C.
 STEP: Final = 1 / 9
-#: Share of that pitch at which a field is known between its points, and cells that this must save.
+#: A coarser lattice with spectral interpolation is used if its pitch is at most `widest_pitch`
+#: over DENSER and at least LEAST_STRIDE pupil cells.
 DENSER: Final = 1.5
 LEAST_STRIDE: Final = 4
-#: Light in the last tenth of a lattice's band, at most, for what lies between its points.
+#: Largest fraction of the power in the last tenth of a coarser lattice's band.
 BEYOND: Final = 1e-9
-#: C at which that light is looked at on a torus; a step of 1e-6 would pass for waves.
+#: Value of C at which the torus for that test is cut; a step of 1e-6 would add to the spectrum.
 NOTHING: Final = 1e-12
-#: Of the values between.
+#: Relative accuracy of the interpolation.
 EPSILON: Final = 1e-12
 
 
@@ -43,13 +44,13 @@ class Screens:
 
     Parameters
     ----------
-    heights : ndarray
-        Square root of the heights' discrete spectrum, in units of height_rms, (n, n//2 + 1).
+    heights : ndarray, (n, n//2 + 1)
+        Square root of the discrete power spectrum of the heights, in units of height_rms.
     phase_rms : float
-        s, rad.
-    spreading : ndarray or None
-        Phase that the way from wall to pupil adds to each wave of the screen, rad, (n, n); None
-        where it is left out.
+        Rms phase s, rad.
+    spreading : ndarray, (n, n), or None
+        Phase added to each plane wave of the screen by propagation from wall to pupil, rad; None
+        for geometric propagation.
     """
 
     heights: Array
@@ -57,7 +58,7 @@ class Screens:
     spreading: Array | None
 
     def draw(self, seed: int) -> Iterator[ComplexArray]:
-        """Fields at the pupil points, one independent wall after the other, of mean power 1."""
+        """Yield fields (n, n) of independent random walls at the pupil points, of mean power 1."""
         random = generator(seed, SCREENS)
         n = self.heights.shape[0]
         turn = None if self.spreading is None else np.exp(-1j * self.spreading)
@@ -74,10 +75,9 @@ class Screens:
 
 
 def stride(view: RoughView, pitch: float) -> int:
-    """Pupil cells of a pitch, m, from one point of the screen's lattice to the next.
+    """Return the spacing of the screen's lattice in pupil cells of a pitch, m.
 
-    1, unless the field is so smooth that a wider lattice holds all its waves: then every pupil
-    point follows from them.
+    It is above 1 if the field is smooth enough for spectral interpolation from a coarser lattice.
     """
     cells = math.floor(min(widest_pitch(view) / (DENSER * pitch), 1e9))
     while cells >= LEAST_STRIDE:
@@ -92,16 +92,16 @@ def stride(view: RoughView, pitch: float) -> int:
 
 
 class Between:
-    """Fields at pupil points, from their values at every ``cells``-th of them.
+    """Spectral interpolation of periodic fields from a coarse lattice to the pupil points.
 
     Parameters
     ----------
     size : int
-        Points of the wide lattice a side, a period.
+        Points per side of the coarse lattice, one period.
     cells : int
-        As of `stride`.
+        Spacing of the lattice in pupil cells, from `stride`.
     count : int
-        Pupil points a side.
+        Pupil points per side.
     """
 
     def __init__(self, size: int, cells: int, count: int) -> None:
@@ -110,7 +110,7 @@ class Between:
         self.size, self.count = size, count
 
     def __call__(self, field: ComplexArray) -> ComplexArray:
-        """(size, size) to (count, count), by the field's own waves."""
+        """Interpolate a field (size, size) to the pupil points (count, count)."""
         waves = ducc0.fft.c2c(field, inorm=2, nthreads=1)
         values = ducc0.nufft.u2nu(
             grid=waves,
@@ -124,7 +124,10 @@ class Between:
 
 
 def widest_pitch(view: RoughView) -> float:
-    """Pupil pitch that resolves the screen, m: l/(3 M) for s < 1, l/(3 s M) beyond."""
+    """Return the widest pupil pitch that resolves the screen, m.
+
+    For a Gaussian C it is l/(3 M) for s < 1 and l/(3 s M) for s > 1.
+    """
     if view.rayleigh_parameter == 0:
         return math.inf
     lag = view.roughness.lag_of(STEP / max(1.0, view.rayleigh_parameter**2))
@@ -132,49 +135,64 @@ def widest_pitch(view: RoughView) -> float:
 
 
 def spreading_matrix(view: RoughView) -> Array:
-    """Effective distance in pupil coordinates, m: ``M^-1 d_eff M^-T``."""
+    """Return the effective distance in pupil coordinates (2, 2), m, ``M^-1 d_eff M^-T``."""
     if view.effective_distance is None:
         raise SceneError(
-            "effective_distance is missing; a wavefront does not say how far it is from the wall, "
-            "take it from psf.wall_view"
+            "effective_distance is missing, but a wavefront does not hold the distance to the "
+            "wall; take it from psf.wall_view"
         )
     back = np.linalg.inv(view.footprint)
     return np.asarray(back @ view.effective_distance @ back.T)
 
 
 def throw(view: RoughView, halo_angle: float) -> float:
-    """How far apart, in the pupil, the screen throws light of a halo of that half angle, m."""
+    """Return the distance in the pupil, m, over which the screen spreads a halo of a half angle.
+
+    ``halo_angle`` is the radius of the halo over the image distance, rad.
+    """
     return float(np.linalg.norm(spreading_matrix(view), 2)) * halo_angle
 
 
 def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach: float) -> Screens:
-    """Prepare screens that cover ``cells`` lattice points a side.
+    """Prepare screens that cover ``cells`` lattice points per side.
 
     Parameters
     ----------
     view : RoughView
+        View of the roughness.
     cells : int
-        Pupil points a side that will be looked at.
+        Lattice points per side that will be used.
     pitch : float
-        Between them, m.
+        Lattice pitch in the pupil, m.
     wavelength : float
         m.
     reach : float
-        `throw`, m, which the screen goes beyond them on every side; 0 leaves the way from wall to
-        pupil out, so that the pupil has the wall's phase.
+        Margin of the screen on every side, from `throw`, m; 0 for geometric propagation, in which
+        the pupil has the phase of the wall.
+
+    Returns
+    -------
+    Screens
+
+    Raises
+    ------
+    SceneError
+        If no surface has the autocorrelation, or it does not fall to 0.
+    MemoryLimitError
+        If the screen would not fit into memory.
 
     Notes
     -----
-    Heights are white noise filtered by the square root of the spectrum of C(M d) on a torus, on
-    which the field's correlation is exact up to the pupil's width. The way to the pupil is a
-    convolution with ``exp(i k w^T d_eff^-1 w/2)`` on the wall, so it multiplies the wave of
-    frequency q by ``exp(-i pi lambda q^T d_eff q)``.
+    Heights are white noise filtered by the square root of the spectrum of C(M d) on a torus. The
+    torus is large enough for the field's correlation to be exact over the pupil's width.
+    Propagation to the pupil is a convolution with ``exp(i k w^T d_eff^-1 w/2)`` on the wall. It
+    multiplies the component of frequency q by ``exp(-i pi lambda q^T d_eff q)``.
     """
     n = _torus(view, cells, pitch, reach)
     steps = _steps(n)
     lags = view.lags(steps * pitch, (steps * pitch)[:, None])
     spectrum = ducc0.fft.r2c(view.roughness.correlation(lags), nthreads=1).real
-    # columns that stand for a frequency and its negative count twice
+    # a column of the half spectrum that represents a frequency and its negative counts twice
     twice = np.full(spectrum.shape[1], 2.0)
     twice[0] = 1.0
     if n % 2 == 0:
@@ -182,11 +200,11 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
     missing = -float(np.sum(np.minimum(spectrum, 0.0) * twice)) / n**2
     if missing > NEGATIVE:
         raise SceneError(
-            f"roughness.autocorrelation asks for waves of negative power, {missing:.2g} of the "
-            f"variance, limit {NEGATIVE:g}; no surface has it, smooth the measured C"
+            f"roughness.autocorrelation implies negative power, {missing:.2g} of the variance, "
+            f"limit {NEGATIVE:g}, which no surface has; smooth the measured C"
         )
     positive = np.maximum(spectrum, 0.0)
-    positive /= float(np.sum(positive * twice)) / n**2  # what was left out, given back
+    positive /= float(np.sum(positive * twice)) / n**2  # restores the variance
     spreading = None
     if reach > 0:
         matrix = spreading_matrix(view)
@@ -199,25 +217,28 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
 def _torus(
     view: RoughView, cells: int, pitch: float, reach: float, level: float = INDEPENDENT
 ) -> int:
-    """Lattice points a side on which the screen is periodic, C at the level half way round."""
+    """Return the lattice points per side of the periodic screen.
+
+    The period includes the margin ``reach``, m, and the lag at which C falls to ``level``.
+    """
     independent = view.roughness.reach(level)
     if math.isinf(independent):
         raise SceneError(
             f"roughness.autocorrelation stays above {level:g} up to 1000 correlation "
-            "lengths; give one that ends"
+            "lengths; give one that falls to 0"
         )
     gap = independent * float(np.linalg.norm(np.linalg.inv(view.footprint), 2))
     least = max(cells + (2 * reach + gap) / pitch, 2 * gap / pitch)
     fits_memory(
-        f"a screen of {least:.6g} x {least:.6g} cells, {pitch:.3g} m in the pupil",
+        f"a phase screen of {least:.6g} x {least:.6g} cells of {pitch:.3g} m in the pupil",
         100.0 * least * least,
-        "use psf.mean_point_spread, which draws none, or longer or lower roughness",
+        "use psf.mean_point_spread, which needs no screen, or longer or lower roughness",
     )
     return int(ducc0.fft.good_size(math.ceil(least)))
 
 
 def _steps(n: int) -> Array:
-    """Lattice points of a period, in pitches, from -n/2 to n/2, 0 first."""
+    """Return the lattice indices of a period in FFT order, from 0 and then from -n/2."""
     steps = np.arange(n, dtype=np.float64)
     steps[(n + 1) // 2 :] -= n
     return steps

@@ -1,4 +1,4 @@
-"""Statistics of a rough wall's heights."""
+"""Statistics of the heights of a rough wall."""
 
 from __future__ import annotations
 
@@ -18,32 +18,42 @@ from .autocorrelations import GaussianRemainder, Remainder, fall_length, smoothe
 
 Array = NDArray[np.float64]
 NAMED: Final = ("gaussian", "exponential")
-#: What a measured autocorrelation may end with; the lags beyond count as 0.
+#: Largest last value of a measured autocorrelation, which is 0 at longer lags.
 LAST: Final = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Roughness(Noun):
-    """Stationary Gaussian random heights on top of a wall's mean shape.
+    """Statistics of stationary Gaussian random heights on a wall's mean shape.
 
     Parameters
     ----------
     height_rms : float
-        m.
+        Root mean square height, m.
     correlation_length : float
-        l, m: the lag at which C has fallen to 1/e. Of a callable or measured C, the scale on which
-        it falls.
+        l, m: lag at which the autocorrelation C has fallen to 1/e. For a callable or measured C,
+        the approximate scale of its decay.
     autocorrelation : {"gaussian", "exponential"}, callable or array_like (2, n)
-        ``C(r) = exp(-r^2/l^2)``, ``exp(-r/l)``; a function that takes lags r, m, as an array and
-        returns C; or measured lags, m, rising from 0, above their values of C, 1 at lag 0.
-        Monotone cubics join them and lags beyond the last have 0. A function may have a
-        method ``structure``, which returns 1 - C with its digits at short lags, and an attribute
-        ``end``, m, the lag beyond which it is 0.
+        Autocorrelation C of the heights, 1 at lag 0:
+
+        - ``"gaussian"`` is ``exp(-r^2/l^2)`` and ``"exponential"`` is ``exp(-r/l)``.
+        - A callable takes an array of lags r, m, and returns C. It may have a method
+          ``structure`` that returns 1 - C accurately at short lags, and an attribute ``end``, the
+          lag, m, beyond which C is 0.
+        - An array holds measured lags, m, increasing from 0, and below them the values of C. It is
+          interpolated by monotone cubics and is 0 beyond the last lag.
 
     Raises
     ------
     SceneError
-        If C is not 1 at lag 0, passes 1 elsewhere, or a measured one ends above 0.02.
+        If C is not 1 at lag 0, exceeds 1 elsewhere, or a measured C ends above 0.02.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> rough = psf.Roughness(height_rms=100e-9, correlation_length=1e-3)
+    >>> print(f"slope {rough.slope_rms:.2e} rad, C = {rough.correlation(1e-3):.3f}")
+    slope 1.41e-04 rad, C = 0.368
     """
 
     height_rms: float
@@ -74,22 +84,22 @@ class Roughness(Noun):
 
     @property
     def slope_rms(self) -> float:
-        """``sqrt(2) height_rms/l``, rad, per axis; of the Gaussian C alone.
+        """Return the rms slope per axis, rad, ``sqrt(2) height_rms/l``, of a Gaussian C.
 
         Raises
         ------
         SceneError
-            For another C: the exponential has no slope, others have that of their lag 0.
+            For any other C. The slope of an exponential C is infinite.
         """
         if self.autocorrelation != "gaussian":
             raise SceneError(
-                "roughness.slope_rms is known for autocorrelation = 'gaussian' alone; take the "
-                "curvature of C at lag 0"
+                "roughness.slope_rms is available only for autocorrelation = 'gaussian'; compute "
+                "it from the curvature of C at lag 0"
             )
         return math.sqrt(2) * self.height_rms / self.correlation_length
 
     def correlation(self, lags: ArrayLike) -> Array:
-        """C at lags of any shape, m."""
+        """Return the autocorrelation C at lags of any shape, m."""
         r = np.asarray(lags, dtype=np.float64)
         scaled = r / self.correlation_length
         if isinstance(self.autocorrelation, str):
@@ -106,7 +116,7 @@ class Roughness(Noun):
         return found
 
     def structure(self, lags: ArrayLike) -> Array:
-        """``1 - C``, of the named ones without cancellation."""
+        """Return ``1 - C`` at lags of any shape, m; without cancellation for a named C."""
         r = np.asarray(lags, dtype=np.float64)
         if isinstance(self.autocorrelation, str):
             scaled = r / self.correlation_length
@@ -115,32 +125,33 @@ class Roughness(Noun):
         return 1 - self.correlation(r) if own is None else np.asarray(own(r), dtype=np.float64)
 
     def split(self, cutoff: float) -> tuple[Roughness, Roughness]:
-        """Long waves and short waves: independent heights that add up to these.
+        """Split the heights into independent long-wave and short-wave parts by a Gaussian filter.
 
         Parameters
         ----------
         cutoff : float
-            m, 0 to infinity. The long waves keep the share ``exp(-(pi cutoff/L)^2)`` of the power
-            of a ripple of period L, the short ones the rest.
+            Cutoff period, m, 0 to infinity. Of the power of a ripple of period L, the long waves
+            receive the fraction ``exp(-(pi cutoff/L)^2)`` and the short waves the rest.
 
         Returns
         -------
         long, short : Roughness
-            Their variances and autocovariances add up to the whole's; 0 and infinity leave one of
-            them without height. The long waves of the Gaussian C are Gaussian again, of length
-            ``sqrt(l^2 + cutoff^2)`` and variance ``h^2 l^2/(l^2 + cutoff^2)``; all others have an
-            autocorrelation that is a function, with the lag of 1/e as correlation length.
+            Parts whose variances and autocovariances add up to those of the whole. A cutoff of 0
+            or infinity leaves one part with zero height. For a Gaussian C the long waves are
+            Gaussian, of correlation length ``sqrt(l^2 + cutoff^2)`` and variance
+            ``h^2 l^2/(l^2 + cutoff^2)``. All other parts have a callable autocorrelation, and as
+            correlation length the lag of 1/e.
 
         Raises
         ------
         SceneError
-            For another C, if a part would hold less than 1e-6 of the variance; for a measured one,
-            if the cutoff is below the spacing of its lags.
+            If C is not Gaussian and a part would hold less than 1e-6 of the variance, or if C is
+            measured and the cutoff is below the spacing of its lags.
 
         Notes
         -----
-        Of another C the long part comes from a table, to 1e-8 of the variance, and the short one
-        is what lacks to the whole.
+        If C is not Gaussian, the long part is tabulated to 1e-8 of the variance, and the short
+        part is the difference from the whole.
         """
         if cutoff != math.inf:
             cutoff = in_range("cutoff", cutoff, 0.0, unit="m")
@@ -151,7 +162,7 @@ class Roughness(Noun):
             rest = GaussianRemainder(length, cutoff)
             if rest.held == 0:  # below rounding
                 return self, Roughness(0.0, length)
-            # next to cutoff 0 the long length stays that of the whole to the last bit
+            # hypot keeps the correlation length exactly for a cutoff near 0
             long = Roughness(h * math.sqrt(rest.passed), math.hypot(length, cutoff))
             short = Roughness(h * math.sqrt(rest.held), fall_length(rest, length), rest)
             return long, short
@@ -163,7 +174,7 @@ class Roughness(Noun):
         if found > 1 + 1e-9:
             raise SceneError(
                 f"cutoff = {cutoff:.3g} m leaves short waves with an autocorrelation up to "
-                f"{found:.6g}, limit 1: C asks there for negative power; smooth it, or use a "
+                f"{found:.6g}, limit 1, since C implies negative power there; smooth C, or use a "
                 "longer cutoff"
             )
         scale = fall_length(passed, math.hypot(length, cutoff))
@@ -173,7 +184,7 @@ class Roughness(Noun):
         )
 
     def reach(self, level: float) -> float:
-        """Lag beyond which ``|C|`` stays at or below a level above 0, m; infinity if none does."""
+        """Return the lag, m, beyond which ``|C|`` is at most ``level`` (above 0), or infinity."""
         if isinstance(self.autocorrelation, str):
             fall = math.log(1 / level)
             return self.correlation_length * (math.sqrt(fall) if self._is_gaussian else fall)
@@ -181,7 +192,7 @@ class Roughness(Noun):
             return float(self.autocorrelation[0, -1])
         length = self.correlation_length
         end = getattr(self.autocorrelation, "end", math.inf)
-        # a tail may be on another scale than the fall
+        # search far beyond the correlation length, since a tail can have another scale
         lags = np.geomspace(
             1e-2 * length, *((1e3 * length, 401) if math.isinf(end) else (end, 1601))
         )
@@ -191,7 +202,7 @@ class Roughness(Noun):
         return float(lags[above[-1] + 1 if above.size else 0])
 
     def lag_of(self, structure: float) -> float:
-        """Smallest lag at which ``1 - C`` comes to a value from 0 to 1, m; infinity if never."""
+        """Return the smallest lag, m, at which ``1 - C`` reaches a value (0 to 1), or infinity."""
         lags = self.correlation_length * np.geomspace(1e-8, 1e3, 1101)
         passed = np.nonzero(self.structure(lags) >= structure)[0]
         if not passed.size:
@@ -206,17 +217,17 @@ class Roughness(Noun):
         return float(high)
 
     def _end(self) -> float:
-        """Lag beyond which C is nothing, m."""
+        """Return the lag beyond which C is negligible (1e-16), m."""
         end = self.reach(1e-16)
         if math.isinf(end):
             raise SceneError(
-                "roughness.autocorrelation stays above 1e-16 up to 1000 correlation lengths, and "
-                "a split needs all of it; give one that ends"
+                "roughness.autocorrelation stays above 1e-16 up to 1000 correlation lengths, but "
+                "a split needs its full extent; give one that falls to 0"
             )
         return end
 
     def _lags(self, cutoff: float) -> Array | None:
-        """Measured lags, if these are, with the cutoff held against their spacing."""
+        """Return measured lags, or None; refuse a cutoff below the spacing of measured lags."""
         if not isinstance(self.autocorrelation, np.ndarray):
             return None
         lags: Array = self.autocorrelation[0]
@@ -224,7 +235,7 @@ class Roughness(Noun):
         if cutoff < widest:
             raise SceneError(
                 f"cutoff = {cutoff:.3g} m is below the spacing of the measured lags, {widest:.3g} "
-                "m, which say nothing of shorter waves; use a cutoff at least as long, or 0"
+                "m, which do not resolve shorter waves; use a cutoff at least as long, or 0"
             )
         return lags
 
@@ -242,16 +253,16 @@ class Roughness(Noun):
 
 
 def _table(given: ArrayLike) -> Array:
-    """Measured lags and values, checked, read-only."""
+    """Return checked, read-only measured lags and values (2, n)."""
     table = np.array(given, dtype=np.float64)
     if table.ndim != 2 or table.shape[0] != 2 or table.shape[1] < 4:
         raise SceneError(
-            f"roughness.autocorrelation has shape {table.shape}; give (2, n), lags in m above "
-            "values, four or more"
+            f"roughness.autocorrelation has shape {table.shape}; give (2, n) with n of 4 or more, "
+            "a row of lags in m and a row of values"
         )
     if not np.isfinite(table).all() or table[0, 0] != 0 or np.any(np.diff(table[0]) <= 0):
         raise SceneError(
-            "roughness.autocorrelation[0] must be finite lags in m that rise from 0; sort them"
+            "roughness.autocorrelation[0] must be finite lags in m that rise from 0; sort the lags"
         )
     if abs(table[1, -1]) > LAST:
         raise SceneError(

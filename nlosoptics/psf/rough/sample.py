@@ -1,4 +1,4 @@
-"""Point spread of one rough wall drawn at random: a static speckle pattern."""
+"""Point spread function of one random rough wall: a static speckle pattern."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Propagation = Literal["fresnel", "geometric"]
 
-#: Largest turn of a screen's waves on their way that geometry may leave out, rad.
+#: Largest propagation phase of a screen's waves that geometric propagation may neglect, rad.
 LARGEST_TURN: Final = 0.1
-#: Fewest cells across the pupil when a polar wave is put on a grid.
+#: Least number of cells across the pupil if a polar wave is resampled to a grid.
 LEAST_CELLS: Final = 256
 
 
@@ -53,56 +53,79 @@ def sample_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> PointSpread:
-    """Point spread of a rough wall drawn at random.
+    """Compute the point spread function of a random rough wall, a static speckle pattern.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
-        The pupil of a scene is sampled as finely as the screen and its halo take.
+        Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
+        sampled as finely as the random heights and their halo require.
     roughness : Roughness
+        Statistics of the wall's heights.
     seed : int
-        The same seed and sampling give the same wall.
+        Random seed. The same seed and sampling yield the same wall.
     independent_patterns : int
-        Walls whose patterns are averaged; the first is that of a single one. An average over time
-        or partial coherence is the same: one pattern for each correlation length that a wall moves
-        by during the exposure, or for each wavelength lambda/s from the next, s the phase rms in
-        rad. Developed speckle then has the contrast ``1/sqrt(independent_patterns)``.
-    footprint, cos_sum
-        As of `mean_point_spread`.
+        Number of walls whose patterns are averaged; the first one is that of a single wall. This
+        also models an average over time or wavelengths: one pattern per correlation length by
+        which a wall moves during the exposure, or per wavelength step lambda/s, with s the rms
+        phase in rad. Developed speckle has the contrast ``1/sqrt(independent_patterns)``.
+    footprint : float or array_like (2, 2), optional
+        Matrix M of `mean_point_spread`. Required with a wavefront; a scene defines it.
+    cos_sum : float, optional
+        Sum of the cosines of the angles of incidence and exitance. Required with a wavefront.
     effective_distance : float or array_like (2, 2), optional
-        m, ``d1 d2/(d1 + d2)`` at normal incidence; as of `WallView`. Needed with a wavefront.
+        ``d1 d2/(d1 + d2)`` at normal incidence, m, see `WallView`. Required with a wavefront.
     propagation : {"fresnel", "geometric"}
-        How the wall's phase comes to the pupil: as a wave; or as it is, along rays, where that is
-        the same: the aberration then is ``-(cos_i + cos_o) h``.
+        Propagation of the phase from the wall to the pupil: by a Fresnel integral, or unchanged
+        along rays, so that the aberration is ``-(cos_i + cos_o) h``. The latter is refused where
+        they differ.
     pitch, shape, normalisation, pixel_integrated
-        As of `mean_point_spread`; 1 is what the smooth wall sends, about which walls scatter.
+        Options of `mean_point_spread`. 1 refers to the energy of the smooth wall; that of a single
+        random wall can differ.
 
     Returns
     -------
     PointSpread
-        The mean over seeds is that of `mean_point_spread`.
+        Its mean over seeds is `mean_point_spread`.
 
     Raises
     ------
     SceneError
-        If geometry is missing, or given with a scene; or C is not that of a surface.
+        If geometry is missing, or given with a scene; or if no surface has the autocorrelation.
     SamplingError
-        If a grid wavefront is too coarse for the screen or its halo, or geometry does not hold.
+        If a grid wavefront is too coarse for the heights or the halo, or geometric propagation
+        does not hold.
     MemoryLimitError
-        If the screen that the pupil needs does not fit.
+        If the phase screen would not fit into memory.
+
+    See Also
+    --------
+    mean_point_spread : Mean over all walls in closed form.
+    metric_estimate : Metric of the mean of many patterns, with its standard error.
 
     Notes
     -----
-    A thin screen of Gaussian heights on the tangent plane at the chief ray, its curvature and
-    obliquity in M and the effective distance. Drawn on the pupil's lattice as seen on the wall,
-    ``w = M p``, or on every so many points of it where the field between them follows from its
-    waves; see `phase_screens.screens`. A ripple of period L comes
-    to the pupil as phase times cos(q) and amplitude times sin(q), q = pi lambda d_eff/L^2 [1]_.
+    The wall is a thin phase screen of Gaussian heights on the tangent plane at the chief ray. Its
+    curvature and obliquity enter by M and the effective distance. The heights are drawn at the
+    wall points ``w = M p`` of the pupil's lattice, or of a coarser lattice from which the field is
+    interpolated spectrally (`phase_screens.screens`). A ripple of period L reaches the pupil as
+    phase times cos(q) and amplitude times sin(q), with q = pi lambda d_eff/L^2 [1]_.
 
     References
     ----------
     .. [1] Goodman, Speckle Phenomena in Optics, 2nd ed., ch. 4.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=632.8e-9, pupil_radius=12.5e-3, image_distance=1.0
+    ... )
+    >>> rough = psf.Roughness(height_rms=50e-9, correlation_length=4e-3)
+    >>> geometry = {"footprint": 0.5, "cos_sum": 2.0, "effective_distance": 0.5}
+    >>> one = psf.sample_point_spread(wave, rough, seed=1, shape=65, **geometry)
+    >>> one.shape, one.method
+    ((65, 65), 'fresnel screen + mdft')
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("propagation", propagation, ("fresnel", "geometric"))
@@ -131,19 +154,19 @@ def sample_point_spread(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(mean.sum()) * level,
         regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
-        reason=f"{propagation} was asked for: a screen on the pupil's lattice, one chirp a pattern",
+        reason=f"{propagation} was requested: a phase screen, and one mdft for each pattern",
     )
 
 
 def speckle_samples(
     residual: Residual, window: Window, pixel_integrated: bool
 ) -> tuple[Window, PixelRule | None]:
-    """Points at which a pattern is taken, and how pixels are made of them."""
+    """Return the sample points of a pattern, and the rule that averages them over pixels."""
     pitch, shape = window.pitch, window.shape
     if not pixel_integrated and pitch > residual.nyquist_pitch * (1 + 1e-9):
         raise SamplingError(
-            f"pitch = {pitch:.3g} m is wider than Nyquist's {residual.nyquist_pitch:.3g} m, which "
-            "loses speckles; use pixel_integrated=True"
+            f"pitch = {pitch:.3g} m is wider than the Nyquist pitch {residual.nyquist_pitch:.3g} "
+            "m and does not resolve the speckles; use pixel_integrated=True"
         )
     if not pixel_integrated:
         return window, None
@@ -152,14 +175,14 @@ def speckle_samples(
 
 
 def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> PupilGrid:
-    """Smooth pupil function on a grid that the screen, its halo and the window allow."""
+    """Return the smooth pupil function on a grid fine enough for the screen, halo and window."""
     wave = residual.wavefront
     halo = view.halo(wave)
     far = max(samples.reach_from(residual.shift)) + residual.rays.reach + halo
     finest = widest_pitch(view)
     scale = wave.wavelength * abs(wave.image_distance)
     if wave.layout == "polar":
-        # a third of the period keeps the softened rim's leak off the window, see `antialiased_disc`
+        # A period of 3 far keeps the leak of the softened rim outside, see `antialiased_disc`.
         pitch = min(finest, scale / (3 * far), 2 * wave.pupil_radius / LEAST_CELLS)
         return pupil_grid_from_polar(residual, pitch)
     n = wave.u.shape[0]
@@ -173,7 +196,7 @@ def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> Pupil
     if far > scale / wave.pupil_pitch:
         need = math.ceil(n * far * wave.pupil_pitch / scale) + 1
         raise SamplingError(
-            f"the pupil samples repeat the image every {scale / wave.pupil_pitch:.3g} m, and "
+            f"the pupil samples repeat the image every {scale / wave.pupil_pitch:.3g} m, but "
             f"window and halo need {far:.3g} m; use a smaller shape, or a wavefront of {need} or "
             f"more pupil samples (now {n}) or of polar nodes"
         )
@@ -191,7 +214,7 @@ def _patterns(
     patterns: int,
     propagation: str,
 ) -> tuple[Array, float]:
-    """Mean of the patterns, 1 at the ideal peak, and the light beyond the lattice's band."""
+    """Return the mean of the patterns, 1 at the ideal peak, and the energy of `spilled`."""
     if view.rayleigh_parameter == 0:
         return mdft.intensity_in(residual, grid, samples, rule), 0.0
     fields, between = wall_fields(residual, view, grid, seed, propagation)
@@ -205,7 +228,28 @@ def _patterns(
 def wall_fields(
     residual: Residual, view: RoughView, grid: PupilGrid, seed: int, propagation: str
 ) -> tuple[Iterator[ComplexArray], Between | None]:
-    """Fields of one wall after the other on a lattice, and what takes them to the grid's points."""
+    """Return an iterator over the fields of random walls, and their interpolation to the grid.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall.
+    view : RoughView
+        View of the roughness.
+    grid : PupilGrid
+        Pupil grid.
+    seed : int
+        Random seed.
+    propagation : {"fresnel", "geometric"}
+        Propagation from the wall to the pupil.
+
+    Returns
+    -------
+    fields : iterator of ndarray, (n, n)
+        Complex fields on a periodic lattice.
+    between : Between or None
+        Interpolation from the lattice to the grid; None if they coincide.
+    """
     wave = residual.wavefront
     angle = view.halo(wave) / abs(wave.image_distance)
     reach = throw(view, angle)
@@ -214,13 +258,13 @@ def wall_fields(
         if turn > LARGEST_TURN:
             shortest = wave.wavelength / angle
             raise SamplingError(
-                f"waves of the screen down to {shortest:.3g} m in the pupil turn by q = "
-                f"{turn:.3g} on their way to it, limit {LARGEST_TURN} for geometry; use "
-                "propagation='fresnel'"
+                f"ripples of periods down to {shortest:.3g} m in the pupil change phase by q = "
+                f"{turn:.3g} rad between wall and pupil, limit {LARGEST_TURN} rad for "
+                "propagation='geometric'; use propagation='fresnel'"
             )
         reach = 0.0
     n, step = grid.values.shape[0], stride(view, grid.pitch)
-    # the farthest pupil point lies between two of the lattice
+    # one more point than intervals, so that the lattice encloses the last pupil point
     cells = n if step == 1 else -(-n // step) + 1
     walls = screens(view, cells, step * grid.pitch, wave.wavelength, reach)
     fields = walls.draw(seed)
@@ -228,16 +272,17 @@ def wall_fields(
 
 
 def seen_through(grid: PupilGrid, field: ComplexArray, between: Between | None) -> PupilGrid:
-    """Pupil function with a wall's field."""
+    """Return the pupil function times the field of a random wall."""
     n = grid.values.shape[0]
     phases = field[:n, :n] if between is None else between(field)
     return PupilGrid(grid.values * phases, grid.pitch, grid.jump, grid.rim)
 
 
 def spilled(field: ComplexArray) -> float:
-    """Light of a screen beyond its lattice's band: ten times that in the band's last tenth.
+    """Estimate the fraction of a field's energy beyond the band limit of its lattice.
 
-    So it is for the slowest decay, of an exponential C; others fall faster.
+    It is ten times that in the last tenth of the band. This holds for the spectrum of an
+    exponential C, which decays most slowly.
     """
     spectrum = np.abs(np.fft.fft2(field)) ** 2
     frequency = np.abs(np.fft.fftfreq(field.shape[0]))
@@ -254,11 +299,27 @@ def speckle_error(
     spill: float,
     pixel_integrated: bool,
 ) -> float:
-    """Expected error relative to the peak, of the rim's sampling and of light that is folded."""
+    """Estimate the error relative to the peak, due to the sampled rim and to aliasing.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall.
+    grid : PupilGrid
+        Pupil grid.
+    window : Window
+        Samples or pixels.
+    mean : ndarray, (ny, nx)
+        Intensity in the window, 1 at the ideal peak.
+    spill : float
+        Fraction of the energy beyond the lattice's band, from `spilled`.
+    pixel_integrated : bool
+        Whether the intensity is averaged over pixels.
+    """
     wave = residual.wavefront
     edge = error_bounds.edge_errors(residual, grid, window.x, window.y)
     rim, energy = edge.field + edge.spill, edge.energy
-    # the screen spreads the rim's error over the window, and what is folded over the period
+    # The screen distributes the rim's error over the window, and aliased energy over the period.
     period = wave.wavelength * abs(wave.image_distance) / grid.pitch
     folded = spill / residual.pixel_share(period)
     field = math.sqrt(float(np.mean(rim**2)) * 9 + 9 * folded) + residual.truncation

@@ -1,4 +1,4 @@
-"""Light that roughness scatters, as a sum over separations of pupil points."""
+"""Halo of a rough wall: its mean scattered intensity, as a sum over separations of pupil points."""
 
 from __future__ import annotations
 
@@ -24,35 +24,36 @@ from .view import RoughView
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Share of the diffuse transfer function's height that is left out.
+#: Relative value below which the diffuse transfer function is cut off.
 CUT: Final = 1e-13
-#: How much finer than the rule of thumb nodes may become before giving up.
+#: Largest refinement of the nodes relative to the rule of thumb.
 FINEST: Final = 7.0
+#: Relative accuracy of the non-uniform transform.
 EPSILON: Final = 1e-12
-#: Pixels of the window about the light, at least, on each side of its middle.
+#: Least number of fine pixels from the centre of the inner window to its edge.
 PARTS: Final = 4
-#: Share of the window's side from which a smaller one about the light does not pay.
+#: Largest side of the inner window relative to the window's, for which it is used.
 WORTH: Final = 0.5
-#: Distance from rays and halo, Airy units, from which the diffraction tail falls as 1/r^3.
+#: Distance from rays and halo, Airy units, beyond which the diffraction tail falls as 1/r^3.
 FAR: Final = 20.0
-#: Bytes of a node and of a pixel of the window while the sum runs.
+#: Memory per node and per pixel of the window during the sum, bytes.
 NODE_BYTES, PIXEL_BYTES = 250.0, 160.0
-#: Correlation lengths over which one run of nodes follows C and its tail; further runs grow by 4.
+#: Length of the first run of nodes, in correlation lengths; further runs grow by a factor of 4.
 FIRST_RUN: Final = 8.0
 
 
 @dataclass(frozen=True, eq=False)
 class Separations:
-    """Nodes of the sum, each standing for itself and its opposite.
+    """Quadrature nodes of the sum over separations; each represents itself and its opposite.
 
     Parameters
     ----------
-    du, dv : ndarray
-        (n_lags, n_directions), separations of pupil points, m.
-    coord : ndarray
-        (n_lags n_directions, 2), radians per image sample along y and x.
-    factor : ndarray
-        Complex: light per image sample, before the smooth transfer function.
+    du, dv : ndarray, (n_lags, n_directions)
+        Separations of pupil points, m.
+    coord : ndarray, (n_lags n_directions, 2)
+        Phase per image sample along y and x, rad.
+    factor : ndarray of complex, (n_lags, n_directions)
+        Contribution to an image sample, without the transfer function of the smooth wave.
     """
 
     du: Array
@@ -63,19 +64,22 @@ class Separations:
 
 @dataclass(frozen=True, eq=False)
 class Halo:
-    """Inputs of the sum over separations.
+    """Sum over separations of pupil points that yields the scattered intensity.
 
     Parameters
     ----------
     residual : Residual
+        Wave of the smooth wall.
     view : RoughView
-        Of the roughness that scatters.
+        View of the roughness that scatters.
     window : Window
+        Samples or pixels.
     pixel_integrated : bool
+        Whether to integrate over pixels.
     edge : float
         Separation beyond which the smooth transfer function is 0, m.
     spread : float
-        How far from its rays' middle the pattern that is scattered reaches itself, m.
+        Radius of the pattern before scattering, m, for which nodes are added; 0 if it is small.
     """
 
     residual: Residual
@@ -87,12 +91,15 @@ class Halo:
 
     @property
     def per_metre(self) -> float:
-        """Radians per metre of separation and of image."""
+        """Phase per metre of separation and metre of image, rad/m^2, signed."""
         wave = self.residual.wavefront
         return 2 * math.pi / (wave.wavelength * wave.image_distance)
 
     def counts(self, fineness: float) -> tuple[list[int], int]:
-        """Nodes of every run of lags, and directions, that waves over the window take."""
+        """Return the number of lags in each run, and of directions, that resolve the window.
+
+        ``fineness`` scales all numbers.
+        """
         x, y = self.window.reach_from(self.residual.shift)
         out_u, out_v, last_lag = self._outermost(math.pi * np.arange(64) / 64)
         last = float(np.hypot(out_u, out_v).max())
@@ -106,7 +113,7 @@ class Halo:
         return runs, n_directions
 
     def separations(self, fineness: float) -> Separations:
-        """Nodes for waves over the window, more by a factor of ``fineness`` each way."""
+        """Return the nodes of the sum, with the numbers of `counts`."""
         counts, n_directions = self.counts(fineness)
         fits_memory(
             f"{sum(counts)} x {n_directions} separations to {self.window.shape} samples",
@@ -119,7 +126,7 @@ class Halo:
         lag, step = [], []
         for (low, high), n in zip(pairwise(edges), counts, strict=True):
             tau, weight = gauss_legendre(n)
-            # denser toward the pupil's diameter, where the transfer function ends as a power 3/2
+            # Denser toward the pupil's diameter, where the transfer function falls as power 3/2.
             share, weight = tau * (2 - tau), 2 * (1 - tau) * weight
             bottom, top = np.minimum(low, last_lag), np.minimum(high, last_lag)
             lag.append(bottom + share[:, None] * (top - bottom))
@@ -130,7 +137,10 @@ class Halo:
         )
 
     def image(self, nodes: Separations, smooth: ComplexArray) -> Array:
-        """Diffuse light of each sample, the whole plane 1, for a transfer function at the nodes."""
+        """Return the scattered intensity (ny, nx) for a smooth transfer function at the nodes.
+
+        Values are energies per sample, relative to the energy of the smooth image.
+        """
         image = np.empty(self.window.shape, dtype=np.complex128)
         ducc0.nufft.nu2u(
             points=(nodes.factor * smooth).ravel(),
@@ -140,7 +150,7 @@ class Halo:
             nthreads=1,
             out=image,
         )
-        # opposite separations are each other's conjugate
+        # Terms of opposite separations are complex conjugates; their sum is twice the real part.
         return np.ascontiguousarray(image.real)
 
     def converged(
@@ -150,10 +160,32 @@ class Halo:
         tol: float,
         fineness: float = 1.0,
     ) -> tuple[Array, Separations, ComplexArray, float]:
-        """Diffuse light, its nodes, the transfer function there, and what the nodes miss.
+        """Compute the scattered intensity with nodes refined until it has converged.
 
-        The latter in units of the light's own, next to which ``tol`` stands relative to the peak of
-        both parts. Nodes start at ``fineness`` and are refined by half until a tenth of it is met.
+        The number of nodes per direction grows by 1.5 until the change is below a tenth of ``tol``
+        times the peak, or up to `FINEST`.
+
+        Parameters
+        ----------
+        at : callable
+            Transfer function of the smooth wave at separations (du, dv), m.
+        coherent : ndarray, (ny, nx)
+            Coherent part, added to the scattered part for the peak.
+        tol : float
+            Wanted error relative to the peak.
+        fineness : float
+            First number of nodes relative to the rule of thumb.
+
+        Returns
+        -------
+        light : ndarray, (ny, nx)
+            Scattered intensity, energy per sample.
+        nodes : Separations
+            Nodes used last.
+        smooth : ndarray of complex
+            Transfer function at these nodes.
+        missed : float
+            Estimated error due to the nodes, energy per sample.
         """
         nodes = self.separations(0.7 * fineness)
         coarse = self.image(nodes, at(nodes.du, nodes.dv))
@@ -161,7 +193,7 @@ class Halo:
             nodes = self.separations(fineness)
             smooth = at(nodes.du, nodes.dv)
             fine = self.image(nodes, smooth)
-            # what the coarser nodes miss bounds what these do
+            # the error of the coarser nodes bounds that of the finer ones
             missed = float(np.abs(fine - coarse).max())
             enough = missed <= 0.1 * tol * float(np.max(coherent + fine))
             if enough or 1.5 * fineness > FINEST:
@@ -170,7 +202,7 @@ class Halo:
             fineness *= 1.5
 
     def _weighted(self, du: Array, dv: Array, lag: Array, steps: Array) -> Separations:
-        """Nodes with all that the sum needs of them."""
+        """Return nodes with their weights and phases."""
         wave, pitch = self.residual.wavefront, self.window.pitch
         area = math.pi * lag * steps / abs(float(np.linalg.det(self.view.footprint)))
         factor = 2 * area * self.view.diffuse_transfer(lag)
@@ -186,14 +218,17 @@ class Halo:
         return Separations(du, dv, coord, turned)
 
     def _outermost(self, directions: Array) -> tuple[Array, Array, Array]:
-        """Last separations (du, dv) along directions on the wall, and their lags, m."""
+        """Return the largest separations (du, dv) along directions on the wall, rad; their lags.
+
+        All are in m.
+        """
         units = np.stack([np.cos(directions), np.sin(directions)])
         back = np.linalg.solve(self.view.footprint, units)
         last = np.minimum(self.view.last_lag(CUT), self.edge / np.hypot(*back))
         return last * back[0], last * back[1], last
 
     def _runs(self, last: float) -> list[float]:
-        """Lags at which runs of nodes meet, m: one run, or more for a tail much wider than C."""
+        """Return the lags, m, that bound the runs of nodes; several runs if C has a long tail."""
         length = self.view.roughness.correlation_length
         edges, end = [0.0], FIRST_RUN / 2 * length
         while 2 * end < last:
@@ -210,29 +245,36 @@ def scattered_light(
     coherent: Array,
     tol: float,
 ) -> tuple[Array, float]:
-    """Light that a rough wall scatters into each sample, the whole plane 1, and its error.
+    """Compute the mean intensity scattered by a rough wall, and its error.
 
     Parameters
     ----------
     residual : Residual
+        Wave of the smooth wall.
     view : RoughView
+        View of the roughness.
     window : Window
+        Samples or pixels.
     pixel_integrated : bool
+        Whether to integrate over pixels.
     coherent : ndarray, (ny, nx)
-        The core on the same samples, to whose peak ``tol`` is relative as well.
+        Coherent part on the same samples; the peak is that of both parts together.
     tol : float
+        Wanted error relative to the peak.
 
     Returns
     -------
     light : ndarray, (ny, nx)
+        Scattered energy per sample, relative to the energy of the smooth image.
     error : float
-        In the same unit.
+        Estimated largest error, energy per sample.
 
     Notes
     -----
-    Pixels far wider than the light show none of its detail. Then a window about it is summed that
-    is as small as ``tol`` lets it be; what lies beyond is spread over the pixels as the diffraction
-    tail, ``1/r^3``, and all that is more than such a tail holds counts as error.
+    If the pixels are much wider than the halo, they do not resolve it. Then the sum runs over a
+    finely sampled inner window only, as small as ``tol`` allows. The energy outside it is
+    distributed over the pixels as the diffraction tail, ``1/r^3``; any energy beyond that of such
+    a tail counts as error.
     """
     cells, best = first_cells(residual, view, window.pitch, tol), None
     for n in (cells, 2 * cells, 4 * cells):
@@ -248,16 +290,16 @@ def scattered_light(
 
 
 def first_cells(residual: Residual, view: RoughView, pitch: float, tol: float) -> int:
-    """Cells across a polar pupil from which the transfer function is taken first; 0 of a grid."""
+    """Return the first number of cells across a polar pupil for `transfer`; 0 for a grid."""
     if residual.wavefront.layout != "polar":
         return 0
-    # errors are relative to a peak that the aberration lowers and the halo's own does not tell
+    # The error is relative to the halo's peak, which the image's width lowers by 1 + alone/peak.
     alone = _blur(residual, view, pitch)[1]
     return cells_across(residual, tol / (1 + alone / peak_pixel(residual, pitch)))
 
 
 def _blur(residual: Residual, view: RoughView, pitch: float) -> tuple[float, float]:
-    """Standard deviation, m, of the scattered light, and the share of it in the middle's pixel."""
+    """Return the halo's standard deviation, m, and its energy fraction in the central pixel."""
     blur = view.halo(residual.wavefront) / 3
     return blur, 1.0 if blur == 0 else min(1.0, pitch**2 / (2 * math.pi * blur**2))
 
@@ -271,7 +313,7 @@ def _with_cells(
     tol: float,
     cells: int,
 ) -> tuple[Array, float]:
-    """`scattered_light` by a transfer function from so many cells across the pupil."""
+    """Compute `scattered_light` by a transfer function from ``cells`` across the pupil."""
     smooth = transfer(residual, cells)
     if pixel_integrated:
         share = -math.expm1(-(view.rayleigh_parameter**2))
@@ -287,13 +329,13 @@ def _with_cells(
 def inner_halves(
     residual: Residual, view: RoughView, window: Window, tol: float
 ) -> Iterator[float]:
-    """Half sides, m, of the windows about the light that are tried; none where they do not pay."""
+    """Yield the half sides, m, of the inner windows to try; none if they would not be faster."""
     unit = residual.airy_unit
     reach = ray_reach(residual) + view.halo(residual.wavefront)
-    # beyond half lies a share 2/(pi^2 half) of the light, which errs by reach^2/half^2 of itself
+    # The tail outside has the energy 2/(pi^2 half), with the relative error reach^2/half^2.
     half = max(reach + FAR * unit, math.cbrt(reach**2 * unit / (math.pi**2 * tol / 4)))
     if view.roughness.autocorrelation != "gaussian":
-        # a share (blur/half)^2 or more of slopes with long tails lies beyond
+        # A halo with long tails has the fraction (blur/half)^2 or more outside.
         blur, alone = _blur(residual, view, window.pitch)
         peak = 1 / (1 / alone + 1 / peak_pixel(residual, window.pitch))
         half = max(half, math.sqrt(2) * blur / math.sqrt(0.5 * tol * peak))
@@ -303,7 +345,7 @@ def inner_halves(
 
 
 def inner_window(window: Window, half: float) -> tuple[Window, int]:
-    """Odd parts of pixels about the middle one's centre, and how many make a pixel's side."""
+    """Return a window of fine pixels around the central pixel, and the fine pixels per side."""
     parts = max(1, math.ceil(PARTS * window.pitch / half)) | 1
     n = 2 * math.ceil(half * parts / window.pitch) + 1
     return Window.centred(window.pitch / parts, (n, n)), parts
@@ -319,7 +361,10 @@ def _about_the_light(
     tol: float,
     cells: int,
 ) -> tuple[Array, float]:
-    """Scattered light by a sum over a small window and a tail beyond, and its error."""
+    """Compute the scattered energy by the sum in an inner window and a tail outside, and its error.
+
+    ``half`` is the inner window's half side, m, and ``share`` the scattered fraction of the energy.
+    """
     inner, parts = inner_window(window, half)
     halo = Halo(residual, view, inner, True, smooth.reach)
     light, nodes, _, missed = halo.converged(smooth.at, np.zeros(inner.shape), tol / 10)
@@ -339,14 +384,15 @@ def _about_the_light(
 def _transfer_error(
     halo: Halo, nodes: Separations, light: Array, smooth: Transfer, cells: int
 ) -> float:
-    """Error of the scattered light that comes from the transfer function's own error.
+    """Estimate the error of the scattered energy due to that of the transfer function.
 
-    At most its bound over all separations. Of a polar wave, what cells twice as wide change in the
-    image: its error falls as the power 3/2 of the cells or faster, so that this is twice what the
-    finer ones leave.
+    It is at most the transfer function's error times the sum of all weights. For a polar wave it
+    is also estimated by the change of the image if the cells are twice as wide. Since the error
+    scales with the power 3/2 of the cell size or a higher one, that change is about twice the
+    error.
     """
     bound = float(np.abs(nodes.factor).sum()) * smooth.error
-    # below, another lattice would cost more than it says
+    # Below 1e-12 the cost of another lattice outweighs the tighter estimate.
     if halo.residual.wavefront.layout != "polar" or smooth.error < 1e-12:
         return bound
     coarse = transfer(halo.residual, max(cells // 2, 16))

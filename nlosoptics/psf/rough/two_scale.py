@@ -1,4 +1,4 @@
-"""Rough wall in two scales: long waves drawn at random, short ones as statistics."""
+"""Point spread function of a rough wall in two scales: random long waves, mean over short ones."""
 
 from __future__ import annotations
 
@@ -40,23 +40,24 @@ from .view import RoughView, rough_source
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Standard deviations of a drawn wall's phase step that the spline's error is taken for.
+#: Phase step between cells for the spline's error estimate, in standard deviations.
 STEEP: Final = 3.0
-#: Nodes to start with, relative to the rule of thumb: every wall pays for them.
+#: First number of nodes relative to the rule of thumb; small, since every wall repeats the sum.
 FINENESS: Final = 0.3
 
 
 def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 0.1) -> float:
-    """Period of the ripples above which a wall is geometry to the pupil.
+    """Return the ripple period above which a wall's heights act on the pupil as geometry.
 
     Parameters
     ----------
     wavelength : float
-        m.
+        In vacuum, m.
     effective_distance : float or array_like (2, 2)
-        m, as of `WallView`; of a matrix the largest.
+        Effective distance d_eff of `WallView`, m; for a matrix its norm is used.
     turn : float
-        q, rad: a ripple comes to the pupil as phase times cos(q) and amplitude times sin(q).
+        Largest propagation phase q, rad. A ripple reaches the pupil as phase times cos(q) and
+        amplitude times sin(q).
 
     Returns
     -------
@@ -67,6 +68,14 @@ def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 
     ------
     SceneError
         If a number is not above 0.
+
+    Examples
+    --------
+    Wall 1 m from both object and camera, so that d_eff = 0.5 m:
+
+    >>> from nlosoptics import psf
+    >>> print(f"{1e3 * psf.split_scale(632.8e-9, 0.5):.2f} mm")
+    3.15 mm
     """
     positive("wavelength", wavelength, unit="m")
     positive("turn", turn)
@@ -97,54 +106,59 @@ def two_scale_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> RoughPointSpread:
-    """Point spread of drawn long waves of a rough wall, the mean over its short ones.
+    """Compute the point spread of a rough wall with random long waves, averaged over short waves.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        The wave of the smooth wall; or the scene it is computed from, whose wall is the mean one.
-        The pupil of a scene is sampled as finely as the screen, its halo and ``tol`` take.
+        Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
+        sampled as finely as the long waves, the halo and ``tol`` require.
     roughness : Roughness
+        Statistics of the wall's heights.
     seed : int
-        The same seed and sampling give the same long waves.
+        Random seed. The same seed and sampling yield the same long waves.
     cutoff : float, optional
-        m, 0 to infinity, as of `Roughness.split`. Default `split_scale` of the effective distance.
-        At 0 all is drawn, as by `sample_point_spread`; at infinity nothing is, which is
+        Cutoff period of `Roughness.split`, m, 0 to infinity. Default `split_scale` of the effective
+        distance. At 0 all waves are random, as in `sample_point_spread`; at infinity the result is
         `mean_point_spread`.
     independent_patterns : int
-        Drawn walls over which is averaged; the first is that of a single one.
+        Number of walls whose patterns are averaged; the first one is that of a single wall.
     footprint, cos_sum, effective_distance
-        As of `sample_point_spread`.
+        Geometry of `sample_point_spread`. Required with a wavefront; a scene defines it.
     propagation : {"geometric", "fresnel"}
-        How the long waves come to the pupil, as of `sample_point_spread`.
+        Propagation of the long waves from the wall to the pupil, see `sample_point_spread`.
     tol : float
-        Largest error of the short waves' part, relative to the peak.
+        Largest error of the part scattered by the short waves, relative to the peak.
     pitch, shape, normalisation, pixel_integrated
-        As of `mean_point_spread`.
+        Options of `mean_point_spread`.
 
     Returns
     -------
     RoughPointSpread
-        ``coherent`` is the drawn waves' own pattern, less what the short ones scatter of it;
-        ``rayleigh_parameter`` and the shares that follow from it are those of the short waves.
+        ``coherent`` is the pattern of the long waves, times ``exp(-s^2)`` of the short waves.
+        ``rayleigh_parameter`` and the fractions derived from it are those of the short waves.
 
     Raises
     ------
     SceneError
-        As of `sample_point_spread` and `Roughness.split`.
+        If geometry is missing or given with a scene, or the roughness cannot be split.
     SamplingError
-        As of `sample_point_spread` for the long waves, or if the short ones do not reach ``tol``.
+        If the long waves cannot be sampled, or the short waves do not reach ``tol``.
     MemoryLimitError
-        If the screen that the pupil needs does not fit.
+        If the phase screen would not fit into memory.
+
+    See Also
+    --------
+    split_scale : Default cutoff.
 
     Notes
     -----
-    The transfer function of each drawn wall, times ``exp(-s^2 [1 - C(M d)])`` of the short waves.
-    That takes the light of both to add their slopes where they are, and leaves out by how far a
-    short wave throws the long ones' field sideways: 0 along rays, and small next to the long
-    waves as far as the cutoff is `split_scale` or more. Averaged over walls it is exact for any
-    cutoff, since both parts are independent and stationary. The sum over separations is that of
-    `mean_point_spread`, so a halo far wider than the window keeps its energy.
+    The transfer function of each random wall is multiplied by ``exp(-s^2 [1 - C(M d)])`` of the
+    short waves. This adds the slopes of both parts at the same wall point. It neglects the lateral
+    displacement of the long waves' field by scattering at short waves. That displacement is 0 for
+    geometric propagation, and small compared with the long waves if the cutoff is at least
+    `split_scale`. The mean over walls is exact for any cutoff, since both parts are independent
+    and stationary. As in `mean_point_spread`, a halo much wider than the window keeps its energy.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("propagation", propagation, ("fresnel", "geometric"))
@@ -156,7 +170,8 @@ def two_scale_point_spread(
     if cutoff is None:
         if view.effective_distance is None:
             raise SceneError(
-                "effective_distance is missing, and cutoff is taken from it; give one of them"
+                "effective_distance is missing, from which the default cutoff is computed; give "
+                "effective_distance or cutoff"
             )
         cutoff = split_scale(wave.wavelength, view.effective_distance)
     long, short = (view.of(part) for part in roughness.split(cutoff))
@@ -195,14 +210,28 @@ def two_scale_point_spread(
         enclosed_energy=float((coherent + diffuse).sum()),
         rayleigh_parameter=short.rayleigh_parameter,
         regime=regime(residual, step, rayleigh_parameter=view.rayleigh_parameter),
-        reason=f"two scales were asked for: {propagation} screens of the long waves, "
-        "separations of the short",
+        reason=f"two scales were requested: {propagation} phase screens of the long waves, "
+        "sum over separations for the short waves",
     )
 
 
 @dataclass(frozen=True, eq=False)
 class _Walls:
-    """Both parts of a rough wall, and where they are looked at."""
+    """Long and short waves of a rough wall, with the samples of the image.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall.
+    long, short : RoughView
+        Views of both parts of the roughness.
+    window : Window
+        Samples or pixels.
+    pixel_integrated : bool
+        Whether to integrate over pixels.
+    tol : float
+        Wanted error of the short waves' part, relative to the peak.
+    """
 
     residual: Residual
     long: RoughView
@@ -212,7 +241,11 @@ class _Walls:
     tol: float
 
     def mean(self, seed: int, count: int, propagation: str) -> tuple[Array, Array, float]:
-        """Drawn pattern and its halo, averaged, the whole plane 1, and the expected error."""
+        """Return coherent pattern and halo (ny, nx), averaged over walls, and the expected error.
+
+        Values are energies per sample, relative to the whole plane; the error is relative to the
+        peak.
+        """
         samples, rule = speckle_samples(self.residual, self.window, self.pixel_integrated)
         grid = speckle_pupil(self.residual, self.long, samples)
         s = self.short.rayleigh_parameter
@@ -245,11 +278,11 @@ class _Walls:
         return coherent, diffuse, error
 
     def _scattering(self, seen: PupilGrid, coherent: Array, spill: float) -> _Scattering:
-        """Separations enough for the first wall, which serve the others too."""
+        """Return nodes that have converged for the first wall, for use with all walls."""
         wave = self.residual.wavefront
         flat = split(replace(wave, aberration=np.zeros_like(wave.aberration)))
         polar = wave.layout == "polar"
-        # a softened rim passes below 0, so moduli are not the clear pupil's
+        # The clear pupil is computed, since a softened rim can be negative and has no modulus.
         plain = pupil_grid_from_polar(flat, seen.pitch) if polar else pupil_grid(flat)
         clear, ratios = transfer(flat), LatticeRatio(plain.values.real, seen.pitch)
         ratio = ratios.of(seen.values)
@@ -263,7 +296,7 @@ class _Walls:
         lag = seen.pitch * float(np.linalg.norm(self.long.footprint, 2))
         variance = 2 * self.long.rayleigh_parameter**2 * float(self.long.roughness.structure(lag))
         step = STEEP * math.sqrt(variance) + 2 * math.pi * seen.jump
-        # as of `transfer`
+        # error of the lattice ratio as in `transfer`
         n = 2 * wave.pupil_radius / seen.pitch
         lattice = step ** (ORDER + 1) / 3e4 + 0.25 / n**1.5 + 0.6 * step / (2 * math.pi * n)
         share = clear.error + lattice + spill
@@ -271,7 +304,7 @@ class _Walls:
         peak = float((coherent + found).max())
         if error > self.tol * peak:
             raise SamplingError(
-                f"the mean over the short waves reaches an error of {error / peak:.2g}, limit tol "
+                f"the mean over the short waves has an error of {error / peak:.2g}, limit tol "
                 f"= {self.tol:g}; use tol = {rounded_up(1.5 * error / peak)}, or a wavefront of "
                 "more pupil nodes"
             )
@@ -280,16 +313,18 @@ class _Walls:
 
 @dataclass(frozen=True, eq=False)
 class _Scattering:
-    """The halo that short waves make of each drawn wall's pattern.
+    """Scattering of each random wall's pattern into a halo by the short waves.
 
     Parameters
     ----------
     halo : Halo
+        Sum over separations.
     nodes : Separations
-    clear : ndarray
-        Transfer function at the nodes of the pupil without phases.
+        Nodes of the sum.
+    clear : ndarray, (n_lags, n_directions)
+        Transfer function of the pupil without phases, at the nodes.
     ratios : LatticeRatio
-        From that to the drawn walls'.
+        Ratio of the random walls' transfer functions to that.
     error : float
         Expected error, energy per sample.
     """
@@ -301,6 +336,6 @@ class _Scattering:
     error: float
 
     def image(self, seen: PupilGrid) -> Array:
-        """Halo of a pupil function, energy per sample."""
+        """Return the halo (ny, nx) of a pupil function, energy per sample."""
         ratio = self.ratios.of(seen.values)
         return self.halo.image(self.nodes, self.clear * ratio(self.nodes.du, self.nodes.dv))

@@ -1,4 +1,4 @@
-"""A rough wall as the pupil sees it: phases and their correlation between pupil points."""
+"""Phase statistics of a rough wall in pupil coordinates."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ Found = TypeVar("Found")
 
 @dataclass(frozen=True, eq=False)
 class RoughView:
-    """Roughness with the geometry by which the pupil sees it.
+    """Roughness, with the geometry that maps pupil points to wall points.
 
     Parameters
     ----------
     roughness : Roughness
+        Statistics of the heights.
     footprint : ndarray, (2, 2)
-        M, from exit-pupil separation to separation on the wall.
+        Matrix M from a separation in the exit pupil to the separation on the wall.
     rayleigh_parameter : float
-        s, rad.
+        s, rad: rms phase due to the heights.
     effective_distance : ndarray (2, 2) or None
-        m, as of `WallView`; the mean does not need it.
+        Matrix d_eff of `WallView`, m; not needed for the mean.
     """
 
     roughness: Roughness
@@ -44,29 +45,32 @@ class RoughView:
     effective_distance: Array | None = None
 
     def of(self, part: Roughness) -> RoughView:
-        """View of a part of the heights."""
+        """Return the view of a part of the heights, such as from `Roughness.split`."""
         whole = self.roughness.height_rms
         share = part.height_rms / whole if whole > 0 else 0.0
         return replace(self, roughness=part, rayleigh_parameter=share * self.rayleigh_parameter)
 
     def lags(self, du: Array, dv: Array) -> Array:
-        """Distance on the wall between the points that two pupil points see, m."""
+        """Return the separation on the wall, m, for separations (du, dv) in the pupil, m."""
         m = self.footprint
         along, across = (m[i, 0] * du + m[i, 1] * dv for i in (0, 1))
         return np.asarray(np.hypot(along, across))
 
     def diffuse_transfer(self, lag: Array) -> Array:
-        """``exp(-s^2 [1 - C]) - exp(-s^2)``."""
+        """Return the scattered part of the transfer function, ``exp(-s^2 [1 - C]) - exp(-s^2)``.
+
+        ``lag`` holds separations on the wall, m, of any shape.
+        """
         square = self.rayleigh_parameter**2
         if square < 1:
-            # no difference of nearly equal numbers where both are near 1
+            # expm1 avoids the cancellation of two numbers near 1
             return np.asarray(
                 math.exp(-square) * np.expm1(square * self.roughness.correlation(lag))
             )
         return np.exp(-square * self.roughness.structure(lag)) - math.exp(-square)
 
     def last_lag(self, cut: float) -> float:
-        """Lag beyond which that has fallen to a share ``cut`` of its value at 0, m."""
+        """Return the lag, m, beyond which `diffuse_transfer` is below ``cut`` times that at 0."""
         square = self.rayleigh_parameter**2
         if square > 500:  # exp would overflow
             level = 1 + math.log(cut) / square
@@ -75,10 +79,10 @@ class RoughView:
         return self.roughness.reach(level)
 
     def halo(self, wave: Wavefront) -> float:
-        """Radius in the image, m, of about 3 standard deviations of the scattered light.
+        """Return the radius of the halo in the image, m: about 3 standard deviations.
 
-        Taken from the lag at which the diffuse transfer function has fallen to 1/e, as if it were
-        Gaussian; an exponential C has wider tails.
+        The standard deviation is that of a Gaussian with the same 1/e lag of `diffuse_transfer`.
+        The halo of an exponential C has wider tails.
         """
         if self.rayleigh_parameter == 0:
             return 0.0
@@ -89,15 +93,16 @@ class RoughView:
 
 @dataclass(frozen=True, eq=False)
 class RoughSource:
-    """Smooth wave of a rough wall, and how the pupil sees the roughness.
+    """Smooth wave of a rough wall, and the view of its roughness.
 
     Parameters
     ----------
     residual : Residual
-        Wave of the smooth wall; of a scene, at the nodes that are tried first.
+        Wave of the smooth wall. For a scene, at the first set of nodes.
     view : RoughView
+        View of the roughness from the pupil.
     seen : PointOptics or None
-        Optics of the scene's reference point; None where a wavefront was given.
+        Optics of the scene's reference point; None if a wavefront was given.
     """
 
     residual: Residual
@@ -105,7 +110,7 @@ class RoughSource:
     seen: PointOptics | None = None
 
     def refined(self, use: Callable[[Residual], Found]) -> Found:
-        """Apply a function to the wave, of a scene with more pupil nodes where they are too few."""
+        """Return ``use(residual)``; for a scene, refine the pupil nodes until it succeeds."""
         if self.seen is None:
             return use(self.residual)
         return self.seen.refined(lambda aimed: use(aimed.residual))[1]
@@ -118,14 +123,16 @@ def rough_source(
     cos_sum: float | None,
     effective_distance: ArrayLike | None = None,
 ) -> RoughSource:
-    """Wave of the smooth wall and the rough wall's view, from a scene or from what is given.
+    """Return smooth wave and roughness view, from a scene or from a wavefront and its geometry.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
+        Wave of the smooth wall, or the scene from which it is computed.
     roughness : Roughness
+        Statistics of the heights.
     footprint, cos_sum, effective_distance
-        How the pupil sees the wall, see `WallView`; with a wavefront only.
+        Geometry of wall and pupil, see `WallView`; with a wavefront only.
 
     Returns
     -------
@@ -134,7 +141,7 @@ def rough_source(
     Raises
     ------
     SceneError
-        If geometry is missing, given with a scene, or not a matrix that can be inverted.
+        If geometry is missing, given with a scene, or not an invertible matrix.
     """
     given = {
         "footprint": footprint,
@@ -144,7 +151,7 @@ def rough_source(
     if isinstance(source, Scene | SceneOptics):
         for name, value in given.items():
             if value is not None:
-                raise SceneError(f"{name} is given with a scene, which has its own; leave it out")
+                raise SceneError(f"{name} is given with a scene, which defines it; leave it out")
         seen = optics_of(source).reference
         return RoughSource(
             seen.first.residual, rough_view(seen.first.wave, seen.view, roughness), seen
@@ -157,7 +164,7 @@ def rough_source(
     for name in ("footprint", "cos_sum"):
         if given[name] is None:
             raise SceneError(
-                f"{name} is missing; a wavefront does not say how it sees the wall, take it "
+                f"{name} is missing, but a wavefront does not hold the wall's geometry; take it "
                 "from psf.wall_view"
             )
     m = _matrix("footprint", footprint)
@@ -175,14 +182,14 @@ def rough_source(
 
 
 def rough_view(wave: Wavefront, seen: WallView, roughness: Roughness) -> RoughView:
-    """View of roughness on a wall.
+    """Return the view of a roughness on a wall from its geometry.
 
     Parameters
     ----------
     wave : Wavefront
         Wave of the smooth wall.
     seen : WallView
-        How its pupil sees the wall.
+        Geometry of wall and pupil.
     roughness : Roughness
         Statistics of the heights.
 

@@ -1,1 +1,1 @@
-"""From a wave to its point spread function."""
+"""Transforms from an exit-pupil wave to its point spread function."""

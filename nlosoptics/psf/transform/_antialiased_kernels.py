@@ -1,4 +1,4 @@
-"""Pupil functions of polynomial waves on a grid, and phasors."""
+"""Compiled kernels of `antialiased_pupil` and `antialiased_fft`: pupil, folding, error bounds."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from ..wave._wave_kernels import phasors
 
 @njit(cache=True)
 def _profile(r, low, steps, table):
-    """Softened rim at the radius ``r`` by six points of its table, ``steps`` a cell from ``low``.
+    """Interpolate a softened rim at the radius ``r``, cells, by six points of its table.
 
-    The table has two points more at either end; 1 below it and 0 beyond.
+    The table has ``steps`` points per cell from ``low`` on, with two more at either end. The value
+    is 1 below ``low`` and 0 beyond the table.
     """
     place = (r - low) * steps
     if place < 0.0:
@@ -23,7 +24,7 @@ def _profile(r, low, steps, table):
     if at + 6 > table.shape[0]:
         return 0.0
     t = place - at
-    # Lagrange's weights of the points -2 to 3
+    # Lagrange weights of the points -2 to 3
     a, b, d, e, f = t + 2.0, t + 1.0, t - 1.0, t - 2.0, t - 3.0
     value = table[at] * (b * t * d * e * f) / -120.0 + table[at + 1] * (a * t * d * e * f) / 24.0
     value += (
@@ -37,9 +38,9 @@ def _profile(r, low, steps, table):
 
 @njit(cache=True)
 def _cut(y, lows, highs, steps, tables, size):
-    """Fill ``size`` (2 centre + 1,) with softened rims on the line at ``y``; return its half width.
+    """Fill ``size`` (2 centre + 1,) with the pupil's transmission on the line at ``y``, cells.
 
-    The half width is that of its lit part, cells.
+    Returns the half width of the part that can be above 0, cells.
     """
     centre = size.shape[0] // 2
     half = min(centre, int(math.sqrt(highs[0] * highs[0] - y * y)))
@@ -62,11 +63,12 @@ def _cut(y, lows, highs, steps, tables, size):
 
 @njit(cache=True)
 def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centre, out):
-    """Add a pupil with softened rims to ``out`` (rows, columns), wrapped; return its sum.
+    """Add a pupil with softened rims to ``out`` (rows, columns), periodically wrapped.
 
-    The phase, turns, is ``sum coefficients[i, j] u^i v^j``, u and v in ``step`` a cell from
-    ``centre``, and so is the amplitude, 1 where there are no such ``amplitudes``. ``tables`` (1 or
-    2, n) are the softened rims, outer and inner, of `_profile`.
+    The phase in turns is ``sum coefficients[i, j] u^i v^j``, with u and v counted from the cell
+    ``centre`` in steps of ``step`` per cell. ``amplitudes`` are coefficients of the same form, or
+    of size 0 for an amplitude of 1. ``tables`` (1 or 2, n) hold the outer and the inner softened
+    rim, see `_profile`. Returns the sum of the amplitude.
     """
     rows, columns = out.shape
     n = 2 * centre + 1
@@ -105,7 +107,10 @@ def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centr
 
 @njit(cache=True)
 def _along_row(coefficients, y, step, centre, across, out, first):
-    """Fill ``out`` with ``sum coefficients[i, j] u^i y^j`` at the columns from ``first`` on."""
+    """Fill ``out`` with ``sum coefficients[i, j] u^i y^j`` at columns from ``first`` on.
+
+    ``u = (column - centre) step``. ``across`` is a workspace of at least degree + 1 values.
+    """
     degree = coefficients.shape[0] - 1
     for i in range(degree + 1):
         across[i] = coefficients[i, degree - i]
@@ -120,7 +125,7 @@ def _along_row(coefficients, y, step, centre, across, out, first):
 
 @njit(cache=True)
 def turned(values, out):
-    """Fill ``out`` (columns, n) with the transpose of ``values`` (rows, columns), then with 0."""
+    """Fill ``out`` (columns, n) with the transpose of ``values`` (rows, columns), padded by 0."""
     rows, columns = values.shape
     for i in range(columns):
         for j in range(rows):
@@ -141,9 +146,9 @@ def squares(field, scale, out):
 
 @njit(cache=True)
 def waves(first, step, cosines, sines):
-    """Fill ``cosines`` (m, c + 1) of 2 pi x k, x = first, first + step, ... and ``sines`` (m, c).
+    """Fill ``cosines`` (m, c + 1) and ``sines`` (m, c) of ``2 pi x k``, x = first, first + step...
 
-    k counts from 0, or from 1 for sines; ``first`` and ``step`` in turns.
+    k counts from 0 for cosines and from 1 for sines. ``first`` and ``step`` are in turns.
     """
     count = sines.shape[1]
     turns, size = np.empty(count), np.ones(count)
@@ -161,7 +166,7 @@ def waves(first, step, cosines, sines):
 def folded(values, even, odd):
     """Fill ``even`` (c + 1, n) and ``odd`` (c, n) with sums and differences of opposite rows.
 
-    The rows of ``values`` (2 c + 1, n) count from -c.
+    Rows of ``values`` (2 c + 1, n) have the indices -c to c.
     """
     centre = odd.shape[0]
     even[0] = values[centre]
@@ -174,10 +179,10 @@ def folded(values, even, odd):
 
 @njit(cache=True)
 def refolded(even, odd, out_even, out_odd):
-    """Fold rows (m, 2 c + 1) along their other axis, each to its columns of both signs of x.
+    """Combine even and odd parts (m, 2 c + 1) of the first pass and fold them along the other axis.
 
-    ``even - i odd`` is that of +x, from the middle of ``out_even`` (c + 1, n) and ``out_odd``
-    (c, n) on, ``even + i odd`` that of -x, back from there.
+    ``even - i odd`` is the transform at +x and ``even + i odd`` that at -x. Columns of ``out_even``
+    (c + 1, n) and ``out_odd`` (c, n) hold both signs of x, in increasing order.
     """
     centre, columns = out_odd.shape[0], out_even.shape[1]
     for i in range(even.shape[0]):
@@ -200,9 +205,9 @@ def refolded(even, odd, out_even, out_odd):
 
 @njit(cache=True)
 def split_squares(even, odd, scale, above, below):
-    """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the other sign.
+    """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the sum.
 
-    The rows of ``below`` are in the opposite order.
+    The sum is ``even + i odd``. The rows of ``below`` are in reverse order.
     """
     last = above.shape[0] - 1
     for i in range(above.shape[0]):
@@ -217,7 +222,7 @@ def split_squares(even, odd, scale, above, below):
 
 @njit(cache=True)
 def densest(x, y, energy, reach, side):
-    """Most energy in a square of ``side``, of squares that cover ``reach`` either way."""
+    """Return the largest energy in a bin of ``side``, for bins that cover -reach to reach."""
     n = int(2.0 * reach / side + 0.5) + 2
     bins = np.zeros((n, n))
     for i in range(x.size):
@@ -227,17 +232,18 @@ def densest(x, y, energy, reach, side):
 
 @njit(cache=True)
 def _leak(s, width):
-    """`antialiased_disc.leak` of a step of a width."""
+    """Evaluate `antialiased_disc.leak` for one distance ``s``, in periods, and a step width."""
     return 0.5 * math.erfc((0.5 - s) / width)
 
 
 @njit(cache=True)
 def rim_errors(distance, period, reach, edges, zones, landing, width, out):
-    """Fill ``out`` (n,) with the error of a softened rim up to each of the rising distances.
+    """Fill ``out`` (n,) with a bound of the field error within each of the increasing distances.
 
-    Lengths in Airy units, a period of which holds ``period / 2`` cells a radius. ``zones`` (m, 2)
-    are cells beyond the rim and the strength of each, ``landing`` (2, k) radii from the axis and
-    how far a ray from there lands at most; see `antialiased_pupil`.
+    Lengths are in Airy units; a period of ``period`` has ``period/2`` cells per pupil radius. Rows
+    of ``zones`` (m, 2) are a distance beyond the rim, cells, and the field's strength there.
+    ``landing`` (2, k) holds radii relative to the pupil's and the largest landing distance of rays
+    from them. See `antialiased_pupil.rim_of`.
     """
     cells = 0.5 * period
     base = 2.0 * _leak(reach / period, width) / max(math.pi * reach, 1.0) * edges
@@ -254,9 +260,10 @@ def rim_errors(distance, period, reach, edges, zones, landing, width, out):
 
 @njit(cache=True)
 def least_period(least, widest, light, goal, distance, reach, edges, zones, landing, width):
-    """Period whose `rim_errors` change the ``light`` by less than ``goal``, to a hundredth.
+    """Find the smallest period, within 1 %, whose `rim_errors` change the intensity by < ``goal``.
 
-    From ``least`` on; the ``widest`` where none does.
+    ``light`` is the field's envelope at the distances. The search runs from ``least`` to
+    ``widest``, which is returned if no period suffices.
     """
     error = np.empty_like(distance)
     low, high, period = least, widest, least
@@ -273,10 +280,10 @@ def least_period(least, widest, light, goal, distance, reach, edges, zones, land
 
 @njit(cache=True)
 def block_maxima(intensity, first, pitch, strongest, far):
-    """Fill ``strongest`` and ``far`` (blocks, blocks) with the most of each block of an image.
+    """Fill ``strongest`` (blocks, blocks) with the largest intensity in each block of an image.
 
-    ``far`` is the distance from [0, 0] of its farthest sample, ``first`` (x, y) the place of the
-    first one.
+    ``far`` (blocks, blocks) is the largest distance of a block's samples from the origin, where
+    ``first`` (x, y) is the position of the sample [0, 0].
     """
     ny, nx = intensity.shape
     down, along = strongest.shape
@@ -286,7 +293,7 @@ def block_maxima(intensity, first, pitch, strongest, far):
         y = max(abs(first[1] + top * pitch), abs(first[1] + bottom * pitch))
         line[:] = 0.0
         for row in range(top, bottom + 1):
-            for column in range(nx):  # whole rows at once, so that the loop keeps vectors
+            for column in range(nx):  # over whole rows, so that the compiler vectorises the loop
                 value = intensity[row, column]
                 line[column] = value if value > line[column] else line[column]
         for j in range(along):

@@ -1,4 +1,4 @@
-"""Sums over pupil nodes and rays into the image."""
+"""Compiled kernels of the Airy pattern, the spherical-wave sum and the ray density."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...kernels.parallel import threaded
 
 @njit(cache=True)
 def _disc(v, steps, table):
-    """2 J1(v)/v by the Taylor series about the nearest of ``steps`` points a radian."""
+    """Return 2 J1(v)/v by the Taylor series about the nearest of ``steps`` points per radian."""
     row = int(v * steps + 0.5)
     t = v - row / steps
     value = table[row, table.shape[1] - 1]
@@ -22,7 +22,10 @@ def _disc(v, steps, table):
 
 @njit(cache=True)
 def airy_quarter(pitch, obscuration, steps, table, out):
-    """Fill ``out`` (n, n) with the intensity about the peak, at [0, 0], ``pitch`` rad a sample."""
+    """Fill ``out`` (n, n) with the Airy intensity of a quadrant, its peak at [0, 0].
+
+    ``pitch`` is the step in v, rad, per sample.
+    """
     n = out.shape[0]
     share = obscuration * obscuration
     for j in range(n):
@@ -37,7 +40,7 @@ def airy_quarter(pitch, obscuration, steps, table, out):
 
 @njit(cache=True)
 def mirrored(quarter, row, column, out):
-    """Fill ``out`` with a quarter of the plane and its reflections, its corner at a sample."""
+    """Fill ``out`` with a quadrant and its reflections about the sample [row, column]."""
     for j in range(out.shape[0]):
         line, source = out[j], quarter[abs(j - row)]
         for i in range(column):
@@ -50,9 +53,9 @@ def mirrored(quarter, row, column, out):
 def huygens_field(points, u, v, w, path, size, distance, wavenumber, curved, out):
     """Fill ``out`` (n, 2) with the real and imaginary field at points (n, 3), m.
 
-    Each node (u, v, w) sends ``size exp(ik path)`` as a spherical wave of amplitude 1/r whose
-    phase is counted from the point (0, 0, distance). Every point adds its nodes in order, so that
-    the sums do not depend on the threads.
+    Each node (u, v, w) emits ``size exp(ik path)`` as a spherical wave of amplitude 1/r. Its phase
+    is relative to that at the point (0, 0, distance). Each point sums its nodes in order, so that
+    the result does not depend on the number of threads.
     """
     side = math.copysign(1.0, distance)
     for i in prange(points.shape[0]):
@@ -63,11 +66,11 @@ def huygens_field(points, u, v, w, path, size, distance, wavenumber, curved, out
             r = math.sqrt(a * a + b * b + e * e)
             f = distance - w[j]
             c = math.sqrt(u[j] * u[j] + v[j] * v[j] + f * f)
-            # r - c as (r^2 - c^2)/(r + c), the squares' common part left out
+            # r - c as (r^2 - c^2)/(r + c), with the common terms of the squares cancelled exactly
             along = (z - distance) * (e + f)
             longer = (x * (x - 2.0 * u[j]) + y * (y - 2.0 * v[j]) + along) / (r + c)
             phase = wavenumber * (path[j] + side * longer)
-            # obliquity: about the axis on the plane, toward the reference point on the sphere
+            # obliquity: cosine to the axis for the plane, to the sphere's radius for the sphere
             strength = size[j] / r
             if curved:
                 strength *= abs(e * f - a * u[j] - b * v[j]) / (r * c)
@@ -80,9 +83,10 @@ def huygens_field(points, u, v, w, path, size, distance, wavenumber, curved, out
 
 @njit(cache=True)
 def splat(x, y, width_x, width_y, energy, out):
-    """Add boxes to the pixels ``out`` (ny, nx) in shares of their area, what is outside left out.
+    """Distribute the energy of boxes over the pixels ``out`` (ny, nx) by overlap area.
 
-    Coordinates and widths (n,) are in pixels, pixel [0, 0] reaching from 0 to 1.
+    Coordinates and widths (n,) are in pixels; pixel [0, 0] extends from 0 to 1. Parts of a box
+    outside the image are dropped.
     """
     ny, nx = out.shape
     for i in range(x.shape[0]):
@@ -93,7 +97,7 @@ def splat(x, y, width_x, width_y, energy, out):
         first_row, last_row = max(0, int(math.floor(low))), min(ny - 1, int(math.floor(low + wy)))
         first, last = max(0, int(math.floor(left))), min(nx - 1, int(math.floor(left + wx)))
         for row in range(first_row, last_row + 1):
-            # differences of one rising function, so that the shares add up to 1
+            # differences of one monotonic function, so that the fractions add up to 1
             above = min(1.0, max(0.0, (row + 1 - low) / wy))
             below = min(1.0, max(0.0, (row - low) / wy))
             strength = energy[i] * (above - below)

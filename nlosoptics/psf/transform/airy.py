@@ -1,4 +1,4 @@
-"""Closed form of a round or annular pupil without aberration."""
+"""Airy pattern: closed form for a round or annular pupil without aberration."""
 
 from __future__ import annotations
 
@@ -16,22 +16,25 @@ from ..window.window import Window
 
 Array = NDArray[np.float64]
 
-#: Points a radian and terms of the Taylor series kept of the radial function: 4e-17 left out.
+#: Expansion points per radian and terms of the table of Taylor series: truncation error 4e-17.
 STEPS, TERMS = 8.0, 9
-#: Farthest from the peak that they are kept, rad of v, 1.2 MB.
+#: Largest radius in the table, in units of v, rad; the table then takes 1.2 MB.
 FAR = 2048
-#: Phase from peak to valley, rad, from which the mean says nothing of use.
+#: Phase, rad peak to valley, above which the error bound is not evaluated, as it would be useless.
 STEEP = 5.0
 
 
 def disc_field(v: Array) -> Array:
-    """2 J1(v)/v, 1 at v = 0 (Born & Wolf, sec. 8.5.2)."""
-    safe = np.maximum(np.abs(v), 1e-8)  # below, it is 1 to the last bit
+    """Return ``2 J1(v)/v``, 1 at v = 0 (Born & Wolf, sec. 8.5.2)."""
+    safe = np.maximum(np.abs(v), 1e-8)  # avoids 0/0; below 1e-8 the value is 1 to the last bit
     return np.asarray(2 * scipy.special.j1(safe) / safe)
 
 
 def annulus_field(v: Array, obscuration: float = 0.0) -> Array:
-    """The same for an annulus, v = pi r/(lambda N) of the outer rim."""
+    """Return the image field of an annular pupil, 1 at v = 0.
+
+    ``v = pi r/(lambda N)`` with N of the outer rim; ``obscuration`` is the ratio of the radii.
+    """
     if obscuration == 0.0:
         return disc_field(v)
     share = obscuration**2
@@ -39,14 +42,17 @@ def annulus_field(v: Array, obscuration: float = 0.0) -> Array:
 
 
 def field(residual: Residual, window: Window) -> Array:
-    """Image field of the clear pupil, at the place where the tilt puts it; 1 at its peak."""
+    """Return the image field (ny, nx) without aberration, shifted by the tilt; 1 at its peak."""
     x, y = window.x - residual.shift[0], window.y - residual.shift[1]
     v = np.hypot(y[:, None], x) * (math.pi / residual.airy_unit)
     return annulus_field(v, residual.wavefront.obscuration)
 
 
 def intensity(residual: Residual, window: Window) -> Array:
-    """Its square; where its place is a sample, an eighth of the plane by a table gives the rest."""
+    """Return the image intensity (ny, nx) without aberration, shifted by the tilt; peak 1.
+
+    If the peak lies on a sample, one octant is computed from a table and reflected.
+    """
     middles = [
         (shift - first) / window.pitch
         for first, shift in zip(window.first, residual.shift, strict=True)
@@ -57,7 +63,7 @@ def intensity(residual: Residual, window: Window) -> Array:
     side = max(i, nx - i, j, ny - j) + 1
     pitch = math.pi * window.pitch / residual.airy_unit
     far = math.sqrt(2) * side * pitch
-    # of a long window or one with the place near its rim the eighth is more than the whole
+    # For a long window, or a peak near its edge, the quadrant has more samples than the window.
     apart = off > 1e-13 * (nx + ny) or not (0 <= i < nx and 0 <= j < ny)
     if apart or far > FAR or side**2 > nx * ny:
         return np.square(field(residual, window))
@@ -73,9 +79,9 @@ def intensity(residual: Residual, window: Window) -> Array:
 
 @lru_cache(maxsize=8)
 def _table(far: int) -> Array:
-    """Taylor series of `disc_field` about ``STEPS`` points a radian, up to ``far`` and one more.
+    """Return the read-only table of Taylor series of `disc_field` about points up to ``far``.
 
-    Its terms follow from the differential equation v f'' + 3 f' + v f = 0, read-only.
+    Higher terms follow from the differential equation v f'' + 3 f' + v f = 0.
     """
     v = np.arange(int(STEPS) * far + 2) / STEPS
     table = np.zeros((v.size, TERMS))
@@ -91,10 +97,11 @@ def _table(far: int) -> Array:
 
 
 def error_bound(residual: Residual) -> float:
-    """Upper bound of max |dI|/max I when the pupil function is replaced by its mean.
+    """Bound max |dI|/max I for replacing the pupil function by its mean; infinite if not useful.
 
-    With c the mean of P = A exp(ikW) and delta the mean of |P/c - 1|, the fields, c apart, differ
-    by at most delta of the ideal peak; the energy normalisation changes by s = |c|^2/mean A^2.
+    Let c be the mean of P = A exp(ikW) and delta the mean of |P/c - 1|. Up to the factor c, the
+    fields differ by at most delta times the ideal peak. The energy normalisation changes by
+    s = |c|^2/mean A^2.
     """
     wave = residual.wavefront
     if wave.layout != "polar":

@@ -1,8 +1,9 @@
-"""Images of polynomial waves on softened grids, by two ways to transform them.
+"""Images of polynomial waves from grids with softened rims, by FFT or by matrix products.
 
-Fast transforms padded to a period of whole samples; or, for a pupil of few cells, products with
-cosines and sines. A matrix transform to points that lie the same on either side of the middle, of
-cells that do so too, is a product of even and one of odd parts: a quarter of the work.
+`padded_image` uses FFTs padded to a period of a whole number of samples. `folded_image` uses
+products with cosines and sines, which is faster for a pupil of few cells. Its cells and its image
+points are both symmetric about their centres, so the transform separates into even and odd parts
+with a quarter of the operations.
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ from .antialiased_pupil import SoftWave
 
 Array = NDArray[np.float64]
 
-#: Field error of single precision: 1e-7 measured.
+#: Bound of the field error of single precision; 1e-7 was measured.
 SINGLE_ERROR = 1e-6
-#: Table points of a softened rim per cell: six of them interpolate it to 2e-15.
+#: Points per cell in the table of a softened rim; six-point interpolation then has error 2e-15.
 STEPS = 256
-#: Largest array that is kept for the next call.
+#: Largest workspace array that is kept for the next call, bytes.
 WORKSPACE_BYTES = 2**22
-#: Memory of a block of columns, few enough to stay in the cache.
+#: Memory of a block of columns, bytes, small enough for the processor's cache.
 BLOCK_BYTES = 2**19
-#: Multiplications of a block of a product: below what OpenBLAS shares among threads, so that their
-#: number changes no bit.
+#: Multiplications per block of a product. OpenBLAS shares larger products among threads, and the
+#: rounding would then depend on their number.
 BLOCK_PRODUCT = 2**18
 
 _own = threading.local()
@@ -44,16 +45,16 @@ _own = threading.local()
 
 @dataclass(frozen=True)
 class Grid:
-    """Cells of a softened pupil and what they repeat.
+    """Pupil grid with softened rims.
 
     Parameters
     ----------
     period : float
-        Of the image, m.
+        Period of the image, m.
     radius : float
-        Of the pupil, cells.
+        Radius of the pupil, cells.
     single : bool
-        Whether to transform in single precision, and to soften the rim over fewer cells.
+        Whether to use single precision and to soften the rim over fewer cells.
     """
 
     period: float
@@ -62,56 +63,60 @@ class Grid:
 
     @property
     def reach(self) -> int:
-        """Cells on either side of the rim over which it is softened."""
+        """Half width of the softened rim, cells."""
         return antialiased_disc.SHORT_REACH if self.single else antialiased_disc.REACH
 
     @property
     def centre(self) -> int:
-        """Cells on either side of the middle one, the softened rim among them."""
+        """Number of cells on either side of the middle one, including the softened rim."""
         return math.ceil(self.radius) + self.reach
 
     @property
     def kind(self) -> np.dtype[Any]:
-        """Type of the pupil's values."""
+        """Complex dtype of the pupil's values."""
         return np.dtype("c8" if self.single else "c16")
 
     @property
     def error(self) -> float:
-        """Field error for the rim's cut and the rounding of single precision."""
+        """Bound of the field error due to the truncated rim and to single precision."""
         return antialiased_disc.cut(self.radius, self.reach) + (
             SINGLE_ERROR if self.single else 0.0
         )
 
 
 def padded(residual: Residual, samples: Window, period: float, single: bool) -> Grid:
-    """Grid whose period is a fast number of samples and no less than the given, Airy units."""
+    """Return the grid for FFTs: a period of at least ``period``, Airy units, and of fast size."""
     unit = residual.airy_unit
-    # multiples of four are transformed fastest
+    # sizes that are multiples of four are the fastest
     size = 4 * int(ducc0.fft.good_size(math.ceil(period * unit / samples.pitch / 4)))
     return Grid(size * samples.pitch, size * samples.pitch / (2 * unit), single)
 
 
 def whole(residual: Residual, period: float, single: bool) -> Grid:
-    """Grid of whole cells in the radius, whose softened rim is then often at hand."""
+    """Return the grid for matrix products, with a whole number of cells per radius.
+
+    Calls with different periods then often share the cached table of the rim.
+    """
     cells = math.ceil(period / 2)
     return Grid(2 * cells * residual.airy_unit, cells, single)
 
 
 def padded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
-    """Peak memory of `padded_image`: columns, and rows of the image averaged over pixels."""
+    """Return the peak memory of `padded_image`, bytes."""
     size = round(grid.period / samples.pitch)
     rows = min(size, 2 * grid.centre + 1)
     return _image_bytes(samples, rule) + float(grid.kind.itemsize) * rows * size
 
 
 def folded_bytes(samples: Window, grid: Grid, rule: PixelRule | None) -> float:
-    """The same of `folded_image`."""
+    """Return the peak memory of `folded_image`, bytes."""
     rows, (ny, nx) = 2 * grid.centre + 1, samples.shape
     cells = rows * (rows + 2 * nx) + (ny + nx) * grid.centre
     return _image_bytes(samples, rule) + float(grid.kind.itemsize) * cells
 
 
 def _image_bytes(samples: Window, rule: PixelRule | None) -> float:
+    """Return the memory of the image, bytes, with a constant for tables and workspaces."""
     ny, nx = samples.shape
     return 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor) + 2**26
 
@@ -123,7 +128,26 @@ def padded_image(
     grid: Grid,
     rule: PixelRule | None,
 ) -> Array:
-    """Image intensity in a window, 1 at the ideal peak, by fast transforms."""
+    """Compute the image of a polynomial wave by padded FFTs.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave, for the pupil and the tilt's shift.
+    wave : SoftWave
+        Its polynomials.
+    samples : Window
+        Image points, finer than the pixels if a rule is given.
+    grid : Grid
+        Result of `padded`.
+    rule : PixelRule or None
+        Average over pixels; None for point samples.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+        Intensity, 1 at the ideal peak.
+    """
     size = round(grid.period / samples.pitch)
     rows = min(size, 2 * grid.centre + 1)
     fits_memory(
@@ -131,7 +155,7 @@ def padded_image(
         padded_bytes(samples, grid, rule),
         "use a smaller shape",
     )
-    # Rows are u, so that the second transform gives rows of the image.
+    # Rows are u, so that the second transform yields rows of the image.
     values = _workspace("values", (rows, size), grid.kind)
     values[...] = 0.0
     total = _fill(values[:, :rows], residual, wave, samples, grid, (0.0, 0.0))
@@ -147,7 +171,26 @@ def folded_image(
     grid: Grid,
     rule: PixelRule | None,
 ) -> Array:
-    """The same by products with cosines and sines."""
+    """Compute the image of a polynomial wave by products with cosines and sines.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave, for the pupil and the tilt's shift.
+    wave : SoftWave
+        Its polynomials.
+    samples : Window
+        Image points, finer than the pixels if a rule is given.
+    grid : Grid
+        Result of `whole`.
+    rule : PixelRule or None
+        Average over pixels; None for point samples.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+        Intensity, 1 at the ideal peak.
+    """
     from . import _antialiased_kernels
 
     ny, nx = samples.shape
@@ -189,11 +232,11 @@ def _unfolded(
     rule: PixelRule | None,
     scale: float,
 ) -> Array:
-    """``scale`` |transform|^2 of folded columns (c + 1, nx) and (c, nx) to ``ny`` rows."""
+    """Transform folded columns (c + 1, nx) and (c, nx) to ``ny`` rows; return ``scale |.|^2``."""
     from . import _antialiased_kernels
 
     nx = even.shape[1]
-    # rows are averaged along as they come: the fine image need not fit the memory
+    # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
     across = nx if rule is None else rule.count(nx)
     half = np.empty((ny, across))
     blocks = _blocks((ny + 1) // 2, nx, len(odd))
@@ -221,9 +264,9 @@ def _unfolded(
 def _waves(
     count: int, centre: int, step: float, kind: np.dtype[Any]
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Cosines ((count + 1) // 2, centre + 1) and sines (.., centre) of half a row's points.
+    """Return cosines ((count + 1)//2, centre + 1) and sines (.., centre) for half of the points.
 
-    ``step``, turns from point to point and cell to cell; negative for sines of the other sign.
+    ``step`` is the phase in turns per point and cell, signed as the image distance.
     """
     from . import _antialiased_kernels
 
@@ -235,7 +278,7 @@ def _waves(
 
 
 def _blocks(rows: int, columns: int, inner: int) -> list[tuple[int, int]]:
-    """Rows of a product of complex columns, `BLOCK_PRODUCT` multiplications at a time."""
+    """Divide the rows of a product into blocks of at most `BLOCK_PRODUCT` multiplications."""
     step = max(1, BLOCK_PRODUCT // (2 * columns * (inner + 1)))
     return [(start, min(start + step, rows)) for start in range(0, rows, step)]
 
@@ -248,9 +291,10 @@ def _fill(
     grid: Grid,
     origin: tuple[float, float],
 ) -> float:
-    """Add the pupil to ``values``, its middle cell `Grid.centre`, and return its sum.
+    """Add the pupil function to ``values`` and return the sum of its amplitude.
 
-    The image's sample ``origin`` (row, column) becomes the transform's 0.
+    The middle cell is `Grid.centre` on both axes. A linear phase moves the image sample ``origin``
+    (row, column) to frequency 0 of the transform.
     """
     from . import _antialiased_kernels
 
@@ -290,10 +334,10 @@ def _padded_intensity(
     rule: PixelRule | None,
     scale: float,
 ) -> Array:
-    """``scale`` |transform|^2 of columns (u) as long as the period, of rows (v) padded to the same.
+    """Transform ``values`` (u, v) along both axes and return ``scale |.|^2`` of the first samples.
 
-    The first samples of the given shape, averaged over pixels when a rule is given; ``values`` is
-    overwritten.
+    Rows of ``values`` are as long as the period; the other axis is padded to it. The result has
+    the given shape, or that of the pixels if a rule is given. ``values`` is overwritten.
     """
     from . import _antialiased_kernels
 
@@ -301,7 +345,7 @@ def _padded_intensity(
     ny, nx = shape
     ducc0.fft.c2c(values, axes=(1,), forward=forward, out=values, nthreads=1)
     step = max(8, BLOCK_BYTES // (16 * size))
-    # rows are averaged along as they come: the fine image need not fit the memory
+    # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
     across = nx if rule is None else rule.count(nx)
     half = np.empty((ny, across))
     energy = np.empty((0 if rule is None else step, nx))
@@ -321,7 +365,10 @@ def _padded_intensity(
 
 @lru_cache(maxsize=16)
 def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
-    """Where a softened rim begins and ends, cells, and its values, two points wider each way."""
+    """Return the inner and outer radius of a softened rim, cells, and the table of its values.
+
+    The table extends two points beyond both radii.
+    """
     disc = antialiased_disc.SoftDisc(radius, reach)
     r = np.abs(disc.low + (np.arange(math.ceil((disc.high - disc.low) * STEPS) + 6) - 2) / STEPS)
     place = (2 * r - disc.low - disc.high) / (disc.high - disc.low)
@@ -331,7 +378,7 @@ def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
 
 
 def _workspace(name: str, shape: tuple[int, int], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Array of a thread's own, kept for the next call if small: new pages cost another pass."""
+    """Return a thread-local array, reused by later calls if small, which saves page faults."""
     need = shape[0] * shape[1] * kind.itemsize
     if need > WORKSPACE_BYTES:
         return np.empty(shape, dtype=kind)

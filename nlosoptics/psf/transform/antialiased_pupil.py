@@ -1,8 +1,8 @@
-"""Polar waves whose aberration and amplitude are polynomials, and what a softened grid errs by.
+"""Polynomial form of polar waves, and error bounds for sampling them on a grid with soft rims.
 
-A polynomial goes on smoothly beyond the rim, so that a rim softened for the grid
-(`antialiased_disc`) leaves no error but the far tails of its kernel, and the pupil costs a few
-nanoseconds a cell. `antialiased_fft` transforms it.
+A polynomial continues smoothly beyond the rim. With a rim softened for the grid
+(`antialiased_disc`), the only error is therefore that of the kernel's far tails, and evaluating the
+pupil takes a few nanoseconds per cell. `antialiased_fft` transforms it.
 """
 
 from __future__ import annotations
@@ -20,47 +20,48 @@ from ..window import antialiased_disc, error_bounds
 from ..window.window import Window
 
 Array = NDArray[np.float64]
-#: What `_antialiased_kernels.rim_errors` takes of a wave, see `rim_of`.
+#: Arguments of `_antialiased_kernels.rim_errors` that depend on the wave, see `rim_of`.
 Rim = tuple[float, float, Array, Array, float]
 
-#: Highest degree taken; beyond, a polynomial swings too wildly outside the rim.
+#: Highest degree used; polynomials of higher degree grow too fast outside the rim.
 DEGREE = 10
 #: Largest relative amplitude variation for which this method is used.
 UNEVEN = 0.3
-#: Least ``tol`` for single precision and its short rims.
+#: Smallest ``tol`` for which single precision and shorter soft rims are used.
 SINGLE = 1e-4
-#: Shares of a window's reach at which errors are looked up.
+#: Distances, relative to the window's reach, at which the error is evaluated.
 RINGS = np.linspace(0.0, 1.0, 17)
-#: Cells beyond the rim, and radii and angles of circles, at which slopes are looked up there.
+#: Distances outside the rim, cells, at which leakage is evaluated.
 BEYOND = np.arange(1.5, antialiased_disc.REACH, 3.0)
-#: The same, and the share of a ray's light there, times cells a radius.
+#: Rows (distance, strength): each `BEYOND`, and the leakage from there times cells per radius.
 ZONES = np.stack(
     [BEYOND, 6.0 * np.exp(-((math.pi * antialiased_disc.STEP * BEYOND) ** 2)) / (math.pi * BEYOND)],
     axis=1,
 )
+#: Radii, relative to the pupil's, and number of angles at which slopes are evaluated.
 CIRCLES = np.concatenate([np.linspace(1.0, 1.5, 11), [1.75, 2.0, 3.0, 5.0]])
 SPOKES = 24
 COSINE, SINE = (wave(2 * math.pi * np.arange(SPOKES) / SPOKES) for wave in (np.cos, np.sin))
-#: Blocks a side of a window of which the strongest and the farthest samples are looked up.
+#: Blocks per side of a window, in each of which the error is bounded separately.
 BLOCKS = 8
-#: Share of ``tol`` that a period is chosen for: what it leaves is only known with the image.
+#: Fraction of ``tol`` for which the period is chosen, a margin since the peak is only predicted.
 AIM = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class SoftWave:
-    """A wave as polynomials of u/R and v/R, ``sum c[i, j] (u/R)^i (v/R)^j``.
+    """Wave as polynomials of u/R and v/R, ``sum c[i, j] (u/R)^i (v/R)^j``.
 
     Parameters
     ----------
-    aberration : ndarray
-        m.
-    amplitude : ndarray
-        Relative to the largest; of no terms where it is the same everywhere.
+    aberration : ndarray, (n, n)
+        Coefficients, m.
+    amplitude : ndarray, (m, m)
+        Coefficients, relative to the largest amplitude; (0, 0) for a uniform amplitude.
     misfit : float
-        Largest error of the pupil function at a node, over the largest amplitude.
+        Largest error of the pupil function at a node, relative to the largest amplitude.
     strength : float
-        Bound of the amplitude at the rims over its mean.
+        Bound of the amplitude at the rims, relative to its mean.
     """
 
     aberration: Array
@@ -70,10 +71,10 @@ class SoftWave:
 
 
 def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
-    """Polynomials of a polar wave without its piston and tilt.
+    """Fit polynomials to a polar wave without piston and tilt.
 
-    None for a wave that is not polar, whose amplitude varies by more than `UNEVEN`, or of too high
-    a degree for an intensity error of ``tol``.
+    Returns None if the wave is not polar, its amplitude varies by more than `UNEVEN`, or an
+    intensity error of ``tol`` would need a degree above `DEGREE`.
     """
     wave = residual.wavefront
     if wave.layout != "polar":
@@ -97,7 +98,8 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     even = _polynomial(series, amplitude, wave.obscuration, max(1e-3 * tol, 1e-14))
     if even is None:
         return None
-    # the nodes' range, as far again beyond it, over a mean that is no less than its low end
+    # Amplitudes lie in [1 - UNEVEN, 1] at the nodes. Outside, allow as much again above 1; the
+    # mean is at least 1 - UNEVEN.
     strength = (1 + UNEVEN) / (1 - UNEVEN)
     return SoftWave(fit[0], even[0], misfit + even[1], strength)
 
@@ -105,9 +107,10 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
 def _polynomial(
     series: PolarSpectrum, values: Array, obscuration: float, threshold: float
 ) -> tuple[Array, float] | None:
-    """Powers of values on polar nodes and the most they err by; None where the degree is too high.
+    """Fit a polynomial to values on polar nodes; return its coefficients and largest error.
 
-    ``series`` tells the degree, by its terms above the threshold.
+    The degree is that of the terms of ``series`` above the threshold. Returns None if it exceeds
+    `DEGREE`.
     """
     radial, angular = series.degrees(threshold)
     degree = max(2 * radial + 1, angular)
@@ -115,15 +118,15 @@ def _polynomial(
 
 
 def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> float:
-    """Period, Airy units, that is expected to leave an error of `AIM` times ``tol``.
+    """Return the image period, Airy units, with a predicted error of `AIM` times ``tol``.
 
-    The widest that is of any use where none does.
+    If no period reaches that error, the largest useful one is returned.
     """
     from . import _antialiased_kernels
 
     unit, reach = residual.airy_unit, residual.rays.reach / residual.airy_unit
     far = RINGS * (math.hypot(*samples.reach_from(residual.shift)) / unit)
-    # The spot's peak by its rms aberration or its spread, and what is left of it farther out.
+    # Peak predicted from the rms aberration or the ray density; envelope of the field beyond it.
     rms = residual.heights.rms * residual.wavenumber
     peak = max(math.exp(-(rms**2)), _densest(residual) * 4 / math.pi * unit**2)
     light = np.minimum(math.sqrt(peak), error_bounds.tail(np.maximum(far - reach, 0.0)))
@@ -134,7 +137,7 @@ def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> floa
 
 
 def _densest(residual: Residual) -> float:
-    """Largest density of the rays, 1/m^2, in bins of a tenth of their reach."""
+    """Return the largest ray density, 1/m^2, in bins of a tenth of the rays' reach."""
     from . import _antialiased_kernels
 
     rays, unit = residual.rays, residual.airy_unit
@@ -144,10 +147,11 @@ def _densest(residual: Residual) -> float:
 
 
 def rim_of(residual: Residual, wave: SoftWave) -> Rim:
-    """Return the inputs of `_antialiased_kernels.rim_errors` for a wave, in Airy units.
+    """Return the wave's arguments of `_antialiased_kernels.rim_errors`, in Airy units.
 
-    To the error of the rim is added what leaks from beyond it, where a polynomial is steeper and
-    the softened rim, its kernel cut at each of `BEYOND`, is weaker.
+    These are: the reach of the rays; the rims' length over the pupil's area, relative to a clear
+    disc, times `SoftWave.strength`; `ZONES`; the landing distance of rays from outside the rim,
+    where a polynomial is steeper; the width of the kernel's step.
     """
     from ..wave import _wave_kernels
 
@@ -156,15 +160,15 @@ def rim_of(residual: Residual, wave: SoftWave) -> Rim:
     _wave_kernels.slopes(wave.aberration, CIRCLES, COSINE, SINE, du, dv)
     steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
     landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
-    # length of both rims over area
+    # total length of both rims over the pupil's area, relative to a clear disc
     edges = wave.strength / (1 - pupil.obscuration)
     return residual.rays.reach / residual.airy_unit, edges, ZONES, landing, antialiased_disc.STEP
 
 
 def _field_error(residual: Residual, rim: Rim, distance: Array, period: float) -> Array:
-    """Bound of the field's error up to each of the rising distances from the tilt's point, m.
+    """Bound the field error within increasing distances, m, from the tilt's shift.
 
-    What the cut of the kernel adds is known to the grid.
+    The error of truncating the kernel is not included, see `antialiased_fft.Grid.error`.
     """
     from . import _antialiased_kernels
 
@@ -177,9 +181,27 @@ def _field_error(residual: Residual, rim: Rim, distance: Array, period: float) -
 def block_errors(
     residual: Residual, rim: Rim, window: Window, intensity: Array, period: float, half: float
 ) -> tuple[Array, Array]:
-    """Largest intensity and bound of the field's error in blocks of a window, of one shape.
+    """Return the largest intensity and a bound of the field error in each block of a window.
 
-    ``half`` is half a pixel's side, m, whose far edge errs the most; 0 for points.
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    rim : Rim
+        From `rim_of`.
+    window : Window
+        Image points.
+    intensity : ndarray, (ny, nx)
+        Image in the window.
+    period : float
+        Image period, m.
+    half : float
+        Half a pixel's side, m, since the error is largest at the far edge; 0 for points.
+
+    Returns
+    -------
+    strongest, error : ndarray, (blocks, blocks)
+        At most `BLOCKS` per side.
     """
     from . import _antialiased_kernels
 

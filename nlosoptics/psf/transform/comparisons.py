@@ -1,4 +1,4 @@
-"""All transforms of one wave side by side."""
+"""Comparison of all PSF transforms for one wave."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ from .point_spread import METHODS, PointSpread, _sampling, point_spread
 
 @dataclass(frozen=True, kw_only=True)
 class ComparisonRow:
-    """One transform.
+    """Row of a `Comparison`: run time and error of one method.
 
     Parameters
     ----------
     method : str
+        Name of the method in `point_spread`.
     seconds : float or None
-        Least of the runs; None where it did not run, as the other numbers.
+        Shortest run time. All figures are None if the method did not run.
     error_estimate : float or None
-        As of `PointSpread`.
+        Bound of max |dI|/max I that the method reports.
     difference : float or None
-        max |dI|/max I against the row of the least estimate, ``huygens`` left out, 0 for that row.
+        max |dI|/max I against the row `Comparison.best`; 0 for that row.
     reason : str
-        Why it did not run.
+        Why the method did not run; empty if it ran.
     """
 
     method: str
@@ -43,16 +44,17 @@ class ComparisonRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Table of transforms of one wave on one window; ``str`` draws it.
+    """Table of all methods for one wave and one window; ``str`` formats it.
 
     Parameters
     ----------
     rows : tuple of ComparisonRow
+        One row per method.
     best : str
-        Method of the least error estimate, empty where none ran; ``huygens`` only where it is
-        alone, since its model is not paraxial.
+        Method with the smallest error estimate; empty if none ran. It is ``huygens`` only if no
+        other method ran, since its model is not paraxial.
     pitch : float
-        m.
+        Image sampling or pixel side, m.
     shape : (int, int)
         (ny, nx).
     """
@@ -89,23 +91,41 @@ def compare(
     repeats: int = 1,
     longest: float = 60.0,
 ) -> Comparison:
-    """Run every transform of a wave and say how long it took and how they differ.
+    """Run every PSF transform on a wave and compare run times and results.
 
     Parameters
     ----------
     wavefront : Wavefront
+        Wave in the exit pupil.
     tol : float
-        As of `point_spread`.
+        Error that methods aim at, max |dI|/max I; see `point_spread`.
     pitch, shape, pixel_integrated
-        As of `point_spread`; by default those of ``fft`` for a grid wavefront, for all.
+        Options of `point_spread`, the same for all methods. Defaults are those of ``fft``.
     repeats : int
-        Runs of each, of which the fastest counts; the first may hold compilation.
+        Runs of each method; the shortest time counts. The first run may include compilation.
     longest : float
-        Seconds beyond which ``huygens`` is left out, by its own prediction.
+        Predicted seconds beyond which ``huygens`` is skipped.
 
     Returns
     -------
     Comparison
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range.
+    SamplingError
+        If the default window would be too large.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> found = psf.compare(wave, pitch=1.25e-6, shape=9)
+    >>> found.best, [row.method for row in found.rows if row.seconds is None]
+    ('quadrature', ['airy', 'geometric'])
     """
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     repeats = whole("repeats", repeats)
@@ -146,9 +166,9 @@ def _table(
     pitch: float,
     shape: tuple[int, int],
 ) -> Comparison:
-    """Rows in the order of the methods, against the least estimate."""
-    # huygens sums spherical waves, another model: outside the paraxial regime the difference of
-    # the models exceeds the numerical error
+    """Build the table: rows in the order of `METHODS`, differences against the best method."""
+    # huygens sums spherical waves, which is another model. Outside the paraxial regime the
+    # difference of the models exceeds the numerical error.
     alike = [m for m in done if m != "huygens"] or list(done)
     truth = min(alike, key=lambda m: done[m][1].error_estimate, default="")
     rows = []
@@ -171,6 +191,7 @@ def _table(
 
 
 def _huygens_seconds(residual: Residual, pitch: float, shape: tuple[int, int]) -> float:
+    """Predict the seconds of ``huygens`` in the image plane from the corners of the window."""
     window = Window.centred(pitch, shape)
     corners = np.array(
         [

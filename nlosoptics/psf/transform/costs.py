@@ -1,7 +1,7 @@
-"""Seconds that a transform takes on one core, predicted before anything is computed.
+"""Predicted run times of the transforms on one core, s.
 
-Constants are fits to runs on one core of a two-core virtual machine; they order the transforms and
-keep absurd ones from being started, and hold within a factor of about three.
+The constants are fits to runs on one core of a two-core virtual machine. Predictions hold within a
+factor of about three. They order the transforms and prevent runs of excessive length.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from . import quadrature
 from .antialiased_fft import Grid
 from .geometric import MOST_RAYS, most_cells, patch_rays, ray_counts
 
-#: Calls, checks, small arrays and the regime of any transform.
+#: Overhead of any transform, s: calls, checks, small arrays and the wave's regime.
 CALL = 1.2e-3
 
 
 def airy(window: Window) -> float:
-    """Of the closed form: a Bessel function a point."""
+    """Predict the seconds of the closed form, one Bessel function per point."""
     return CALL + 3e-8 * _points(window)
 
 
 def sum_over_nodes(n_nodes: float, window: Window) -> float:
-    """Of a non-uniform transform of ``n_nodes`` to a window."""
+    """Predict the seconds of a non-uniform transform of ``n_nodes`` to a window."""
     return CALL + 1.4e-7 * n_nodes + 3e-8 * _points(window)
 
 
 def polar_sum(residual: Residual, window: Window) -> float:
-    """Of quadrature, its nodes' aberration included."""
+    """Predict the seconds of ``quadrature``, including the aberration at its nodes."""
     return sum_over_nodes(math.prod(quadrature.node_counts(residual, window)), window)
 
 
 def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int) -> float:
-    """Of a polar wave put on a grid of the pupil and padded to ``size``."""
+    """Predict the seconds of a polar wave resampled to a pupil grid and padded to ``size``."""
     n = grid_size(residual.wavefront.pupil_radius, pupil_pitch)
     ny, nx = window.shape
     each = 1.4e-7 if residual.is_uniform else 1.9e-7
@@ -45,37 +45,37 @@ def soft_grid(residual: Residual, window: Window, pupil_pitch: float, size: int)
 
 
 def soft_padded(window: Window, grid: Grid) -> float:
-    """Of a polynomial wave's grid, its cells a few nanoseconds each, by fast transforms."""
+    """Predict the seconds of a polynomial wave on a softened grid by padded FFTs."""
     size = round(grid.period / window.pitch)
     columns = min(size, 2 * grid.centre) + window.shape[1]
     return CALL + 3e-8 * grid.radius**2 + 5e-10 * size * columns * math.log2(size)
 
 
 def soft_folded(window: Window, grid: Grid) -> float:
-    """The same by products with cosines and sines."""
+    """Predict the seconds of a polynomial wave on a softened grid by matrix products."""
     ny, nx = window.shape
     return CALL + 3e-8 * grid.radius**2 + 1.5e-10 * grid.centre * nx * (2 * grid.centre + ny)
 
 
 def map_fft(residual: Residual, window: Window, size: int) -> float:
-    """Of a grid's own samples, padded to ``size``."""
+    """Predict the seconds of the FFT of a grid wavefront padded to ``size``."""
     n = len(residual.wavefront.u)
     return CALL + 3.6e-8 * n * n + 1e-8 * size * (n + window.shape[1])
 
 
 def map_chirp(residual: Residual, window: Window) -> float:
-    """Of a grid's own samples to any pitch."""
+    """Predict the seconds of the chirp transform of a grid wavefront to any pitch."""
     return map_sums(len(residual.wavefront.u), window)
 
 
 def map_sums(n: int, window: Window) -> float:
-    """Predict the seconds of summing a grid of ``n`` cells across to any pitch."""
+    """Predict the seconds of the chirp transform of a grid of ``n`` x ``n`` cells to any pitch."""
     ny, nx = window.shape
     return CALL + 3.6e-8 * n * n + 1.8e-8 * (n * (n + nx) + nx * (n + ny))
 
 
 def scattered_sum(residual: Residual, window: Window) -> float:
-    """Of scattered nodes, and of the same wave on polar nodes that tells their error."""
+    """Predict the seconds of ``nufft`` for scattered nodes, including its error estimate."""
     v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
     v += residual.wavenumber * residual.rays.slope * residual.wavefront.pupil_radius
     nodes = (0.29 * v + 19) * (v + 12 * math.cbrt(v) + 24)
@@ -87,7 +87,7 @@ def scattered_sum(residual: Residual, window: Window) -> float:
 
 
 def rays(residual: Residual, window: Window) -> float:
-    """Of landing rays, twice, the second time in nine parts of half as many each way."""
+    """Predict the seconds of ``geometric``: two passes, the second for the error estimate."""
     if residual.wavefront.layout == "polar":
         n_r, n_theta = ray_counts(residual, window)
         return 3e-3 + 4e-7 * n_r * n_theta
@@ -97,7 +97,7 @@ def rays(residual: Residual, window: Window) -> float:
     if wave.layout == "scattered":
         n_nodes, cells = len(residual.local.indices), most_cells(residual, window)
     else:
-        # their fits take longer than any guess of what they would say
+        # An upper bound without the local fits, which would take longer than the prediction.
         n_nodes = int(np.count_nonzero(wave.amplitude * wave.weights))
         step = 8 * residual.rays.reach / len(wave.u)
         most = math.isqrt(max(1, MOST_RAYS // n_nodes))
@@ -106,9 +106,10 @@ def rays(residual: Residual, window: Window) -> float:
 
 
 def scattered(cells: float, nodes: float, points: float, pixels: float) -> float:
-    """Predict the seconds of scattered light from its cells, nodes, points and pixels."""
+    """Predict the seconds of `rough.scattered_light` from its counts of cells to pixels."""
     return 1.2e-2 + 9e-7 * cells + 6.2e-7 * nodes + 2.4e-7 * points + 5e-7 * pixels
 
 
 def _points(window: Window) -> float:
+    """Return the number of points of a window, as a float that cannot overflow."""
     return float(window.shape[0]) * window.shape[1]

@@ -18,24 +18,24 @@ Array = NDArray[np.float64]
 
 
 def default_size(residual: Residual) -> int:
-    """Padded size at which the image pitch is just below Nyquist's, a fast one."""
+    """Return the smallest fast transform size whose image pitch is at most the Nyquist pitch."""
     samples = 2 * residual.half_width / residual.wavefront.pupil_pitch
     return int(ducc0.fft.good_size(math.ceil(2 * samples - 1e-9)))
 
 
 def image_pitch(residual: Residual, size: int) -> float:
-    """Image pitch of a padded grid wavefront, m."""
+    """Return the image pitch, m, of a grid wavefront padded to ``size``."""
     wave = residual.wavefront
     return wave.wavelength * abs(wave.image_distance) / (size * wave.pupil_pitch)
 
 
 def padded_size(residual: Residual, pitch: float) -> int:
-    """Padded size that gives an image pitch.
+    """Return the padded size that gives an image pitch, m.
 
     Raises
     ------
     SamplingError
-        If the size is not whole.
+        If the size is not a whole number.
     """
     wave = residual.wavefront
     size = wave.wavelength * abs(wave.image_distance) / (pitch * wave.pupil_pitch)
@@ -49,10 +49,10 @@ def padded_size(residual: Residual, pitch: float) -> int:
 
 
 def check_padding(residual: Residual, pitch: float) -> None:
-    """Refuse less than twice the pupil, which an intensity needs."""
+    """Refuse padding to less than twice the pupil, which aliases the intensity."""
     if pitch > residual.nyquist_pitch * (1 + 1e-9):
         raise SamplingError(
-            f"pitch = {pitch:.6g} m is wider than Nyquist's {residual.nyquist_pitch:.6g} m "
+            f"pitch = {pitch:.6g} m is wider than the Nyquist pitch {residual.nyquist_pitch:.6g} m "
             "(padding Q below 2); use a finer pitch, or method='mdft'"
         )
 
@@ -60,10 +60,28 @@ def check_padding(residual: Residual, pitch: float) -> None:
 def intensity_in(
     residual: Residual, grid: PupilGrid, window: Window, size: int, rule: PixelRule | None
 ) -> Array:
-    """Image intensity in a window of the padded transform, 1 at the ideal peak."""
+    """Compute the image intensity in a window, 1 at the ideal peak.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave, for the tilt's shift and the sign of the image distance.
+    grid : PupilGrid
+        Pupil function.
+    window : Window
+        Sample points.
+    size : int
+        Padded transform size.
+    rule : PixelRule or None
+        Average over pixels; None for point samples.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+    """
     passes = []
     for axis, (first, count) in enumerate(zip(window.first, window.shape[::-1], strict=True)):
-        # Whole samples of the shift move the window, the fraction is a ramp on the pupil.
+        # Whole samples of the shift move the window; the fraction is a phase ramp on the pupil.
         start = (first - residual.shift[axis]) / window.pitch
         whole = round(start)
         turns = (start - whole) / size * (np.arange(grid.values.shape[0]) - grid.centre)
@@ -75,12 +93,12 @@ def intensity_in(
 def padded_pass(
     size: int, start: int, count: int, ramp: ComplexArray | None, forward: bool
 ) -> Pass:
-    """Transform of zero-padded rows, up to a phase that the intensity does not see.
+    """Return a function that transforms zero-padded rows, up to a phase factor per sample.
 
-    Samples from ``start`` on, the period continued where the count passes its end; the rows are
-    first multiplied by the ``ramp``.
+    The intensity does not depend on that phase. The rows are first multiplied by ``ramp``. The
+    function returns ``count`` samples from ``start`` on, continued periodically.
     """
-    # Slices, since picking single columns is as slow as the transform.
+    # Slices, since indexing single columns is as slow as the transform.
     pieces, place = [], start % size
     while count > 0:
         pieces.append(slice(place, min(place + count, size)))

@@ -1,8 +1,8 @@
-"""Density of the rays that land in the image, diffraction left out.
+"""Geometric point spread function: density of the rays in the image, without diffraction.
 
-A ray through the pupil point p lands at ``d grad W``. Every small cell of the pupil carries its
-energy to a box about where its ray lands, as wide as the cell's image; where rays cross, boxes pile
-up, and nothing is divided by the Jacobian.
+A ray through the pupil point p lands at ``d grad W``. The pupil is divided into small cells. Each
+cell deposits its energy in a box around the landing point of its ray, as wide as the cell's image.
+Where rays cross, boxes overlap, so that no division by the Jacobian is needed.
 """
 
 from __future__ import annotations
@@ -26,22 +26,30 @@ from ..window.window import Window
 
 Array = NDArray[np.float64]
 
-#: Widths of the blur that stands for diffraction: of sqrt(lambda d^2 W''), of lambda N.
+#: Width of the blur that models diffraction, in units of sqrt(lambda d^2 W'') and of lambda N.
 FRESNEL, AIRY = 1.5, 2.0
-#: Part of the peak pixel that a focused rim may move, times lambda N over the pixel.
+#: Fraction of the peak pixel that diffraction at a focused rim may displace, per lambda N/pitch.
 RIM: Final = 2.0
-#: What the blur changes counts this many times.
+#: Factor from the change due to the blur to the error estimate.
 SAFETY: Final = 2.0
+#: Limits of the rings of a polar mesh, and of all rays from a grid or from scattered nodes.
 MOST_RADII: Final = 700
 MOST_RAYS: Final = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class _Boxes:
-    """Where light lands, all (n,): centres and widths, m, and energy.
+    """Image boxes of the pupil cells.
 
-    ``blur`` (2, 2, n) holds the two directions in which diffraction spreads it, each as (x, y) of
-    the full width, m.
+    Parameters
+    ----------
+    x, y, width_x, width_y : ndarray, (n,)
+        Centres, counted from the tilt's shift, and widths, m.
+    blur : ndarray, (2, 2, n)
+        Widths of the diffraction blur, m, as two vectors along its principal axes; the second
+        index is x or y.
+    energy : ndarray, (n,)
+        Energy in each box, sum 1.
     """
 
     x: Array
@@ -52,7 +60,7 @@ class _Boxes:
     energy: Array
 
     def spread(self) -> Iterator[_Boxes]:
-        """Nine parts of every box, beside each other over the widths of the blur."""
+        """Yield nine copies of the boxes, each of a ninth of the energy, shifted over the blur."""
         part_x, part_y = np.hypot(*self.blur[:, 0]) / 3, np.hypot(*self.blur[:, 1]) / 3
         width_x, width_y = np.hypot(self.width_x, part_x), np.hypot(self.width_y, part_y)
         for a in (-1, 0, 1):
@@ -69,29 +77,37 @@ class _Boxes:
 
 
 def least_error(residual: Residual, pitch: float) -> float:
-    """What the estimate of `density` is at least, without any ray."""
+    """Return a lower bound of the error that `density` estimates, without tracing rays."""
     return RIM * residual.airy_unit / pitch
 
 
 def density(residual: Residual, window: Window) -> tuple[Array, float]:
-    """Share of the light in each pixel of a window, and its error against the wave.
+    """Return the fraction of the ray energy in each pixel, and its error against wave optics.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    window : Window
+        Pixels.
 
     Returns
     -------
     energy : ndarray, (ny, nx)
-        Sum 1 where the window holds every ray.
+        Sum 1 if the window holds every ray.
     error : float
-        Bound of max |dI|/max I: what a blur by the width of diffraction changes, twice, and the
-        light that a rim sends elsewhere.
+        Bound of max |dI|/max I: `SAFETY` times the change due to a blur of the width of
+        diffraction, plus `least_error` for diffraction at the pupil's rim.
 
     Notes
     -----
-    A wave of curvature W'' spreads the edge of a shadow, or a caustic, over about
-    ``sqrt(lambda d^2 W'')``, and any edge over lambda N. Where a rim focuses, as in the middle of
-    a symmetric spot, it adds up to about ``lambda N/pitch`` to a pixel.
+    Diffraction spreads a shadow edge or a caustic of a wave of curvature W'' over about
+    ``sqrt(lambda d^2 W'')``, and any edge over about lambda N. Where diffraction from a rim
+    focuses, as at the centre of a symmetric spot, it contributes up to about ``lambda N/pitch``
+    to a pixel.
     """
     sharp, soft = np.zeros(window.shape), np.zeros(window.shape)
-    # half as many rays for the soft one, so that their number shows too
+    # The blurred image has half as many rays per side, so the change includes their discreteness.
     for boxes in _boxes(residual, window, 1.0):
         _splat(boxes, residual, window, sharp)
     for boxes in _boxes(residual, window, 0.5):
@@ -102,6 +118,7 @@ def density(residual: Residual, window: Window) -> tuple[Array, float]:
 
 
 def _splat(boxes: _Boxes, residual: Residual, window: Window, out: Array) -> None:
+    """Add boxes to the pixels ``out`` (ny, nx) of a window, displaced by the tilt's shift."""
     from . import _transform_kernels
 
     pitch = window.pitch
@@ -118,7 +135,7 @@ def _splat(boxes: _Boxes, residual: Residual, window: Window, out: Array) -> Non
 
 
 def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Boxes of all rays, or of a share of them along each side."""
+    """Yield the boxes of all rays; ``share`` scales the number of rays along each direction."""
     if residual.is_flat:
         return iter([_single_box(residual)])
     if residual.wavefront.layout == "polar":
@@ -127,27 +144,27 @@ def _boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]
         return _cell_boxes(residual, window, share)
     if residual.wavefront.aperture is not None and len(residual.wavefront.aperture.cells) > 1:
         raise SamplingError(
-            "the rays of a grid have slopes between neighbours, which the cells of its aperture "
-            "do not share; sample it with nodes='cells'"
+            "geometric rays need slopes between neighbouring nodes, and this grid's aperture has "
+            f"{len(residual.wavefront.aperture.cells)} separate cells; sample it with nodes='cells'"
         )
     return _local_boxes(residual, window, share)
 
 
 def _single_box(residual: Residual) -> _Boxes:
-    """All light of a wave without aberration, whose rays land in one point."""
+    """Return the box of a wave without aberration, whose rays all land in one point."""
     none = np.zeros(1)
     return _Boxes(none, none, none, none, _blur(residual, none, none, none, 0.0), np.ones(1))
 
 
 def ray_counts(residual: Residual, window: Window, share: float = 1.0) -> tuple[int, int]:
-    """Rings and spokes whose rays land about a quarter of a pixel apart."""
+    """Return how many rings and spokes make neighbouring rays land a quarter pixel apart."""
     n_r = 4 * residual.rays.reach / window.pitch + 64
     n_r = max(residual.series.n_r, math.ceil(share * min(n_r, MOST_RADII)))
     return n_r, max(residual.series.n_theta, 4 * n_r)
 
 
 def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Cells of a fine polar mesh."""
+    """Yield the boxes of the cells of a fine polar mesh."""
     wave = residual.wavefront
     n_r, n_theta = ray_counts(residual, window, share)
     fits_memory(f"{n_r} x {n_theta} rays", 250.0 * n_r * n_theta, "use a wider pitch")
@@ -185,7 +202,7 @@ def _polar_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
 
 
 def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Cells of a fine mesh of every patch."""
+    """Yield the boxes of the cells of a fine mesh on every patch of an aperture."""
     wave, aperture = residual.wavefront, residual.aperture
     n = patch_rays(residual, window, share)
     n_patches = len(residual.aberration)
@@ -220,7 +237,7 @@ def _cell_boxes(residual: Residual, window: Window, share: float) -> Iterator[_B
 
 
 def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
-    """Rays along each side of a patch, about a quarter of a pixel apart."""
+    """Return how many rays per side of a patch make neighbours land a quarter pixel apart."""
     n_patches, *own = residual.aberration.shape
     n = 4 * residual.rays.reach / window.pitch + 64
     wanted = math.ceil(share * min(n, 2 * MOST_RADII / math.sqrt(n_patches)))
@@ -228,7 +245,10 @@ def patch_rays(residual: Residual, window: Window, share: float = 1.0) -> int:
 
 
 def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_Boxes]:
-    """Square cells about the nodes of a grid or of scattered nodes, divided as pixels need."""
+    """Yield the boxes of square cells around grid or scattered nodes, divided to suit the pixels.
+
+    Each yield holds one part of every node's cell.
+    """
     wave, fits = residual.wavefront, residual.local
     weights = wave.weights.ravel()[fits.indices]
     energy = weights * wave.amplitude.ravel()[fits.indices] ** 2
@@ -249,7 +269,7 @@ def _local_boxes(residual: Residual, window: Window, share: float) -> Iterator[_
 
 
 def most_cells(residual: Residual, window: Window, share: float = 1.0) -> int:
-    """Parts along each side of a node's cell, so that rays land half a pixel apart."""
+    """Return how many parts per side of a node's cell make rays land half a pixel apart."""
     wave, fits = residual.wavefront, residual.local
     uu, uv, vv = fits.bends.T
     wide = np.maximum(np.hypot(uu, uv), np.hypot(uv, vv))
@@ -260,7 +280,10 @@ def most_cells(residual: Residual, window: Window, share: float = 1.0) -> int:
 
 
 def _slopes(fits: LocalFits, x: Array, y: Array) -> tuple[Array, Array]:
-    """Gradient of the aberration a step (x, y), in units of each fit's scale, from the nodes."""
+    """Return dW/du and dW/dv (n,) of the local fits at steps (x, y) from their nodes.
+
+    Steps are in units of each fit's scale.
+    """
     one, zero, square = np.ones_like(x), np.zeros_like(x), terms(x, y)
     _, _, _, xx, xy, yy = square[:6]
     along_u = np.stack([zero, one, zero, 2 * x, y, zero, 3 * xx, 2 * xy, yy, zero])
@@ -272,9 +295,10 @@ def _slopes(fits: LocalFits, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _blur(residual: Residual, uu: Array, uv: Array, vv: Array, doubt: Array | float) -> Array:
-    """Widths of diffraction and of what is not known of the slopes, (2, 2, n), m.
+    """Return the widths (2, 2, n), m, of the blur by diffraction and by uncertain slopes.
 
-    Along the two axes of the wave's curvature (uu, uv, vv), 1/m.
+    The blur's axes are those of the wave's curvature (uu, uv, vv), 1/m. ``doubt`` is the error of
+    a landing point due to the error of the slopes, m.
     """
     wave = residual.wavefront
     middle, half = (uu + vv) / 2, np.hypot((uu - vv) / 2, uv)

@@ -1,4 +1,4 @@
-"""Spherical waves from the pupil nodes to points of any image surface."""
+"""Sum of spherical waves from the pupil nodes at points of any image surface."""
 
 from __future__ import annotations
 
@@ -21,30 +21,34 @@ ComplexArray = NDArray[np.complex128]
 SurfaceNormalisation = Literal["ideal-peak", "irradiance"]
 Pupil = Literal["plane", "sphere"]
 
-BRIGHTEST: Final = 32  # points of the error estimate
-SPREAD: Final = 96  # further ones, evenly over all
-STEEPEST: Final = 20_000  # points among which the steepest phase is looked for, about
+#: The error is estimated at the brightest points and about `SPREAD` further ones, spaced evenly.
+BRIGHTEST: Final = 32
+SPREAD: Final = 96
+#: Approximate number of points searched for the steepest phase.
+STEEPEST: Final = 20_000
+#: Relative error due to rounding.
 ROUNDING: Final = 1e-12
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SurfacePointSpread(Noun):
-    """Image of a point on any points in space.
+    """Point spread function at arbitrary points in space.
 
     Parameters
     ----------
     points : ndarray
-        (..., 3), read-only, m, in the pupil's frame: origin at the pupil's centre, x and y along u
-        and v, the image plane at z = ``image_distance``.
+        Read-only, of shape (..., 3), m, in the pupil's frame: origin at the pupil's centre, x and
+        y along u and v, the image plane at z = ``image_distance``.
     intensity : ndarray
-        Of the points' leading shape, read-only.
+        Read-only, of the shape of the points without their last axis.
     normalisation : {"ideal-peak", "irradiance"}
-        What 1 means: the peak without aberration, or all the light that passes the pupil per m^2.
+        Meaning of 1: the peak without aberration, or the energy transmitted by the pupil, per m^2.
     error_estimate : float
-        Bound of max |dI|/max I for lack of pupil nodes.
+        Bound of max |dI|/max I due to the number of pupil nodes.
     wavelength : float
-        m.
+        In vacuum, m.
     f_number : float
+        Working F-number, image distance over pupil diameter.
     """
 
     points: Array
@@ -57,9 +61,16 @@ class SurfacePointSpread(Noun):
 
 @dataclass(frozen=True, eq=False)
 class SurfaceField:
-    """Intensity (n,), 1 at the peak without aberration, and what goes with it.
+    """Intensity at points, its normalisation and its error.
 
-    ``density`` is the share of the transmitted light per m^2 where the intensity is 1.
+    Parameters
+    ----------
+    intensity : ndarray, (n,)
+        1 at the peak without aberration.
+    density : float
+        Fraction of the transmitted energy per m^2 at intensity 1.
+    error : float
+        Bound of max |dI|/max I.
     """
 
     intensity: Array
@@ -69,7 +80,17 @@ class SurfaceField:
 
 @dataclass(frozen=True, eq=False)
 class _Nodes:
-    """Pupil nodes (n,): places and path excess, m, amplitude times area, m^2, and its energy."""
+    """Pupil nodes.
+
+    Parameters
+    ----------
+    u, v, path : ndarray, (n,)
+        Positions and path excess, tilt included, m.
+    size : ndarray, (n,)
+        Amplitude times area, m^2.
+    energy : float
+        Integral of the squared amplitude, m^2.
+    """
 
     u: Array
     v: Array
@@ -85,20 +106,21 @@ def huygens_point_spread(
     normalisation: SurfaceNormalisation = "ideal-peak",
     pupil: Pupil = "plane",
 ) -> SurfacePointSpread:
-    """Point spread on any points by spherical waves from the pupil.
+    """Compute the point spread function at arbitrary points by spherical waves from the pupil.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Any layout; polar nodes and cells are refined as the points need. ``removed`` is not put
-        back.
-    points : array_like
-        (..., 3), m, see `SurfacePointSpread`; on the image's side of the pupil.
+        Wave of any layout. Polar nodes and cells are refined as the points require. Terms listed
+        in ``removed`` are not added back.
+    points : array_like, (..., 3)
+        m, in the frame of `SurfacePointSpread`, on the image's side of the pupil.
     normalisation : {"ideal-peak", "irradiance"}
+        Meaning of 1: the peak without aberration, or the energy transmitted by the pupil, per m^2.
     pupil : {"plane", "sphere"}
-        Where the nodes (u, v) lie: in the pupil's plane, as this library's own waves, or on the
-        sphere about the reference point through the pupil's centre, as in a lens that keeps the
-        sine condition. The other transforms do not tell them apart.
+        Surface on which the nodes (u, v) lie: the pupil's plane, as for this library's own waves,
+        or the sphere about the reference point through the pupil's centre, as for a lens that
+        satisfies the sine condition. The other transforms do not distinguish them.
 
     Returns
     -------
@@ -109,34 +131,52 @@ def huygens_point_spread(
     SceneError
         If points lie in the pupil or on its other side.
     SamplingError
-        If the nodes of a grid or scattered nodes are too few for the phase.
+        If a grid or scattered nodes are too few for the phase.
     MemoryLimitError
-        If the refined nodes would not fit.
+        If the refined nodes would not fit into memory.
 
     Notes
     -----
-    Rayleigh and Sommerfeld's first integral [1]_, its near field left out:
+    First Rayleigh-Sommerfeld integral without its near-field term [1]_:
 
     ``U(x) = (1/lambda) sum S E exp(ik [W + s (|x - p| - |c - p|)]) cos(n, x - p)/|x - p|``
 
-    with c = (0, 0, d), s the sign of d, n the pupil's normal, S the node's area on it, and E such
-    that ``A^2`` is the power per area of u and v, as in the other transforms. With t the angle at
-    c between p and the axis, a node adds ``A w cos(t)^(3/2)/|d|`` at c from the plane and
-    ``A w cos(t)^(-1/2)/|d|`` from the sphere. The other transforms have ``A w/|d|`` and the phase
-    ``-x.p/d``. Beams slower than F/10 therefore differ from theirs as 1/N^2, relative to the peak
-    without aberration: from the sphere by at most ``1/(32 N^2)``, 0.0047/N^2 for the Airy disc
-    (5e-7 at F/100); from the plane, whose (u, v) are tangents and not sines, by 0.078/N^2 for the
-    Airy disc and more far off the axis. Give another transform (u, v) as sines, and A times
-    ``cos(t)^(-1/2)`` of the sphere or, for ``u = s/cos(t)`` of the plane, ``cos(t)^(-5/2)``: it is
-    the same image but for ``lambda/d``.
+    with c = (0, 0, d), s the sign of d, n the pupil's normal and S the node's area on the pupil
+    surface. E is chosen such that ``A^2`` is the power per area of u and v, as in the other
+    transforms.
 
-    The intensity is |U|^2, which is the flux through a surface but for the cosine between its
-    normal and the rays. The path difference is taken from the difference of the squares, so that
-    it keeps about 1e-16 of itself.
+    Let t be the angle at c between p and the axis. At c a node contributes
+    ``A w cos(t)^(3/2)/|d|`` from the plane and ``A w cos(t)^(-1/2)/|d|`` from the sphere. In the
+    other transforms it contributes ``A w/|d|``, with the phase ``-x.p/d``. For beams slower than
+    F/10 the difference from them scales as 1/N^2, relative to the peak without aberration:
+
+    - sphere: at most ``1/(32 N^2)``, and 0.0047/N^2 for the Airy disc (5e-7 at F/100);
+    - plane: 0.078/N^2 for the Airy disc and more far off the axis, since (u, v) are tangents, not
+      sines.
+
+    To obtain the same image from another transform, up to ``lambda/d``, give it (u, v) as sines
+    and multiply A by ``cos(t)^(-1/2)`` for the sphere, or by ``cos(t)^(-5/2)`` for the plane,
+    where ``u = s/cos(t)``.
+
+    The intensity is |U|^2. It equals the flux through a surface up to the cosine between the
+    surface normal and the rays. Path differences are computed from differences of squares, with a
+    relative error of about 1e-16.
 
     References
     ----------
     .. [1] Goodman, Introduction to Fourier Optics, 3rd ed., sec. 3.5.
+
+    Examples
+    --------
+    The focus, and the first dark ring of the Airy pattern at 1.22 lambda N:
+
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> found = psf.huygens_point_spread(wave, [(0, 0, 0.1), (6.1e-6, 0, 0.1)])
+    >>> print(" ".join(f"{value:.3f}" for value in found.intensity))
+    1.000 0.000
     """
     one_of("normalisation", normalisation, ("ideal-peak", "irradiance"))
     places = np.array(points, dtype=np.float64, order="C")
@@ -160,7 +200,7 @@ def huygens_point_spread(
 
 
 def surface_field(residual: Residual, points: Array, pupil: Pupil = "plane") -> SurfaceField:
-    """Intensity at points (n, 3) of the pupil's frame, and its error."""
+    """Compute the intensity at points (n, 3), m, in the pupil's frame, and its error."""
     check_points(residual.wavefront, points, pupil)
     nodes, finer = _nodes(residual, points)
     field, peak = _field(residual.wavefront, nodes, points, pupil)
@@ -181,31 +221,34 @@ def surface_field(residual: Residual, points: Array, pupil: Pupil = "plane") -> 
 
 
 def check_points(wave: Wavefront, points: Array, pupil: Pupil) -> None:
-    """Refuse points that are not beyond the pupil on the image's side."""
+    """Refuse points that are not on the image's side of the pupil, or too near to it."""
     if not np.isfinite(points).all():
         raise SceneError("points hold NaN or infinity; give finite coordinates in m")
     depth = points[:, 2] * math.copysign(1.0, wave.image_distance)
-    # nearer than some wavelengths the near field of each node is missing
+    # closer to the pupil, the neglected near field of each node matters
     limit = 100 * wave.wavelength
     if pupil == "sphere":
         if 2 * wave.f_number <= 1:
             raise SceneError(
-                f"pupil = 'sphere' at F/{wave.f_number:.3g}, limit F/0.5: the pupil is wider than "
-                "its sphere; use pupil='plane'"
+                f"pupil = 'sphere' at F/{wave.f_number:.3g}, limit F/0.5, where the pupil is wider "
+                "than its sphere; use pupil='plane'"
             )
         share = (wave.pupil_radius / wave.image_distance) ** 2
         limit += abs(wave.image_distance) * share / (1 + math.sqrt(1 - share))
     if depth.min() < limit:
         worst = int(np.argmin(depth))
         raise SceneError(
-            f"point {worst} at z = {points[worst, 2]:.6g} m is not beyond the pupil on the side of "
-            f"the image at {wave.image_distance:.6g} m, limit {limit:.3g} m from the pupil; give z "
-            "in the pupil's frame"
+            f"point {worst} at z = {points[worst, 2]:.6g} m is not beyond the pupil: points must "
+            f"lie at least {limit:.3g} m from it, on the side of the image at z = "
+            f"{wave.image_distance:.6g} m; give z in the pupil's frame"
         )
 
 
 def node_counts(residual: Residual, points: Array) -> tuple[int, ...]:
-    """Shape of the nodes for the phase slopes toward points; see `quadrature.node_counts`."""
+    """Return the shape of the nodes that resolve the phase toward points (n, 3), m.
+
+    The rule is that of `quadrature.node_counts`, with a margin.
+    """
     wave = residual.wavefront
     slope = steepness(residual, points) + residual.rays.slope
     if wave.layout == "cells":
@@ -224,7 +267,10 @@ def node_counts(residual: Residual, points: Array) -> tuple[int, ...]:
 
 
 def steepness(residual: Residual, points: Array) -> float:
-    """Largest slope over the pupil of tilt and distance to a point, against the reference's."""
+    """Return the largest slope over the pupil of the path to a point, tilt included.
+
+    The path is counted relative to that to the reference point.
+    """
     wave = residual.wavefront
     extremes = [np.argmin(c) for c in points.T] + [np.argmax(c) for c in points.T]
     few = np.concatenate([points[:: max(1, len(points) // STEEPEST)], points[extremes]])
@@ -243,14 +289,17 @@ def steepness(residual: Residual, points: Array) -> float:
 
 
 def seconds(residual: Residual, points: Array) -> float:
-    """Expected run time on two cores, order of magnitude."""
+    """Predict the run time on two cores, order of magnitude, s."""
     refined = residual.wavefront.is_spectral
     count = math.prod(node_counts(residual, points)) if refined else residual.wavefront.u.size
     return 1e-2 + 1.5e-8 * count * len(points)
 
 
 def _nodes(residual: Residual, points: Array) -> tuple[_Nodes, _Nodes | None]:
-    """Nodes to sum over, and better ones for the error estimate; none where there is no error."""
+    """Return the nodes to sum over, and finer ones for the error estimate.
+
+    The finer ones are None for a pixel map, which defines the wave exactly.
+    """
     wave = residual.wavefront
     if wave.is_spectral:
         counts = node_counts(residual, points)
@@ -258,8 +307,8 @@ def _nodes(residual: Residual, points: Array) -> tuple[_Nodes, _Nodes | None]:
         return _refined(residual, counts), _refined(residual, (*counts[:-2], *more))
     if wave.aperture is not None:
         raise SamplingError(
-            "spherical waves from the grid of an aperture have no reference to judge their error "
-            "by; sample it with nodes='cells'"
+            f"spherical waves from the {wave.layout} nodes of an aperture have no reference from "
+            "which to estimate their error; sample it with nodes='cells'"
         )
     _check_steps(residual, points)
     lit = wave.amplitude * wave.weights > 0
@@ -272,17 +321,18 @@ def _nodes(residual: Residual, points: Array) -> tuple[_Nodes, _Nodes | None]:
         wave.weights[lit],
     )
     if wave.layout == "grid" and np.ptp(wave.weights) == 0:
-        return own, None  # a map is the wave itself
+        return own, None  # a pixel map defines the wave exactly
     slope = steepness(residual, points) + residual.rays.slope
     v = residual.wavenumber * wave.pupil_radius * slope
     n_r, n_theta = math.ceil(0.29 * v + 27), math.ceil(v + 12 * v ** (1 / 3) + 40)
-    fits_memory(f"{n_r} x {n_theta} pupil nodes", 600.0 * n_r * n_theta, "give nearer points")
+    fits_memory(f"{n_r} x {n_theta} pupil nodes", 600.0 * n_r * n_theta, "use nearer points")
     a, b, weights, path, amplitude, doubt = residual.local.on_polar(wave, n_r, n_theta)
-    # the doubt as a phase of its own: half of it each way
+    # The interpolation error is added to the path, so that it enters the error estimate.
     return own, _gathered(residual, a, b, path + doubt, amplitude, weights)
 
 
 def _refined(residual: Residual, counts: tuple[int, ...]) -> _Nodes:
+    """Return polar nodes, or nodes of cells, of the given shape."""
     wave = residual.wavefront
     fits_memory(
         f"{' x '.join(map(str, counts))} pupil nodes",
@@ -300,7 +350,7 @@ def _refined(residual: Residual, counts: tuple[int, ...]) -> _Nodes:
 def _gathered(
     residual: Residual, u: Array, v: Array, path: Array, amplitude: Array, weights: Array
 ) -> _Nodes:
-    """Nodes with the tilt put back, since a sphere has no exact shift."""
+    """Return nodes with the tilt added back, since on a sphere it is not an exact shift."""
     tilted = path + residual.tilt[0] * u + residual.tilt[1] * v
     energy = float(np.sum(amplitude**2 * weights))
     return _Nodes(u.ravel(), v.ravel(), tilted.ravel(), (amplitude * weights).ravel(), energy)
@@ -309,7 +359,7 @@ def _gathered(
 def _field(
     wave: Wavefront, nodes: _Nodes, points: Array, pupil: Pupil
 ) -> tuple[ComplexArray, float]:
-    """Field at the points, and its value at the reference point without aberration, 1/m."""
+    """Return the field (n,) at the points, and the unaberrated one at the reference point, 1/m."""
     from . import _transform_kernels
 
     d = wave.image_distance
@@ -317,7 +367,7 @@ def _field(
     if pupil == "plane":
         w = np.zeros_like(square)
         cosine = abs(d) / np.sqrt(square + d * d)
-        # E = A/cos^(1/2), since A^2 passes a plane that it meets aslant
+        # E = A/cos^(1/2): a plane met at an angle passes E^2 cos per area, which must equal A^2
         size = nodes.size / np.sqrt(cosine)
         peak = float(np.sum(size * cosine**2))
     else:
@@ -343,7 +393,7 @@ def _field(
 
 
 def _check_steps(residual: Residual, points: Array) -> None:
-    """Refuse nodes between which the phase steps too far."""
+    """Refuse nodes between which the phase changes by too much."""
     wave = residual.wavefront
     jump, node = residual.grid_jump()
     if jump > 0.5:
@@ -354,13 +404,14 @@ def _check_steps(residual: Residual, points: Array) -> None:
     step = (steepness(residual, points) + residual.rays.slope) * residual.spacing / wave.wavelength
     if step > 1:
         raise SamplingError(
-            f"the phase toward the points turns {step:.2f} waves from node to node, limit 1: the "
-            f"nodes repeat the spot there; use {math.ceil(wave.u.size * step**2)} or more pupil "
-            f"nodes (now {wave.u.size}), or points nearer to the focus"
+            f"the phase toward the points changes by {step:.2f} waves between nodes, limit 1, "
+            "beyond which the nodes repeat the spot there; use "
+            f"{math.ceil(wave.u.size * step**2)} or more pupil nodes (now {wave.u.size}), or "
+            "points nearer to the focus"
         )
 
 
 def _lost(residual: Residual, intensity: Array) -> float:
-    """Error for lack of polar nodes in the wavefront itself."""
+    """Bound the error due to the number of polar nodes in the wavefront itself."""
     lost = residual.truncation
     return float(np.max(2 * np.sqrt(intensity) * lost + lost**2) / intensity.max())

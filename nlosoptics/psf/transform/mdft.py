@@ -1,7 +1,7 @@
-"""Discrete Fourier transform of a pupil grid to any pitch and window, by chirps.
+"""Discrete Fourier transform of a pupil grid to any pitch and window (chirp-z transform).
 
-Bluestein's algorithm: ``j l = (j^2 + l^2 - (l - j)^2)/2`` turns the transform matrix into a
-convolution, so any image pitch costs three fast transforms (Rabiner, Schafer & Rader 1969).
+With Bluestein's identity ``j l = (j^2 + l^2 - (l - j)^2)/2`` the transform becomes a convolution
+with a chirp, computed by three FFTs for any image pitch (Rabiner, Schafer & Rader 1969).
 """
 
 from __future__ import annotations
@@ -23,10 +23,13 @@ Array = NDArray[np.float64]
 def intensity_in(
     residual: Residual, grid: PupilGrid, window: Window, rule: PixelRule | None
 ) -> Array:
-    """Image intensity in a window, 1 at the ideal peak."""
+    """Compute the image intensity (ny, nx) in a window, 1 at the ideal peak.
+
+    It is averaged over pixels if ``rule`` is given.
+    """
     wave = residual.wavefront
     n = grid.values.shape[0]
-    # Turns per pupil sample and metre of image; a negative distance turns the other way.
+    # Phase in turns per pupil sample and metre of image, with the sign of the image distance.
     rate = grid.pitch / (wave.wavelength * wave.image_distance)
     passes = [
         _chirp_pass(
@@ -44,9 +47,9 @@ def intensity_in(
 
 
 def _chirp_pass(n: int, centre: int, count: int, step: float, offset: float) -> Pass:
-    """Rows g to ``sum_j g_j exp(-2 pi i j (offset + l step))``, up to a phase of the sample l.
+    """Return a function that maps rows g to ``sum_j g_j exp(-2 pi i j (offset + l step))``.
 
-    j counts from ``centre``, l from ``count//2``.
+    The result is up to a phase factor per sample l. j counts from ``centre``, l from ``count//2``.
     """
     size = int(ducc0.fft.good_size(n + count - 1))
     j = np.arange(n) - centre

@@ -1,6 +1,6 @@
 """Sum over pupil nodes of any layout to a window, by a non-uniform fast Fourier transform.
 
-Every node, or traced ray, counts with amplitude times area.
+Each node, or traced ray, has the weight amplitude times area.
 """
 
 from __future__ import annotations
@@ -18,20 +18,21 @@ from ..window.window import Window
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: Nodes and points up to which all digits are worth their time; beyond, `FAST` at most.
+#: Number of nodes plus points up to which the transform uses the accuracy `BEST`.
 SMALL = 200_000
+#: Relative accuracy of the transform: the best available, and the coarsest used.
 BEST, FAST = 2e-13, 1e-8
 
 
 def epsilon(n_nodes: int, window: Window, tol: float) -> float:
-    """Relative accuracy to ask of the transform: all digits where they cost little."""
+    """Return the relative accuracy to request of the transform: the best one if it is cheap."""
     if n_nodes + window.shape[0] * window.shape[1] <= SMALL:
         return BEST
     return max(min(FAST, tol / 100), BEST)
 
 
 def n_bytes(n_nodes: int, window: Window) -> float:
-    """Peak memory: 100 bytes a node, 64 an image point (the oversampled grid's too)."""
+    """Return the peak memory: 100 bytes per node, 64 per image point with oversampling."""
     return 100.0 * n_nodes + 64.0 * window.shape[0] * window.shape[1]
 
 
@@ -44,17 +45,18 @@ def image_field(
     window: Window,
     epsilon: float,
 ) -> ComplexArray:
-    """``sum size exp(ik path) exp(-2 pi i x.p/(lambda d))``, x counted from the tilt's shift.
+    """Compute ``sum size exp(ik path) exp(-2 pi i x.p/(lambda d))`` at the points of a window.
 
     Parameters
     ----------
     residual : Residual
-        For the wavelength, the distance and the shift.
+        Wave, for the wavelength, the image distance and the tilt's shift, from which x is counted.
     u, v, path, size : ndarray
-        Nodes and aberration, m, and weights; of one shape.
+        Nodes and aberration, m, and weights; all of one shape.
     window : Window
+        Image points x.
     epsilon : float
-        Error of the transform, rms relative to the field's.
+        Requested error of the transform, relative in the rms sense.
 
     Returns
     -------
@@ -89,7 +91,10 @@ def image_field(
 
 
 def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexArray:
-    """Image field of the wavefront's own nodes, 1 at the axis without aberration."""
+    """Return the image field (ny, nx) of the wavefront's own nodes.
+
+    It is 1 at the reference point without aberration.
+    """
     wave = residual.wavefront
     size = wave.amplitude * wave.weights
     lit = size > 0
@@ -113,23 +118,32 @@ def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexA
 def reference(
     residual: Residual, window: Window, epsilon: float
 ) -> tuple[ComplexArray, float, float, float]:
-    """Field of the same wave without the error of its scattered nodes.
+    """Compute a reference field for scattered nodes, to estimate their error.
 
     The wave is interpolated to polar nodes of the round or annular pupil that it samples.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave on scattered nodes.
+    window : Window
+        Image points.
+    epsilon : float
+        Requested error of the transform, relative in the rms sense.
 
     Returns
     -------
     field : ndarray of complex, (ny, nx)
-        1 at the axis without aberration.
+        1 at the reference point without aberration.
     total, energy : float
         Integrals of the amplitude and of its square, m^2.
     doubt : float
-        Error of the field for that of the interpolation.
+        Error of the field due to the interpolation.
     """
     wave = residual.wavefront
     v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
     v += residual.wavenumber * residual.rays.slope * wave.pupil_radius
-    # a dozen degrees for the bends of a smooth amplitude
+    # twelve further degrees for the variation of a smooth amplitude
     n_r, n_theta = math.ceil(0.29 * v + 19), math.ceil(v + 12 * v ** (1 / 3) + 24)
     fits_memory(
         f"the error estimate by {n_r} x {n_theta} nodes",

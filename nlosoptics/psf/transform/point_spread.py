@@ -30,35 +30,36 @@ NORMALISATIONS = ("unit-sum", "ideal-peak", "flux")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointSpread(Noun, Shown):
-    """Image of a point.
+    """Sampled point spread function, with the method that computed it and its error.
 
     Parameters
     ----------
     intensity : ndarray
         (ny, nx), read-only, row 0 at the lowest y; the reference point is at [ny//2, nx//2].
     pitch : float
-        m.
+        Distance between samples, or pixel side, m.
     method : str
-        Transform that made it.
+        Transform that computed it.
     error_estimate : float
         Bound of max |dI|/max I against the wave that the nodes sample. A pixel map
-        (`Wavefront.from_map`) is that wave itself; what its pixels miss is not known here.
+        (`Wavefront.from_map`) defines that wave itself; detail lost in its pixels is not included.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        What 1 means: the energy in the whole image plane, the peak without aberration, or the
-        energy that a clear disc of the pupil's radius passes.
+        Meaning of 1: the energy in the whole image plane, the peak without aberration, or the
+        energy that a clear disc of the pupil's radius transmits.
     wavelength : float
-        m.
+        In vacuum, m.
     f_number : float
+        Working F-number, image distance over pupil diameter.
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
-        Share of the energy that passes the pupil which falls into the window, by the sum of all
-        values. Their errors add up: it may be off by hundreds of times ``error_estimate``, 1e-3 at
-        the default ``tol``, and a smaller one gives more digits.
+        Fraction of the transmitted energy inside the window, from the sum of all values. Their
+        errors accumulate to as much as hundreds of times ``error_estimate``, about 1e-3 at the
+        default ``tol``; use a smaller ``tol`` for more digits.
     regime : Regime
-        What kind of wave it is, in numbers.
+        Figures that classify the wave, such as its aberration in waves.
     reason : str
-        Why this method, and what rules the others out or what they would have cost, in one line.
+        One line: why this method was used, and why each other one was not.
     """
 
     intensity: Array
@@ -131,33 +132,34 @@ def point_spread(
     image_surface: Surface | None = None,
     max_seconds: float | None = None,
 ) -> PointSpread:
-    """Point spread of an exit-pupil wave.
+    """Compute the point spread function of an exit-pupil wave.
 
     Parameters
     ----------
     wavefront : Wavefront
-        ``wavefront.removed`` is not put back.
+        Wave in the exit pupil. Terms listed in ``wavefront.removed`` are not added back.
     method : str
-        ``auto`` is the cheapest whose estimated error is at most ``tol``.
+        ``auto`` selects the cheapest method whose estimated error is at most ``tol``.
 
-        - ``quadrature`` sums polar nodes, or those of cells, exactly, as many as the window needs.
-        - ``fft`` zero-pads a grid, ``mdft`` takes a grid to any pitch. A polar wave is put on a
-          grid for them, by ``fft`` as fine as ``tol`` asks where aberration and amplitude are
-          polynomials; a grid is never put on polar nodes, nor cells on a grid.
-        - ``nufft`` sums the nodes as they are, scattered ones and traced rays too.
+        - ``quadrature`` sums over polar nodes, or the nodes of cells, as many as the window needs.
+        - ``fft`` transforms a zero-padded grid; ``mdft`` transforms a grid to any pitch. Both
+          resample a polar wave to a grid. If its aberration and amplitude are polynomials, the
+          grid is as fine as ``tol`` requires. A grid is never resampled to polar nodes, nor cells
+          to a grid.
+        - ``nufft`` sums over the given nodes of any layout, such as traced rays.
         - ``airy`` is the closed form of a wave without aberration.
-        - ``geometric`` is where rays land, diffraction left out; ``auto`` tries it above 20 waves
-          with ``pixel_integrated``.
-        - ``huygens`` sends spherical waves to ``image_surface``; it is slow and ``auto`` leaves it
-          out. See `huygens_point_spread`.
+        - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
+          above 20 waves with ``pixel_integrated``.
+        - ``huygens`` sums spherical waves on ``image_surface``. It is slow, and ``auto`` does not
+          use it. See `huygens_point_spread`.
     tol : float
-        Largest max |dI|/max I that ``auto`` accepts, and that others aim at where it saves time.
+        Largest max |dI|/max I that ``auto`` accepts. Other methods use it to save time.
     pitch : float, optional
-        Image sampling or pixel side, m. Default a quarter of lambda N; for the ``fft`` of a grid
-        wavefront, the nearest fast size below half of it.
+        Image sampling or pixel side, m. Default lambda N/4; for ``fft`` of a grid wavefront, the
+        pitch just below lambda N/2 whose transform size is fast.
     shape : int or (int, int), optional
-        (ny, nx). Default at least 256 a side with all rays and their tails inside; with
-        ``pixel_integrated`` that of `window_shape`; for the ``fft`` of a grid wavefront without a
+        (ny, nx). Default at least 256 per side, with all rays and their tails inside; with
+        ``pixel_integrated``, that of `window_shape`; for ``fft`` of a grid wavefront without a
         pitch, the full period.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         ``unit-sum`` and ``flux`` are energy per pixel, with 1 or `Wavefront.flux` in the whole
@@ -165,12 +167,12 @@ def point_spread(
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     image_surface : callable, optional
-        Height z(x, y) over the image plane away from the pupil's plane along +z, m, of arrays of x
-        and y, m; for ``huygens`` only, with a shape. The intensity there counts per area of the
-        image plane.
+        Function of arrays x and y, m, that returns the height of the image surface above the image
+        plane, along +z, m. For ``huygens`` only, and with a ``shape``. The intensity is per area of
+        the image plane.
     max_seconds : float, optional
-        Predicted seconds on one core beyond which ``auto`` refuses before it computes anything; a
-        named method is run whatever it takes. Default 60, or what is left to a whole run.
+        Limit of the predicted run time on one core: ``auto`` skips a method beyond it. A method
+        given by name always runs. Default 60 s, or the time left to the enclosing run.
 
     Returns
     -------
@@ -179,24 +181,42 @@ def point_spread(
     Raises
     ------
     SceneError
-        If an option is out of range or does not fit the method.
+        If an option is out of range or not available for the method.
     SamplingError
-        If the wave is sampled too coarsely, the window too narrow for its rays or the pitch too
-        wide, if no transform reaches ``tol``, or if that would take more than ``max_seconds``.
+        If the wave is sampled too coarsely, the window is too narrow for the rays, the pitch is too
+        wide, no transform reaches ``tol``, or none does so within ``max_seconds``.
     MemoryLimitError
-        Before anything is allocated that would not fit.
+        If an array would not fit into memory; raised before it is allocated.
+
+    See Also
+    --------
+    scene_point_spread : From a scene.
+    compare : All methods for one wave, with their times and differences.
 
     Notes
     -----
-    ``U(x) = sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, d the signed image distance, so a tilt
-    W = a u moves the spot to x = a d. Piston is dropped and tilt applied as an exact shift [1]_.
+    ``U(x) = sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))`` with the signed image distance d [1]_.
+    A tilt W = a u moves the spot to x = a d. Piston is dropped; tilt is applied as an exact shift.
 
-    The error of scattered nodes is taken from the same wave interpolated to the round or annular
-    pupil of ``pupil_radius`` and ``obscuration``: nodes of another outline find it large.
+    The error of scattered nodes is estimated by interpolating the wave to polar nodes of the round
+    or annular pupil of ``pupil_radius`` and ``obscuration``. For nodes of any other outline the
+    estimate is therefore large.
 
     References
     ----------
     .. [1] Goodman, Introduction to Fourier Optics, 3rd ed., sec. 4.3.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> spread = psf.point_spread(wave, shape=65, normalisation="ideal-peak")
+    >>> spread.shape, spread.error_estimate < 1e-3
+    ((65, 65), True)
+    >>> print(f"{1e6 * spread.pitch:.2f} um, peak {spread.intensity.max():.2f}")
+    1.25 um, peak 0.66
     """
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
@@ -229,14 +249,14 @@ def detilted_point_spread(
     image_surface: Surface | None = None,
     max_seconds: float | None = None,
 ) -> PointSpread:
-    """Point spread of a wave whose piston and tilt are already separated.
+    """Compute the point spread function of a wave already split into piston, tilt and residual.
 
     Parameters
     ----------
     residual : Residual
-        From `split`; several point spreads of one wave share it.
+        Result of `split`, which several point spreads of one wave can share.
     method, tol, pitch, shape, normalisation, pixel_integrated, image_surface, max_seconds
-        The options of `point_spread`, already checked.
+        Options of `point_spread`, already checked.
 
     Returns
     -------
@@ -246,7 +266,7 @@ def detilted_point_spread(
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
         _check_nyquist(residual, pitch, normalisation)
-    if image_surface is None:  # elsewhere than in the image plane rays land elsewhere
+    if image_surface is None:  # the landing points are known in the image plane only
         check_rays(residual, pitch, shape)
     rule = None
     if pixel_integrated:
@@ -263,12 +283,12 @@ def detilted_point_spread(
             task, kind, seconds_limit(60.0) if max_seconds is None else max_seconds
         )
     else:
-        result, reason = transform(task, method), f"{method} was asked for"
+        result, reason = transform(task, method), f"{method} was requested"
     scale = 1.0
     if normalisation != "ideal-peak":
         scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
     intensity = np.ascontiguousarray(result.mean if scale == 1.0 else result.mean * scale)
-    intensity.setflags(write=False)  # so that it need not be copied
+    intensity.setflags(write=False)  # PointSpread then keeps it without a copy
     return PointSpread(
         intensity=intensity,
         pitch=pitch,
@@ -285,16 +305,18 @@ def detilted_point_spread(
 
 
 def _check_surface(method: str, shape: object, surface: Surface | None) -> None:
+    """Check that an image surface is given with ``method="huygens"`` and a shape only."""
     if surface is None:
         return
     if method != "huygens":
         raise SceneError(
-            f"image_surface with method = '{method}', which knows the image plane alone; use "
+            f"image_surface with method = '{method}', which computes the image plane only; use "
             "method='huygens'"
         )
     if shape is None:
         raise SceneError(
-            "image_surface without a shape: where rays land on it is not known here; give a shape"
+            "image_surface without a shape: the default shape holds the rays in the image plane, "
+            "not on a surface; give a shape"
         )
 
 
@@ -306,7 +328,7 @@ def _sampling(
     shape: int | tuple[int, int] | None,
     pixel_integrated: bool,
 ) -> tuple[float, tuple[int, int]]:
-    """Pitch and shape, given or by default."""
+    """Return the pitch, m, and the shape (ny, nx), checked if given, by default otherwise."""
     if pitch is not None:
         pitch = positive("pitch", pitch, unit="m")
     elif method == "fft" and residual.wavefront.layout == "grid" and not pixel_integrated:
@@ -325,9 +347,10 @@ def _sampling(
 
 
 def _check_nyquist(residual: Residual, pitch: float, normalisation: str) -> None:
+    """Refuse point samples too far apart for their sum to be an energy."""
     if pitch > residual.nyquist_pitch * (1 + 1e-9):
         raise SamplingError(
-            f"pitch = {pitch:.3g} m is wider than Nyquist's {residual.nyquist_pitch:.3g} m, so "
-            f"samples do not add up to the energy of '{normalisation}'; use pixel_integrated=True, "
-            "or normalisation='ideal-peak' for point samples"
+            f"pitch = {pitch:.3g} m is wider than the Nyquist pitch {residual.nyquist_pitch:.3g} "
+            f"m, so the samples do not add up to the energy of '{normalisation}'; use "
+            "pixel_integrated=True, or normalisation='ideal-peak' for point samples"
         )

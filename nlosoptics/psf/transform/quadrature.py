@@ -1,4 +1,4 @@
-"""Exact sum over polar pupil nodes or those of cells, by a non-uniform fast Fourier transform."""
+"""Spectrally accurate sum over polar or cell nodes, by a non-uniform fast Fourier transform."""
 
 from __future__ import annotations
 
@@ -16,12 +16,11 @@ ComplexArray = NDArray[np.complex128]
 
 
 def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, ...]:
-    """Shape of the nodes (see `Wavefront.nodes`) with which the rule has converged to rounding.
+    """Return the shape of the nodes for which the quadrature has converged to rounding error.
 
-    With v the largest phase slope across the radius, ``0.29 v + 7`` Gauss-Legendre radii and
-    ``v + 12 v^(1/3)`` angles integrate exp(i v rho cos) to 3e-15; the degree of the aberration's
-    own series is added, as far as its terms pass the ``threshold``, rad. Patches of cells, see
-    `cell_counts`.
+    With v the largest phase change across the radius, ``0.29 v + 7`` Gauss-Legendre radii and
+    ``v + 12 v^(1/3)`` angles integrate exp(i v rho cos) to 3e-15. The degrees of the aberration's
+    own series are added; terms below ``threshold``, rad, are ignored. For cells see `cell_counts`.
     """
     wave = residual.wavefront
     r_max = math.hypot(*window.reach_from(residual.shift))
@@ -41,10 +40,24 @@ def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) ->
 
 
 def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int, int, int]:
-    """The same of patches, for the largest slope dW/du of the whole phase.
+    """Return the shape of the nodes of cells for which the quadrature has converged.
 
     With v the phase along the longest line of any patch, ``v/4 + 3.1 v^(1/3) + 6`` Gauss-Legendre
-    nodes integrate exp(i v s) to 1e-15; the map's own bend and the degree of the series are added.
+    nodes integrate exp(i v s) to 1e-15. Half the degree of the aberration's series is added.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave on cells.
+    slope : float
+        Largest slope dW/du of the whole phase, that of the image points included, rad.
+    threshold : float
+        Phase below which terms of the series are ignored, rad.
+
+    Returns
+    -------
+    (int, int, int)
+        Patches, and nodes along both sides of each.
     """
     n_patches = len(residual.aberration)
     degrees = residual.degrees(threshold / residual.wavenumber)
@@ -64,20 +77,20 @@ def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int
 
 
 def epsilon(residual: Residual, window: Window, tol: float) -> float:
-    """Relative accuracy to ask of the transform: all digits where they cost little."""
+    """Return the relative accuracy to request of the transform: the best one if it is cheap."""
     return nufft.epsilon(math.prod(node_counts(residual, window)), window, tol)
 
 
 def n_bytes(residual: Residual, window: Window) -> float:
-    """Peak memory of `field`."""
+    """Return the peak memory of `field`, bytes."""
     return nufft.n_bytes(math.prod(node_counts(residual, window)), window)
 
 
 def field(residual: Residual, window: Window, epsilon: float = nufft.BEST) -> ComplexArray:
-    """Image field, 1 at the axis without aberration.
+    """Return the image field (ny, nx), 1 at the reference point without aberration.
 
-    ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, the tilt's part of W taken as a shift of x;
-    ``epsilon`` is the error of the transform, rms relative to the field's.
+    ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, with the tilt applied as a shift of x.
+    ``epsilon`` is the requested error of the transform, relative in the rms sense.
     """
     wave = residual.wavefront
     counts = node_counts(residual, window)

@@ -1,4 +1,4 @@
-"""One runner for each transform; `selection` picks among them."""
+"""Run a given transform: one function for each method of `point_spread`."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ from . import (
 )
 
 Array = NDArray[np.float64]
-#: Height of the image surface over the image plane, m, at (x, y).
+#: Height of the image surface above the image plane, m, as a function of arrays x and y, m.
 Surface = Callable[[Array, Array], Array]
 
-#: Fewest pupil samples across when a polar wave is put on a grid.
+#: Least number of samples across the pupil if a polar wave is resampled to a grid.
 LEAST_SAMPLES = 512
-#: Pixel in Airy units, up to which beats are taken not to average out.
+#: Pixel side, Airy units, up to which errors are assumed not to average out over a pixel.
 NO_BEATS = 0.8
-#: Times tol up to which an error of the polynomial fft is met by padding more.
+#: Largest error, in units of tol, at which a polynomial wave is repeated with more padding.
 NEAR_MISS = 8.0
-#: Phase of the terms, rad, that a polar wavefront's own nodes may lack.
+#: Phase, rad, below which series terms of a polar wavefront need not be resolved by its nodes.
 NEGLIGIBLE = 1e-10
 
 
 class SoftTask(NamedTuple):
-    """A polynomial wave, its rim and the period its image needs, Airy units."""
+    """Polynomial wave, the parameters of its rim errors, and its image period in Airy units."""
 
     wave: antialiased_pupil.SoftWave
     rim: antialiased_pupil.Rim
     period: float
 
     def grid(self, task: Task, method: str) -> antialiased_fft.Grid:
-        """Grid of the ``fft`` or, of whole cells in the radius, of the ``mdft``."""
+        """Return the pupil grid for ``"fft"`` or ``"mdft"``."""
         single = task.tol >= antialiased_pupil.SINGLE
         if method == "fft":
             return antialiased_fft.padded(task.residual, task.samples, self.period, single)
@@ -61,7 +61,23 @@ class SoftTask(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What every transform is asked for."""
+    """Input of every transform.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    tol : float
+        Wanted error, max |dI|/max I.
+    pitch : float
+        Image sampling or pixel side, m.
+    shape : (int, int)
+        (ny, nx).
+    rule : PixelRule or None
+        Average over pixels; None for point samples.
+    surface : callable or None
+        Image surface, for ``huygens`` only.
+    """
 
     residual: Residual
     tol: float
@@ -72,31 +88,31 @@ class Task:
 
     @property
     def pixels(self) -> Window:
-        """Image points of the result."""
+        """Sample points or pixel centres of the result."""
         return Window.centred(self.pitch, self.shape)
 
     @property
     def samples(self) -> Window:
-        """Points at which the intensity is needed."""
+        """Points at which the intensity is computed; finer than `pixels` for pixel averages."""
         return self.pixels if self.rule is None else self.rule.window(self.pitch, self.shape)
 
     @property
     def level(self) -> float:
-        """Share of the transmitted energy in a pixel of ideal-peak mean 1."""
+        """Fraction of the transmitted energy in a pixel whose mean is the ideal peak."""
         return self.residual.pixel_share(self.pitch)
 
     @property
     def pixel(self) -> float:
-        """Pixel side, Airy units; 0 for point samples.
+        """Pixel side used in error bounds, Airy units; 0 for point samples.
 
-        Of an aperture at most `NO_BEATS`: its lobes may be wider than the Airy unit says.
+        With an aperture at most `NO_BEATS`, since its lobes may be wider than an Airy unit.
         """
         pixel = 0.0 if self.rule is None else self.pitch / self.residual.airy_unit
         return pixel if self.residual.wavefront.aperture is None else min(pixel, NO_BEATS)
 
     @cached_property
     def soft(self) -> SoftTask | None:
-        """What the transforms of a polynomial wave's softened grid need; None for another."""
+        """Input of the softened-grid transforms; None if the wave is not polynomial."""
         found = antialiased_pupil.soft_wave(self.residual, self.tol)
         if found is None:
             return None
@@ -111,7 +127,7 @@ class Task:
         energy_error: float,
         spill: Array | float = 0.0,
     ) -> float:
-        """`error_bounds.intensity_error` on these pixels."""
+        """Bound max |dI|/max I by `error_bounds.intensity_error` on these pixels."""
         return error_bounds.intensity_error(
             intensity,
             field_error,
@@ -122,18 +138,18 @@ class Task:
         )
 
     def transform_error(self, mean: Array, epsilon: float) -> float:
-        """`error_bounds.transform_error` on these pixels."""
+        """Bound the error of the NUFFT by `error_bounds.transform_error` on these pixels."""
         return error_bounds.transform_error(mean, epsilon, pixel=self.pixel)
 
     def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
-        """Intensity of a field at `samples`, averaged over pixels where asked."""
+        """Return the intensity of a field at `samples`, averaged over pixels if required."""
         fine = field.real**2
         if np.iscomplexobj(field):
             fine += field.imag**2
         return self.averaged(fine)
 
     def averaged(self, fine: Array) -> Array:
-        """Intensity at `samples`, averaged over pixels where asked."""
+        """Return an intensity at `samples`, averaged over pixels if required."""
         if self.rule is None:
             return fine
         return self.rule.mean_down(self.rule.mean(fine))
@@ -141,17 +157,18 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a transform gives.
+    """Output of a transform.
 
     Parameters
     ----------
     method : str
+        Name of the method.
     mean : ndarray, (ny, nx)
-        1 at the ideal peak.
+        Intensity at points, or averaged over pixels; 1 at the ideal peak.
     error : float
         Bound of max |dI|/max I.
     level : float
-        See `Task.level`.
+        Factor from ``mean`` to the fraction of the transmitted energy per pixel.
     """
 
     method: str
@@ -161,7 +178,7 @@ class Result:
 
 
 def transform(task: Task, method: str) -> Result:
-    """Run one transform."""
+    """Run a transform by name; raise `SamplingError` if the wave's layout does not allow it."""
     if method in ("fft", "mdft") and task.residual.wavefront.layout == "cells":
         raise SamplingError(
             f"{method} needs a grid, and this wavefront is sampled on cells; use "
@@ -182,11 +199,13 @@ def transform(task: Task, method: str) -> Result:
 
 
 def _airy(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by the closed form without aberration."""
     residual = task.residual
     if residual.wavefront.layout != "polar":
         raise SamplingError(
-            "the closed form needs a polar wavefront, whose rim is a circle; sample it with "
-            f"nodes='polar', or use method='{_sum_of(residual)}'"
+            "the closed form needs a polar wavefront, not one of layout "
+            f"'{residual.wavefront.layout}'; sample it with nodes='polar', or use "
+            f"method='{_sum_of(residual)}'"
         )
     bound = airy.error_bound(residual)
     if math.isinf(bound):
@@ -201,12 +220,13 @@ def _airy(task: Task) -> tuple[Array, float]:
 
 
 def _quadrature(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a sum over polar or cell nodes."""
     residual = task.residual
     if not residual.wavefront.is_spectral:
         raise SamplingError(
-            "quadrature needs a polar wavefront, or one of cells, and this one is "
-            f"{residual.wavefront.layout}, which has lost its rim; sample it with "
-            f"nodes='cells' or nodes='polar', or use method='{_sum_of(residual)}'"
+            "quadrature needs a polar wavefront or one of cells, not one of layout "
+            f"'{residual.wavefront.layout}'; sample it with nodes='cells' or nodes='polar', or use "
+            f"method='{_sum_of(residual)}'"
         )
     epsilon = quadrature.epsilon(residual, task.samples, task.tol)
     mean = task.means(quadrature.field(residual, task.samples, epsilon))
@@ -215,6 +235,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 
 
 def _fft(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "fft")
     soft = _soft(task, "fft")
@@ -228,8 +249,8 @@ def _fft(task: Task) -> tuple[Array, float]:
     else:
         if task.rule is not None:
             raise SamplingError(
-                "the fft of a grid wavefront has its own image pitch, which does not divide "
-                "pixels; use method='mdft' for pixel_integrated=True"
+                "fft samples the image of a grid wavefront at a pitch of its own, which does not "
+                "divide the pixels; use method='mdft' with pixel_integrated=True"
             )
         size = fft.padded_size(residual, samples.pitch)
         _check_jump(task, *residual.grid_jump())
@@ -245,13 +266,13 @@ def _fft(task: Task) -> tuple[Array, float]:
 
 
 def _soft(task: Task, method: str) -> tuple[Array, float] | None:
-    """Either transform of a polynomial wave, which goes on beyond its softened rim; else None."""
+    """Transform a polynomial wave by ``fft`` or ``mdft``; return None if it is not polynomial."""
     soft = task.soft
     if soft is None:
         return None
     found = _soft_image(task, soft, method)
     if task.tol < found[1] < NEAR_MISS * task.tol:
-        # its peak is lower than was expected
+        # The peak is lower than predicted, so that the relative error is larger.
         tol = task.tol / NEAR_MISS
         period = antialiased_pupil.period_of(task.residual, soft.rim, task.samples, tol)
         found = _soft_image(task, soft._replace(period=period), method)
@@ -259,7 +280,7 @@ def _soft(task: Task, method: str) -> tuple[Array, float] | None:
 
 
 def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
-    """Image of a polynomial wave on its grid, and its error."""
+    """Return the image of a polynomial wave from its softened grid, and its error bound."""
     residual, wave, grid = task.residual, soft.wave, soft.grid(task, method)
     run = antialiased_fft.padded_image if method == "fft" else antialiased_fft.folded_image
     mean = run(residual, wave, task.samples, grid, task.rule)
@@ -272,6 +293,7 @@ def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
 
 
 def _mdft(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
     _check_not_scattered(residual, "mdft")
     soft = _soft(task, "mdft")
@@ -295,6 +317,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
 
 
 def _check_not_scattered(residual: Residual, method: str) -> None:
+    """Refuse scattered nodes for a method that needs a grid."""
     if residual.wavefront.layout == "scattered":
         raise SamplingError(
             f"{method} needs a grid, and this wavefront is scattered; use method='nufft', or "
@@ -303,12 +326,13 @@ def _check_not_scattered(residual: Residual, method: str) -> None:
 
 
 def _sum_of(residual: Residual) -> str:
-    """Transform that takes a layout's nodes as they are."""
+    """Return the method that uses the given nodes of this layout."""
     layout = residual.wavefront.layout
     return {"cells": "quadrature", "grid": "mdft"}.get(layout, "nufft")
 
 
 def _nufft(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by a sum over the given nodes."""
     residual, samples = task.residual, task.samples
     wave = residual.wavefront
     if wave.is_spectral:
@@ -334,25 +358,26 @@ def _nufft(task: Task) -> tuple[Array, float]:
 
 
 def _scattered_bound(task: Task, mean: Array, epsilon: float) -> float:
-    """What the nodes' own areas err by, from the same wave on polar nodes."""
+    """Bound the error of scattered nodes by comparison with polar nodes of the same wave."""
     wave = task.residual.wavefront
     field, total, true_energy, doubt = nufft.reference(task.residual, task.samples, epsilon)
     better = task.means(field)
     energy = float(np.sum(wave.amplitude**2 * wave.weights))
     flux = (total / task.residual.amplitude_sum) ** 2
-    # relative to the ideal peak, to the clear disc's light, and to the light that passes
+    # factors for the three normalisations: ideal-peak, flux, unit-sum
     levels = (1.0, flux, flux * energy / true_energy)
     worst = max(float(np.abs(better * level - mean).max()) for level in levels)
     return 1.2 * worst / float(mean.max()) + task.bound(mean, doubt, doubt**2)
 
 
 def _huygens(task: Task) -> Result:
+    """Sum spherical waves on the image surface."""
     residual, window = task.residual, task.pixels
     wave = residual.wavefront
     if task.rule is not None:
         raise SamplingError(
-            "huygens gives the intensity at points, and a surface knows no band limit to integrate "
-            "pixels by; use pixel_integrated=False"
+            "huygens computes the intensity at points only, since on a surface it has no band "
+            "limit by which to integrate pixels; use pixel_integrated=False"
         )
     ny, nx = window.shape
     fits_memory(f"{ny} x {nx} image points", 120.0 * ny * nx, "use a smaller shape")
@@ -367,15 +392,17 @@ def _huygens(task: Task) -> Result:
 
 
 def _geometric(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by the density of rays."""
     if task.rule is None:
         raise SamplingError(
-            "rays have a density over pixels and no intensity at points; use pixel_integrated=True"
+            "rays give the energy per pixel, not the intensity at points; use pixel_integrated=True"
         )
     energy, error = geometric.density(task.residual, task.pixels)
     return energy / task.level, error
 
 
 def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
+    """Bound the error of a pupil grid's edge, its truncation and its damping."""
     half = 0.0 if task.rule is None else task.pitch / 2
     found = error_bounds.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y, half)
     lost = task.residual.truncation
@@ -386,11 +413,11 @@ def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
 
 
 def polar_size(task: Task) -> int:
-    """Padded size for a polar wave: period over image samples, wide enough for window and rays."""
+    """Return the padded transform size for a polar wave: image period over sampling pitch."""
     residual, samples = task.residual, task.samples
     reach = max(samples.reach_from(residual.shift))
-    # The window within the half period, the spot's far rim within that of its near one (see
-    # `antialiased_disc.leak`), and the rim no coarser than the least samples.
+    # Three lower limits of the period: twice the window's reach; the spot's diameter and a margin
+    # for the step of `antialiased_disc.leak`; `LEAST_SAMPLES` across the pupil.
     period = max(
         2 * reach,
         4.4 * residual.rays.reach + 16 * residual.airy_unit,
@@ -400,12 +427,13 @@ def polar_size(task: Task) -> int:
 
 
 def grid_period_pitch(task: Task, size: int) -> float:
-    """Pupil pitch of a polar wave on a grid whose image repeats after ``size`` samples, m."""
+    """Return the pupil pitch, m, at which the image repeats after ``size`` samples."""
     wave = task.residual.wavefront
     return wave.wavelength * abs(wave.image_distance) / (size * task.samples.pitch)
 
 
 def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
+    """Refuse a wave whose aberration steps by more than half a wave between neighbours."""
     if jump > 0.5:
         wave = task.residual.wavefront
         n = wave.u.shape[0]
@@ -413,9 +441,9 @@ def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
         if wave.layout != "polar":
             where = f" at {'pixel' if wave.layout == 'grid' else 'node'} {pixel}"
             power = 2 if wave.layout == "scattered" else 1
-            # as many as the window takes, too
+            # The remedy must also satisfy `_check_period`.
             more = max(jump / 0.5, _period_share(task))
-            # others of scattered nodes are the ones farthest apart, when there are more of them
+            # A margin: in a denser set of scattered nodes, another pair may be the farthest apart.
             more *= 1.2 if power == 2 else 1.0
             need = math.ceil(n * more**power)
         raise SamplingError(
@@ -425,17 +453,17 @@ def _check_jump(task: Task, jump: float, pixel: tuple[int, ...] | None) -> None:
 
 
 def _period_share(task: Task) -> float:
-    """Distance from which the window needs the repeats to stay away, over theirs."""
+    """Return the least image period at which no repeat overlaps the window, over the period."""
     residual = task.residual
     wave = residual.wavefront
     need = max(task.pixels.reach_from(residual.shift)) + residual.rays.reach
-    if task.rule is not None:  # as far as the pixels' edges, and the core of the repeat itself
+    if task.rule is not None:  # up to the edges of the pixels, and the core of the repeat
         need += task.pitch / 2 + residual.airy_unit
     return need * residual.spacing / (wave.wavelength * abs(wave.image_distance))
 
 
 def _check_period(task: Task) -> None:
-    """The window clear of the repeats that the pupil's samples make of the spot."""
+    """Refuse a window that overlaps a repeat of the spot due to the pupil's sampling."""
     residual = task.residual
     wave = residual.wavefront
     period = wave.wavelength * abs(wave.image_distance) / residual.spacing
@@ -451,4 +479,5 @@ def _check_period(task: Task) -> None:
 
 
 def _waves(residual: Residual) -> float:
+    """Return the largest modulus of the residual aberration, waves."""
     return float(np.abs(residual.aberration).max()) / residual.wavefront.wavelength

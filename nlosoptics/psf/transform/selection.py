@@ -1,4 +1,4 @@
-"""Which transform `point_spread` runs when it may choose, what that costs, and why."""
+"""Automatic selection of the transform in `point_spread`: candidates, costs and the reason."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from ..window.error_bounds import rounded_up
 from . import airy, antialiased_fft, costs, geometric
 from .runners import Result, Task, grid_period_pitch, polar_size, transform
 
-#: Waves, peak to valley, below which rays are not tried.
+#: Aberration, waves peak to valley, up to which the geometric method is not tried.
 MANY_WAVES = 20
-#: Times tol that a predicted estimate must pass before its transform is left out: what it is
-#: relative to the peak is only known when the peak is.
+#: A transform is ruled out if its predicted error exceeds this multiple of tol. The margin is
+#: wide, since the error is relative to the peak, which is only known after the transform.
 DOUBT = 10.0
 
 
 @dataclass(frozen=True, order=True)
 class Candidate:
-    """One transform that might do.
+    """Transform considered by `automatic`, ordered by its predicted time.
 
     Parameters
     ----------
     seconds : float
-        Predicted.
+        Predicted run time on one core.
     method : str
+        Name of the method in `point_spread`.
     ruled_out : str
-        Why it cannot do, without having been run; empty where it can.
+        Reason why it is not run; empty if it can be run.
     """
 
     seconds: float
@@ -39,9 +40,21 @@ class Candidate:
 
 
 def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, str]:
-    """Cheapest transform whose estimate is within tol, and why it is.
+    """Run transforms in order of predicted time until one reaches tol.
 
     A method is skipped if the total predicted time would exceed ``max_seconds``.
+
+    Returns
+    -------
+    result : Result
+        Result of the first transform whose estimated error is at most tol.
+    reason : str
+        One line: why this transform was used, and why each other one was not.
+
+    Raises
+    ------
+    SamplingError, MemoryLimitError
+        If no transform reaches tol, or none within ``max_seconds``.
     """
     notes: list[str] = []
     refusals: list[NlosError] = []
@@ -59,23 +72,23 @@ def automatic(task: Task, regime: Regime, max_seconds: float) -> tuple[Result, s
             result = transform(task, found.method)
         except (SamplingError, MemoryLimitError) as refusal:
             refusals.append(refusal)
-            notes.append(f"{found.method} refused: {_first_clause(refusal)}")
+            notes.append(f"{found.method} failed: {_first_clause(refusal)}")
             continue
         if result.error <= task.tol:
             return result, _reason(found, task.tol, notes, ordered[i + 1 :])
         spent += found.seconds
         reached = min(reached, result.error)
-        notes.append(f"{found.method} ran first and reached {result.error:.2g}")
+        notes.append(f"{found.method} ran first, with an error of {result.error:.2g}")
     raise _refusal(task, regime, reached, too_long, refusals, ordered, max_seconds)
 
 
 def able(task: Task, regime: Regime) -> list[Candidate]:
-    """The transforms that `automatic` tries, in its order.
+    """Return the transforms that `automatic` tries, in its order.
 
     Raises
     ------
     SamplingError
-        As of `automatic`, where there is none.
+        If all transforms are ruled out.
     """
     ordered = sorted(candidates(task, regime))
     found = [one for one in ordered if not one.ruled_out]
@@ -85,12 +98,12 @@ def able(task: Task, regime: Regime) -> list[Candidate]:
 
 
 def candidates(task: Task, regime: Regime) -> list[Candidate]:
-    """Every transform that takes this layout, with its seconds and what rules it out."""
+    """Return all transforms available for the wave's layout, with predicted times."""
     layout = task.residual.wavefront.layout
     if layout == "polar":
         closed = _airy(task)
         if not closed.ruled_out:
-            return [closed]  # none is faster
+            return [closed]  # no other transform is faster
         found = [closed, _quadrature(task), _soft_grid(task)]
     elif layout == "cells":
         found = [_quadrature(task)]
@@ -102,71 +115,77 @@ def candidates(task: Task, regime: Regime) -> list[Candidate]:
 
 
 def _airy(task: Task) -> Candidate:
+    """Return the closed form, ruled out if its error bound exceeds tol."""
     bound = airy.error_bound(task.residual)
     ruled_out = "" if bound <= task.tol else "the wave is not flat"
     if ruled_out and math.isfinite(bound):
-        ruled_out = f"the wave is flat to an error of {bound:.2g}"
+        ruled_out = f"the error of neglecting the aberration is {bound:.2g}"
     return Candidate(costs.airy(task.samples), "airy", ruled_out)
 
 
 def _quadrature(task: Task) -> Candidate:
+    """Return the quadrature, ruled out if the wavefront's nodes leave too large an error."""
     residual = task.residual
-    # against a peak of 1, the highest there is
+    # lower bound of the relative error, since the peak is at most 1
     least = 2 * error_bounds.beat(task.pixel) * residual.truncation
-    ruled_out = f"its nodes miss {least:.2g} or more" if least > task.tol else ""
+    ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
     return Candidate(costs.polar_sum(residual, task.samples), "quadrature", ruled_out)
 
 
 def _soft_grid(task: Task) -> Candidate:
+    """Return the fastest transform of a polar wave on a grid with a softened rim."""
     residual = task.residual
     if task.soft is not None:
         fast, few = (task.soft.grid(task, method) for method in ("fft", "mdft"))
         least = 2 * few.error
-        ruled_out = f"its rim errs by {least:g}" if task.tol < least else ""
+        ruled_out = f"error of its rim {least:g}" if task.tol < least else ""
         return min(
             Candidate(costs.soft_padded(task.samples, fast), "fft", ruled_out),
             Candidate(costs.soft_folded(task.samples, few), "mdft", ruled_out),
         )
     size = polar_size(task)
     pitch = grid_period_pitch(task, size)
-    # the light spread evenly over the rays' disc, 1 at most
+    # peak if the energy were uniform over the disc of the rays, at most 1
     reach = max(residual.rays.reach / residual.airy_unit, 1.0)
     peak = min(1.0, 4 / (math.pi * reach) ** 2)
     rim = error_bounds.soft_rim_error(residual, pitch, 0.0, error_bounds.CONTINUATION)
     field = float(rim) + residual.truncation
     expected = 2 * error_bounds.beat(task.pixel) * field / math.sqrt(peak)
-    ruled_out = f"its rim errs by about {expected:.2g}" if expected > DOUBT * task.tol else ""
+    ruled_out = f"error of its rim about {expected:.2g}" if expected > DOUBT * task.tol else ""
     return Candidate(costs.soft_grid(residual, task.samples, pitch, size), "fft", ruled_out)
 
 
 def _maps(task: Task) -> list[Candidate]:
+    """Return the transforms of a grid wavefront."""
     residual = task.residual
     chirp = Candidate(costs.map_chirp(residual, task.samples), "mdft")
     wave = residual.wavefront
     size = wave.wavelength * abs(wave.image_distance) / (task.samples.pitch * wave.pupil_pitch)
     whole = abs(size - round(size)) <= 1e-9 * size
-    ruled_out = "" if whole and task.rule is None else "the pitch is not a fraction of its period"
+    ruled_out = "" if whole and task.rule is None else "the pitch does not divide its period"
     if task.rule is not None:
-        ruled_out = "its pitch does not divide pixels"
+        ruled_out = "its own pitch does not divide the pixels"
     fft = Candidate(costs.map_fft(residual, task.samples, round(size)), "fft", ruled_out)
     return [fft, chirp]
 
 
 def _rays(task: Task, regime: Regime) -> Candidate:
+    """Return the geometric method, ruled out if diffraction matters."""
     least = geometric.least_error(task.residual, task.pitch)
     ruled_out = ""
     if task.rule is None:
         ruled_out = "rays have no intensity at points"
     elif regime.peak_to_valley <= MANY_WAVES:
-        ruled_out = f"{regime.peak_to_valley:.3g} waves are few for rays, limit {MANY_WAVES}"
+        ruled_out = f"{regime.peak_to_valley:.3g} waves are too few, limit {MANY_WAVES}"
     elif least > task.tol:
-        ruled_out = f"rays err by {least:.2g} or more on pixels of {regime.pixel:.3g} lambda N"
-    if ruled_out:  # what rays of a map would cost takes a fit about every node
+        ruled_out = f"error of at least {least:.2g} on pixels of {regime.pixel:.3g} lambda N"
+    if ruled_out:  # not costed: for a map that would need a fit about every node
         return Candidate(math.inf, "geometric", ruled_out)
     return Candidate(costs.rays(task.residual, task.pixels), "geometric")
 
 
 def _reason(taken: Candidate, tol: float, notes: list[str], rest: list[Candidate]) -> str:
+    """Return the text of `PointSpread.reason`."""
     later = [
         f"{c.method} ruled out: {c.ruled_out}"
         if c.ruled_out
@@ -186,7 +205,7 @@ def _refusal(
     ordered: list[Candidate],
     max_seconds: float,
 ) -> NlosError:
-    """What stopped the transforms, and what would be needed."""
+    """Return the error to raise if no transform succeeded, with a remedy."""
     if too_long:
         return _too_long(task, regime, too_long[0], reached, max_seconds)
     counts = " x ".join(map(str, task.residual.wavefront.u.shape))
@@ -207,6 +226,7 @@ def _refusal(
 def _too_long(
     task: Task, regime: Regime, cheapest: Candidate, reached: float, max_seconds: float
 ) -> SamplingError:
+    """Return the error for transforms that exceed ``max_seconds``; check the memory first."""
     ny, nx = task.samples.shape
     n_bytes = 32.0 * ny * nx
     if task.soft is not None and cheapest.method in ("fft", "mdft"):
@@ -219,7 +239,7 @@ def _too_long(
         n_bytes = need(task.samples, grid, task.rule)
     smaller = "use a smaller shape"
     if task.rule is not None and regime.peak_to_valley > MANY_WAVES:
-        smaller += ", or a larger tol on wide pixels, at which rays do"
+        smaller += ", or on wide pixels a larger tol, so that geometric rays suffice"
     elif task.rule is not None and task.residual.wavefront.layout == "polar":
         smaller += ", or psf.wide_point_spread"
     fits_memory(
@@ -234,7 +254,7 @@ def _too_long(
     if math.isfinite(reached):
         remedies.append(f"tol = {rounded_up(reached)}")
     elif task.rule is not None and regime.peak_to_valley > MANY_WAVES:
-        remedies.append(f"a tol well above {least:.2g}, at which rays do")
+        remedies.append(f"a tol well above {least:.2g}, so that geometric rays suffice")
     if max(ny, nx) * task.samples.pitch > 3 * task.residual.rays.reach:
         remedies.append("a smaller shape")
     return SamplingError(
@@ -245,4 +265,5 @@ def _too_long(
 
 
 def _first_clause(refusal: NlosError) -> str:
+    """Return an error message without its remedy."""
     return str(refusal).split(";")[0]

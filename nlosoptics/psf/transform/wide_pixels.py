@@ -1,4 +1,4 @@
-"""Point spreads on pixels far wider than diffraction: fine about the rays, a tail beyond."""
+"""Point spreads on pixels much wider than an Airy unit: fine near the rays, a tail model beyond."""
 
 from __future__ import annotations
 
@@ -16,27 +16,28 @@ from ..window.window import peak_pixel, ray_reach, shape_of
 from .point_spread import PointSpread, detilted_point_spread
 
 Array = NDArray[np.float64]
-#: How far a rectangle reaches from a point, down and up, left and right.
+#: Distances from a point to the sides of a rectangle: (down, up), (left, right).
 Sides = tuple[tuple[float, float], tuple[float, float]]
 
-#: Pixel in Airy units from which this is tried, and the parts' own.
+#: Pixel side, Airy units, from which this method is tried, and largest side of the fine parts.
 WIDE, FINE = 8.0, 2.0
-#: Share of the tail's light that a pixel of it may err by, far from the rays; measured 3e-4.
+#: Relative error of the tail model far from the rays; measured 3e-4.
 MODEL = 0.01
-#: Least distance of the tail from the rays, Airy units.
+#: Least distance from the rays to the tail, Airy units.
 LEAST = 20.0
-#: Share of the samples of the whole window from which the detour does not pay.
+#: Largest side of the fine square relative to the window's for which the method is used.
 WORTH = 0.5
 
 
 def wide_point_spread(
     wave: Wavefront, *, pitch: float, shape: int | tuple[int, int], tol: float
 ) -> PointSpread:
-    """`point_spread` on pixels, with fine samples only where the rays land.
+    """Compute a point spread function on wide pixels, finely sampled only where the rays land.
 
     Parameters
     ----------
     wave : Wavefront
+        Wave in the exit pupil.
     pitch : float
         Pixel side, m.
     shape : int or (int, int)
@@ -47,13 +48,18 @@ def wide_point_spread(
     Returns
     -------
     PointSpread
-        ``"unit-sum"``, integrated over pixels. Where the pixels are wide, all light that lies
-        beyond a square about the rays is spread as ``1/r^3``, see `diffraction_tail`.
+        Of normalisation ``"unit-sum"`` and integrated over pixels. If the pixels are wide, the
+        energy outside a square around the rays is distributed as ``1/r^3``, see
+        `diffraction_tail`. Otherwise the result is that of `point_spread`.
 
     Raises
     ------
     NlosError
-        As of `point_spread`.
+        If `point_spread` raises it for the fine samples.
+
+    See Also
+    --------
+    point_spread : For pixels of any width, with other options.
     """
     pitch, shape = positive("pitch", pitch, unit="m"), shape_of(shape)
     in_range("tol", tol, 0.0, 1.0, open_low=True)
@@ -63,7 +69,7 @@ def wide_point_spread(
 def detilted_wide_spread(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float
 ) -> PointSpread:
-    """`wide_point_spread` of a wave whose piston and tilt are already separated."""
+    """Compute `wide_point_spread` for a wave already split into piston, tilt and residual."""
     whole = partial(
         detilted_point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
     )
@@ -80,7 +86,7 @@ def detilted_wide_spread(
     intensity = binned(fine.intensity, parts, shape)
     intensity += missing * tail_pixels(shape, ((half / pitch,) * 2,) * 2)
     peak = float(intensity.max())
-    # errors of the parts have either sign
+    # Errors of the parts^2 samples of a pixel have both signs; their sum grows as parts.
     error = fine.error_estimate * min(parts, n) * float(fine.intensity.max())
     error = (error + missing * _model_error(reach / half)) / peak
     if error > tol:
@@ -100,7 +106,10 @@ def detilted_wide_spread(
 def inner_parts(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float
 ) -> tuple[int, int] | None:
-    """Parts of pixels a side about the rays, and how many a pixel has; None if they do not pay."""
+    """Return the side of the fine square in parts, and the parts per pixel side.
+
+    None if the method does not apply or would not be faster.
+    """
     unit = residual.airy_unit
     if residual.wavefront.layout != "polar" or pitch < WIDE * unit:
         return None
@@ -113,24 +122,27 @@ def inner_parts(
 
 
 def _inner_half(reach: float, tol: float) -> float:
-    """Half side of the square beyond which the tail errs by less than ``tol``, Airy units."""
-    # beyond half lies 2/(pi^2 half) of all light
+    """Return the half side of the fine square for a tail error below ``tol``, Airy units."""
+    # the energy beyond a half side is 2/(pi^2 half) of the total
     share = 2 / math.pi**2 / tol
     return max(reach + LEAST, share * 2 * MODEL, math.cbrt(2 * share * reach**2))
 
 
 def _model_error(reach: float) -> float:
-    """Share of the tail's light that it errs by, for rays that land at a share of its start."""
+    """Bound the relative error of the tail; ``reach`` is that of the rays over the half side."""
     return min(1.0, MODEL + reach**2)
 
 
 def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
-    """Sums over pixels of ``parts`` x ``parts``, both of one centre; what is beyond is dropped."""
+    """Sum fine samples over pixels of ``parts`` x ``parts`` and crop to ``shape``.
+
+    Both grids have the same centre. Samples outside the shape are dropped.
+    """
     n = len(fine)
-    # whole pixels, an odd count, that hold the fine ones
+    # odd number of whole pixels that hold the fine samples
     count = 2 * math.ceil(max((n - parts) / 2, 0) / parts) + 1
     margin = (count * parts - n) // 2
-    # pixels may be far wider than all the fine ones, which are not padded to them
+    # No padding of the fine samples to whole pixels, which may be much wider than all of them.
     starts = np.maximum(np.arange(count) * parts - margin, 0)
     wide = np.add.reduceat(np.add.reduceat(fine, starts, axis=0), starts, axis=1)
     found = np.zeros(shape)
@@ -144,12 +156,23 @@ def binned(fine: Array, parts: int, shape: tuple[int, int]) -> Array:
 
 
 def tail_pixels(shape: tuple[int, int], sides: Sides) -> Array:
-    """Share of ``1/r^3`` beyond a rectangle in each pixel of a window, ``shape``; 0 within it.
+    """Integrate a tail ``1/r^3`` outside a rectangle over the pixels of a window.
 
-    All that lies beyond the rectangle counts 1. Its ``sides`` are so many pixels below and above,
-    left and right of the window's middle one.
+    The tail is 0 inside the rectangle, and its total over the plane is 1.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Pixels (ny, nx).
+    sides : ((float, float), (float, float))
+        Distances of the rectangle's sides from the window's middle pixel, in pixels: down and up,
+        left and right.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
     """
-    # beyond a and b in a quadrant lies sqrt(a^2 + b^2)/(a b)
+    # integral over a quadrant outside the rectangle of sides a and b: sqrt(a^2 + b^2)/(a b)
     total = sum(math.hypot(a, b) / (a * b) for a in sides[0] for b in sides[1])
     y, x = (np.arange(n + 1) - n // 2 - 0.5 for n in shape)
     b, a = (np.where(v < 0, *pair) for v, pair in zip((y, x), sides, strict=True))
@@ -159,7 +182,7 @@ def tail_pixels(shape: tuple[int, int], sides: Sides) -> Array:
 
 
 def _in_quadrant(x: Array, y: Array, a: Array, b: Array) -> Array:
-    """Integral of ``1/r^3`` over 0..x, 0..y beyond a rectangle 0..a, 0..b."""
+    """Integrate ``1/r^3`` over the rectangle (0..x, 0..y) outside the rectangle (0..a, 0..b)."""
     far_x, far_y = np.maximum(x, a), np.maximum(y, b)
     both = np.hypot(a, b) / (a * b) - np.hypot(far_x, far_y) / (far_x * far_y)
     strip = np.where(x < a, _strip(x, b) - _strip(x, far_y), _strip(y, a) - _strip(y, far_x))
@@ -167,6 +190,6 @@ def _in_quadrant(x: Array, y: Array, a: Array, b: Array) -> Array:
 
 
 def _strip(width: Array, start: Array) -> Array:
-    """Integral of ``1/r^3`` over 0..width along one axis, beyond ``start`` along the other."""
-    # width/(start (hypot + start)), without cancellation
+    """Integrate ``1/r^3`` over 0..width along one axis and start..infinity along the other."""
+    # written as width/(start (hypot + start)) to avoid cancellation
     return np.asarray(width / (start * (np.hypot(width, start) + start)))

@@ -1,1 +1,1 @@
-"""From a whole scene to its point spread function."""
+"""Point spread functions of whole scenes and of wall materials."""

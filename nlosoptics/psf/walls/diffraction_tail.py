@@ -1,4 +1,4 @@
-"""Light that diffraction sends beyond the window of a point spread."""
+"""Extend point spread functions beyond their window by a model of the diffraction tail."""
 
 from __future__ import annotations
 
@@ -23,20 +23,31 @@ Array = NDArray[np.float64]
 def widened(
     point_spreads: PointSpread | PointSpreadField, *, tol: float, shape: tuple[int, int]
 ) -> PointSpread | PointSpreadField:
-    """Point spreads in a window that holds all light but a share ``tol``, for an image.
+    """Extend point spread functions to a window that holds all but ``tol`` of the energy.
 
     Parameters
     ----------
     point_spreads : PointSpread or PointSpreadField
+        Energy per pixel, ``"unit-sum"``.
     tol : float
-        Above 0.
+        Fraction of the energy that may lie outside the window, above 0 to 1.
     shape : (int, int)
-        Pixels of the image: a window of more than twice its longer side has no use.
+        Pixels (ny, nx) of the image to be formed. It limits the window to twice the longer side.
 
     Returns
     -------
     PointSpread or PointSpreadField
-        As of `with_tail` or `field_with_tail`.
+        In a square window, with the missing energy added as a tail ``1/r^3``; or the input if its
+        window suffices.
+
+    Raises
+    ------
+    SceneError
+        If ``tol`` is out of range, or the point spread includes light scattered by a rough wall.
+    SamplingError
+        If the normalisation is not ``"unit-sum"``.
+    MemoryLimitError
+        If the window would not fit into memory.
     """
     in_range("tol", tol, 0.0, 1.0, open_low=True)
     if isinstance(point_spreads, PointSpreadField):
@@ -53,35 +64,35 @@ def widened(
 
 
 def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
-    """Point spread in a wider window, with the light that it sends beyond its own.
+    """Extend a point spread function to a wider window by its diffraction tail.
 
     Parameters
     ----------
     point_spread : PointSpread
-        Energy per pixel, ``"unit-sum"``; of a wave alone, without parts that a wall scatters.
+        Energy per pixel, ``"unit-sum"``, of a wave without scattering by a rough wall.
     side : int
-        Pixels of the new window, no fewer than of the old.
+        Side of the new window, pixels; at least that of the old one.
 
     Returns
     -------
     PointSpread
-        The same within the old window. Beyond it the light that is missing there from 1, spread as
+        Unchanged within the old window. Outside it, the energy missing from 1 is distributed as
         ``1/r^3``.
 
     Raises
     ------
     SceneError
-        If the point spread has such parts, whose light beyond the window is no rim's.
+        If the point spread includes scattered light, which has no such tail.
     SamplingError
-        If the window is narrower or values are not energies of the whole plane.
+        If the window is narrower, or the normalisation is not ``"unit-sum"``.
     MemoryLimitError
-        If the window would not fit.
+        If the window would not fit into memory.
 
     Notes
     -----
-    A sharp rim sends ``lambda N/(pi^3 r^3)`` per area a distance r, averaged over its rings and
-    whatever the aberration, once r is far beyond its rays [1]_. The factor is not taken from there
-    but from the missing light, so that the plane carries 1.
+    Far outside the rays, a sharp rim yields ``lambda N/(pi^3 r^3)`` per area, averaged over the
+    rings and for any aberration [1]_. Here the factor follows from the missing energy, so that the
+    total is 1.
 
     References
     ----------
@@ -89,13 +100,13 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
     """
     if isinstance(point_spread, (RoughPointSpread, HybridPointSpread)):
         raise SceneError(
-            f"point_spread is a {type(point_spread).__name__}, which lacks scattered light too; "
-            f"compute it with shape = {side}"
+            f"point_spread is a {type(point_spread).__name__}, whose scattered light outside the "
+            f"window has no 1/r^3 tail; compute it with shape = {side}"
         )
     if point_spread.normalisation != "unit-sum":
         raise SamplingError(
-            f"point_spread.normalisation = {point_spread.normalisation!r}, whose missing light is "
-            "not known; compute it with normalisation='unit-sum'"
+            f"point_spread.normalisation = {point_spread.normalisation!r}, from which the missing "
+            "energy is not known; compute it with normalisation='unit-sum'"
         )
     side = _checked(side, point_spread.shape)
     missing = max(1.0 - float(point_spread.intensity.sum()), 0.0)
@@ -105,17 +116,26 @@ def with_tail(point_spread: PointSpread, side: int) -> PointSpread:
 
 
 def field_with_tail(field: PointSpreadField, side: int) -> PointSpreadField:
-    """The same of every point spread of a field: one more mode.
+    """Extend all point spread functions of a field to a wider window by their diffraction tail.
 
     Parameters
     ----------
     field : PointSpreadField
+        Energy per pixel.
     side : int
-        As of `with_tail`.
+        Side of the new window, pixels; at least that of the old one.
 
     Returns
     -------
     PointSpreadField
+        With one more mode, the tail.
+
+    Raises
+    ------
+    SamplingError
+        If the window is narrower.
+    MemoryLimitError
+        If the window would not fit into memory.
     """
     shape = field.modes.shape[1], field.modes.shape[2]
     side = _checked(side, shape)
@@ -130,22 +150,29 @@ def field_with_tail(field: PointSpreadField, side: int) -> PointSpreadField:
 
 
 def _sides(shape: tuple[int, int]) -> Sides:
-    """Those of a window about its middle pixel."""
+    """Return the distances of a window's sides from its middle pixel, in pixels."""
     below, left = ((n // 2 + 0.5, n - n // 2 - 0.5) for n in shape)
     return below, left
 
 
 def _checked(side: int, shape: tuple[int, int]) -> int:
+    """Check that a window's side is not below that of ``shape`` and fits into memory."""
     side = whole("side", side)
     if side < max(shape):
         raise SamplingError(
-            f"side = {side} is narrower than the point spread's {shape}; give a wider one"
+            f"side = {side} pixels is narrower than the point spread's window of {shape}; give a "
+            f"side of {max(shape)} or more"
         )
-    fits_memory(f"a window of {side} x {side} pixels", 40.0 * side**2, "use a smaller side")
+    fits_memory(
+        f"a window of {side} x {side} pixels",
+        40.0 * side**2,
+        "use a larger tol, or an image of fewer pixels",
+    )
     return side
 
 
 def _padded(intensity: Array, side: int) -> Array:
+    """Return an intensity at the centre of a square window, with 0 around it."""
     wide = np.zeros((side, side))
     wide[middle(wide.shape, intensity.shape)] = intensity
     return wide

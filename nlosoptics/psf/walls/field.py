@@ -1,4 +1,4 @@
-"""Point spreads that vary over the hidden object, as a few modes."""
+"""Field-dependent point spread functions over the hidden object, compressed to a few modes."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from ..transform.point_spread import PointSpread
 from .scene_psf import point_image, point_window
 
 Array = NDArray[np.float64]
-HELD_OUT = 501  # stream of the points that check a field
-AVERAGED = 32  # points along each side of the picture over which a field is averaged
-FINEST = 1e-3  # of the object's size, the smallest radius that `isoplanatic_radius` tells
+HELD_OUT = 501  # random stream of the points at which a field is checked
+AVERAGED = 32  # points along each side of the object over which a field is averaged
+FINEST = 1e-3  # resolution of `isoplanatic_radius`, relative to the object's half size
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointSpreadField(Noun):
-    """Point spreads over a picture: ``sum_k weights[k] modes[k]`` at every point.
+    """Point spread functions over a planar object, ``sum_k weights[k] modes[k]`` at every point.
 
     Parameters
     ----------
     modes : ndarray, (K, py, px)
-        Energy per pixel, centre at ``[py//2, px//2]``, which lies on the chief ray of the point.
+        Energy per pixel. The pixel ``[py//2, px//2]`` is centred on the chief ray of the point.
     weights : ndarray, (K, ny, nx)
-        At the nodes ``across`` and ``up``.
+        Weights of the modes at the nodes ``up`` and ``across``.
     across, up : ndarray, (nx,) and (ny,)
-        Chebyshev nodes over the picture, -1 to 1: from its left to its right edge, and from its
-        lower to its upper one.
+        Chebyshev nodes over the object, -1 to 1, from its left to its right edge and from its
+        lower to its upper edge.
     pitch : float
         Image pixel, m.
     truncation_error : float
-        Largest max |dI|/max I at the nodes that leaving out the other modes makes.
+        Largest max |dI|/max I at the nodes due to the omitted modes.
     error_estimate : float
-        Largest max |dI|/max I at points between the nodes, chosen at random and computed anew,
-        with the transforms' own estimates added.
+        Largest max |dI|/max I at random points between the nodes, where the point spread is
+        computed directly, plus the largest error estimate of the transforms.
     normalisation : str
-        Of the modes' sums, ``"unit-sum"``.
+        Normalisation of each point spread, ``"unit-sum"``.
     """
 
     modes: Array
@@ -63,34 +63,39 @@ class PointSpreadField(Noun):
             array.flags.writeable = False
 
     def at(self, across: ArrayLike, up: ArrayLike) -> Array:
-        """Weights at points of the picture.
+        """Interpolate the weights of the modes at points of the object.
 
         Parameters
         ----------
-        across, up : array_like, (...)
-            -1 to 1 over the picture; the shapes broadcast. What lies beyond takes the weights of
-            the nearest edge.
+        across, up : array_like
+            Coordinates, -1 to 1 over the object; their shapes broadcast. Points outside take the
+            weights at the nearest edge.
 
         Returns
         -------
         ndarray, (K, ...)
+
+        Raises
+        ------
+        SamplingError
+            If a coordinate is NaN or infinite.
         """
         x, y = np.broadcast_arrays(*(np.asarray(v, dtype=np.float64) for v in (across, up)))
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            raise SamplingError("across or up holds NaN or infinity; give points of the picture")
+            raise SamplingError("across or up holds NaN or infinity; give coordinates from -1 to 1")
         on_x = _chebyshev(len(self.across), x.ravel())
         on_y = _chebyshev(len(self.up), y.ravel())
-        # einsum's own loops: BLAS could round otherwise on another number of threads
+        # einsum without BLAS, whose rounding can depend on the number of threads
         half = np.einsum("kyx,nx->kyn", self.weights, on_x)
         weights = np.einsum("kyn,ny->kn", half, on_y)
         return np.asarray(weights.reshape(len(self.weights), *x.shape))
 
     def point_spread(self, across: float, up: float) -> Array:
-        """Point spread at one point of the picture, (py, px)."""
+        """Return the point spread function (py, px) at one point of the object, -1 to 1."""
         return np.asarray(np.tensordot(self.at(across, up), self.modes, 1))
 
     def mean(self) -> Array:
-        """Mean point spread over the picture, (py, px)."""
+        """Return the point spread function (py, px) averaged over the object."""
         steps = (2 * np.arange(AVERAGED) + 1) / AVERAGED - 1
         weights = self.at(steps[None, :], steps[:, None]).mean(axis=(1, 2))
         return np.asarray(np.tensordot(weights, self.modes, 1))
@@ -106,26 +111,26 @@ def point_spread_field(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PointSpreadField:
-    """Point spreads over the hidden picture, compressed to a few modes.
+    """Compute point spread functions over the planar hidden object, compressed to a few modes.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
-        With a `PlanarObject`.
+        Scene with a `PlanarObject`.
     grid : int or (int, int)
-        Nodes over the picture, (ny, nx); one number for both, 1 to 64.
+        Nodes over the object, (ny, nx), each 1 to 64; one number stands for both.
     tol : float
-        Wanted error of every point spread, max |dI|/max I: half of it for the transforms, half for
-        the modes left out.
+        Wanted error of each point spread, max |dI|/max I, 1e-9 to 0.1: half for the transforms,
+        half for the omitted modes. The error of interpolation between nodes depends on ``grid``.
     pitch : float, optional
-        Pixel, m; the camera's image pixel by default. Values are integrals over pixels.
+        Pixel side, m; by default the camera's image pixel. Values are integrals over pixels.
     checks : int
-        Points between the nodes at which the field is checked; 0 leaves ``error_estimate`` to what
-        the nodes tell.
+        Number of random points between the nodes at which the field is checked. If 0,
+        ``error_estimate`` covers the nodes only.
     seed : int
-        Of these points.
+        Seed of these points.
     progress : callable(str, float), optional
-        Told "field" and the fraction done.
+        Called with "field" and the completed fraction.
 
     Returns
     -------
@@ -136,15 +141,20 @@ def point_spread_field(
     SceneError
         If the object is a mesh or an option is out of range.
     CausticError, NotWaveGradeError, SamplingError
-        Where a node has no wave or no transform reaches ``tol``.
+        If the wave of a node is undefined, or no transform reaches ``tol``.
     MemoryLimitError
-        If the point spreads of all nodes would not fit.
+        If the point spreads of all nodes would not fit into memory.
+
+    See Also
+    --------
+    scene_point_spread : For one object point.
+    isoplanatic_radius : Distance over which one point spread suffices.
 
     Notes
     -----
     The modes are the leading right singular vectors of the matrix of all point spreads, as many as
-    ``tol`` takes; the weights are interpolated by Chebyshev polynomials over the picture. Point
-    spreads are computed on as many threads as there are cores, with the same bits on any number.
+    ``tol`` requires. The weights are interpolated by Chebyshev polynomials over the object. Point
+    spreads are computed on one thread per core; the result does not depend on their number.
     """
     optics = optics_of(scene)
     scene = optics.scene
@@ -155,7 +165,7 @@ def point_spread_field(
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     up, across = picture_nodes(ny), picture_nodes(nx)
     corners = {(float(x), float(y)) for y in (up[0], up[-1]) for x in (across[0], across[-1])}
-    # what is seen from these is kept for the point spreads of the nodes among them
+    # The optics of these points determine the window; those of corner nodes are used again below.
     seen = {
         place: optics.at(picture_point(hidden, *place)) for place in sorted(corners | {(0.0, 0.0)})
     }
@@ -195,21 +205,28 @@ def point_spread_field(
 
 
 def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> float:
-    """Distance on the object within which one point spread stands for all, m.
+    """Compute the distance from the object's centre within which one point spread suffices.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
-        With a `PlanarObject`.
+        Scene with a `PlanarObject`.
     tol : float
-        Largest max |dI|/max I between the point spread there and at the centre.
+        Largest difference max |dI|/max I from the point spread at the centre, 1e-6 to 1.
 
     Returns
     -------
     float
-        The smallest over eight directions in the picture's plane, found by bisection along each
-        within the picture; inf where the point spread stays within ``tol`` all over it, and 0 where
-        it does so for less than 1e-3 of the picture.
+        m; the smallest of eight directions in the object's plane, each by bisection. It is
+        infinite if the difference stays within ``tol`` over the whole object, and 0 if the
+        distance is below 1e-3 of the object's half size.
+
+    Raises
+    ------
+    SceneError
+        If the object is a mesh or ``tol`` is out of range.
+    CausticError, NotWaveGradeError, SamplingError
+        If the wave of a point is undefined, or no transform reaches ``tol/10``.
     """
     optics = optics_of(scene)
     hidden, pitch = _picture(optics.scene), optics.scene.camera.image_pitch
@@ -224,7 +241,7 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
     centre, radius = spread(0.0, 0.0), math.inf
     for k in range(8):
         x, y = math.cos(math.pi * k / 4), math.sin(math.pi * k / 4)
-        edge = 1.0 / max(abs(x), abs(y))  # of the picture along this direction
+        edge = 1.0 / max(abs(x), abs(y))  # of the object along this direction
         reach = math.hypot(x * hidden.size[0], y * hidden.size[1]) / 2
         high = min(edge, radius / reach)
         if _off(spread(high * x, high * y), centre) <= tol:
@@ -239,12 +256,14 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
 
 
 def _picture(scene: Scene) -> PlanarObject:
+    """Return the planar hidden object; refuse a mesh."""
     if not isinstance(scene.hidden, PlanarObject):
         raise SceneError("scene.hidden is a mesh; point spreads over a field need a PlanarObject")
     return scene.hidden
 
 
 def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
+    """Check a grid; one number stands for both (ny, nx)."""
     counts = (grid, grid) if isinstance(grid, int) or is_single(grid) else grid
     if not hasattr(counts, "__len__") or len(counts) != 2:
         raise SceneError(f"grid = {grid!r}; give one whole number or (ny, nx)")
@@ -253,7 +272,7 @@ def _grid_counts(grid: int | tuple[int, int]) -> tuple[int, int]:
 
 
 def picture_nodes(count: int) -> Array:
-    """Chebyshev points of the first kind, rising; the middle one of an odd count is exactly 0."""
+    """Return increasing Chebyshev points of the first kind; the middle one of an odd count is 0."""
     nodes = -np.cos(np.pi * (np.arange(count) + 0.5) / count)
     if count % 2:
         nodes[count // 2] = 0.0
@@ -261,7 +280,7 @@ def picture_nodes(count: int) -> Array:
 
 
 def _chebyshev(count: int, at: Array) -> Array:
-    """Weights (n, count) of the nodes at points, taken to the nearest edge."""
+    """Return Chebyshev interpolation weights (n, count) at points, clipped to [-1, 1]."""
     angles = np.pi * (np.arange(count) + 0.5) / count
     orders = np.arange(count)
     from_nodes = np.cos(orders[:, None] * (np.pi - angles)) * (2.0 / count)
@@ -271,21 +290,23 @@ def _chebyshev(count: int, at: Array) -> Array:
 
 
 def picture_point(hidden: PlanarObject, across: float, up: float) -> Array:
-    """World point, m, at coordinates -1 to 1 of the picture."""
+    """Return the world point, m, at the coordinates -1 to 1 of a planar object."""
     right, upward, _ = hidden.axes
     half = 0.5 * np.array(hidden.size)
     return np.asarray(hidden.position + across * half[0] * right + up * half[1] * upward)
 
 
 def _off(found: Array, exact: Array) -> float:
+    """Return max |dI|/max I."""
     return float(np.abs(found - exact).max() / exact.max())
 
 
 def _compressed(spreads: Array, tol: float) -> tuple[Array, Array, float]:
-    """Fewest modes (K, p) and weights (n, K) within ``tol``, and their error.
+    """Return the fewest modes (K, p) and their weights (n, K) within ``tol``, and their error.
 
-    Of every row's peak, sample by sample, and of its sum in all samples together: the first is
-    what is told, the second is what an image may change by.
+    Both the largest error of a sample relative to the row's peak and the summed error relative to
+    the row's sum are within ``tol``; the latter bounds the error of an image. The former is
+    returned.
     """
     left, values, modes = np.linalg.svd(spreads, full_matrices=False)
     peaks, sums = spreads.max(axis=1), np.abs(spreads).sum(axis=1)

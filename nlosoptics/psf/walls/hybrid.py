@@ -1,4 +1,4 @@
-"""Point spread of a whole wall material: waves for its mirror-like lobes, rays for the rest."""
+"""Point spread function of all lobes of a wall: waves for mirror-like lobes, rays for the rest."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ from ..window.window import Window, check_rays, middle, shape_of, window_side
 from .lobe_psf import ROUGH, lobe_roughness, split_lobes
 
 Array = NDArray[np.float64]
-#: Radius of the halo's window over `RoughView.halo`, 3 standard deviations of a Gaussian C.
+#: Half side of the halo's window in units of `RoughView.halo`, for a Gaussian C and for any other.
 REACH: Final = 1.5
-WIDE: Final = 6.0  # the same of any other C
+WIDE: Final = 6.0
 
 
 @dataclass(frozen=True, eq=False)
 class MirrorImage:
-    """The wall as a mirror of reflectance 1, seen from one object point.
+    """Mirror image of one object point by a wall of reflectance 1.
 
     Parameters
     ----------
     aimed : AimedWave
         Wave and rays of the object point.
     flux : float
-        Power through the lens from a point of 1 W, W.
+        Power through the lens from a point that emits 1 W, W.
     image : (float, float)
-        Where the chief ray meets the detector, from the camera's axis, m.
+        Position at which the chief ray meets the detector, from the camera's axis, m.
     """
 
     aimed: AimedWave
@@ -58,7 +58,19 @@ class MirrorImage:
 
 @dataclass(frozen=True, eq=False)
 class WaveParts:
-    """Return the mirror image computed by waves, W, and its largest error, W a pixel."""
+    """Mirror image computed by waves.
+
+    Parameters
+    ----------
+    coherent, halo : ndarray, (ny, nx)
+        Parts of the smooth mirror and of scattering by its roughness, W per pixel.
+    error : float
+        Largest error of their sum, W per pixel.
+    coherent_flux, halo_flux : float
+        Power of both parts in the whole image plane, W.
+    reason : str
+        Method, for `PointSpread.reason`.
+    """
 
     coherent: Array
     halo: Array
@@ -71,7 +83,10 @@ class WaveParts:
 def image_lobes(
     scene: Scene, roughness: Roughness | None
 ) -> tuple[float, list[tuple[float, Roughness | MirrorLobe]]]:
-    """Reflectance of the smooth mirrors, and (reflectance, roughness or lobe) of rough ones."""
+    """Return the reflectance of smooth lobes and (reflectance, statistics) of each rough lobe.
+
+    The statistics are the given ``roughness``, or the lobe itself if none is given.
+    """
     if roughness is not None:
         total = scene.wall_material.specular_reflectance
         return 0.0, [(total, roughness)] if total > 0.0 else []
@@ -80,16 +95,16 @@ def image_lobes(
 
 
 def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> MirrorImage:
-    """Flux and place of the mirror image of an object point.
+    """Compute the flux and the position of an object point's mirror image.
 
     Parameters
     ----------
     seen : PointOptics
         Optics of the object point.
     aimed : AimedWave
-        Its wave.
+        Wave of the object point.
     normal : ndarray, (3,), or None
-        Direction about which the point shines as a Lambert emitter; None for even light.
+        World, axis of the Lambertian emission of the point; None for isotropic emission.
 
     Returns
     -------
@@ -115,7 +130,10 @@ def mirror_image(seen: PointOptics, aimed: AimedWave, normal: Array | None) -> M
 
 
 def _intensity(lines: Array, normal: Array | None) -> Array:
-    """Radiant intensity along lines (n, 3) from a point of 1 W, W/sr; even without a normal."""
+    """Return the radiant intensity (n,), W/sr, along directions (n, 3) from a point of 1 W.
+
+    Emission is Lambertian about ``normal``, or isotropic if it is None.
+    """
     if normal is None:
         return np.full(len(lines), 0.25 / math.pi)
     cosines = lines @ normal / np.linalg.norm(lines, axis=1)
@@ -123,7 +141,7 @@ def _intensity(lines: Array, normal: Array | None) -> Array:
 
 
 def _past_the_field_stop(scene: Scene, on_wall: Array, on_lens: Array) -> float:
-    """Whether the camera's baffle lets the mirror image pass, 1 or 0."""
+    """Return 1 if the camera's field stop passes the mirror image, 0 if it blocks it."""
     if scene.camera.field_stop is None:
         return 1.0
     lines = on_wall - on_lens
@@ -132,8 +150,8 @@ def _past_the_field_stop(scene: Scene, on_wall: Array, on_lens: Array) -> float:
     if passed.any() and not passed.all():
         raise SceneError(
             f"camera.field_stop = {scene.camera.field_stop:g} rad cuts "
-            f"{100 - 100 * passed.mean():.2g} % of the mirror image's light, limit 0 or 100 %; "
-            "open it or aim the camera elsewhere"
+            f"{100 - 100 * passed.mean():.2g} % of the mirror image's rays, must be 0 or 100 %; "
+            "open the field stop or change camera.aim"
         )
     return float(passed.all())
 
@@ -147,15 +165,16 @@ def wave_parts(
     shape: tuple[int, int],
     tol: float,
 ) -> WaveParts:
-    """Coherent part and halo of a mirror image.
+    """Compute the coherent part and the halo of a mirror image.
 
     Parameters
     ----------
     seen : PointOptics
         Optics of the object point.
     mirror : MirrorImage
+        Mirror image at reflectance 1.
     smooth, rough
-        Lobes, from `image_lobes`.
+        Smooth and rough lobes, from `image_lobes`.
     pitch : float
         Pixel side, m.
     shape : (int, int)
@@ -166,6 +185,11 @@ def wave_parts(
     Returns
     -------
     WaveParts
+
+    Raises
+    ------
+    SamplingError
+        If the window loses rays, or the halo does not reach ``tol``.
     """
     coherent, halo, error = np.zeros(shape), np.zeros(shape), 0.0
     fluxes = [0.0, 0.0]
@@ -201,20 +225,20 @@ def wave_parts(
         missed /= float(found.max())
         if missed > tol:
             raise SamplingError(
-                f"the halo of the rough mirror reaches an error of {missed:.2g}, limit tol = "
+                f"the halo of the rough mirror has an error of {missed:.2g}, limit tol = "
                 f"{tol:g}; use tol = {rounded_up(1.5 * missed)}"
             )
         halo[middle(shape, inner)] += watts * found
         fluxes[1] += watts * -math.expm1(-(view.rayleigh_parameter**2))
         error += watts * missed * float(found.max())
-    reason = "waves for the mirror image, rays for all other light"
+    reason = "waves for the mirror image, rays for all other paths"
     if core is not None:
         reason += f"; core: {core.reason}"
     return WaveParts(coherent, halo, error, fluxes[0], fluxes[1], reason)
 
 
 def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:
-    """Roughness, or that of a lobe's slopes alone, as the pupil sees it."""
+    """Return the view of a roughness, or of the heights that represent a lobe's slopes."""
     if not isinstance(given, Roughness):
         per_metre = 2 * math.pi / wave.wavelength * seen.view.cos_sum
         given = lobe_roughness(given, ROUGH, ROUGH / per_metre)
@@ -222,33 +246,33 @@ def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> 
 
 
 NORMALISATIONS: Final = ("unit-sum", "flux")
-#: Turns the seed into that of the check's rays, which must not be those of the result.
+#: Bit flipped in the seed for the check, whose rays must be independent of those of the result.
 OTHER: Final = 1 << 63
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class HybridPointSpread(PointSpread):
-    """Image of a point by a wall of several lobes, with its parts.
+    """Point spread function of a wall with several lobes, and its parts.
 
     Parameters
     ----------
-    coherent : ndarray
-        (ny, nx), read-only: light of the smooth mirror, by waves.
-    halo : ndarray
-        What the roughness of the mirror-like lobes scatters, on average over walls.
-    diffuse : ndarray
-        All other light, traced: of diffuse lobes, and of more than one reflection.
-    standard_error : ndarray
-        Of ``diffuse``.
+    coherent : ndarray, (ny, nx)
+        Read-only: part of the smooth mirror, by waves.
+    halo : ndarray, (ny, nx)
+        Read-only: part scattered by the roughness of mirror-like lobes, averaged over walls.
+    diffuse : ndarray, (ny, nx)
+        Read-only: all other paths, by ray tracing; diffuse lobes and multiple reflections.
+    standard_error : ndarray, (ny, nx)
+        Read-only: standard error of ``diffuse``.
     coherent_flux, halo_flux, diffuse_flux : float
-        Light of each part in the whole image plane, in the unit of ``normalisation``.
+        Energy of each part in the whole image plane, in the unit of ``normalisation``.
     diffuse_flux_error : float
-        Its standard error.
+        Standard error of ``diffuse_flux``.
     traced_flux, traced_flux_error : float
-        The same light by a trace of all lobes with rays of its own, and its standard error: a check
-        of the sum of the three. 0 and infinity where it was not asked for.
+        Total of the three parts by an independent ray trace of all lobes, and its standard error,
+        as a check. 0 and infinity if no check was requested.
     flux : float
-        Power through the lens of a point that shines with 1 W, W.
+        Power through the lens from a point that emits 1 W, W.
     """
 
     coherent: Array
@@ -287,34 +311,35 @@ def hybrid_point_spread(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> HybridPointSpread:
-    """Image of an object point by all that the wall's material does.
+    """Compute the image of an object point by all lobes of the wall's material.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the wall's material.
     object_point : array_like, (3,), optional
         World, m; by default the hidden object's reference point.
     roughness : Roughness, optional
-        Heights on the mirror-like lobes, in place of the slopes that the material gives them. By
-        default a lobe without slope is smooth, and one with a slope scatters all its light by its
-        slopes, as of `lobe_point_spread`.
+        Height statistics that replace the slopes of all mirror-like lobes. By default a lobe
+        without slope is smooth, and a lobe with a slope is treated as in `lobe_point_spread`.
     emission : {"lambertian", "isotropic"}
-        As of `raytrace.trace_point`.
+        Angular distribution of the point's emission, see `raytrace.trace_point`.
     tol : float
         Largest error of the wave part, relative to its peak.
     n_rays, max_bounces, seed
-        As of `raytrace.trace_point`.
+        Number of traced rays, largest number of reflections and random seed of the ray part, see
+        `raytrace.trace_point`.
     pitch : float, optional
         Pixel side, m; by default the camera's image pixel.
     shape : int or (int, int), optional
         Pixels (ny, nx); by default the camera's.
     normalisation : {"unit-sum", "flux"}
-        What 1 means: all that passes the lens, wherever it lands; or what a smooth wall of
-        reflectance 1 would send through it.
+        Meaning of 1: all energy that passes the lens, wherever it lands; or the energy that a
+        smooth wall of reflectance 1 would send through the lens.
     check : bool
-        Whether to trace all lobes as well, for ``traced_flux``.
+        Whether to trace all lobes in addition, for ``traced_flux``.
     progress : callable(str, float), optional
-        Told the stage and the fraction done.
+        Called with the stage and the completed fraction.
 
     Returns
     -------
@@ -324,22 +349,28 @@ def hybrid_point_spread(
     Raises
     ------
     SceneError
-        If an option is out of range, or an occluder or the field stop cuts a part of the mirror
-        image.
+        If an option is out of range, no light reaches the lens, or an occluder or the field stop
+        cuts a part of the mirror image.
     CausticError, NotWaveGradeError, SamplingError
-        Where the mirror image has no wave, or no transform reaches ``tol``.
+        If the wave of the mirror image is undefined, or no transform reaches ``tol``.
     MemoryLimitError
-        If the pixels would not fit in memory.
+        If the pixels would not fit into memory.
+
+    See Also
+    --------
+    scene_point_spread : Mirror-like lobes only.
+    mean_point_spread : Coherent part and halo of a rough mirror.
 
     Notes
     -----
-    One reflection by the mirror-like lobes sends ``R T Int I(p) s(p) dp`` through the lens, I the
-    radiant intensity toward the pupil point p and s the spreading of ray tubes (`psf.wavefront`
-    has its root as the amplitude). Of this ``exp(-s^2)`` is coherent and the rest is halo
-    (`mean_point_spread`). A rough wall sends the pupil what a smooth one does, to second order in
-    the slope: light that is scattered out is made up for by light scattered in, as long as the
-    wall reaches far enough. All other light is traced. The parts' energies add, for a rough
-    surface and the body below it share no phase.
+    One reflection by the mirror-like lobes sends ``R T Int I(p) t(p) dp`` through the lens: R is
+    the reflectance, T the lens transmission, I the radiant intensity toward the pupil point p, and
+    t the spreading of ray tubes, the square of the amplitude of `psf.wavefront`. The fraction
+    ``exp(-s^2)``, s the Rayleigh parameter, is coherent; the rest is the halo. To second order in
+    the slope, a rough wall sends the same power to the pupil as a smooth one, since scattering into
+    the pupil balances scattering out of it if the wall is large enough. All other paths are traced.
+    The energies of the parts add, since a rough surface and the body below it have no fixed phase
+    relation.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("emission", emission, EMISSIONS)
@@ -350,7 +381,7 @@ def hybrid_point_spread(
     alone = point_scene(scene, object_point)
     pitch = alone.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     size = alone.camera.shape if shape is None else shape_of(shape)
-    fits_memory(f"parts of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
+    fits_memory(f"a shape of {size[0]} x {size[1]} pixels", 128.0 * math.prod(size), "use fewer")
     smooth, rough = image_lobes(alone, roughness)
     normal = point_normal(scene) if emission == "lambertian" else None
     seen = SceneOptics(alone).reference
@@ -389,7 +420,7 @@ def _assembled(
     pitch: float,
     normalisation: str,
 ) -> HybridPointSpread:
-    """All parts in the unit that was asked for."""
+    """Combine all parts in the unit of ``normalisation``."""
     dark = np.zeros(waves.coherent.shape)
     diffuse, spread = (dark, dark) if traced is None else (traced.energy, traced.energy_error)
     diffuse_flux = (0.0, 0.0) if traced is None else (traced.flux, traced.flux_error)
@@ -397,13 +428,13 @@ def _assembled(
     flux = waves.coherent_flux + waves.halo_flux + diffuse_flux[0]
     if flux == 0.0:
         raise SceneError(
-            "no light of the object point passes the lens; check camera.aim, wall_material and "
-            "what stands in the way"
+            "no light from the object point passes the lens; check camera.aim, wall_material and "
+            "occluders"
         )
     unit = flux if normalisation == "unit-sum" else mirror.flux
     if unit == 0.0:
         raise SceneError(
-            "normalisation = 'flux' needs a mirror image, and none reaches the lens; use 'unit-sum'"
+            "normalisation = 'flux' needs a mirror image, but none reaches the lens; use 'unit-sum'"
         )
     total = waves.coherent + waves.halo + diffuse
     return HybridPointSpread(

@@ -1,4 +1,4 @@
-"""The mirror-like lobes of a wall: their roughness, and the point spread they give together."""
+"""Point spread function of a wall material's mirror-like lobes."""
 
 from __future__ import annotations
 
@@ -26,27 +26,28 @@ from ..wave.wavefront import Wavefront
 from ..window.window import check_rays, middle, shape_of, window_side
 
 Array = NDArray[np.float64]
-#: Phase rms of a lobe's heights, rad: its point spread is that of its slopes to 1/s^2.
+#: Rms phase s, rad, of the heights that represent a lobe. Its point spread then equals that of the
+#: lobe's slopes up to a relative error of 1/s^2.
 ROUGH: Final = 1e3
 
 
 def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: float) -> Roughness:
-    """Heights whose slopes are those of a lobe, in the rough limit.
+    """Return height statistics whose slopes are those of a lobe, in the limit of large heights.
 
     Parameters
     ----------
     lobe : SpecularMicrofacet or Ward
-        Of a slope above 0.
+        Lobe with a slope above 0.
     rayleigh_parameter : float
-        rms of the phase that the heights give, rad, far above 1.
+        Rms phase s due to the heights, rad, much larger than 1.
     height_rms : float
-        The same as a height, m.
+        Rms height that corresponds to s, m.
 
     Returns
     -------
     Roughness
-        Gaussian but for GGX, whose slopes have the characteristic function x K1(x), x = alpha
-        times the wave number: C = 1 + ln(x K1(x))/s^2.
+        Of Gaussian autocorrelation except for GGX. GGX slopes have the characteristic function
+        x K1(x), x = alpha times the wave number, so that C = 1 + ln(x K1(x))/s^2.
     """
     length = math.sqrt(2) * height_rms / lobe.slope_rms
     if getattr(lobe, "distribution", "beckmann") == "beckmann":
@@ -62,10 +63,10 @@ def lobe_roughness(lobe: MirrorLobe, rayleigh_parameter: float, height_rms: floa
 
 
 def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -> float:
-    """Distance in the image, m, at which the blur by a lobe's slopes falls to ``tol`` of its peak.
+    """Return the image distance, m, at which the blur by a lobe falls to ``tol`` of its peak.
 
-    Slopes t have the density exp(-t^2/(2 sigma^2)), of GGX (1 + t^2/alpha^2)^-2, and turn the wave
-    by (cos_i + cos_o) M^T t.
+    Slopes t have the density exp(-t^2/(2 sigma^2)), or (1 + t^2/alpha^2)^-2 for GGX. They tilt the
+    wave by (cos_i + cos_o) M^T t.
     """
     far = math.sqrt(2 * math.log(1 / tol))
     if getattr(lobe, "distribution", "") == "ggx":
@@ -76,16 +77,16 @@ def halo_radius(lobe: MirrorLobe, view: WallView, wave: Wavefront, tol: float) -
 
 @dataclass(frozen=True, eq=False)
 class MirrorLobes:
-    """Mirror-like lobes of a wall, as the pupil sees them.
+    """Mirror-like lobes of a wall and the geometry in which the pupil sees the wall.
 
     Parameters
     ----------
     rough : list of MirrorLobe
-        Those with a slope.
+        Lobes with a slope.
     smooth : float
-        Reflectance of those without.
+        Total reflectance of the lobes without slope.
     view : WallView or None
-        How the pupil sees the wall; None where no lobe has a slope.
+        Geometry of wall and pupil; None if no lobe has a slope.
     """
 
     rough: list[MirrorLobe]
@@ -95,7 +96,10 @@ class MirrorLobes:
     def window(
         self, residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
     ) -> int:
-        """Odd side of a window outside which `point_spread` stays below ``tol``, pixels."""
+        """Return the odd side, pixels, of a window outside which the image is below ``tol``.
+
+        ``tol`` is relative to the peak. ``outline`` is the pupil's, if the wave does not hold it.
+        """
         side = window_side(residual, pitch, tol, outline)
         if self.view is None:
             return side
@@ -104,7 +108,7 @@ class MirrorLobes:
         return side + 2 * math.ceil(halo / pitch)
 
     def views(self, residual: Residual) -> list[RoughView]:
-        """Heights for every lobe with a slope, in the rough limit, as the pupil sees them."""
+        """Return a roughness view for each lobe with a slope, in the limit of large heights."""
         if self.view is None:
             return []
         wave = residual.wavefront
@@ -114,7 +118,23 @@ class MirrorLobes:
     def point_spread(
         self, residual: Residual, pitch: float, shape: tuple[int, int], tol: float
     ) -> PointSpread:
-        """Point spread by all lobes, integrated over pixels; see `lobe_point_spread`."""
+        """Compute the point spread of all lobes, integrated over pixels; see `lobe_point_spread`.
+
+        Parameters
+        ----------
+        residual : Residual
+            Wave of the smooth wall.
+        pitch : float
+            Pixel side, m.
+        shape : (int, int)
+            Pixels (ny, nx).
+        tol : float
+            Wanted error, max |dI|/max I.
+
+        Returns
+        -------
+        PointSpread
+        """
         if self.view is None:
             return detilted_wide_spread(residual, pitch, shape, tol)
         check_rays(residual, pitch, shape)
@@ -128,14 +148,14 @@ class MirrorLobes:
 
 
 def lobes_of(scene: Scene, view: Callable[[], WallView]) -> MirrorLobes:
-    """Mirror-like lobes of a scene's wall.
+    """Return the mirror-like lobes of a scene's wall.
 
     Parameters
     ----------
     scene : Scene
         Scene with the wall's material.
     view : callable
-        Returns the `WallView`; called where a lobe has a slope.
+        Function that returns the `WallView`; called only if a lobe has a slope.
 
     Returns
     -------
@@ -153,12 +173,14 @@ def lobe_window(
     tol: float = 1e-3,
     pitch: float | None = None,
 ) -> int:
-    """Odd side of a window outside which `lobe_point_spread` stays below ``tol`` of its peak.
+    """Return the odd side of a window outside which `lobe_point_spread` is below ``tol``.
 
     Parameters
     ----------
-    scene, wave, object_point, tol, pitch
-        As of `lobe_point_spread`.
+    scene, wave, object_point, pitch
+        See `lobe_point_spread`.
+    tol : float
+        Relative to the peak.
 
     Returns
     -------
@@ -180,40 +202,45 @@ def lobe_point_spread(
     pitch: float | None = None,
     shape: int | tuple[int, int] | None = None,
 ) -> PointSpread:
-    """Point spread of a given wave by all mirror-like lobes of the wall.
+    """Compute the point spread of a given wave by all mirror-like lobes of the wall.
 
-    `scene_point_spread` takes the wave from the scene itself, at as many nodes as it needs.
+    `scene_point_spread` computes the wave itself, at as many nodes as ``tol`` requires.
 
     Parameters
     ----------
     scene : Scene
-        A wall without such a lobe is taken as a smooth mirror.
+        Scene with the wall's material. A wall without mirror-like lobes is treated as a smooth
+        mirror.
     wave : Wavefront
-        Of the smooth wall, from `wavefront`.
+        Wave of the smooth wall, from `wavefront`.
     object_point : array_like, (3,), optional
-        That of the wave, world, m; by default the hidden object's reference point.
+        Object point of the wave, world, m; by default the hidden object's reference point.
     tol : float
         Wanted error, max |dI|/max I.
     pitch : float, optional
-        Pixel side, m; the camera's image pixel by default. Values are integrals over pixels.
+        Pixel side, m; by default the camera's image pixel. Values are integrals over pixels.
     shape : int or (int, int), optional
-        (ny, nx). By default that of `lobe_window`.
+        Pixels (ny, nx). By default the square outside which the point spread is below ``tol``.
 
     Returns
     -------
     PointSpread
-        ``"unit-sum"``; the lobes count by their reflectances.
+        Of normalisation ``"unit-sum"``; the lobes are weighted by their reflectances.
 
     Raises
     ------
     NlosError
-        As of `point_spread`, `wall_view` and `mean_point_spread`.
+        If `point_spread`, `wall_view` or `mean_point_spread` raises it.
+
+    See Also
+    --------
+    scene_point_spread : Computes the wave as well.
 
     Notes
     -----
-    Microfacets are geometric optics, heights of many waves. So a lobe with a slope is the rough
-    limit of `mean_point_spread`, the wave's point spread blurred by the facets' slopes, and a
-    smooth one is the wave's alone.
+    Microfacet lobes describe geometric optics: heights of many wavelengths. A lobe with a slope is
+    therefore the limit of `mean_point_spread` for large heights, in which the wave's point spread
+    is blurred by the facets' slopes. A lobe without slope yields the wave's point spread itself.
     """
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
@@ -224,7 +251,7 @@ def lobe_point_spread(
 
 
 def _within(residual: Residual, pitch: float, shape: tuple[int, int], tol: float) -> PointSpread:
-    """Smooth wall's point spread, 0 beyond the window outside which it is below ``tol``."""
+    """Return the smooth wall's point spread, set to 0 where it is below ``tol`` of its peak."""
     side = window_side(residual, pitch, tol)
     ny, nx = (min(n, side + (n - side) % 2) for n in shape)
     core = detilted_wide_spread(residual, pitch, (ny, nx), tol)
@@ -234,14 +261,14 @@ def _within(residual: Residual, pitch: float, shape: tuple[int, int], tol: float
 
 
 def split_lobes(scene: Scene) -> tuple[list[MirrorLobe], float]:
-    """Mirror-like lobes with a slope, and the reflectance of those without."""
+    """Return the mirror-like lobes with a slope, and the total reflectance of those without."""
     lobes = scene.wall_material.mirror_lobes
     smooth = sum(lobe.specular_reflectance for lobe in lobes if lobe.slope_rms == 0)
     return [lobe for lobe in lobes if lobe.slope_rms > 0], smooth
 
 
 def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
-    """Sum of point spreads on the same pixels by their shares."""
+    """Return the mean of (weight, point spread) pairs on the same pixels."""
     total = sum(share for share, _ in parts)
     intensity = np.sum([share / total * part.intensity for share, part in parts], axis=0)
     first = parts[0][1]

@@ -1,4 +1,4 @@
-"""Point spread of light of several wavelengths."""
+"""Polychromatic point spread functions: sums over several wavelengths."""
 
 from __future__ import annotations
 
@@ -18,22 +18,34 @@ Array = NDArray[np.float64]
 
 
 def gaussian_band(centre: float, bandwidth: float, *, count: int = 5) -> tuple[Array, Array]:
-    """Wavelengths and weights that stand for a Gaussian line.
+    """Return wavelengths and weights that sample a Gaussian spectral line.
 
     Parameters
     ----------
     centre : float
-        m.
+        Centre wavelength in vacuum, m.
     bandwidth : float
-        Full width at half maximum, m; below a third of the centre.
+        Full width at half maximum, m, at most a third of the centre wavelength.
     count : int
-        Wavelengths, 1 to 64.
+        Number of wavelengths, 1 to 64.
 
     Returns
     -------
     wavelengths, weights : ndarray, (count,)
-        Gauss-Hermite nodes, m, and weights of sum 1: exact for what varies with the wavelength as a
-        polynomial of degree ``2 count - 1``.
+        Gauss-Hermite nodes, m, and weights of sum 1. The weighted sum is exact for polynomials in
+        the wavelength up to degree ``2 count - 1``.
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range, or a wavelength would be below a fifth of the centre.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wavelengths, weights = psf.gaussian_band(632.8e-9, 10e-9, count=3)
+    >>> print([f"{1e9 * w:.1f} nm" for w in wavelengths], weights.round(3))
+    ['625.4 nm', '632.8 nm', '640.2 nm'] [0.167 0.667 0.167]
     """
     centre = positive("centre", centre, unit="m")
     in_range("bandwidth", bandwidth, 0.0, centre / 3, unit="m")
@@ -43,8 +55,8 @@ def gaussian_band(centre: float, bandwidth: float, *, count: int = 5) -> tuple[A
     wavelengths = centre + sigma * nodes
     if wavelengths.min() <= 0.2 * centre:
         raise SceneError(
-            f"count = {count} wavelengths of a line of {bandwidth:g} m reach {wavelengths.min():g} "
-            "m; take fewer, or a narrower line"
+            f"count = {count} wavelengths at bandwidth = {bandwidth:g} m reach "
+            f"{wavelengths.min():g} m, limit {0.2 * centre:g} m; take fewer, or a narrower band"
         )
     return wavelengths, weights / weights.sum()
 
@@ -60,38 +72,46 @@ def band_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> PointSpread:
-    """Point spread of light of several wavelengths, their intensities added.
+    """Compute a polychromatic point spread function as the sum of intensities.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Its path errors, in m, hold for every wavelength: a wall is a mirror, without dispersion.
+        Wave in the exit pupil. Its aberration in m holds for every wavelength, since mirrors have
+        no dispersion; its own wavelength is not used.
     wavelengths : array_like, (n,)
-        m.
+        Wavelengths in vacuum, m.
     weights : array_like, (n,), optional
-        Energy of each, of any sum; equal by default.
+        Energy at each wavelength, of any sum; equal by default.
     tol : float
-        As for `point_spread`, of every wavelength.
+        Largest max |dI|/max I of each wavelength, see `point_spread`.
     pitch, shape, normalisation, pixel_integrated
-        As for `point_spread`; by default the sampling that the shortest wavelength needs and the
-        window of the widest spot.
+        Options of `point_spread`. By default the pitch is lambda N/4 of the shortest wavelength,
+        and the window is that of the widest spot.
 
     Returns
     -------
     PointSpread
-        ``wavelength`` is the weighted mean, ``error_estimate`` the largest; ``regime`` and
-        ``reason`` are those of the first.
+        ``wavelength`` is the weighted mean and ``error_estimate`` the largest; ``regime`` and
+        ``reason`` are those of the first wavelength.
 
     Raises
     ------
     SceneError
-        If the weights do not fit the wavelengths, or are negative or all zero.
+        If the weights do not match the wavelengths, are negative, or are all zero.
+    SamplingError, MemoryLimitError
+        If `point_spread` raises it for one of the wavelengths.
+
+    See Also
+    --------
+    gaussian_band : Wavelengths and weights of a Gaussian line.
     """
     lines = np.atleast_1d(np.asarray(wavelengths, dtype=np.float64))
     shares = np.ones(lines.shape) if weights is None else np.asarray(weights, dtype=np.float64)
     if lines.ndim != 1 or shares.shape != lines.shape or not len(lines):
         raise SceneError(
-            f"wavelengths {lines.shape} and weights {shares.shape} do not fit; give (n,) of both"
+            f"wavelengths have shape {lines.shape} and weights {shares.shape}; give both of shape "
+            "(n,)"
         )
     if not (np.isfinite(shares).all() and shares.min() >= 0.0 and shares.sum() > 0.0):
         raise SceneError(f"weights = {shares.tolist()}; give energies of at least 0, not all 0")

@@ -1,4 +1,4 @@
-"""Predicted seconds and bytes of a scene's point spread, from the steps that compute it."""
+"""Predicted run time and memory of a scene's point spread function."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ from ..window.pixels import pixel_rule
 from ..window.window import Window, peak_pixel
 from .lobe_psf import lobes_of
 
-#: A tol below which a first transfer function seldom does, and how much more a second one takes.
+#: Below the tolerance TIGHT the transfer function usually has to be refined once, which multiplies
+#: the cost by AGAIN.
 TIGHT: Final = 2e-5
 AGAIN: Final = 2.5
-#: What Python, numpy and the interpreter's caches hold beside arrays, bytes.
+#: Memory of Python and numpy besides the arrays, bytes.
 HELD: Final = 4e6
 
 
@@ -46,9 +47,9 @@ class Cost:
     Parameters
     ----------
     seconds : float
-        On one core.
+        Run time on one core, s.
     n_bytes : float
-        At the peak.
+        Peak memory, bytes.
     """
 
     seconds: float
@@ -58,7 +59,7 @@ class Cost:
 def point_cost(
     seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
 ) -> Cost:
-    """Predict the cost of `point_image` with the pupil nodes of the aimed wave.
+    """Predict the cost of `point_image` without refinement of the pupil nodes.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def point_cost(
     tol : float
         Wanted error of the image, max |dI|/max I.
     cells : int
-        Those across a grid finer than the wave's own, for which the cost is asked; 0 for its own.
+        Cells across the pupil grid for which the cost is predicted; 0 for the wave's own grid.
 
     Returns
     -------
@@ -80,7 +81,7 @@ def point_cost(
     Raises
     ------
     NlosError
-        What the transforms would raise before they compute anything.
+        If the transforms would raise it before they compute anything.
     """
     residual = seen.first.residual
     lobes = lobes_of(seen.scene, lambda: seen.view)
@@ -96,7 +97,30 @@ def point_cost(
 def smooth_cost(
     residual: Residual, pitch: float, shape: tuple[int, int], tol: float, cells: int = 0
 ) -> Cost:
-    """Predict the cost of `wide_point_spread`; raise what it would raise before computing."""
+    """Predict the cost of `wide_point_spread` for a wave split into piston, tilt and residual.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Wanted error, max |dI|/max I.
+    cells : int
+        Cells across the pupil grid for which the cost is predicted; 0 for the wave's own nodes.
+
+    Returns
+    -------
+    Cost
+
+    Raises
+    ------
+    SamplingError
+        If all transforms are ruled out.
+    """
     inner = inner_parts(residual, pitch, shape, tol)
     whole = Cost(0.0, 0.0)
     if inner is not None:
@@ -117,7 +141,7 @@ def smooth_cost(
 
 
 def _transform_bytes(task: Task, method: str) -> float:
-    """Bytes of one transform at the peak."""
+    """Return the peak memory of a transform, bytes."""
     samples = float(math.prod(task.samples.shape))
     held = 32.0 * math.prod(task.shape)
     if method == "airy":
@@ -142,7 +166,7 @@ def _transform_bytes(task: Task, method: str) -> float:
 def _scattered_cost(
     residual: Residual, view: RoughView, window: Window, tol: float, cells: int
 ) -> Cost:
-    """Predict the cost of `scattered_light` with pixels, from its first cells."""
+    """Predict the cost of `scattered_light` on pixels, at its first fineness of cells."""
     polar = residual.wavefront.layout == "polar"
     across = first_cells(residual, view, window.pitch, tol) or cells
     edge = 2 * residual.wavefront.pupil_radius
@@ -163,12 +187,33 @@ def _scattered_cost(
 
 
 def grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tuple[int, ...]:
-    """Cells across the grids that are tried for the wave's steps, the window and ``tol``."""
-    # waves across the whole pupil, at the steepest
+    """Return the cell counts across the pupil grids to try, the last of which should suffice.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave on a grid.
+    pitch : float
+        Pixel side, m.
+    side : int
+        Side of the window, pixels.
+    tol : float
+        Wanted error, max |dI|/max I.
+
+    Returns
+    -------
+    tuple of int
+
+    Raises
+    ------
+    SamplingError
+        If the finest grid would not suffice.
+    """
+    # aberration across the whole pupil at the steepest slope, waves
     jump = residual.grid_jump()[0] * len(residual.wavefront.u)
     reach = side * pitch / 2 + max(map(abs, residual.shift)) + residual.rays.reach
     period = (reach + pitch + residual.airy_unit) / residual.airy_unit
-    # a cut cell acts from its centre
+    # Error of the rim: a cell cut by it is treated as if located at the cell's centre.
     beats = error_bounds.beat(pitch / residual.airy_unit)
     level = math.sqrt(min(1.0, peak_pixel(residual, pitch) / residual.pixel_share(pitch)))
     rim = math.sqrt(2 * math.pi * jump * beats / (tol * level))
@@ -178,6 +223,6 @@ def grid_samples(residual: Residual, pitch: float, side: int, tol: float) -> tup
         if samples >= need:
             return steps[: i + 1]
     raise SamplingError(
-        f"the wall's edge cuts the cone of light and its wave takes a grid of {need:.0f} cells "
+        f"the wall's edge cuts the cone of light, so its wave needs a grid of {need:.0f} cells "
         f"across, limit {steps[-1]}; enlarge the wall, stop the lens down or use a larger tol"
     )

@@ -1,4 +1,4 @@
-"""Point spread of a scene: the one place that decides how a scene's pupil is sampled."""
+"""Point spread function of a scene, including the choice of the pupil's sampling."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from .lobe_psf import lobes_of
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScenePointSpread(Noun):
-    """Image of an object point by the relay wall's mirror-like lobes.
+    """Point spread function of a scene, with its wave and its exit pupil.
 
     Parameters
     ----------
     exit_pupil : ExitPupil
         Exit pupil of lens and wall.
     wavefront : Wavefront
-        Wave in it, of the smooth wall.
+        Wave of the smooth wall in the exit pupil.
     point_spread : PointSpread
-        Point spread of that wave, blurred by the slopes of the wall's lobes; energy per pixel.
+        Point spread of that wave, blurred by the slopes of the wall's mirror-like lobes; energy
+        per pixel.
     """
 
     exit_pupil: ExitPupil
@@ -47,12 +48,13 @@ def scene_point_spread(
     shape: int | tuple[int, int] | None = None,
     progress: Progress | None = None,
 ) -> ScenePointSpread:
-    """Point spread of a scene, with its wave and its exit pupil.
+    """Compute the point spread function of a scene, with its wave and its exit pupil.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
-        A wall without mirror-like lobes is taken as a smooth mirror.
+        Scene to image, or its optics. A wall without mirror-like lobes is treated as a smooth
+        mirror.
     tol : float
         Wanted error of the point spread, max |dI|/max I, 1e-12 to 1.
     object_point : array_like, (3,), optional
@@ -64,7 +66,7 @@ def scene_point_spread(
         Pixels (ny, nx). By default the odd square outside which the point spread stays below
         ``tol`` of its peak.
     progress : callable(str, float), optional
-        Called with "wave aberration" and "point spread" as each begins.
+        Called with "wave aberration" and "point spread" at the start of each stage.
 
     Returns
     -------
@@ -73,19 +75,25 @@ def scene_point_spread(
     Raises
     ------
     CausticError, NotWaveGradeError
-        Where the wave is undefined or the wall is not known well enough.
+        If the wave is undefined, or the wall's surface is not known accurately enough.
     SamplingError
         If no transform reaches ``tol``, or none within a minute.
     MemoryLimitError
-        If the point spread's window takes more than there is.
+        If the point spread's window would not fit into memory.
     SceneError
         If an option is out of range, or occluders cut a part of the cone of light.
 
+    See Also
+    --------
+    point_spread : For a given wave.
+    hybrid_point_spread : All lobes of the wall, with energies of each part.
+    point_spread_field : For all points of a planar object.
+
     Notes
     -----
-    The pupil has polar nodes where the lens stop is the rim of the light, and a grid where the
-    wall's edge vignettes it or is the stop (`wavefront`, ``nodes="auto"``). Both are refined until
-    a transform reaches ``tol``.
+    If the lens limits the cone of light, the pupil is sampled by polar nodes. If the wall's edge
+    vignettes it or is the stop, it is sampled by a grid (`wavefront`, ``nodes="auto"``). Both are
+    refined until a transform reaches ``tol``.
 
     Examples
     --------
@@ -118,7 +126,7 @@ def scene_point_spread(
 
 
 def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
-    """Odd side of a window outside which a point's image stays below ``tol`` of its peak, pixels.
+    """Return the odd side of a window outside which a point's image is below ``tol`` of its peak.
 
     Parameters
     ----------
@@ -132,6 +140,7 @@ def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
     Returns
     -------
     int
+        Pixels per side.
     """
     lobes = lobes_of(seen.scene, lambda: seen.view)
     return lobes.window(seen.first.residual, pitch, tol, seen.first.outline)
@@ -140,7 +149,7 @@ def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
 def point_image(
     seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float
 ) -> tuple[AimedWave, PointSpread]:
-    """Wave and image of an object point, with as many pupil nodes as ``tol`` takes.
+    """Compute wave and image of an object point, with as many pupil nodes as ``tol`` requires.
 
     Parameters
     ----------
@@ -156,7 +165,9 @@ def point_image(
     Returns
     -------
     aimed : AimedWave
+        Wave at the nodes that were used.
     spread : PointSpread
+        Image, energy per pixel.
     """
     lobes = lobes_of(seen.scene, lambda: seen.view)
     return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol))

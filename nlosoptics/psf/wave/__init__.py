@@ -1,1 +1,1 @@
-"""The sampled wave in the exit pupil."""
+"""The sampled wave in the exit pupil: its nodes, series, slopes and sampling regime."""

@@ -7,15 +7,17 @@ import math
 import numpy as np
 from numba import njit
 
-#: Adding it rounds a double of less than 2^51 to a whole number; no call, so loops keep vectors.
+#: Adding and subtracting it rounds a double below 2^51 to an integer. Without a call to a rounding
+#: function the loop is vectorised.
 WHOLE = 6755399441055744.0
 
 
 @njit(cache=True)
 def phasors(turns, size, real, imaginary):
-    """Fill ``real`` and ``imaginary`` (n,) with ``size exp(2 pi i turns)``, to 3e-16.
+    """Fill ``real`` and ``imaginary`` (n,) with ``size exp(2 pi i turns)``, accurate to 3e-16.
 
-    Half turns are taken off, which is exact, and the rest is a Taylor series up to pi/2.
+    Whole half turns are subtracted, which is exact. The remaining angle, at most pi/2, goes into
+    Taylor series of sine and cosine.
     """
     for i in range(turns.shape[0]):
         halves = (2.0 * turns[i] + WHOLE) - WHOLE
@@ -52,15 +54,16 @@ def phasors(turns, size, real, imaginary):
 
 @njit(cache=True)
 def polar_fit(values, waves, weights, modes, heights):
-    """Fill ``heights`` (orders, terms) with the terms of ``values`` (rings, spokes).
+    """Fill ``heights`` (orders, terms) with the fit coefficients of ``values`` (rings, spokes).
 
-    ``waves`` (orders, spokes) along the angle, ``weights`` and ``modes`` (orders, terms, rings)
-    along the radius. Returns the largest misfit and the largest value.
+    ``waves`` (orders, spokes) are the modes' angular parts, ``modes`` (orders, terms, rings) their
+    radial parts, and ``weights`` (orders, terms, rings) the radial projection onto them. Returns
+    the largest absolute misfit and the largest absolute value.
     """
     rings, spokes = values.shape
     orders, terms = heights.shape
     heights[:] = 0.0
-    # spokes first, so that the loops over the orders keep vectors
+    # The order is the last axis, so that the inner loops are vectorised.
     turned = np.ascontiguousarray(waves.T)
     share, height = np.empty(orders), np.zeros((terms, orders))
     along = np.ascontiguousarray(weights.transpose(2, 1, 0))
@@ -93,7 +96,7 @@ def polar_fit(values, waves, weights, modes, heights):
 
 @njit(cache=True)
 def polynomial(powers, rho, cosine, sine, out):
-    """Fill ``out`` (radii, angles) with ``sum powers[i, j] u^i v^j``."""
+    """Fill ``out`` (radii, angles) with the polynomial ``sum powers[i, j] u^i v^j``."""
     n = powers.shape[0]
     for k in range(rho.shape[0]):
         for m in range(cosine.shape[0]):
@@ -109,7 +112,7 @@ def polynomial(powers, rho, cosine, sine, out):
 
 @njit(cache=True)
 def slopes(powers, rho, cosine, sine, du, dv):
-    """Fill ``du`` and ``dv`` (radii, angles) with the slopes of ``sum powers[i, j] u^i v^j``."""
+    """Fill ``du``, ``dv`` (radii, angles) with the gradient of ``sum powers[i, j] u^i v^j``."""
     n = powers.shape[0]
     u, v = np.empty(cosine.shape[0]), np.empty(cosine.shape[0])
     value, slope = np.empty_like(u), np.empty_like(u)
@@ -135,7 +138,7 @@ def slopes(powers, rho, cosine, sine, du, dv):
 
 @njit(cache=True)
 def moments(path, share):
-    """Lowest and highest of ``path``, its mean and its rms about that, where ``share`` is lit."""
+    """Minimum, maximum and mean of ``path``, and its rms about the mean, weighted by ``share``."""
     low, high, mean, square, total = math.inf, -math.inf, 0.0, 0.0, 0.0
     for i in range(path.size):
         if share[i] > 0.0:
@@ -150,7 +153,7 @@ def moments(path, share):
 
 @njit(cache=True)
 def landing(du, dv, distance, x, y):
-    """Fill ``x`` and ``y`` with slopes times the distance; return the steepest, the farthest."""
+    """Fill ``x``, ``y`` with slopes times the distance; return the largest slope and coordinate."""
     steepest = farthest = 0.0
     for i in range(du.shape[0]):
         steepest = max(steepest, du[i] * du[i] + dv[i] * dv[i])
@@ -161,10 +164,10 @@ def landing(du, dv, distance, x, y):
 
 @njit(cache=True)
 def jacobian_extremes(x, y, r, apart):
-    """Least and most of the area of the image of the cells between rings and spokes, over theirs.
+    """Smallest and largest signed ratio of image area to pupil area of the cells of a polar grid.
 
-    ``x`` and ``y`` (rings, spokes) are the landing points, ``r`` the rings' radii; of rings less
-    than ``apart`` from each other differences would be rounding.
+    ``x`` and ``y`` (rings, spokes) are the landing points and ``r`` the rings' radii. Rings less
+    than ``apart`` apart are skipped: their differences would be rounding error.
     """
     rings, spokes = x.shape
     low, high = math.inf, -math.inf
@@ -175,7 +178,7 @@ def jacobian_extremes(x, y, r, apart):
         own = (r[i + 1] * r[i + 1] - r[i] * r[i]) * turn
         for j in range(spokes):
             k = j + 1 if j + 1 < spokes else 0
-            # diagonals of the cells: their cross product is twice the area
+            # The cross product of a cell's diagonals is twice its area.
             first_x, first_y = x[i + 1, k] - x[i, j], y[i + 1, k] - y[i, j]
             second_x, second_y = x[i + 1, j] - x[i, k], y[i + 1, j] - y[i, k]
             area = (first_x * second_y - first_y * second_x) / own
@@ -185,7 +188,7 @@ def jacobian_extremes(x, y, r, apart):
 
 @njit(cache=True)
 def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
-    """Fill ``du`` and ``dv`` (rings, spokes) from the slopes along the radius and across it."""
+    """Fill ``du`` and ``dv`` (rings, spokes) from the radial and the azimuthal slopes."""
     for i in range(d_r.shape[0]):
         for j in range(d_r.shape[1]):
             du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]

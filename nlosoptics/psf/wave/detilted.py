@@ -1,6 +1,6 @@
-"""A wave without its piston and tilt, and where its rays land.
+"""A wave without its piston and tilt, and the landing points of its rays in the image.
 
-The tilt is an exact shift of the image; only what is left needs sampling.
+The tilt is an exact shift of the image, so only the residual aberration must be sampled.
 """
 
 from __future__ import annotations
@@ -27,18 +27,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Slopes of the residual aberration, one ray each.
+    """Rays of the residual aberration, one per node.
 
     Parameters
     ----------
     x, y : ndarray
-        Where the rays land in the image, m, from the point the tilt leads to.
+        Landing points in the image, m, relative to the image point that the tilt shifts to. Their
+        shape follows the wavefront's layout.
     energy : ndarray
-        Share of the light, sum 1; 0 on the rim.
+        Fraction of the energy in each ray, of the shape of x; sum 1, 0 for rays from the rim.
     slope : float
-        Largest gradient of the residual aberration.
+        Largest gradient of the residual aberration, rad.
     reach : float
-        Half the side of the square that holds every ray, m.
+        Largest ``|x|`` or ``|y|``, m.
     """
 
     x: Array
@@ -49,7 +50,7 @@ class Rays:
 
 
 class Heights(NamedTuple):
-    """Lowest, highest and mean aberration of the lit pupil, and its rms about the mean, m."""
+    """Minimum, maximum and mean aberration over the lit pupil, and rms about the mean, m."""
 
     low: float
     high: float
@@ -59,16 +60,16 @@ class Heights(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Residual:
-    """Wavefront split into piston, tilt and the rest.
+    """Wavefront with its tilt, and the aberration without piston and tilt.
 
     Parameters
     ----------
     wavefront : Wavefront
-        As given.
+        The wave with all its terms.
     tilt : (float, float)
-        dW/du and dW/dv of the weighted least-squares plane.
+        Slopes dW/du and dW/dv of the weighted least-squares plane, rad.
     aberration : ndarray
-        What is left, m, at the wavefront's nodes.
+        Residual aberration without that plane, m, of the shape of the wavefront's nodes.
     """
 
     wavefront: Wavefront
@@ -77,28 +78,28 @@ class Residual:
 
     @property
     def wavenumber(self) -> float:
-        """2 pi/wavelength, 1/m."""
+        """Wavenumber, 2 pi/wavelength, 1/m."""
         return 2 * np.pi / self.wavefront.wavelength
 
     @property
     def airy_unit(self) -> float:
-        """Wavelength times F-number, m."""
+        """Airy unit: wavelength times F-number, m."""
         return self.wavefront.wavelength * self.wavefront.f_number
 
     @property
     def shift(self) -> tuple[float, float]:
-        """Where the tilt moves the image, (x, y), m."""
+        """Image shift (x, y) caused by the tilt, m."""
         d = self.wavefront.image_distance
         return self.tilt[0] * d, self.tilt[1] * d
 
     @cached_property
     def amplitude_sum(self) -> float:
-        """Integral of the amplitude over the pupil, m^2: the unaberrated field on the axis."""
+        """Integral of the amplitude over the pupil, m^2; the unaberrated on-axis field."""
         return float(np.sum(self.wavefront.amplitude * self.wavefront.weights))
 
     @cached_property
     def half_width(self) -> float:
-        """Farthest light in u or v from the axis, m; it limits the image's bandwidth."""
+        """Largest ``|u|`` or ``|v|`` of the lit pupil, m; it limits the image's bandwidth."""
         wave = self.wavefront
         if wave.aperture is not None:
             return wave.aperture.half_width
@@ -109,12 +110,12 @@ class Residual:
         if wave.layout == "scattered":
             return max(farthest, wave.pupil_radius)
         edge = farthest + wave.pupil_pitch / 2
-        # Cells that the rim cuts reach beyond it, those of a plain map do not.
+        # A rim cell of an area-weighted grid extends beyond the pupil; a map's cells are whole.
         return edge if np.ptp(wave.weights) == 0 else min(edge, wave.pupil_radius)
 
     @property
     def nyquist_pitch(self) -> float:
-        """Widest image sampling that keeps the intensity, m; lambda N/2 for a round pupil."""
+        """Nyquist pitch of the image intensity, m; lambda N/2 for a round pupil."""
         wave = self.wavefront
         return wave.wavelength * abs(wave.image_distance) / (4 * self.half_width)
 
@@ -124,7 +125,10 @@ class Residual:
         return float(np.sum(self.wavefront.amplitude**2 * self.wavefront.weights))
 
     def pixel_share(self, pitch: float) -> float:
-        """Share of the light through the pupil in a pixel whose mean is the ideal peak."""
+        """Return the fraction of the energy in a pixel with the diffraction-limited peak intensity.
+
+        ``pitch`` is the pixel side, m.
+        """
         wave = self.wavefront
         area = (pitch * self.amplitude_sum) ** 2
         return area / (self.energy * (wave.wavelength * wave.image_distance) ** 2)
@@ -147,49 +151,53 @@ class Residual:
 
     @cached_property
     def is_flat(self) -> bool:
-        """Whether nothing at all is left of the aberration of an evenly lit polar wavefront."""
+        """Whether a polar wavefront has uniform amplitude and a residual of exactly 0."""
         even = self.wavefront.layout == "polar" and self.is_uniform
         return even and not self.aberration.any()
 
     @cached_property
     def series(self) -> PolarSpectrum | CellSpectrum:
-        """Series of the residual aberration of a polar wavefront or one of cells."""
+        """Series of the residual aberration; for polar and cells layouts."""
         return self.wavefront.series(self.aberration)
 
     @cached_property
     def low(self) -> LowPolynomial | None:
-        """Polynomial that the residual of few polar nodes is to rounding; None for another."""
+        """Low-degree polynomial equal to a polar residual to rounding error; None if none fits."""
         wave = self.wavefront
         if wave.layout != "polar" or wave.u.size > KEPT or self.is_flat:
             return None
         return low_polynomial(self.aberration, wave.pupil_radius, wave.obscuration)
 
     def degrees(self, threshold: float) -> tuple[int, int]:
-        """Highest degrees, see `PolarSpectrum.degrees`, of terms above the threshold, m."""
+        """Return the highest degrees of the residual's terms above a threshold, m.
+
+        For a polar wavefront: Legendre degree in r^2 and angular order. For cells: Legendre degrees
+        in s and t.
+        """
         return self.series.degrees(threshold) if self.low is None else self.low.degrees
 
     @cached_property
     def amplitude_series(self) -> PolarSpectrum | CellSpectrum:
-        """The same of the amplitude."""
+        """Series of the amplitude; for polar and cells layouts."""
         return self.wavefront.series(self.wavefront.amplitude)
 
     @property
     def aperture(self) -> Aperture:
-        """Outline of the pupil of a wavefront that has one.
+        """Outline of the pupil.
 
         Raises
         ------
         SamplingError
-            If it has none.
+            If the wavefront has no aperture.
         """
         aperture = self.wavefront.aperture
         if aperture is None:
-            raise SamplingError("this wavefront has no aperture; sample it with nodes='cells'")
+            raise SamplingError("wavefront.aperture is missing; sample it with nodes='cells'")
         return aperture
 
     @property
     def polar_series(self) -> tuple[PolarSpectrum, PolarSpectrum | None]:
-        """Series of a polar wavefront's residual aberration, and of its amplitude if it varies.
+        """Series of a polar residual aberration, and of the amplitude or None if it is uniform.
 
         Raises
         ------
@@ -199,18 +207,19 @@ class Residual:
         pair = self.series, None if self.is_uniform else self.amplitude_series
         if isinstance(pair[0], CellSpectrum) or isinstance(pair[1], CellSpectrum):
             raise SamplingError(
-                "this wavefront of cells cannot be put on a grid; sample it with nodes='grid'"
+                "a wavefront of layout 'cells' cannot be resampled to a grid; sample it with "
+                "nodes='grid'"
             )
         return pair[0], pair[1]
 
     @cached_property
     def local(self) -> LocalFits:
-        """Cubics about the lit nodes of a grid or of scattered nodes."""
+        """Cubic fits about the lit nodes; for grid and scattered layouts."""
         return local_fits(self.wavefront, self.aberration)
 
     @cached_property
     def spacing(self) -> float:
-        """Pitch of a grid, or side of the mean area of a lit scattered node, m."""
+        """Pitch of a grid, or square root of the mean area of lit scattered nodes, m."""
         wave = self.wavefront
         if wave.layout == "grid":
             return wave.pupil_pitch
@@ -218,7 +227,7 @@ class Residual:
 
     @cached_property
     def truncation(self) -> float:
-        """Relative error of the pupil function for lack of polar or cell nodes, at worst."""
+        """Estimated relative error of the pupil function from too few polar or cells nodes."""
         if not self.wavefront.is_spectral:
             return 0.0
         amplitude = 0.0
@@ -229,7 +238,7 @@ class Residual:
 
     @cached_property
     def rays(self) -> Rays:
-        """One ray from every node, and from the rims of a polar wavefront or of patches."""
+        """One ray per node; polar and cells layouts add rays from the rims."""
         wave = self.wavefront
         if wave.is_spectral:
             return self.traced(*wave.u.shape)
@@ -240,9 +249,12 @@ class Residual:
         return self._landing(*self._grid_slopes())
 
     def traced(self, *counts: int) -> Rays:
-        """Rays from nodes of a shape (see `Wavefront.nodes`), or the present ones, and rims."""
+        """Return rays of a polar or cells wavefront from at least the given number of nodes.
+
+        ``counts`` is the shape of `Wavefront.nodes`; rays from the rims are added.
+        """
         wave = self.wavefront
-        if self.is_flat:  # they all land in one point
+        if self.is_flat:  # all rays land in one point
             return Rays(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((1, 1)), 0.0, 0.0)
         counts = tuple(max(pair) for pair in zip(counts, wave.u.shape, strict=True))
         if self.low is None:
@@ -258,6 +270,7 @@ class Residual:
         return self._landing(du, dv, energy)
 
     def _landing(self, du: Array, dv: Array, energy: Array) -> Rays:
+        """Return the rays of given slopes, with their energies normalised to sum 1."""
         from . import _wave_kernels
 
         x, y = np.empty(du.shape), np.empty(dv.shape)
@@ -267,9 +280,10 @@ class Residual:
 
     @cached_property
     def _grid_cells(self) -> tuple[NDArray[np.int64], float]:
-        """Labels of a grid's squares, the same within a cell, and what `mixed_area` counts.
+        """Label of the aperture cell of each grid square, and the value of `mixed_area`.
 
-        Squares that cells share have labels of their own, since whose wave they hold is chance.
+        A square shared by several cells gets a label of its own. Its sample holds the wave of only
+        one of them, so that differences with its neighbours are not slopes.
         """
         wave = self.wavefront
         if wave.aperture is None or len(wave.aperture.cells) == 1:
@@ -277,7 +291,7 @@ class Residual:
         total, most, owners = wave.aperture.grid_shares(wave.u.shape[0], wave.pupil_pitch)
         shared = total - most
         labels = np.where(shared > 1e-9, -1 - np.arange(owners.size).reshape(owners.shape), owners)
-        # how far apart the waves of neighbours in different cells are
+        # Largest difference of the pupil function between neighbours in different cells.
         wide = 0.0
         phase = np.exp(1j * self.wavenumber * self.aberration)
         for axis in (0, 1):
@@ -290,16 +304,17 @@ class Residual:
 
     @property
     def mixed_area(self) -> float:
-        """Share of the pupil in squares of a grid that hold the wave of another of its cells.
+        """Estimated relative error from grid squares that several aperture cells share.
 
-        Times the largest difference of neighbouring cells' pupil functions, 2 at most.
+        It is the fraction of the pupil's area that is sampled with another cell's wave, times the
+        largest difference of neighbouring cells' pupil functions, which is at most 2.
         """
         return self._grid_cells[1]
 
     def grid_jump(self) -> tuple[float, tuple[int, ...]]:
-        """Largest step of the residual between lit neighbours, waves, and its pixel or node.
+        """Return the largest step of the residual between lit neighbours, waves, and its index.
 
-        Cells of an aperture may stand at any height.
+        Steps between different cells of an aperture are not counted: segments may have any piston.
         """
         wave = self.wavefront
         if wave.layout == "scattered":
@@ -319,7 +334,10 @@ class Residual:
         return worst / wave.wavelength, where
 
     def _grid_slopes(self) -> tuple[Array, Array, Array]:
-        """Central differences, one-sided where a neighbour is dark, 0 where both are."""
+        """Return slopes along u and v on a grid, and the energies of its samples.
+
+        Differences are central, one-sided where one neighbour is dark, 0 where both are dark.
+        """
         wave = self.wavefront
         energy = wave.amplitude**2 * wave.weights
         lit = energy > 0
@@ -341,14 +359,14 @@ class Residual:
 
 
 def split(wavefront: Wavefront) -> Residual:
-    """Take piston and tilt, the least-squares plane weighted by amplitude, out of a wavefront."""
+    """Remove piston and tilt from a wavefront: its amplitude-weighted least-squares plane."""
     scale = wavefront.pupil_radius
     size = wavefront.u.size
     if not wavefront.aberration.any():
         return Residual(wavefront, (0.0, 0.0), wavefront.aberration)
     if wavefront.layout == "polar" and size <= KEPT and wavefront.is_uniform:
         plane, project = _kept_plane(*wavefront.u.shape, wavefront.obscuration)
-        # einsum without BLAS: the same bits for any thread count
+        # einsum does not call BLAS, so results are bit-identical for any thread count.
         fit = np.einsum("ip,p->i", project, wavefront.aberration.ravel())
     else:
         plane = np.stack([np.ones_like(wavefront.u), wavefront.u / scale, wavefront.v / scale])
@@ -361,9 +379,9 @@ def split(wavefront: Wavefront) -> Residual:
 
 @lru_cache(maxsize=16)
 def _kept_plane(n_r: int, n_theta: int, obscuration: float) -> tuple[Array, Array]:
-    """Piston and tilts (3, n_r, n_theta) of even light, and what a node counts in each (3, nodes).
+    """Piston and tilt terms (3, n_r, n_theta) and their projection matrix (3, nodes).
 
-    Kept, and read-only.
+    For uniform amplitude on the unit disc; cached and read-only.
     """
     u, v, weights = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
     plane = np.stack([np.ones_like(u), u, v])

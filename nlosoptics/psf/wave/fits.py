@@ -1,4 +1,4 @@
-"""Least-squares terms of an aberration, one weighting for all that remove or report them."""
+"""Least-squares fit of terms to an aberration, with the weights that the whole library uses."""
 
 from __future__ import annotations
 
@@ -9,29 +9,30 @@ Array = NDArray[np.float64]
 
 
 def fitted_terms(aberration: Array, weights: Array, terms: Array) -> Array:
-    """Return the coefficients (n_terms,), m, of the terms that fit an aberration best.
+    """Return the least-squares coefficients of terms fitted to an aberration, (n_terms,), m.
 
     Parameters
     ----------
     aberration : ndarray, (...)
         Wave aberration at the nodes, m.
     weights : ndarray, (...)
-        Amplitude times area of each node, which the Strehl ratio sees to second order.
+        Amplitude times area of each node, m^2. With these weights the variance of the aberration
+        gives the loss of Strehl ratio to second order.
     terms : ndarray, (n_terms, ...)
-        Terms at the nodes. Those that the pupil cannot tell apart, as across a slit, share their
-        part.
+        Terms at the nodes. Of terms that are linearly dependent on the pupil, as on a narrow slit,
+        the solution of least norm is returned.
     """
     flat, weights = terms.reshape(len(terms), -1), weights.ravel()
-    # einsum without BLAS: the same bits for any thread count
+    # einsum does not call BLAS, so results are bit-identical for any thread count.
     moments = np.einsum("ip,jp,p->ij", flat, flat, weights)
     right = np.einsum("ip,p,p->i", flat, weights, aberration.ravel())
     return np.asarray(np.linalg.pinv(moments, hermitian=True) @ right)
 
 
 def projection(terms: Array, weights: Array) -> Array:
-    """Share (n_terms, nodes) of each node's value in the coefficients of `fitted_terms`.
+    """Return the matrix (n_terms, nodes) from an aberration to the result of `fitted_terms`.
 
-    ``weights`` are amplitude times area, of the shape of one of the ``terms``.
+    ``terms`` (n_terms, ...) are given at the nodes, ``weights`` (...) are amplitude times area.
     """
     flat = terms.reshape(len(terms), -1)
     moments = np.einsum("ip,jp,p->ij", flat, flat, weights.ravel())

@@ -1,8 +1,9 @@
 """Spectral interpolation on the polar nodes of a pupil.
 
 A function that is smooth on the disc has, for each angular order m, a radial part that is
-r^(m mod 2) times a smooth function of r^2. On Gauss-Legendre nodes of r^2 and equal steps in angle
-that makes a Legendre-Fourier series, which converges exponentially and is exact for polynomials.
+r^(m mod 2) times a smooth function of r^2. Samples on Gauss-Legendre nodes of r^2 and uniform
+angles therefore give a Legendre-Fourier series. It converges exponentially for smooth functions and
+is exact for polynomials.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ ComplexArray = NDArray[np.complex128]
 
 
 class PolarSpectrum:
-    """Legendre-Fourier series of samples on `polar_nodes`.
+    """Legendre-Fourier series of a function sampled on `polar_nodes`.
 
     Parameters
     ----------
-    values : ndarray
-        (n_r, n_theta), real.
+    values : ndarray, (n_r, n_theta)
+        Real samples.
     radius : float
         Outer radius, m.
     obscuration : float
@@ -39,29 +40,29 @@ class PolarSpectrum:
         self.radius, self.obscuration = radius, obscuration
         waves = np.fft.rfft(values, axis=1, norm="forward")
         if self.n_theta % 2 == 0:
-            waves[:, -1] /= 2  # the highest order stands for both +m and -m
+            waves[:, -1] /= 2  # the highest order is the sum of +m and -m
         fraction, _ = gauss_legendre(self.n_r)
         waves[:, 1::2] /= self._rho(fraction)[:, None]
-        # einsum without BLAS: the same bits for any thread count.
+        # einsum does not call BLAS, so results are bit-identical for any thread count.
         self.coefficients = _product(_analysis(self.n_r), waves)
 
     def truncation(self) -> float:
-        """Sum of the highest coefficients, which the missing ones are not expected to exceed."""
+        """Estimate the truncation error: the sum of the highest coefficients."""
         size = self._sizes.copy()
         size[:, 1:] *= 2
-        # Four angular orders: a function of period pi/2 has only every fourth.
+        # At least four angular orders: a function of period pi/2 has only every fourth.
         n_k = max(2, self.n_r // 8)
         n_m = max(4, size.shape[1] // 8)
         return float(size[-n_k:].sum() + size[:-n_k, -n_m:].sum())
 
     def degrees(self, threshold: float) -> tuple[int, int]:
-        """Highest Legendre degree and angular order whose coefficient passes the threshold."""
+        """Return the highest Legendre degree and angular order with terms above a threshold."""
         above = self._sizes > threshold
         radii, orders = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(radii.max(initial=0)), int(orders.max(initial=0))
 
     def at_nodes(self, n_r: int, n_theta: int) -> Array:
-        """Values on the polar nodes (n_r, n_theta), neither fewer than the samples given."""
+        """Return values on polar nodes (n_r, n_theta), at least as many as the samples each way."""
         fraction, _ = gauss_legendre(n_r)
         rho = self._rho(fraction)
         value = self._sum(_legendre(self._counts[0], self._fraction(rho)))
@@ -69,18 +70,18 @@ class PolarSpectrum:
         return self._synthesis(value, n_theta)
 
     def slopes(self, n_r: int, n_theta: int) -> tuple[Array, Array, Array]:
-        """Gradient on the polar nodes and, as the last row, on the rim.
+        """Return the gradient on the polar nodes and, as the last row, on the rim.
 
         Returns
         -------
         du, dv : ndarray
-            Derivatives, (n_r + 1, n_theta), 1/m times the unit of the values.
+            Derivatives, (n_r + 1, n_theta), unit of the values per m.
         weights : ndarray
-            (n_r + 1, n_theta), sum 1, 0 on the rim.
+            Fraction of the pupil's area of each node, (n_r + 1, n_theta), sum 1; 0 on the rim.
         """
         from . import _wave_kernels
 
-        # of a wave of few terms the rest is rounding, which steep polynomials would multiply
+        # Drop coefficients at rounding level: slopes of high-degree polynomials amplify them.
         n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
         ring = ring_of(n_r, n_theta, self.obscuration)
         tables = _kept_tables(n_k, n_r) if n_r <= KEPT else _tables(n_k, ring.fraction)
@@ -96,24 +97,24 @@ class PolarSpectrum:
         return du, dv, ring.share
 
     def at(self, u: Array, v: Array, epsilon: float) -> Array:
-        """Values at any points, see `values_at`."""
+        """Return values at points (u, v), m, with relative error ``epsilon``."""
         return values_at(self, None, u, v, epsilon)[0]
 
     def disc_series(self) -> ComplexArray:
-        """Fourier series in psi and angle, r = middle + half cos(psi) over the whole span.
+        """Return the Fourier series in psi and angle, with r = middle + half cos(psi), see `span`.
 
-        (4 n_r, 2 n_m), orders from the most negative.
+        Coefficients (4 n_r, 2 n_m), from the most negative orders upward.
         """
         n = 2 * self.n_r
         middle, half = self.span()
         lobes = math.pi * (np.arange(n) + 0.5) / n
-        # Chebyshev in r over the diameter (disc) or the ring's width; degree 2 n_r - 1 is exact.
+        # Chebyshev series in r over the span: degree 2 n_r - 1 holds the radial parts exactly.
         radial = self._polynomial((middle + half * np.cos(lobes)) / self.radius)[0]
         n_m = radial.shape[1]
         cosines = np.cos(np.outer(np.arange(n), lobes)) * (2 / n)
         cosines[0] /= 2
         chebyshev = np.einsum("ji,im->jm", cosines, radial)
-        # cos(j psi) has both signs of j, a real function both signs of m.
+        # cos(j psi) contributes to +j and -j; a real function has conjugate terms at +m and -m.
         grid = np.zeros((2 * n, 2 * n_m), dtype=np.complex128)
         grid[n:, n_m:] = chebyshev / 2
         grid[n:0:-1, n_m:] += chebyshev / 2
@@ -121,12 +122,12 @@ class PolarSpectrum:
         return grid
 
     def span(self) -> tuple[float, float]:
-        """Middle and half width of r: over the diameter of a disc, the width of a ring."""
+        """Return centre and half width of the range of r, m: over a diameter or a ring's width."""
         low = self.obscuration * self.radius if self.obscuration > 0 else -self.radius
         return (self.radius + low) / 2, (self.radius - low) / 2
 
     def rim_series(self, rho: float) -> ComplexArray:
-        """Fourier series in angle of the derivative with r at r = rho * radius, (2 n_m,)."""
+        """Return the Fourier series in angle, (2 n_m,), of the r derivative at rho * radius."""
         waves = self._polynomial(np.array([rho]))[1][0]
         n_m = waves.size
         series = np.zeros(2 * n_m, dtype=np.complex128)
@@ -135,15 +136,17 @@ class PolarSpectrum:
         return series
 
     def _rho(self, fraction: Array) -> Array:
+        """Return r/radius at Legendre coordinates in (0, 1)."""
         inner = self.obscuration**2
         return np.asarray(np.sqrt(inner + (1 - inner) * fraction))
 
     def _fraction(self, rho: Array) -> Array:
+        """Return the Legendre coordinate, 0 at the inner and 1 at the outer rim, at r/radius."""
         inner = self.obscuration**2
         return np.asarray((rho**2 - inner) / (1 - inner))
 
     def _sum(self, table: Array) -> ComplexArray:
-        """Radial sums of the coefficients, without BLAS as above."""
+        """Sum the series over the Legendre degree; result (points, orders)."""
         n_k, n_m = self._counts
         sums = np.zeros((table.shape[1], self.coefficients.shape[1]), dtype=np.complex128)
         sums[:, :n_m] = _product(table[:n_k].T, self.coefficients[:n_k, :n_m])
@@ -156,12 +159,12 @@ class PolarSpectrum:
 
     @cached_property
     def _counts(self) -> tuple[int, int]:
-        """Degrees and orders that hold more than the rounding of the largest term."""
+        """Number of degrees and of orders with terms above the rounding error of the largest."""
         degree, order = self.degrees(1e-17 * float(self._sizes.max()))
         return degree + 1, order + 1
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Radial parts and their derivatives with r at rho = r/radius, (len(rho), n_m)."""
+        """Return the radial parts and their r derivatives at rho = r/radius, (len(rho), n_m)."""
         tables = _tables(self._counts[0], self._fraction(rho))
         value, slope = (self._sum(table) for table in tables)
         slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
@@ -170,6 +173,7 @@ class PolarSpectrum:
         return value, slope / self.radius
 
     def _synthesis(self, waves: ComplexArray, n_theta: int) -> Array:
+        """Return values on ``n_theta`` uniform angles from angular orders (last axis)."""
         full = np.zeros((*waves.shape[:-1], n_theta // 2 + 1), dtype=np.complex128)
         full[..., : waves.shape[-1]] = waves
         if n_theta % 2 == 0 and waves.shape[-1] == full.shape[-1]:
@@ -180,10 +184,10 @@ class PolarSpectrum:
 def values_at(
     first: PolarSpectrum, second: PolarSpectrum | None, u: Array, v: Array, epsilon: float
 ) -> tuple[Array, Array | None]:
-    """One or two functions of the same pupil at any points, in one non-uniform transform.
+    """Evaluate one or two functions on the same pupil at any points, by one non-uniform FFT.
 
-    Beyond the rims they are continued along the radial derivative. ``epsilon`` is the error
-    relative to the largest value, 1e-13 at best.
+    Outside the pupil they are extrapolated linearly along the radius. ``epsilon`` is the error
+    relative to the largest value, 1e-13 or more; ``u`` and ``v`` are in m.
     """
     r, angle = np.hypot(u, v), np.arctan2(v, u)
     radius, inner = first.radius, first.obscuration * first.radius
@@ -193,7 +197,8 @@ def values_at(
     coord[..., 1] = angle
 
     def transform(series: list[ComplexArray], points: Array) -> ComplexArray:
-        # Both functions are real: one is carried as the imaginary part of the other.
+        """Evaluate one or two Fourier series at points by a non-uniform FFT."""
+        # Both functions are real, so the second travels as the imaginary part.
         grid = series[0] if len(series) == 1 else series[0] + 1j * series[1]
         image: ComplexArray = ducc0.nufft.u2nu(
             grid=grid, coord=points, forward=False, epsilon=epsilon, nthreads=1
@@ -211,20 +216,34 @@ def values_at(
 
 @lru_cache(maxsize=16)
 def _analysis(n: int) -> Array:
-    """Legendre series of samples at ``n`` nodes, as a matrix (n, n) that is kept, read-only."""
+    """Matrix (n, n) from samples at ``n`` nodes to Legendre coefficients, cached and read-only."""
     fraction, weights = gauss_legendre(n)
     norms = 2 * np.arange(n) + 1
     return frozen(_legendre(n, fraction) * weights * norms[:, None])
 
 
 def _product(table: Array, waves: ComplexArray) -> ComplexArray:
-    """Matrix product of a real with a complex matrix; einsum without BLAS, as above."""
+    """Product of a real and a complex matrix by einsum, bit-identical for any thread count."""
     parts = np.ascontiguousarray(waves).view(np.float64)
     return np.asarray(np.einsum("ij,jk->ik", table, parts)).view(np.complex128)
 
 
 class Ring(NamedTuple):
-    """What slopes on (n_r + 1) x n_theta nodes, those of the rim the last, take of their places."""
+    """Geometry of polar nodes and, as the last row, of the rim: (n_r + 1) x n_theta points.
+
+    Attributes
+    ----------
+    fraction : ndarray, (n_r + 1,)
+        Legendre coordinate, 0 at the inner and 1 at the outer rim.
+    rho : ndarray, (n_r + 1, 1)
+        Radius over pupil radius.
+    bend : ndarray, (n_r + 1, 1)
+        Derivative of ``fraction`` with respect to ``rho``.
+    cosine, sine : ndarray, (n_theta,)
+        Of the angles.
+    share : ndarray, (n_r + 1, n_theta)
+        Fraction of the pupil's area, sum 1; 0 on the rim.
+    """
 
     fraction: Array
     rho: Array
@@ -235,6 +254,7 @@ class Ring(NamedTuple):
 
 
 def _ring(n_r: int, n_theta: int, obscuration: float) -> Ring:
+    """Compute the geometry of polar nodes and the rim."""
     fraction, weights = gauss_legendre(n_r)
     fraction, weights = np.append(fraction, 1.0), np.append(weights, 0.0)
     clear = 1 - obscuration**2
@@ -249,25 +269,25 @@ _kept_ring = lru_cache(maxsize=16)(_ring)
 
 
 def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
-    """Places of slopes, kept for few nodes."""
+    """Return the geometry of polar nodes and the rim, cached up to `KEPT` nodes."""
     return (_kept_ring if n_r * n_theta <= KEPT else _ring)(n_r, n_theta, obscuration)
 
 
 @lru_cache(maxsize=32)
 def _kept_tables(n: int, n_r: int) -> tuple[Array, Array]:
-    """`_tables` of ``n_r`` nodes and the rim, kept and read-only."""
+    """Legendre tables at ``n_r`` nodes and the rim, cached and read-only."""
     table, slopes = _tables(n, np.append(gauss_legendre(n_r)[0], 1.0))
     return frozen(table), frozen(slopes)
 
 
 def _tables(n: int, fraction: Array) -> tuple[Array, Array]:
-    """Legendre polynomials and their slopes, (n, len(fraction))."""
+    """First n Legendre polynomials and their derivatives, (n, len(fraction)) each."""
     table = _legendre(n, fraction)
     return table, _legendre_slopes(table)
 
 
 def _legendre(n: int, fraction: Array) -> Array:
-    """P_k(2 f - 1) for k < n, (n, len(f))."""
+    """Legendre polynomials P_k(2 f - 1) for k < n, (n, len(f))."""
     x = 2 * fraction - 1
     table = np.ones((n, x.size))
     if n > 1:
@@ -278,7 +298,7 @@ def _legendre(n: int, fraction: Array) -> Array:
 
 
 def _legendre_slopes(table: Array) -> Array:
-    """Slopes d P_k(2 f - 1)/df of its table, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
+    """Derivatives d P_k(2 f - 1)/df from a table, by P'_{k+1} = P'_{k-1} + (2 k + 1) P_k."""
     n = len(table)
     slopes = np.zeros_like(table)
     if n > 1:

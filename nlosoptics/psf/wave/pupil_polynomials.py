@@ -1,7 +1,7 @@
-"""Polynomials of u and v through the samples of a polar wave.
+"""Polynomials in u and v fitted to the samples of a polar wave.
 
-`fitted` takes any degree, at the cost of every node times every term. A `LowPolynomial` is found
-order by order of the angle in one pass over the nodes, and gives at once what a series would.
+`fitted` takes any degree; its cost is nodes times terms. `low_polynomial` fits degrees up to `LOW`
+in one pass over the nodes, order by order in angle, and is much cheaper than a series.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
 
-#: Degree of a `LowPolynomial`, which holds the aberrations of third and fifth order.
+#: Highest degree of a `LowPolynomial`; degree 6 covers third- and fifth-order aberrations.
 LOW = 6
 
 
@@ -30,13 +30,14 @@ class LowPolynomial:
 
     Parameters
     ----------
-    powers : ndarray
-        (degree + 1, degree + 1), the unit of the values.
+    powers : ndarray, (degree + 1, degree + 1)
+        Coefficients, m.
     misfit : float
-        Largest error at a node.
+        Largest absolute error at a node, m.
     radius : float
-        R, m.
+        Pupil radius R, m.
     obscuration : float
+        Inner radius as a fraction of R.
     """
 
     powers: Array
@@ -46,12 +47,15 @@ class LowPolynomial:
 
     @property
     def degrees(self) -> tuple[int, int]:
-        """Highest Legendre degree along the radius squared and highest angular order."""
+        """Highest Legendre degree in the radius squared and highest angular order."""
         degree = len(self.powers) - 1
         return degree // 2, degree
 
     def slopes(self, cosine: Array, sine: Array, rho: Array) -> tuple[Array, Array]:
-        """Derivatives along u and v, 1/m, at radii over R and angles, (len(rho), len(cosine))."""
+        """Return dW/du and dW/dv at radii rho = r/R and angles, (len(rho), len(cosine)).
+
+        ``cosine`` and ``sine`` are those of the angles.
+        """
         from . import _wave_kernels
 
         shape = len(rho), len(cosine)
@@ -60,7 +64,7 @@ class LowPolynomial:
         return du, dv
 
     def on_rims(self, cosine: Array, sine: Array) -> Array:
-        """Values on the inner and the outer rim, (2, len(cosine)); the centre where none is."""
+        """Return values on the inner rim (or at the centre) and the outer, (2, len(cosine)), m."""
         from . import _wave_kernels
 
         rho, values = np.array([self.obscuration, 1.0]), np.empty((2, len(cosine)))
@@ -69,7 +73,11 @@ class LowPolynomial:
 
 
 def low_polynomial(values: Array, radius: float, obscuration: float) -> LowPolynomial | None:
-    """Polynomial that values on polar nodes are to rounding; None if there is none so low."""
+    """Return the polynomial that equals values on polar nodes to rounding error.
+
+    ``values`` (n_r, n_theta) are in m, ``radius`` is the pupil's, m. Returns None if no polynomial
+    up to degree `LOW` fits, or if there are too few nodes to tell.
+    """
     from . import _wave_kernels
 
     if values.shape[0] < LOW or values.shape[1] < 2 * LOW + 2:
@@ -81,7 +89,7 @@ def low_polynomial(values: Array, radius: float, obscuration: float) -> LowPolyn
     )
     if misfit > 1e-14 * largest:
         return None
-    # einsum without BLAS: the same bits for any thread count
+    # einsum does not call BLAS, so results are bit-identical for any thread count.
     powers = np.einsum("mk,mkij->ij", heights, orders.powers)
     lit = np.abs(heights) > 1e-15 * largest
     degree = int(np.max(orders.degrees, where=lit, initial=1))
@@ -89,22 +97,32 @@ def low_polynomial(values: Array, radius: float, obscuration: float) -> LowPolyn
 
 
 class _Orders(NamedTuple):
-    """Zernike terms up to `LOW`, sorted by angular order; zeros where an order has fewer."""
+    """Zernike terms up to `LOW`, sorted by angular order and padded with zeros.
+
+    Attributes
+    ----------
+    waves : ndarray, (orders, angles)
+        Angular parts: cosines and sines.
+    weights : ndarray, (orders, terms, radii)
+        Projection of the rings' angular components onto each term.
+    modes : ndarray, (orders, terms, radii)
+        Radial parts.
+    powers : ndarray, (orders, terms, LOW + 1, LOW + 1)
+        Coefficients of the powers of u and v, see `powers_of`.
+    degrees : ndarray of int, (orders, terms)
+        Radial degrees.
+    """
 
     waves: Array
-    """(orders, angles): cosines and sines."""
     weights: Array
-    """(orders, terms, radii): what each ring counts in a term."""
     modes: Array
-    """(orders, terms, radii): terms along the radius."""
     powers: Array
-    """(orders, terms, LOW + 1, LOW + 1): see `powers_of`."""
     degrees: NDArray[np.int64]
-    """(orders, terms)."""
 
 
 @lru_cache(maxsize=16)
 def _orders(n_r: int, n_theta: int, obscuration: float) -> _Orders:
+    """Return the Zernike terms on polar nodes, cached and read-only."""
     u, v, area = polar_nodes(1.0, n_r, n_theta, obscuration)
     r, angle = np.hypot(u[:, 0], v[:, 0]), 2 * math.pi * np.arange(n_theta) / n_theta
     found: dict[int, list[int]] = {}
@@ -116,7 +134,7 @@ def _orders(n_r: int, n_theta: int, obscuration: float) -> _Orders:
     powers = np.zeros((len(found), most, LOW + 1, LOW + 1))
     degrees = np.zeros((len(found), most), dtype=np.int64)
     for row, (m, indices) in enumerate(found.items()):
-        # at the angle where the wave is 1
+        # An angle at which the angular part is 1.
         crest = 0.0 if m >= 0 else math.pi / (2 * -m)
         terms = np.array([zernike(j, r, np.full_like(r, crest)) for j in indices])
         share = projection(terms, area[:, 0])
@@ -130,9 +148,12 @@ def _orders(n_r: int, n_theta: int, obscuration: float) -> _Orders:
 
 
 def fitted(values: Array, obscuration: float, degree: int) -> tuple[Array, float]:
-    """Powers of u/R and v/R through values on polar nodes, and the most they err by."""
+    """Fit a polynomial in u/R and v/R to values on polar nodes.
+
+    Returns the coefficients (degree + 1, degree + 1) and the largest absolute misfit at a node.
+    """
     project, powers, basis = _projection(*values.shape, obscuration, degree)
-    # einsum without BLAS: the same bits for any thread count
+    # einsum does not call BLAS, so results are bit-identical for any thread count.
     heights = np.einsum("tp,p->t", project, values.ravel())
     left = values.ravel() - np.einsum("tp,t->p", basis, heights)
     return np.einsum("t,tij->ij", heights, powers), float(np.abs(left).max())
@@ -142,9 +163,11 @@ def fitted(values: Array, obscuration: float, degree: int) -> tuple[Array, float
 def _projection(
     n_r: int, n_theta: int, obscuration: float, degree: int
 ) -> tuple[Array, Array, Array]:
-    """Least-squares weights of the nodes for each Zernike term, its powers of u and v, its values.
+    """Return the tables that `fitted` uses, on polar nodes of the unit disc.
 
-    (terms, nodes), (terms, degree + 1, degree + 1), (terms, nodes); unit radius.
+    They are the projection onto the Zernike terms, (terms, nodes); the terms' coefficients in
+    powers of u and v, (terms, degree + 1, degree + 1); and their values at the nodes, (terms,
+    nodes).
     """
     u, v, weights = (nodes.ravel() for nodes in polar_nodes(1.0, n_r, n_theta, obscuration))
     count = (degree + 1) * (degree + 2) // 2
@@ -154,7 +177,7 @@ def _projection(
 
 
 def powers_of(index: int, degree: int) -> Array:
-    """Noll's Zernike polynomial as powers of u and v, (degree + 1, degree + 1)."""
+    """Coefficients of a Noll Zernike polynomial in powers of u and v, (degree + 1, degree + 1)."""
     n, m = zernike_order(index)
     table = np.zeros((degree + 1, degree + 1))
     scale = math.sqrt((n + 1) * (1 if m == 0 else 2))
@@ -162,7 +185,7 @@ def powers_of(index: int, degree: int) -> Array:
         k = (n - abs(m)) // 2 - s  # r^(n - 2 s) = r^2k r^|m|
         height = (-1) ** s * math.comb(n - s, s) * math.comb(n - 2 * s, k)
         for a in range(k + 1):  # (u^2 + v^2)^k
-            for b in range(abs(m) + 1):  # (u + iv)^|m|, its real or imaginary part
+            for b in range(abs(m) + 1):  # real or imaginary part of (u + iv)^|m|
                 if b % 2 == (m < 0):
                     place = 2 * a + abs(m) - b, 2 * (k - a) + b
                     sign = (-1) ** (b // 2)

@@ -1,4 +1,4 @@
-"""What kind of wave it is: how many waves, how steep, how coarsely sampled, how wide its pixels."""
+"""Sampling regime of a wave: aberration in waves, slopes, sampling, pixel size, caustics."""
 
 from __future__ import annotations
 
@@ -13,35 +13,37 @@ from .polar_series import ring_of
 
 Array = NDArray[np.float64]
 
-#: Share of the largest Jacobian below which its sign is not told from rounding and truncation.
+#: Fraction of the largest Jacobian below which rounding and truncation may decide its sign.
 FLAT = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
 class Regime:
-    """Numbers that decide which transform of a wave does, and what it costs.
+    """Numbers that decide which PSF transform of a wave is accurate, and what it costs.
+
+    The residual aberration is the aberration without piston and tilt.
 
     Parameters
     ----------
     peak_to_valley, rms : float
-        Residual aberration over the lit pupil, waves: piston and tilt taken out. The rms is
-        weighted by amplitude, as in `rms_aberration`.
+        Residual aberration over the lit pupil, waves. The rms is weighted by amplitude, as in
+        `rms_aberration`.
     slope : float
         Largest gradient of the residual aberration, rad.
     reach : float
-        Where its rays land at the farthest along x or y, Airy units (lambda N).
+        Largest distance along x or y at which rays of the residual land, Airy units (lambda N).
     slope_per_sample : float or None
-        What the steepest slope makes of the aberration over a sample of a grid, or over the side of
-        the mean area of a scattered node, waves; None for polar nodes, which resolve it exactly.
+        Largest change of the residual over one grid sample, or over the mean spacing of scattered
+        nodes, waves. None for polar and cells nodes, which interpolate it spectrally.
     pixel : float
         Image pitch, Airy units.
     fresnel_number : float
-        ``a^2/(lambda |d_i|)``.
+        Fresnel number of the pupil, ``a^2/(lambda |d_i|)``.
     folded : bool
-        Whether the Jacobian of the rays' landing points changes its sign over the pupil: the image
-        plane then cuts a caustic, on which rays pile up.
+        Whether the Jacobian of the rays' landing points changes sign over the pupil. The image
+        plane then cuts a caustic, where the density of rays diverges.
     rayleigh_parameter : float
-        s of a rough wall, rad; 0 for a smooth one.
+        Rms phase s of the wave behind a rough wall, rad; 0 for a smooth wall.
     """
 
     peak_to_valley: float
@@ -56,12 +58,22 @@ class Regime:
 
     @property
     def coherent_fraction(self) -> float:
-        """``exp(-s^2)``, the share of the light in the smooth core."""
+        """Fraction of the energy in the unscattered core, ``exp(-s^2)``."""
         return math.exp(-(self.rayleigh_parameter**2))
 
 
 def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0) -> Regime:
-    """Regime of a wave without its piston and tilt, on image samples or pixels of a pitch, m."""
+    """Return the regime of a wave for image samples or pixels of a pitch.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave without its piston and tilt.
+    pitch : float
+        Image pitch, m.
+    rayleigh_parameter : float
+        Rms phase behind a rough wall, rad.
+    """
     wave = residual.wavefront
     rays = residual.rays
     low, high, _, rms = residual.heights
@@ -84,7 +96,7 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
 
 
 def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, float]:
-    """Extremes with those on the rims and in the centre, where no polar node lies."""
+    """Extend extremes of the residual to the rims and the centre, where no polar node lies."""
     if residual.low is not None:
         n_r, n_theta = residual.wavefront.u.shape
         ring = ring_of(n_r, n_theta, residual.wavefront.obscuration)
@@ -94,7 +106,8 @@ def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, floa
     waves = series.coefficients.copy()
     if series.n_theta % 2 == 0:
         waves[:, -1] *= 2
-    # Legendre polynomials at 1 and at -1; odd orders are a radius times them
+    # Legendre polynomials are 1 at the outer rim and (-1)^k at the inner; odd orders also have a
+    # factor r/radius.
     inner = np.where(np.arange(series.n_r) % 2, -1.0, 1.0)[:, None] * waves
     ends = np.stack([waves.sum(axis=0), inner.sum(axis=0)])
     ends[1, 1::2] *= residual.wavefront.obscuration
@@ -103,7 +116,7 @@ def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, floa
 
 
 def _folded(residual: Residual, rays: Rays) -> bool:
-    """Whether the Jacobian takes either sign, beyond what rounding can make of a flat wave."""
+    """Whether the Jacobian of the landing points takes both signs, beyond rounding error."""
     wave = residual.wavefront
     if rays.reach <= 1e-6 * residual.airy_unit:
         return False
@@ -124,32 +137,32 @@ def _folded(residual: Residual, rays: Rays) -> bool:
 
 
 def _polar_extremes(residual: Residual, rays: Rays) -> tuple[float, float]:
-    """Extremes of the area of the image of each cell between two rings and spokes, over its own."""
+    """Smallest and largest Jacobian of the landing points, by the cells of the polar grid."""
     from . import _wave_kernels
 
     wave = residual.wavefront
     r = np.append(np.hypot(wave.u[:, 0], wave.v[:, 0]), wave.pupil_radius)
-    # rings are dense at the rim, where differences of the series would be rounding
+    # Skip the closest rings, at the rim: differences of the series there are rounding error.
     low, high = _wave_kernels.jacobian_extremes(rays.x, rays.y, r, 1e-4 * wave.pupil_radius)
     return float(low), float(high)
 
 
 def _cell_jacobian(residual: Residual, rays: Rays) -> Array:
-    """The same of the squares between the nodes of each patch."""
+    """Jacobian of the landing points for the squares between the nodes of each patch."""
     wave = residual.wavefront
     inner = np.s_[:, 1:-1, 1:-1]
     return np.asarray(_diagonals(rays.x[inner], rays.y[inner]) / _diagonals(wave.u, wave.v))
 
 
 def _diagonals(x: Array, y: Array) -> Array:
-    """Twice the area of the squares between neighbours along the last two axes."""
+    """Twice the signed area of the quadrangles between neighbours along the last two axes."""
     first_x, first_y = x[..., 1:, 1:] - x[..., :-1, :-1], y[..., 1:, 1:] - y[..., :-1, :-1]
     second_x, second_y = x[..., 1:, :-1] - x[..., :-1, 1:], y[..., 1:, :-1] - y[..., :-1, 1:]
     return first_x * second_y - first_y * second_x
 
 
 def _grid_jacobian(residual: Residual, rays: Rays) -> Array:
-    """The same of a grid's cells, those whose corners all have lit neighbours."""
+    """Jacobian of the landing points, up to a factor, for grid squares away from dark samples."""
     wave = residual.wavefront
     lit = wave.amplitude * wave.weights > 0
     inner = lit.copy()

@@ -1,4 +1,4 @@
-"""Nodes of a pupil of any kind, and functions of u and v sampled on them."""
+"""Pupil nodes of each layout, and functions of u and v sampled on them."""
 
 from __future__ import annotations
 
@@ -21,23 +21,32 @@ Nodes = Literal["polar", "cells", "grid"]
 #: W(u, v), m, or A(u, v), of arrays of u and v, m.
 PupilFunction = Callable[[Array, Array], ArrayLike]
 
-#: Cells of a grid, per side.
+#: Default number of grid cells per side.
 GRID_SAMPLES: Final = 512
-#: Nodes per patch and side that are tried in turn.
+#: Nodes per side of a patch, tried in this order until they resolve the wave.
 SIDES: Final = (12, 16, 24, 32, 48, 64)
-#: Nodes in all that such a trial may take, beyond the first.
+#: Largest total number of nodes that a trial after the first may use.
 MOST_NODES: Final = 1_000_000
-#: Radii that are tried in turn on polar nodes, with four times as many angles.
+#: Numbers of radii on polar nodes, tried in this order, with four times as many angles.
 RADII: Final = (24, 48, 96, 192)
-#: What the series may lack of the phase, rad, and of the amplitude.
+#: Truncation error of the phase, rad, and of the amplitude, below which trials end.
 NEGLIGIBLE: Final = 1e-11
 
 
 @dataclass(frozen=True, eq=False)
 class PupilNodes:
-    """Places and areas of the nodes of one layout, of one shape.
+    """Coordinates and areas of pupil nodes.
 
-    ``owners``, of a shape that broadcasts, holds the aperture's cell of each.
+    Parameters
+    ----------
+    layout : {"polar", "cells", "grid"}
+        Layout of the nodes.
+    u, v : ndarray
+        Coordinates, m, all of the layout's shape.
+    weights : ndarray
+        Area of each node, m^2, of the same shape.
+    owners : ndarray of int
+        Index of the aperture's cell of each node, in a shape that broadcasts to theirs.
     """
 
     layout: Nodes
@@ -50,7 +59,13 @@ class PupilNodes:
 def nodes_of(
     nodes: str | None, aperture: Aperture | None, obscuration: float, samples: Any
 ) -> Nodes:
-    """Layout asked for, or by default, that fits the aperture."""
+    """Return the requested or default layout after checking that it fits the other options.
+
+    Raises
+    ------
+    SceneError
+        If the layout, the aperture, the obscuration and the samples contradict one another.
+    """
     if aperture is not None and not isinstance(aperture, Aperture):
         raise SceneError(f"aperture is a {type(aperture).__name__}; give a psf.Aperture")
     if isinstance(samples, tuple) and len(samples) != 2:
@@ -61,11 +76,11 @@ def nodes_of(
     if aperture is None and nodes == "cells":
         raise SceneError("nodes = 'cells' without an aperture; give one, or use 'polar' or 'grid'")
     if aperture is not None and nodes == "polar":
-        raise SceneError("nodes = 'polar' know the round pupil alone; use 'cells' or 'grid'")
+        raise SceneError("nodes = 'polar' cannot follow an aperture; use 'cells' or 'grid'")
     if aperture is not None and obscuration != 0:
         raise SceneError(
-            f"obscuration = {obscuration:g} beside an aperture, which has its own outline; give "
-            "the obscuration to the aperture"
+            f"obscuration = {obscuration:g} with an aperture, limit 0; make the obscuration part "
+            "of the aperture"
         )
     if nodes == "grid" and isinstance(samples, tuple):
         raise SceneError(f"samples = {samples}; a grid is square, give one whole number")
@@ -79,7 +94,7 @@ def pupil_nodes(
     obscuration: float,
     aperture: Aperture | None,
 ) -> PupilNodes:
-    """Nodes of a layout, as many as ``samples`` says (see `Wavefront.from_function`)."""
+    """Return the nodes of a layout; ``samples`` is as in `Wavefront.from_function`."""
     none = np.zeros((), dtype=np.int64)
     if layout == "grid":
         count = whole("samples", samples, 2)
@@ -96,16 +111,18 @@ def pupil_nodes(
 def segment_terms(
     aperture: Aperture | None, pistons: ArrayLike | None, tilts: ArrayLike | None
 ) -> Callable[[PupilNodes], Array]:
-    """Path of the nodes, m, by piston and tilt of every cell about its centroid.
+    """Return a function that gives the path at nodes, m, from each cell's piston and tilt.
+
+    Tilts turn a cell about its centroid.
 
     Raises
     ------
     SceneError
-        If there is not one finite value, or pair of slopes, for every cell.
+        If there is not one finite piston and one finite pair of slopes for every cell.
     """
     if aperture is None:
         if pistons is not None or tilts is not None:
-            raise SceneError("pistons or tilts without an aperture, whose cells they move; give it")
+            raise SceneError("pistons or tilts need an aperture, whose cells they move; give one")
         return lambda nodes: np.zeros_like(nodes.u)
     n = len(aperture.cells)
     heights = _per_cell("pistons", pistons, (n,), "m")
@@ -113,6 +130,7 @@ def segment_terms(
     centres = np.array([cell.centroid for cell in aperture.cells])
 
     def path(nodes: PupilNodes) -> Array:
+        """Path of the cells' pistons and tilts at nodes, m."""
         k = nodes.owners
         along_u = slopes[k, 0] * (nodes.u - centres[k, 0])
         return np.asarray(heights[k] + along_u + slopes[k, 1] * (nodes.v - centres[k, 1]))
@@ -121,12 +139,13 @@ def segment_terms(
 
 
 def _per_cell(name: str, values: ArrayLike | None, shape: tuple[int, ...], unit: str) -> Array:
+    """Check one finite value or pair per cell; zeros if None."""
     if values is None:
         return np.zeros(shape)
     try:
         given = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"{name} are not numbers; give {shape}, {unit}") from None
+        raise SceneError(f"{name} are not numbers; give shape {shape}, {unit}") from None
     if given.shape != shape:
         raise SceneError(f"{name} have shape {given.shape}; give {shape}, {unit} of every cell")
     if not np.isfinite(given).all():
@@ -136,26 +155,32 @@ def _per_cell(name: str, values: ArrayLike | None, shape: tuple[int, ...], unit:
 
 
 def values_on(name: str, function: PupilFunction, nodes: PupilNodes) -> Array:
-    """A function's values on the nodes that stand for any area, 0 elsewhere."""
+    """Evaluate a function on the nodes with nonzero area; 0 elsewhere.
+
+    Raises
+    ------
+    SceneError
+        If it does not return one finite real number per node.
+    """
     lit = nodes.weights > 0
     u, v = nodes.u[lit], nodes.v[lit]
     try:
         given = function(u, v)
-        if np.iscomplexobj(given):  # numpy would drop the imaginary part with a mere warning
-            raise TypeError("they are complex, a phase belongs to the aberration")
+        if np.iscomplexobj(given):  # numpy would only warn and drop the imaginary part
+            raise TypeError("the values are complex; put a phase into the aberration")
         found = np.broadcast_to(np.asarray(given, dtype=np.float64), u.shape)
-    except SceneError:  # of Zernike coefficients, which says all
+    except SceneError:  # raised for Zernike coefficients, whose message is complete
         raise
     except (TypeError, ValueError) as error:
         raise SceneError(
-            f"{name}(u, v) of {u.size} nodes gives no real number for each: {error}"
+            f"{name}(u, v) does not return one real number for each of {u.size} nodes: {error}"
         ) from error
     finite = np.isfinite(found)
     if not finite.all():
         worst = int(np.argmin(finite))
         raise SceneError(
             f"{name}(u, v) = {found[worst]} at u = {u[worst]:.4g} m, v = {v[worst]:.4g} m; give "
-            "finite numbers all over the pupil"
+            "finite numbers everywhere in the pupil"
         )
     values = np.zeros_like(nodes.u)
     values[lit] = found
@@ -172,9 +197,10 @@ def sampled(
     obscuration: float,
     aperture: Aperture | None,
 ) -> tuple[PupilNodes, Array, Array]:
-    """Nodes, aberration and amplitude; without ``samples`` as many as hold both functions.
+    """Return pupil nodes with the aberration, m, and the amplitude on them.
 
-    ``fill`` gives the two on any nodes.
+    ``fill`` evaluates both on given nodes. Without ``samples``, the number of nodes grows until
+    the truncation error of both is negligible or the trials end.
     """
     found: tuple[PupilNodes, Array, Array] | None = None
     for count in _trials(layout, samples, aperture):
@@ -185,12 +211,12 @@ def sampled(
             break
         lack = 0.0
         for values, scale in ((path, wavenumber), (amplitude, 1.0)):
-            # rounding of many waves is no lack of nodes
+            # The rounding error of many waves of aberration must not count as truncation.
             least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
             lack = max(lack, scale * _truncation(values, radius, obscuration, aperture) / least)
         if lack <= 1:
             break
-    if found is None:  # a tuple of trials is never empty
+    if found is None:  # for the type checker: there is always a trial
         raise SamplingError("no nodes to try")
     return found
 
@@ -198,6 +224,7 @@ def sampled(
 def _trials(
     layout: Nodes, samples: int | tuple[int, int] | None, aperture: Aperture | None
 ) -> Iterator[int | tuple[int, int]]:
+    """Yield the numbers of samples to try, in order."""
     if samples is not None:
         yield samples
     elif layout == "grid":
@@ -213,6 +240,7 @@ def _trials(
 def _truncation(
     values: Array, radius: float, obscuration: float, aperture: Aperture | None
 ) -> float:
+    """Estimate the truncation error of values on polar or cells nodes."""
     if aperture is None:
         return PolarSpectrum(values, radius, obscuration).truncation()
     return CellSpectrum(values, aperture).truncation()

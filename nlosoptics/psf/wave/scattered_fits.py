@@ -1,4 +1,4 @@
-"""Cubics through the nearest nodes: slopes, bends and values between nodes of any layout."""
+"""Cubic fits to nearest nodes: slopes, second derivatives and values between scattered nodes."""
 
 from __future__ import annotations
 
@@ -14,28 +14,31 @@ from .wavefront import Wavefront
 
 Array = NDArray[np.float64]
 
-FAR: Final = 12.0  # disc radii, where a ring of further points closes the outermost cells
+#: Radius, in disc radii, of a ring of auxiliary points that closes the outermost Voronoi cells.
+FAR: Final = 12.0
+#: Number of those points.
 RING: Final = 64
 
 
 def cell_areas(sites: Array, radius: float) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Areas of Voronoi cells, their areas within a disc, and which cells are neighbours.
+    """Return the areas of Voronoi cells, their areas inside a disc, and the neighbouring pairs.
 
     Parameters
     ----------
     sites : ndarray, (n, 2)
-        m, within 3 radii of the origin.
+        Points, m, at most 3 disc radii from the origin.
     radius : float
-        Of the disc about the origin, m.
+        Radius of the disc about the origin, m.
 
     Returns
     -------
     whole : ndarray, (n,)
-        m^2; the outermost cells end half way to a ring of 12 radii.
+        Area of each cell, m^2. The outermost cells end halfway to a ring of 12 disc radii.
     within : ndarray, (n,)
-        m^2; they add up to the disc's area. A site that coincides with another has 0 of both.
+        Area of each cell inside the disc, m^2; the sum is the disc's area. For a site that
+        coincides with another, both areas are 0.
     neighbours : ndarray of int, (m, 2)
-        Pairs of sites whose cells share an edge.
+        Index pairs of sites with a common cell edge.
     """
     from scipy.spatial import Voronoi
 
@@ -63,11 +66,11 @@ def cell_areas(sites: Array, radius: float) -> tuple[Array, Array, NDArray[np.in
 
 
 def _sectors(a: Array, b: Array) -> Array:
-    """Signed area of the triangle from the origin to a and b, (n, 2), within the unit disc."""
+    """Signed area inside the unit disc of the triangles (origin, a, b), (n,); a and b (n, 2)."""
     d = b - a
     square = np.sum(d * d, axis=1)
     along = -np.sum(a * d, axis=1)
-    # |a + t d| = 1
+    # Solve |a + t d| = 1 for t.
     root = along**2 - square * (np.sum(a * a, axis=1) - 1)
     crosses = (root > 0) & (square > 0)
     half = np.sqrt(np.where(crosses, root, 0.0))
@@ -81,6 +84,7 @@ def _sectors(a: Array, b: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
+    """Cross product of plane vectors (n, 2)."""
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
@@ -91,38 +95,46 @@ def _angle(a: Array, b: Array) -> Array:
 
 Indices = NDArray[np.int64]
 
-NEAREST: Final = (24, 96, 384)  # nodes that a cubic's nine terms are fitted to, more if in lines
-#: Log determinant of the terms' correlations below which nodes lie in lines; -21 for random ones.
+#: Number of nearest nodes to fit the nine terms of a cubic to. Each larger number is tried only
+#: where the previous nodes lie on a few lines.
+NEAREST: Final = (24, 96, 384)
+#: Log determinant of the terms' correlations below which the nodes lie on a few lines; about -21
+#: for random nodes.
 IN_LINES: Final = -30.0
-CLOSE: Final = 6  # of them are neighbours, between which the aberration must not jump
-BLOCK: Final = 4096  # nodes fitted at a time, few enough to stay in the cache
-FAINT: Final = 1e-12  # of the strongest node, below which one counts as dark
-RIDGE: Final = 1e-13  # of the mean moment; it settles nodes on a line
+#: Number of nearest nodes that count as neighbours when jumps of the aberration are sought.
+CLOSE: Final = 6
+#: Number of nodes fitted at a time, small enough for the processor's cache.
+BLOCK: Final = 4096
+#: Amplitude times area, relative to the strongest node, below which a node counts as dark.
+FAINT: Final = 1e-12
+#: Ridge added to the normal equations, relative to their mean diagonal; it keeps the solution
+#: finite for nodes on a line.
+RIDGE: Final = 1e-13
 
 
 @dataclass(frozen=True, eq=False)
 class LocalFits:
-    """Taylor series of aberration and amplitude about every lit node.
+    """Cubic polynomials for aberration and amplitude about every lit node.
 
     Parameters
     ----------
     places : ndarray, (n, 2)
-        Lit nodes, m.
+        Coordinates (u, v) of the lit nodes, m.
     indices : ndarray of int, (n,)
-        Their places in the flattened wavefront.
+        Indices of the lit nodes in the flattened wavefront.
     aberration : ndarray, (10, n)
-        Coefficients of `terms`: W at the node, m, and its slopes, bends and twists over steps in
-        units of ``scale``.
+        Coefficients of `terms` for the aberration, m; their arguments are distances from the node
+        divided by ``scale``.
     amplitude : ndarray, (10, n)
-        The same of the amplitude.
+        Coefficients of `terms` for the amplitude.
     scale : ndarray, (n,)
         Distance to the farthest node of each fit, m.
     misfit : ndarray, (n,)
-        rms of what the cubic misses of the aberration, m.
+        Weighted rms residual of each fit to the aberration, m.
     jump : float
-        Largest difference of the aberration between close nodes, m.
+        Largest difference of the aberration between neighbouring nodes, m.
     jump_at : int
-        Which of the lit nodes has it.
+        Index, among the lit nodes, of a node with this difference.
     """
 
     places: Array
@@ -147,12 +159,13 @@ class LocalFits:
     def on_polar(
         self, wave: Wavefront, n_r: int, n_theta: int
     ) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """The wave on polar nodes of its pupil, blended from the three nearest cubics.
+        """Interpolate the wave to polar nodes of its pupil by blending the three nearest cubics.
 
         Returns
         -------
         u, v, weights, aberration, amplitude, doubt : ndarray, (n_r n_theta,)
-            ``doubt`` is the spread of the three predictions of the aberration, m.
+            Coordinates, m; areas, m^2; aberration, m; amplitude; and the weighted standard
+            deviation of the three predictions of the aberration, m.
         """
         u, v, weights = (
             a.ravel() for a in polar_nodes(wave.pupil_radius, n_r, n_theta, wave.obscuration)
@@ -178,20 +191,27 @@ class LocalFits:
 
 
 def terms(x: Array, y: Array) -> Array:
-    """The ten monomials up to the third degree, (10, ...)."""
+    """Return the ten monomials of x and y up to the third degree, (10, ...)."""
     one = np.ones_like(x)
     return np.stack([one, x, y, x * x, x * y, y * y, x**3, x * x * y, x * y * y, y**3])
 
 
 def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
-    """Fit cubics to the lit nodes of a grid or of scattered nodes.
+    """Fit a cubic about each lit node of a grid or scattered wavefront.
 
-    Each passes through its own node; its neighbours weigh less the farther they are.
+    Each cubic passes through its own node; the weight of other nodes falls with distance.
+
+    Parameters
+    ----------
+    wave : Wavefront
+        Wave with the nodes and the amplitude.
+    aberration : ndarray
+        Aberration to fit, m, of the shape of the wave's nodes.
 
     Raises
     ------
     SamplingError
-        If nodes lie in a line, so that they have no slopes across it.
+        If nodes lie on a few lines, so that slopes across them are unknown.
     """
     strength = (wave.amplitude * wave.weights).ravel()
     indices = np.flatnonzero(strength > FAINT * strength.max())
@@ -218,8 +238,8 @@ def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
         left = np.concatenate(again) if again else left
     if left.size:
         raise SamplingError(
-            f"wavefront node {int(indices[left[0]])} and the {k} nearest to it lie in a few lines, "
-            "across which the wave is not known; spread more nodes over the pupil"
+            f"wavefront node {int(indices[left[0]])} and the {k} nodes nearest to it lie on a few "
+            "lines, so that slopes across them are unknown; spread more nodes over the pupil"
         )
     return LocalFits(
         places,
@@ -234,7 +254,7 @@ def local_fits(wave: Wavefront, aberration: Array) -> LocalFits:
 
 
 def _nearest(places: Array, points: Array, count: int) -> tuple[Array, Indices]:
-    """Distances and indices (m, count) of the places nearest to the points (m, 2)."""
+    """Distances and indices (m, count) of the places nearest to each of the points (m, 2)."""
     from scipy.spatial import cKDTree
 
     found = cKDTree(places).query(points, k=list(range(1, count + 1)))
@@ -242,13 +262,15 @@ def _nearest(places: Array, points: Array, count: int) -> tuple[Array, Indices]:
 
 
 def _solved(step: Array, rise: Array) -> tuple[Array, Array, Array]:
-    """Nine coefficients of two functions (2, 9, b), misfit of the first, and volume.
+    """Fit cubics without constant term to the changes of two functions about b nodes.
 
-    The misfit (b,) and the log determinant of the terms' correlations (b,), see `IN_LINES`.
+    ``step`` (b, k, 2) are the scaled distances to k other nodes and ``rise`` (2, b, k) the changes.
+    Returns the coefficients (2, 9, b), the weighted rms residual of the first function (b,), and
+    the log determinant of the terms' correlations (b,), see `IN_LINES`.
     """
     basis = np.moveaxis(terms(step[..., 0], step[..., 1])[1:], 0, 2)
     weight = np.maximum(1.1 - np.sum(step**2, axis=2), 0.0) ** 2
-    # einsum without BLAS: the same bits for any thread count
+    # einsum does not call BLAS, so results are bit-identical for any thread count.
     moments = np.einsum("bkt,bk,bks->bts", basis, weight, basis)
     right = np.einsum("bkt,bk,fbk->btf", basis, weight, rise)
     size = np.sqrt(np.einsum("btt->bt", moments)).clip(min=1e-150)

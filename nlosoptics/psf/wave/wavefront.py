@@ -1,4 +1,4 @@
-"""The wave at the exit pupil, sampled."""
+"""Samples of the wave in the exit pupil."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ LAYOUTS = ("polar", "cells", "grid", "scattered")
 
 @dataclass(frozen=True, kw_only=True)
 class Removed:
-    """Terms taken out of an aberration before it was sampled.
+    """Terms subtracted from an aberration before it was sampled.
 
     Parameters
     ----------
     piston : float
-        m.
+        Constant path, m.
     tilt : (float, float)
-        Slopes dW/du and dW/dv; they shift the image by ``tilt * image_distance``.
+        Slopes dW/du and dW/dv, rad. They shift the image by ``tilt * image_distance``.
     defocus : float
-        Coefficient of (u^2 + v^2)/2, 1/m: a longitudinal shift of focus.
+        Coefficient of (u^2 + v^2)/2, 1/m. It shifts the focus along the axis.
     """
 
     piston: float = 0.0
@@ -56,39 +56,36 @@ class Removed:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Wavefront(Noun, Shown):
-    """Samples of the wave in the exit pupil.
+    """Wave in the exit pupil: sampled aberration and amplitude, wavelength and pupil geometry.
+
+    Arrays are copied, float64 and read-only; all have the shape of the layout.
 
     Parameters
     ----------
     u, v : ndarray
-        Pupil coordinates, m, parallel to the image's x and y. Polar: (n_r, n_theta), radii at
-        Gauss-Legendre nodes of r^2, angles 2 pi j/n_theta. Cells: (n_patches, n_s, n_t), see
-        `Aperture.nodes`. Grid: (n, n), rows are v, ``(arange(n) - n//2) * pitch``. Scattered: (n,).
+        Pupil coordinates, m, parallel to the image's x and y. Polar: (n_r, n_theta), see
+        `polar_nodes`. Cells: (n_patches, n_s, n_t), see `Aperture.nodes`. Grid: (n, n), rows are v,
+        ``(arange(n) - n//2) * pitch``. Scattered: (n,).
     aberration : ndarray
-        W, m, positive where the wave has gone a longer path than the reference.
+        Aberration W, m, in the shape of u; positive for a path longer than the reference.
     amplitude : ndarray
-        Relative, 1 for the unobstructed clear pupil.
+        Relative amplitude in the shape of u; 1 for a clear pupil.
     weights : ndarray
-        Pupil area that each node stands for, m^2; edge cells of a grid count with the part that
-        lies inside.
+        Pupil area of each node, m^2, in the shape of u; of edge cells only the part inside.
     wavelength : float
-        m.
+        Vacuum wavelength, m.
     image_distance : float
-        From pupil to image, m; negative when the pupil lies behind the image.
+        Signed distance from pupil to image, m; negative if the pupil lies beyond the image.
     pupil_radius : float
-        What the F-number and the flux refer to, m.
+        Radius that defines the F-number and the flux, m.
     obscuration : float
         Inner radius of an annular pupil as a fraction of the outer.
     layout : {"polar", "cells", "grid", "scattered"}
+        Arrangement of the nodes.
     removed : Removed
-        What ``aberration`` no longer holds.
+        Terms that were subtracted from ``aberration``.
     aperture : Aperture, optional
-        Outline of the pupil, where it is not a disc or ring: that of ``cells``, or what the
-        weights of a grid follow.
-
-    Notes
-    -----
-    Arrays are copied, float64 and read-only.
+        Outline of a pupil that is neither disc nor ring; layouts "cells" and "grid" follow it.
     """
 
     u: Array
@@ -107,7 +104,7 @@ class Wavefront(Noun, Shown):
     def __post_init__(self) -> None:
         put = object.__setattr__
         one_of("wavefront.layout", self.layout, LAYOUTS)
-        hint = "give metres in vacuum"
+        hint = "give metres (vacuum wavelength)"
         in_range("wavefront.wavelength", self.wavelength, 1e-8, 1e-3, unit="m", remedy=hint)
         positive("wavefront.pupil_radius", self.pupil_radius, unit="m")
         in_range("wavefront.obscuration", self.obscuration, 0.0, 0.99)
@@ -132,8 +129,8 @@ class Wavefront(Noun, Shown):
             if np.any(values < 0):
                 where = tuple(int(i) for i in np.unravel_index(np.argmin(values), values.shape))
                 raise SceneError(
-                    f"wavefront.{name} = {values[where]:g} at {where} is below 0; a change of sign "
-                    "is half a wave of aberration"
+                    f"wavefront.{name} = {values[where]:g} at {where} is below 0; write a sign "
+                    "change of the wave as half a wave of aberration"
                 )
         if not np.any(self.amplitude * self.weights > 0):
             raise SceneError("wavefront.amplitude is 0 everywhere; no light passes the pupil")
@@ -150,7 +147,7 @@ class Wavefront(Noun, Shown):
         figures = {
             "aberration": f"{waves}, {1e9 * rms:.3g} nm, without tilt",
             "pupil": f"{1e3 * self.pupil_radius:.4g} mm radius, F/{self.f_number:.3g}",
-            "light": f"{1e9 * self.wavelength:.4g} nm, {100 * self.flux:.4g} % of a clear disc's",
+            "light": f"{1e9 * self.wavelength:.4g} nm, {100 * self.flux:.4g} % of a clear disc",
             "nodes": f"{' x '.join(map(str, self.u.shape))}, {self.layout}",
         }
         alt = f"Map of the wave aberration over the pupil, {waves}"
@@ -170,31 +167,41 @@ class Wavefront(Noun, Shown):
         obscuration: float = 0.0,
         aperture: Aperture | None = None,
     ) -> Wavefront:
-        """Sample a sum of Zernike polynomials on a clear pupil, round unless an aperture is given.
+        """Sample a sum of Zernike polynomials on a pupil of uniform amplitude.
 
         Parameters
         ----------
         coefficients : mapping of int to float
-            Index to coefficient, m. For Noll and OSA it is the rms over the full disc; for Fringe
-            the value at the rim. An obscured pupil keeps the polynomials of the full disc.
+            Index to coefficient, m: the rms over the full disc for Noll and OSA, the value at the
+            rim for Fringe. An obscured pupil keeps the polynomials of the full disc.
         wavelength, pupil_radius, image_distance : float
-            m. The polynomials' unit disc has the pupil radius, whatever the aperture.
+            As in `Wavefront`, m. The unit disc of the polynomials has the pupil radius.
         ordering : {"noll", "osa", "fringe"}
+            Index scheme, see `zernike_order`.
         nodes : {"polar", "cells", "grid"}, optional
-            Polar nodes, or those of an aperture's cells, are exact and few, and the default; a
-            grid is what the Fourier transforms take.
+            Layout; by default "polar", or "cells" with an aperture: both are exact with few nodes.
+            Fourier transforms use "grid".
         samples : int or (int, int), optional
-            Polar: radii, with four times as many angles, or (radii, angles); default at least
-            24 x 96. Cells: nodes per patch along s and t; 12 x 12 by default, and more
-            where the wave needs them. Grid: cells per side, default 512.
+            Polar: radii, with four times as many angles, or (radii, angles); at least 24 x 96 by
+            default. Cells: nodes per patch along s and t; by default 12 x 12, or more if the wave
+            needs them. Grid: cells per side, 512 by default.
         obscuration : float
             Inner radius as a fraction of the outer.
         aperture : Aperture, optional
-            Outline of the pupil, m.
+            Outline of the pupil; a disc or ring by default.
 
         Returns
         -------
         Wavefront
+
+        Examples
+        --------
+        >>> from nlosoptics import psf
+        >>> wave = psf.Wavefront.from_zernike(
+        ...     {4: 50e-9}, wavelength=632.8e-9, pupil_radius=0.0125, image_distance=1.0
+        ... )
+        >>> print(wave.layout, wave.f_number, f"{psf.rms_aberration(wave):.2e} m")
+        polar 40.0 5.00e-08 m
         """
         one_of("ordering", ordering, ORDERINGS)
         nodes = nodes_of(nodes, aperture, obscuration, samples)
@@ -217,7 +224,7 @@ class Wavefront(Noun, Shown):
             cells = 512 if samples is None else whole("samples", samples, 2)
             u, v, weights = grid_nodes(pupil_radius, cells, obscuration)
         else:
-            # Enough that the tail of the spectrum is seen to vanish.
+            # Enough nodes to see that the tail of the spectrum vanishes.
             n_r, n_theta = max(24, degree), max(96, 4 * degree)
             if isinstance(samples, tuple):
                 n_r, n_theta = samples
@@ -234,7 +241,7 @@ class Wavefront(Noun, Shown):
             heights = [real(f"coefficients[{j}]", value) for j, value in coefficients.items()]
             if heights:
                 modes = kept_zernikes(tuple(coefficients), ordering, *u.shape, float(obscuration))
-                # einsum without BLAS: the same bits for any thread count
+                # einsum does not call BLAS, so results are bit-identical for any thread count.
                 aberration = np.einsum("m,mrt->rt", np.array(heights), modes)
         else:
             amplitude = np.ones_like(u)
@@ -268,32 +275,31 @@ class Wavefront(Noun, Shown):
         samples: int | tuple[int, int] | None = None,
         obscuration: float = 0.0,
     ) -> Wavefront:
-        """Sample functions of the pupil's coordinates on a pupil of any outline.
+        """Sample an aberration and an amplitude, functions of u and v, on a pupil of any outline.
 
         Parameters
         ----------
         aberration : callable, optional
-            W(u, v), m, of arrays (n,) of u and v, m; smooth over each cell. Default 0.
+            W(u, v), m, of coordinate arrays (n,), m; smooth over each cell. Default 0.
         wavelength, image_distance : float
-            m.
+            As in `Wavefront`, m.
         pupil_radius : float, optional
-            m; default the aperture's bounding radius. Without an aperture, the disc's own.
+            As in `Wavefront`, m; the aperture's bounding radius by default. Required for a disc.
         aperture : Aperture, optional
-            Outline; default a disc or ring.
+            Outline of the pupil; a disc or ring by default.
         amplitude : callable, optional
-            A(u, v), relative. Default 1.
+            Relative amplitude A(u, v). Default 1.
         pistons : array_like, (n_cells,), optional
-            Path of each of the aperture's cells, m, added to the aberration. A mirror's segment
-            that stands back by h adds 2 h.
+            Path added to each cell of the aperture, m. A mirror segment recessed by h adds 2 h.
         tilts : array_like, (n_cells, 2), optional
-            Slopes dW/du and dW/dv of each cell about its centroid, added as well.
+            Slopes dW/du and dW/dv added to each cell about its centroid, rad.
         nodes : {"polar", "cells", "grid"}, optional
-            As of `from_zernike`.
+            Layout, as in `from_zernike`.
         samples : int or (int, int), optional
-            As of `from_zernike`, but by default as many, up to a limit, as the functions need:
-            what the nodes lack is in the error estimate of every point spread.
+            As in `from_zernike`. By default polar and cells nodes increase until they resolve the
+            functions or reach a limit; error estimates of PSFs include any truncation left.
         obscuration : float
-            Of a ring.
+            Inner radius of a ring as a fraction of the outer.
 
         Returns
         -------
@@ -302,12 +308,12 @@ class Wavefront(Noun, Shown):
         Raises
         ------
         SceneError
-            If a function gives no finite number for every node, or an option does not fit.
+            If a function does not return finite real numbers, or options contradict one another.
         """
         layout = nodes_of(nodes, aperture, obscuration, samples)
         if pupil_radius is None:
             if aperture is None:
-                raise SceneError("pupil_radius is missing; give it, or an aperture")
+                raise SceneError("pupil_radius is missing; give it or an aperture")
             pupil_radius = aperture.bounding_radius
         positive("pupil_radius", pupil_radius, unit="m")
         moved = segment_terms(aperture, pistons, tilts)
@@ -354,19 +360,19 @@ class Wavefront(Noun, Shown):
         image_distance: float,
         pupil_radius: float | None = None,
     ) -> Wavefront:
-        """Take a pixel map of the pupil as it is: every sample stands for a whole cell.
+        """Make a grid wavefront from pixel maps of the pupil, each pixel with its full area.
 
         Parameters
         ----------
-        aberration : array_like
-            (n, n), m, row 0 at the lowest v, sample [n//2, n//2] on the axis.
-        amplitude : array_like, optional
-            (n, n), relative, 0 outside the pupil; an edge cell may carry the part that is inside.
-            Default 1 everywhere: a square pupil.
+        aberration : array_like, (n, n)
+            Aberration W, m; row 0 at the lowest v, sample [n//2, n//2] on the axis.
+        amplitude : array_like, (n, n), optional
+            Relative amplitude, 0 outside the pupil; an edge pixel may carry the fraction inside.
+            Default 1 everywhere, which is a square pupil.
         wavelength, pupil_pitch, image_distance : float
-            m.
+            Wavelength, pixel side in the pupil, and distance as in `Wavefront`, m.
         pupil_radius : float, optional
-            What the F-number and the flux refer to, m; default the disc that just fits the map.
+            As in `Wavefront`, m; by default that of the disc that just fits the map.
 
         Returns
         -------
@@ -400,18 +406,18 @@ class Wavefront(Noun, Shown):
 
     @property
     def pupil_pitch(self) -> float:
-        """Spacing of a grid's samples, m."""
+        """Spacing of the samples, m; for the grid layout only."""
         if self.layout != "grid":
             raise SamplingError(
                 f"a {self.layout} wavefront has no pupil pitch; sample it on a grid"
             )
-        # beside the axis, where u is 0 and the difference keeps all digits
+        # Next to the axis, where u is 0, the difference is exact.
         axis = self.u.shape[1] // 2
         return float(self.u[0, axis] - self.u[0, axis - 1])
 
     @property
     def flux(self) -> float:
-        """Light through the pupil over that of a clear disc of ``pupil_radius``."""
+        """Energy through the pupil relative to a clear disc of ``pupil_radius``."""
         disc = np.pi * self.pupil_radius**2
         return float(np.sum(self.amplitude**2 * self.weights) / disc)
 
@@ -422,20 +428,21 @@ class Wavefront(Noun, Shown):
 
     @property
     def is_spectral(self) -> bool:
-        """Whether the nodes hold a series, so that more of them can be had: polar and cells."""
+        """Whether the nodes define a spectral series (polar and cells), so they can be refined."""
         return self.layout in ("polar", "cells")
 
     def nodes(self, *counts: int) -> tuple[Array, Array, Array]:
-        """Places and areas of as many nodes of the same pupil; polar and cells.
+        """Return the given number of nodes on the same pupil; for polar and cells layouts.
 
         Parameters
         ----------
         *counts : int
-            Shape: (n_r, n_theta) of a polar wavefront, (n_patches, n_s, n_t) of cells.
+            Shape: n_r, n_theta of a polar wavefront, or n_patches, n_s, n_t of cells.
 
         Returns
         -------
         u, v, weights : ndarray
+            Coordinates, m, and areas, m^2, in this shape.
         """
         self._require_spectral("have more nodes")
         if self.aperture is not None:
@@ -444,20 +451,20 @@ class Wavefront(Noun, Shown):
         return polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
 
     def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
-        """Series of a function given on the nodes; polar and cells."""
+        """Return the series of values at the nodes; for polar and cells layouts."""
         self._require_spectral("have a series")
         if self.aperture is not None:
             return CellSpectrum(values, self.aperture)
         return PolarSpectrum(values, self.pupil_radius, self.obscuration)
 
     def resampled(self, *counts: int) -> Wavefront:
-        """The same wave on more nodes, by its series; polar and cells.
+        """Return the wave interpolated to more nodes by its series; for polar and cells layouts.
 
         Parameters
         ----------
         *counts : int
-            n_r, n_theta of a polar wavefront, n_s, n_t of each patch of cells; none below the
-            present one.
+            n_r, n_theta of a polar wavefront, or n_s, n_t of each patch of cells; at least the
+            current numbers.
 
         Returns
         -------
@@ -470,7 +477,7 @@ class Wavefront(Noun, Shown):
             given = " x ".join(map(str, new))
             raise SamplingError(
                 f"{given} {self.layout} nodes are fewer than the present {old[0]} x {old[1]}; "
-                "resampling only refines"
+                "give as many or more"
             )
         shape = (*self.u.shape[:-2], *new)
         u, v, weights = self.nodes(*shape)
@@ -484,10 +491,9 @@ class Wavefront(Noun, Shown):
         )
 
     def truncation(self) -> tuple[float, float]:
-        """What the nodes may miss of the aberration, m, and of the amplitude; polar and cells.
+        """Estimate the truncation error of aberration, m, and amplitude, for polar and cells.
 
-        By the highest terms of the series, about an eighth of them each way: their sum on polar
-        nodes, four times their rms on cells.
+        The estimate is the sum (polar) or four times the rms (cells) of the highest series terms.
         """
         return (
             self.series(self.aberration).truncation(),
@@ -497,12 +503,12 @@ class Wavefront(Noun, Shown):
     def _require_spectral(self, what: str) -> None:
         if not self.is_spectral:
             raise SamplingError(
-                f"only a polar wavefront, or one of cells, can {what}, this one is {self.layout}; "
-                "sample it with nodes='polar' or 'cells'"
+                f"only a polar wavefront or one of cells can {what}, not layout '{self.layout}'; "
+                "sample the wave with nodes='polar' or 'cells'"
             )
 
     def _kept(self) -> dict[str, Array]:
-        """Nodes and even amplitude that polar waves of this shape share and need not be checked."""
+        """Return cached nodes and uniform amplitude of this polar shape; they need no checks."""
         known = self.layout == "polar" and isinstance(self.u, np.ndarray) and self.u.ndim == 2
         if not known or not 0 < self.u.size <= KEPT:
             return {}
@@ -512,20 +518,20 @@ class Wavefront(Noun, Shown):
 
     def _check_aperture(self) -> None:
         if self.aperture is None and self.layout == "cells":
-            raise SceneError("wavefront.aperture is missing, whose cells hold the nodes; give it")
+            raise SceneError("wavefront.aperture is missing, layout 'cells' needs it; give it")
         if self.aperture is not None and self.layout not in ("cells", "grid"):
             raise SceneError(
-                f"wavefront.aperture with layout '{self.layout}', which does not follow it; use "
-                "'cells' or 'grid'"
+                f"wavefront.layout = '{self.layout}' cannot follow an aperture; use 'cells' or "
+                "'grid'"
             )
         if self.aperture is not None and self.obscuration != 0:
             raise SceneError(
-                f"wavefront.obscuration = {self.obscuration:g} beside an aperture; give it to the "
-                "aperture"
+                f"wavefront.obscuration = {self.obscuration:g} with an aperture, limit 0; make it "
+                "part of the aperture"
             )
 
     def _check_nodes(self) -> None:
-        """Refuse coordinates that are not those of the layout."""
+        """Raise `SceneError` if the coordinates are not those of the layout."""
         if self.layout == "scattered":
             return
         if self.layout == "cells" and self.aperture is not None:
@@ -538,7 +544,7 @@ class Wavefront(Noun, Shown):
             remedy = "take them from psf.polar_nodes"
         else:
             if rows != columns or rows < 2:
-                raise SceneError(f"a grid wavefront of shape {self.u.shape}; give a square one")
+                raise SceneError(f"a grid wavefront has shape {self.u.shape}; give a square grid")
             axis = (np.arange(rows) - rows // 2) * self.pupil_pitch
             v, u = np.meshgrid(axis, axis, indexing="ij")
             remedy = "use (arange(n) - n//2) * pitch, rows along v"
@@ -566,14 +572,14 @@ class Wavefront(Noun, Shown):
 
 
 def _owned(name: str, values: Any, layout: Layout) -> Array:
-    """Copy to a read-only float64 array of the layout's dimension, all of it finite."""
+    """Copy values to a read-only float64 array; check that they are finite and fit the layout."""
     try:
-        if np.iscomplexobj(values):  # numpy would drop the imaginary part with a mere warning
+        if np.iscomplexobj(values):  # numpy would only warn and drop the imaginary part
             raise TypeError
         array = np.array(values, dtype=np.float64, order="C")
     except (TypeError, ValueError):
         told = f"wavefront.{name} is not an array of real numbers"
-        raise SceneError(f"{told}; give such, and a phase as aberration") from None
+        raise SceneError(f"{told}; give real values, and a phase as aberration") from None
     dimension = {"scattered": 1, "cells": 3}.get(layout, 2)
     if array.ndim != dimension or array.size == 0:
         raise SceneError(

@@ -1,4 +1,4 @@
-"""Zernike polynomials in the Noll, OSA and Fringe orders."""
+"""Zernike polynomials in Noll, OSA and Fringe ordering."""
 
 from __future__ import annotations
 
@@ -20,20 +20,31 @@ ORDERINGS = ("noll", "osa", "fringe")
 
 
 def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
-    """Radial degree n and angular frequency m of a Zernike index.
+    """Return the radial degree n and the angular frequency m of a Zernike index.
 
     Parameters
     ----------
     index : int
-        From 1 for Noll and Fringe, from 0 for OSA. Fringe has 37.
+        Index of the term: from 1 for Noll, from 0 for OSA, 1 to 37 for Fringe.
     ordering : {"noll", "osa", "fringe"}
-        Noll, JOSA 66, 207 (1976); OSA, also ANSI Z80.28; Fringe, also University of Arizona, whose
-        term 37 is the twelfth-degree spherical one.
+        Index scheme: Noll (JOSA 66, 207, 1976), OSA (also ANSI Z80.28), or Fringe (also University
+        of Arizona), where term 37 is spherical aberration of degree 12.
 
     Returns
     -------
     n, m : int
-        m >= 0 is a cosine, m < 0 a sine.
+        Radial degree, and angular frequency: cosine terms have m >= 0, sine terms m < 0.
+
+    Raises
+    ------
+    SceneError
+        If the index is out of range or the ordering unknown.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> psf.zernike_order(8), psf.zernike_order(9, "fringe")
+    ((3, 1), (4, 0))
     """
     one_of("ordering", ordering, ORDERINGS)
     whole(f"{ordering} index", index, 0 if ordering == "osa" else 1)
@@ -58,8 +69,8 @@ def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
 def radial(n: int, m: int, rho: ArrayLike) -> Array:
     """Radial Zernike polynomial R_n^|m|, 1 at rho = 1.
 
-    Evaluated as rho^m P_k^(0, m)(2 rho^2 - 1), k = (n - m)/2, by the Jacobi recurrence, which keeps
-    its digits where the textbook sum of factorials cancels (from n = 30 on).
+    Evaluated as rho^m P_k^(0, m)(2 rho^2 - 1), k = (n - m)/2, by the Jacobi recurrence. It stays
+    accurate where the textbook sum of factorials suffers from cancellation (from n = 30 on).
     """
     rho = np.asarray(rho, dtype=np.float64)
     m = abs(m)
@@ -70,7 +81,7 @@ def radial(n: int, m: int, rho: ArrayLike) -> Array:
         s = 2 * k + m
         scale = 2 * k * (k + m) * max(s - 2, 1)
         linear = (s - 1) * (s * (s - 2) * x - m**2)
-        if s == 2:  # k = 1, m = 0: the general line is 0/0, and P_1 = x
+        if s == 2:  # k = 1, m = 0: the recurrence would be 0/0, and P_1 = x
             before, now = now, x * now
             continue
         before, now = now, (linear * now - 2 * (k - 1) * (k + m - 1) * s * before) / scale
@@ -78,22 +89,35 @@ def radial(n: int, m: int, rho: ArrayLike) -> Array:
 
 
 def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering = "noll") -> Array:
-    """Zernike polynomial at polar points of the unit disc.
+    """Return a Zernike polynomial at points of the unit disc.
 
     Parameters
     ----------
     index : int
-        In the given order.
-    rho, theta : array_like
-        Radius over pupil radius, and angle from u toward v, rad.
+        Index in the chosen ordering.
+    rho, theta : array_like, (...)
+        Radius divided by pupil radius, and angle from u toward v, rad; their shapes broadcast.
     ordering : {"noll", "osa", "fringe"}
-        Noll and OSA polynomials have rms 1 over the disc; Fringe ones are not normalised, their
-        radial part is 1 at the rim.
+        Index scheme, see `zernike_order`. Noll and OSA polynomials have rms 1 over the disc. The
+        radial part of Fringe polynomials is 1 at the rim.
 
     Returns
     -------
     ndarray
-        Of the broadcast shape.
+        Values in the broadcast shape of rho and theta.
+
+    Raises
+    ------
+    SceneError
+        If the index is out of range or the ordering unknown.
+
+    Examples
+    --------
+    Noll term 4 is defocus, ``sqrt(3) (2 rho^2 - 1)``:
+
+    >>> from nlosoptics import psf
+    >>> print(psf.zernike(4, [0.0, 1.0], 0.0).round(4))
+    [-1.7321  1.7321]
     """
     n, m = zernike_order(index, ordering)
     theta = np.asarray(theta, dtype=np.float64)
@@ -108,7 +132,7 @@ def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering 
 def zernike_basis(
     indices: Sequence[int], rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering = "noll"
 ) -> Array:
-    """Stack of `zernike` for several indices, (len(indices), ...)."""
+    """Return several Zernike polynomials stacked, (len(indices), ...); arguments as `zernike`."""
     return np.stack([zernike(index, rho, theta, ordering=ordering) for index in indices])
 
 
@@ -116,7 +140,7 @@ def zernike_basis(
 def kept_zernikes(
     indices: tuple[int, ...], ordering: Ordering, n_r: int, n_theta: int, obscuration: float
 ) -> Array:
-    """Zernike polynomials (n, n_r, n_theta) on at most `KEPT` polar nodes, kept and read-only."""
+    """Zernike polynomials (n, n_r, n_theta) on at most `KEPT` polar nodes, cached and read-only."""
     u, v, _ = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
     rho, theta = np.hypot(u, v), np.arctan2(v, u)
     modes = np.empty((len(indices), n_r, n_theta))
@@ -128,7 +152,7 @@ def kept_zernikes(
 def zernike_sum(
     coefficients: Mapping[int, float], u: Array, v: Array, radius: float, ordering: Ordering
 ) -> Array:
-    """Sum of Zernike polynomials of the unit disc of a radius, m, at (u, v), m."""
+    """Return a sum of Zernike polynomials of a disc of a given radius, m, at (u, v), m."""
     rho, theta = np.hypot(u, v) / radius, np.arctan2(v, u)
     total = np.zeros_like(u)
     for index, value in coefficients.items():

@@ -1,1 +1,1 @@
-"""Window and pixels of a point spread function, and bounds of its errors."""
+"""Image window and pixels of a point spread function, and bounds on its errors."""

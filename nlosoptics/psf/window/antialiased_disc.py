@@ -1,9 +1,10 @@
-"""A disc on a grid without the error of its jagged edge.
+"""A disc sampled on a grid without the errors of a jagged edge.
 
-Sampling a disc folds the far diffraction of its rim back onto the image. Convolved first with a
-kernel whose spectrum is 1 up to a distance from the rays' landing point and 0 where the image
-repeats, the disc is sampled without either. The kernel's spectrum is an error-function step at half
-the image period P, so the convolved disc differs from the disc only within a few cells of the rim.
+Sampling a disc folds the far diffraction of its rim back onto the image (aliasing). Here the disc
+is first convolved with a kernel. The kernel's spectrum is 1 up to some distance from the rays'
+landing point and 0 where the image repeats, so that neither the image nor its repeats disturb each
+other. It is an error-function step at half the image period P; the convolved disc differs from the
+disc only within a few cells of the rim.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy  # loads scipy.special on first use, a tenth of a second
+import scipy  # scipy.special is loaded lazily, on first use; that takes about 0.1 s
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
@@ -19,24 +20,25 @@ from ..aperture.quadrature_nodes import gauss_legendre
 
 Array = NDArray[np.float64]
 
-#: Width of the step in units of P; 1 at s < 0.2 P and 0 at s > 0.8 P to 1e-7.
+#: Width of the step in units of P. At distance s the spectrum is 1 for s < 0.2 P and 0 for
+#: s > 0.8 P, to 1e-7.
 STEP = 0.08
-#: Cells on either side of the rim: the kernel falls as exp(-(pi STEP t)^2), 1e-8 here.
+#: Cells on either side of the rim after which the kernel, exp(-(pi STEP t)^2), is cut; 1e-8 there.
 REACH = 17
-#: The same where errors of `cut` do.
+#: Shorter reach, in cells, for uses that accept the larger error given by `cut`.
 SHORT_REACH = 10
 
 
 def leak(s: Array) -> Array:
-    """What the kernel's spectrum lacks at a distance ``s``, in periods, or keeps at 1 - s."""
+    """Error of the kernel's spectrum: its loss at distance ``s``, in periods, or rest at 1 - s."""
     return np.asarray(scipy.special.erfc((0.5 - s) / STEP) / 2)
 
 
 def cut(radius: float, reach: int) -> float:
-    """Largest field error for the kernel's cut at `REACH` or `SHORT_REACH` cells.
+    """Bound the field error caused by cutting the kernel at `REACH` or `SHORT_REACH` cells.
 
-    Measured within half a period at up to half of this. That of the long reach falls with the
-    fourth power of the radius, cells, to 30, that of the short one with the radius.
+    ``radius`` is in cells. Measured errors within half a period reach half of this bound. For the
+    short reach they fall with the radius, for the long one with its fourth power up to 30 cells.
     """
     if reach == SHORT_REACH:
         return 4e-5 / radius
@@ -44,16 +46,16 @@ def cut(radius: float, reach: int) -> float:
 
 
 class SoftDisc:
-    """Convolved unit disc, by radius; all lengths in cells.
+    """Disc of height 1 after convolution, as a function of radius; all lengths in cells.
 
-    Hankel transform of ``radius J1(2 pi radius q)/q`` times the kernel's spectrum; near the rim by
-    a Chebyshev series of it, elsewhere 0 or 1.
+    It is the Hankel transform of ``radius J1(2 pi radius q)/q`` times the kernel's spectrum. Near
+    the rim a Chebyshev series evaluates it; elsewhere it is 0 or 1.
     """
 
     def __init__(self, radius: float, reach: int = REACH) -> None:
         self.radius = radius
         self.low, self.high = max(radius - reach, 0.0), radius + reach
-        # The profile has no frequency above 1 per cell: three nodes a cell resolve it.
+        # The profile has no frequency above 1 per cell, so three nodes per cell resolve it.
         n = math.ceil(3 * (self.high - self.low)) + 20
         angles = math.pi * (np.arange(n) + 0.5) / n
         middle, half = (self.low + self.high) / 2, (self.high - self.low) / 2
@@ -62,7 +64,7 @@ class SoftDisc:
         self.series[0] /= 2
 
     def __call__(self, r: Array) -> Array:
-        """Values at the radii ``r``."""
+        """Return the values at radii ``r``, in cells."""
         value = np.where(r < self.radius, 1.0, 0.0)
         near = (r >= self.low) & (r < self.high)
         place = (2 * r[near] - self.low - self.high) / (self.high - self.low)
@@ -71,7 +73,8 @@ class SoftDisc:
 
 
 def _hankel(r: Array, radius: float) -> Array:
-    top = 0.5 + 6 * STEP  # the spectrum is below 1e-17 beyond
+    """Profile of the convolved disc at radii ``r`` by quadrature over its spectrum."""
+    top = 0.5 + 6 * STEP  # beyond this frequency the spectrum is below 1e-17
     turns = top * (2 * radius + REACH)
     fraction, weights = gauss_legendre(math.ceil(4 * turns) + 60)
     q = top * fraction

@@ -14,11 +14,11 @@ from .grids import PupilGrid
 
 Array = NDArray[np.float64]
 
-#: Of any of the transforms.
+#: Rounding error of any of the transforms, relative to max I.
 ROUNDING = 1e-13
-#: Of the pixel means, see `pixels.BETA`.
+#: Error of the pixel means, relative to max I, see `pixels.BETA`.
 FILTER = 4e-11
-#: Moment of a softened rim's outer part about the rim, in cells cubed, measured.
+#: Measured moment about the rim of the part of a softened rim outside it, cells cubed.
 CONTINUATION = 0.05
 
 
@@ -31,25 +31,25 @@ def intensity_error(
     pixel: float,
     level: float,
 ) -> float:
-    """Error of an intensity from that of its field.
+    """Bound the error of an intensity, max |dI|/max I, from that of its field.
 
     Parameters
     ----------
     intensity : ndarray
-        1 at the ideal peak; means over pixels if ``pixel`` is above 0.
+        Intensity, 1 at the ideal peak, of any shape; means over pixels if ``pixel`` is above 0.
     field_error : ndarray or float
-        Bound of the field's error, 1 at the ideal peak.
+        Bound on the field's error, relative to the ideal peak; broadcasts to the intensity.
     energy_error : float
-        Bound of that erring field's energy, as a share of the whole.
+        Bound on the energy of this error, as a fraction of the total energy.
     spill : ndarray or float
-        Further error of the field, whose energy has no bound but its own.
+        Bound on a further error of the field, for which there is no bound on the energy.
     pixel : float
         Pixel side in Airy units, lambda N; 0 for point samples.
     level : float
-        Share of the whole energy that a pixel of mean 1 would hold.
+        Fraction of the total energy in a pixel of mean intensity 1.
     """
     if np.ndim(field_error) == np.ndim(spill) == 0:
-        intensity = np.asarray(np.max(intensity))  # the bound below rises with it
+        intensity = np.asarray(np.max(intensity))  # the bound below increases with intensity
     error = np.square(field_error)
     if pixel > 0:
         error = np.minimum(error, energy_error / level)
@@ -60,19 +60,21 @@ def intensity_error(
 
 
 def beat(pixel: float) -> float:
-    """What a pixel, Airy units wide, leaves of a field's beats with its error; 1 for points.
+    """Factor by which a pixel reduces the cross term of a field and its error; 1 for points.
 
-    The cross term beats over about lambda N, and a wide pixel averages the beats. Measured on
-    defocus, the aberration with the most regular beats; others stay well below.
+    The cross term oscillates over about lambda N, so that a wide pixel averages it. ``pixel`` is
+    the side in Airy units. The factor was measured on defocus, which oscillates most regularly;
+    other aberrations stay well below.
     """
     return min(1.0, 0.8 / pixel) if pixel > 0 else 1.0
 
 
 def transform_error(intensity: Array, epsilon: float, *, pixel: float) -> float:
-    """Error of an intensity by a non-uniform transform of relative accuracy ``epsilon``.
+    """Bound the error of an intensity from a non-uniform transform of accuracy ``epsilon``.
 
-    The transform's error is noise of ``epsilon`` times the field's rms, at most; a pixel averages
-    it. Measured from 0.3 to 30 waves, epsilon from 1e-5 to 1e-10: a fifth of this or less.
+    The transform's error is noise of at most ``epsilon`` times the field's rms; a pixel (side in
+    Airy units) averages it. Measured errors, for 0.3 to 30 waves and epsilon from 1e-5 to 1e-10,
+    are a fifth of this bound or less.
     """
     spread = math.sqrt(float(np.mean(intensity)) / float(np.max(intensity)))
     return 2 * epsilon * spread * min(1.0, 1 / pixel if pixel > 0 else 1.0)
@@ -80,7 +82,13 @@ def transform_error(intensity: Array, epsilon: float, *, pixel: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class EdgeErrors:
-    """Arguments of `intensity_error` for a pupil's sampled edge."""
+    """Errors caused by a pupil's sampled edge, as arguments of `intensity_error`.
+
+    Attributes
+    ----------
+    field, energy, spill
+        The arguments ``field_error``, ``energy_error`` and ``spill``.
+    """
 
     field: Array | float
     energy: float
@@ -90,21 +98,34 @@ class EdgeErrors:
 def edge_errors(
     residual: Residual, grid: PupilGrid, x: Array, y: Array, half: float = 0.0
 ) -> EdgeErrors:
-    """Error of a sampled pupil edge on samples or on pixels of half width ``half``, m.
+    """Bound the errors of a sampled pupil edge at image points (x, y) or pixels about them.
 
-    A rim sends light a distance s from where its rays land, in amplitude as an Airy disc's tail, or
-    as a ring's focus in the middle of a symmetric spot.
+    Parameters
+    ----------
+    residual : Residual
+        Wave without piston and tilt.
+    grid : PupilGrid
+        Its samples.
+    x, y : ndarray, (nx,) and (ny,)
+        Image coordinates, m.
+    half : float
+        Half the pixel side, m; 0 for point samples.
 
-    - Cells cut by the rim act from their centre, with weights that are the rim convolved with a
-      cell. What arrives at s is damped by sinc(s/P), P the period of the image,
-      1 - sinc <= 1.65 (s/P)^2, and so are its repeats; of a wide pixel the edge next to a repeat
-      has the most, and the rest less by the distance over the width.
-    - A softened rim errs by `antialiased_disc.leak` twice, damping and repeat, and by the
-      aberration's curvature, which is not continued beyond the rim.
-    - A map is taken at its word: its samples are the pupil, and their sum is exact.
+    Notes
+    -----
+    A rim diffracts to a distance s from its rays' landing points, with the amplitude of an Airy
+    tail; in the middle of a symmetric spot it acts as a focused ring. The error depends on ``rim``:
 
-    The rims of an aperture send light by `rim_tails.tail`, whose repeats add up to 3.3 of the
-    first, and a square of the grid that two of its cells share counts as one's.
+    - "cut": each rim cell acts from its centre with its area as weight, so that the rim is
+      convolved with a cell. The field at s is damped by sinc(s/P), P the image period, with
+      1 - sinc <= 1.65 (s/P)^2. Its repeats are damped alike. In a wide pixel their energy lies
+      near the edge next to the repeat; the mean is less by its distance over the width.
+    - "soft": the error is twice `antialiased_disc.leak`, for damping and repeat, plus that of the
+      aberration's curvature, which is not continued outside the rim.
+    - "map": no error, since the samples are the pupil by definition and their sum is exact.
+
+    The rims of an aperture diffract as `rim_tails.tail`; all repeats add up to 3.3 times the first.
+    A grid square that two of its cells share holds the wave of one of them.
     """
     wave, unit = residual.wavefront, residual.airy_unit
     if grid.rim == "map":
@@ -124,12 +145,13 @@ def edge_errors(
     outline = wave.aperture
 
     def sent(a: Array, b: Array) -> Array:
-        """Field that the rims send a distance (a, b)."""
+        """Field diffracted by the rims to the distances (a, b), m."""
         if outline is None:
             return tail(np.hypot(a, b) / unit)
         return rim_tails.tail(outline, a / scale, b / scale)
 
     def repeat(a: Array, b: Array) -> Array:
+        """Field of a repeat at distances (a, b), m, with the average over a wide pixel."""
         share = np.sqrt(np.minimum(1.0, np.hypot(a, b) / (2 * half))) if half > 0 else 1.0
         return sent(a, b) * share
 
@@ -146,9 +168,10 @@ def edge_errors(
 def soft_rim_error(
     residual: Residual, pitch: float | Array, distance: Array | float, continuation: float
 ) -> Array:
-    """Field error of a softened rim at distances from the tilt's point, see `edge_errors`.
+    """Bound the field error of a softened rim at distances, m, from the tilt's image point.
 
-    ``continuation`` is 0 for a wave that goes on smoothly beyond the rim.
+    ``pitch`` is that of the pupil grid, m. ``continuation`` is `CONTINUATION`, or 0 for a wave that
+    continues smoothly outside the rim. The terms are explained in `edge_errors`.
     """
     wave = residual.wavefront
     unit, reach = residual.airy_unit, residual.rays.reach
@@ -162,14 +185,15 @@ def soft_rim_error(
         degree = max(residual.degrees(1e-3 * float(np.abs(residual.aberration).max())))
         steep = 2 * math.pi * residual.rays.slope * pitch / wave.wavelength
         edge = continuation * steep * degree * (2 / n) ** 2
-    edges = 1 / (1 - wave.obscuration)  # length of both rims over area
+    edges = 1 / (1 - wave.obscuration)  # length of both rims over area, 1 for a disc
     return np.asarray(edges * (field + focus + edge))
 
 
 def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
-    """Relative loss of a pixel of side ``pixel``, m, that holds the spot, for the sinc above.
+    """Relative energy lost by a pixel of side ``pixel``, m, that holds the spot, for rim "cut".
 
-    The mean of ``3.3 (s/P)^2`` times the Airy tail over the pixel, over the pixel's energy.
+    The sinc damping of `edge_errors` causes it. It is the mean of ``3.3 (s/P)^2`` times the Airy
+    tail over the pixel, divided by the pixel's energy.
     """
     if grid.rim != "cut":
         return 0.0
@@ -178,18 +202,18 @@ def damping_error(residual: Residual, grid: PupilGrid, pixel: float) -> float:
 
 
 def _period(residual: Residual, grid: PupilGrid) -> float:
-    """Distance at which a sampled pupil repeats its image, m."""
+    """Distance after which the image of a sampled pupil repeats, m."""
     wave = residual.wavefront
     return wave.wavelength * abs(wave.image_distance) / grid.pitch
 
 
 def tail(r: Array) -> Array:
-    """Upper envelope of the Airy field at ``r`` Airy units."""
+    """Upper envelope of the Airy field at a distance of ``r`` Airy units, 1 at the peak."""
     v = np.maximum(math.pi * r, 1.0)
     return np.asarray(np.minimum(1.0, np.sqrt(8 / (math.pi * v**3))))
 
 
 def rounded_up(value: float) -> str:
-    """Two digits, not below the value: what a refusal asks for must do."""
+    """Return a value rounded up to two digits, so that a limit named in an error suffices."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.ceil(value / step) * step:.2g}"

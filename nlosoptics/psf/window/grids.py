@@ -1,4 +1,4 @@
-"""Pupil functions on a square grid, for the Cartesian transforms."""
+"""Pupil functions on square grids, for the Cartesian transforms."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from .pixels import PixelRule
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
-#: Transforms the last axis of (rows, n) to (rows, m).
+#: A function that transforms the last axis of (rows, n) to (rows, m).
 Pass = Callable[[ComplexArray], ComplexArray]
 
-#: Memory of a block of rows, few enough to stay in the cache.
+#: Memory of a block of rows, bytes; small enough for the processor's cache.
 BLOCK_BYTES = 2**22
 
 
@@ -31,10 +31,26 @@ def intensity(
     shape: tuple[int, int],
     rule: PixelRule | None,
 ) -> Array:
-    """|transform|^2 of the given shape, averaged over pixels when a rule is given, (ny, nx).
+    """Return the squared modulus of a two-dimensional transform, or its means over pixels.
 
-    Columns are transformed in blocks and squared at once, so that the field of a wide window is
-    never held.
+    Columns are transformed and squared in blocks, so that the field of a wide window is never in
+    memory as a whole.
+
+    Parameters
+    ----------
+    values : ndarray, (rows, n)
+        Pupil function, complex.
+    along_x, along_y : callable
+        Transforms of the last axis, first of the rows and then of the columns.
+    shape : (int, int)
+        Samples (ny, nx) of the field.
+    rule : PixelRule or None
+        Averages samples over pixels; None for point samples.
+
+    Returns
+    -------
+    ndarray
+        (ny, nx) samples, or as many pixels as the rule makes of them.
     """
     ny, nx = shape
     rows = values.shape[0]
@@ -51,29 +67,32 @@ def intensity(
 
 
 def _blocks(count: int, length: int) -> Iterator[slice]:
+    """Yield slices of ``count`` rows of a length, each slice within `BLOCK_BYTES`."""
     step = max(1, BLOCK_BYTES // (16 * length))
     for start in range(0, count, step):
         yield slice(start, min(start + step, count))
 
 
-#: Nodes evaluated at a time, few enough to stay in the cache.
+#: Number of nodes evaluated at a time, small enough for the processor's cache.
 BLOCK = 2**16
 
 
 @dataclass(frozen=True, eq=False)
 class PupilGrid:
-    """Amplitude times cell area times exp(ikW) of a residual, summing to 1 without aberration.
+    """Pupil function of a residual on a square grid; without aberration its sum is 1.
 
     Parameters
     ----------
-    values : ndarray
-        (n, n) complex128, rows are v; sample [centre, centre] is on the axis.
+    values : ndarray, (n, n)
+        Amplitude times cell area times exp(ikW), normalised, complex128; rows are v, and sample
+        [centre, centre] is on the axis.
     pitch : float
-        m.
+        Spacing of the samples in the pupil, m.
     jump : float
         Largest step of the residual between neighbours, waves.
     rim : {"soft", "cut", "map"}
-        Softened for the grid, cut into cells weighted by area, or a map taken as it is.
+        Treatment of the rim: softened for the grid, cells weighted by their area inside, or a pixel
+        map used as it is.
     """
 
     values: ComplexArray
@@ -83,12 +102,12 @@ class PupilGrid:
 
     @property
     def centre(self) -> int:
-        """Index of the axis."""
+        """Index of the row and column on the axis."""
         return int(self.values.shape[0] // 2)
 
 
 def pupil_grid(residual: Residual) -> PupilGrid:
-    """Take a grid wavefront's own samples."""
+    """Return the pupil function of a grid wavefront on its own samples."""
     wave = residual.wavefront
     size = wave.amplitude * wave.weights / residual.amplitude_sum
     values = size * np.exp(1j * residual.wavenumber * residual.aberration)
@@ -98,12 +117,15 @@ def pupil_grid(residual: Residual) -> PupilGrid:
 
 
 def grid_size(radius: float, pitch: float) -> int:
-    """Odd number of cells that cover a centred disc and its softened rim."""
+    """Return the odd number of cells per side that cover a centred disc and its softened rim."""
     return 2 * (int(np.ceil(radius / pitch)) + antialiased_disc.REACH) + 1
 
 
 def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
-    """Evaluate a polar wavefront's series on a grid, with antialiased rims."""
+    """Return the pupil function of a polar wavefront on a grid, with softened rims.
+
+    ``pitch`` is that of the grid, m. The wave is evaluated by its series.
+    """
     wave = residual.wavefront
     n = grid_size(wave.pupil_radius, pitch)
     fits_memory(f"a pupil grid of {n} x {n} samples", 20.0 * n * n, "ask for a smaller window")
@@ -113,7 +135,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
         discs.append(antialiased_disc.SoftDisc(wave.obscuration * wave.pupil_radius / pitch))
     flat = not np.any(residual.aberration)
     largest = residual.wavenumber * float(np.abs(residual.aberration).max())
-    # The phase to 1e-8 rad.
+    # Relative accuracy of the aberration that gives the phase to 1e-8 rad.
     epsilon = float(np.clip(1e-8 / max(largest, 1.0), 1e-13, 1e-8))
     series, amplitude = residual.polar_series
     values = np.zeros((n, n), dtype=np.complex128)
@@ -125,7 +147,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
         size = discs[0](r) if len(discs) == 1 else discs[0](r) - discs[1](r)
         rows, columns = np.nonzero(size)
         if not rows.size:
-            continue  # above or below the disc; an empty transform is refused
+            continue  # rows outside the disc; the transform does not accept empty input
         part = size[rows, columns]
         if flat and amplitude is None:
             pupil = part.astype(np.complex128)

@@ -1,4 +1,4 @@
-"""How far the rims of a pupil send light, as bounds by their straight edges and arcs."""
+"""Bounds on the diffraction tails of a pupil, from the straight edges and arcs of its rims."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ..wave.wavefront import Wavefront
 
 Array = NDArray[np.float64]
 
-#: Of sqrt(rho/f), the most that an arc of curvature radius rho adds up to.
+#: Largest contribution of an arc with radius of curvature rho, in units of sqrt(rho/f).
 ARC = 1.2
 
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Straight edges of like direction (n, 2) and length (n,), m, with their number (n,)."""
+    """Straight edges grouped by direction (n, 2) and length (n,), m, with their numbers (n,)."""
 
     direction: Array
     length: Array
@@ -29,9 +29,9 @@ class _Edges:
 
 
 def edge_ratio(wave: Wavefront, outline: Aperture | None = None) -> float:
-    """Length of all rims over the area, against that of a clear disc of the pupil radius.
+    """Return the ratio of rim length to area, divided by that of a disc of the pupil radius.
 
-    ``outline`` is that of the pupil where the wave does not hold it itself.
+    ``outline`` is the pupil's outline if the wave does not contain it.
     """
     aperture = outline or wave.aperture
     if aperture is None:
@@ -40,14 +40,15 @@ def edge_ratio(wave: Wavefront, outline: Aperture | None = None) -> float:
 
 
 def tail(aperture: Aperture, x: Array, y: Array) -> Array:
-    """Bound of the field of a clear aperture, 1 at its peak, at spatial frequencies (x, y), 1/m.
+    """Bound the field of a clear aperture, 1 at its peak, at spatial frequencies (x, y), 1/m.
 
-    The transform is a sum over the rim, ``L sinc(f_t L) f_n/(2 pi f^2 A)`` for a straight edge
-    (Komrska, JOSA 72, 1382 (1982)), and ``sqrt(rho/f)/(2 pi f A)`` where an arc faces f. Frequency
-    is position over wavelength times distance.
+    The transform is a sum over the rim. A straight edge contributes
+    ``L sinc(f_t L) f_n/(2 pi f^2 A)`` (Komrska, JOSA 72, 1382 (1982)). An arc contributes
+    ``sqrt(rho/f)/(2 pi f A)`` where its normal is along f. The frequency is the image position
+    divided by wavelength times distance.
     """
     f = np.hypot(x, y)
-    f = np.maximum(f, 1e-3 / aperture.bounding_radius)  # the bound is 1 there
+    f = np.maximum(f, 1e-3 / aperture.bounding_radius)  # avoids 0; the bound is 1 below this
     edges, arcs = _split(aperture)
     total = np.zeros(np.broadcast(x, y).shape)
     for (along_u, along_v), length, number in zip(
@@ -61,10 +62,12 @@ def tail(aperture: Aperture, x: Array, y: Array) -> Array:
 
 
 def reach(aperture: Aperture, scale: float, pitch: float, share: float) -> float:
-    """Distance beyond which the light of straight edges is below ``share`` of all in a pixel, m.
+    """Distance beyond which the spikes of straight edges are below ``share`` in any pixel, m.
 
-    Square to edges of one direction, of length L each and S in all, it is ``S^2/(4 pi^2 A r^2)``
-    per area, within about ``2 scale/L``; ``scale`` is wavelength times distance, m^2.
+    ``share`` is a fraction of the total energy, ``pitch`` the pixel side, m, and ``scale`` the
+    wavelength times the distance, m^2. Edges of one direction, of length L each and S in total,
+    make a spike perpendicular to them. It has the energy ``S^2/(4 pi^2 A r^2)`` per area, over a
+    width of about ``2 scale/L``.
     """
     edges, _ = _split(aperture)
     farthest = 0.0
@@ -77,13 +80,14 @@ def reach(aperture: Aperture, scale: float, pitch: float, share: float) -> float
 
 @lru_cache(maxsize=8)
 def _split(aperture: Aperture) -> tuple[_Edges, list[tuple[float, float]]]:
-    """Straight edges in groups, and the arcs' lengths and largest curvature radii, m."""
+    """Groups of straight edges, and the arcs' lengths and largest radii of curvature, m."""
     rims, size = aperture.rims, lengths(aperture.rims)
     bent = rims.turn != 0
     found: dict[tuple[int, int, int], int] = {}
     for step, length in zip(rims.step[~bent], size[~bent], strict=True):
         a, b = (round(1e6 * x / length) for x in step)
-        if (a, b) < (0, 0):  # rounded first, or rounding would tell upright edges apart
+        # Rounded before this, so that rounding error does not split vertical edges into two groups.
+        if (a, b) < (0, 0):
             a, b = -a, -b
         key = (a, b, round(1e6 * length / aperture.bounding_radius))
         found[key] = found.get(key, 0) + 1
@@ -100,7 +104,7 @@ def _split(aperture: Aperture) -> tuple[_Edges, list[tuple[float, float]]]:
 
 
 def _curvature_radii(rims: Curve, bent: NDArray[np.bool_]) -> list[float]:
-    """Largest |r'|^3/|r' x r''| of arcs, m."""
+    """Largest radius of curvature ``|r'|^3/|r' x r''|`` of each arc, m."""
     rate = np.hypot(*np.moveaxis(rims.rate(np.linspace(0, 1, 33)), -1, 0))[bent].max(axis=1)
     bend = np.abs(rims.turn[bent]) ** 3 * np.abs(cross(rims.cosine, rims.sine))[bent]
     return [float(r) for r in rate**3 / bend]

@@ -1,4 +1,4 @@
-"""Windows of the image plane: their coordinates, their defaults and what they must hold."""
+"""Windows of the image plane: coordinates, default sizes, and checks that they hold the image."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from . import rim_tails
 
 Array = NDArray[np.float64]
 
-#: Share of the rays that a window may leave out.
+#: Fraction of the ray energy that may fall outside a window.
 LOST_RAYS = 0.01
-#: Largest side of a window that can be asked for, samples.
+#: Largest side of a window that can be requested, samples.
 MOST_SIDE = 2**31 - 1
 #: Widest default window, samples per side.
 WIDEST_DEFAULT = 4096
@@ -27,14 +27,14 @@ WIDEST_DEFAULT = 4096
 
 @dataclass(frozen=True)
 class Window:
-    """Equidistant image points.
+    """Equidistant image points on a rectangle.
 
     Parameters
     ----------
     pitch : float
-        m.
+        Distance between neighbours, m.
     shape : (int, int)
-        (ny, nx).
+        Number of points (ny, nx).
     first : (float, float)
         Coordinates (x, y) of sample [0, 0], m.
     """
@@ -45,22 +45,22 @@ class Window:
 
     @classmethod
     def centred(cls, pitch: float, shape: tuple[int, int]) -> Window:
-        """Sample [ny//2, nx//2] on the axis."""
+        """Return a window with sample [ny//2, nx//2] on the axis."""
         ny, nx = shape
         return cls(pitch, shape, (-(nx // 2) * pitch, -(ny // 2) * pitch))
 
     @property
     def x(self) -> Array:
-        """Coordinates along a row, m."""
+        """Coordinates x of the columns, (nx,), m."""
         return self.first[0] + np.arange(self.shape[1], dtype=np.float64) * self.pitch
 
     @property
     def y(self) -> Array:
-        """Coordinates along a column, m."""
+        """Coordinates y of the rows, (ny,), m."""
         return self.first[1] + np.arange(self.shape[0], dtype=np.float64) * self.pitch
 
     def reach_from(self, point: tuple[float, float]) -> tuple[float, float]:
-        """Largest |x - point| and |y - point| over the window, m."""
+        """Return the largest distances along x and along y from a point to the window, m."""
         far = []
         for first, n, centre in zip(self.first, self.shape[::-1], point, strict=True):
             far.append(max(abs(first - centre), abs(first + (n - 1) * self.pitch - centre)))
@@ -68,7 +68,7 @@ class Window:
 
 
 def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
-    """Check a shape; one number stands for both sides."""
+    """Check a window's shape and return it as (ny, nx); one number means a square."""
     if isinstance(shape, int) or is_single(shape):
         return (whole("shape", shape, 1, MOST_SIDE),) * 2
     if isinstance(shape, str) or not hasattr(shape, "__len__") or len(shape) != 2:
@@ -78,7 +78,7 @@ def shape_of(shape: int | tuple[int, int]) -> tuple[int, int]:
 
 
 def middle(shape: tuple[int, ...], inner: tuple[int, ...]) -> tuple[slice, slice]:
-    """Where a window lies in a larger one of the same centre."""
+    """Return the slices that cut a window out of a larger one with the same centre."""
     rows, columns = (
         slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, inner, strict=True)
     )
@@ -86,28 +86,31 @@ def middle(shape: tuple[int, ...], inner: tuple[int, ...]) -> tuple[slice, slice
 
 
 def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
-    """Window of at least 256 samples that holds the rays and 16 Airy units of tail.
+    """Return the shape of a square window that holds the rays and 16 Airy units of tail.
+
+    It has at least 256 samples per side; ``pitch`` is in m.
 
     Raises
     ------
     SamplingError
-        If it would need more than 4096 samples a side.
+        If it would need more than 4096 samples per side.
     """
     half = ray_reach(residual) + 16 * residual.airy_unit
     n = max(256, 2 * math.ceil(half / pitch))
     if n > WIDEST_DEFAULT:
         raise SamplingError(
-            f"the spot reaches {half:.3g} m from the axis, {n} samples of {pitch:.3g} m across; "
-            "give a wider pitch with pixel_integrated=True, or a shape"
+            f"the spot reaches {half:.3g} m from the axis, which takes {n} samples of {pitch:.3g} "
+            f"m across, limit {WIDEST_DEFAULT}; give a wider pitch with pixel_integrated=True, or "
+            "a shape"
         )
     return n, n
 
 
 def check_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> None:
-    """Refuse a window that leaves out more than one ray in a hundred."""
+    """Raise `SamplingError` if more than 1 % of the ray energy falls outside a window."""
     rays, (shift_x, shift_y) = residual.rays, residual.shift
     ny, nx = shape
-    # An Airy unit of slack: rays closer than that do not tell a spot from a point.
+    # One Airy unit of slack: rays within it do not differ from a diffraction-limited point.
     slack = max(pitch / 2, residual.airy_unit)
     half_x, half_y = (nx // 2) * pitch + slack, (ny // 2) * pitch + slack
     if abs(shift_x) + rays.reach <= half_x and abs(shift_y) + rays.reach <= half_y:
@@ -118,32 +121,51 @@ def check_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> None
     if lost > LOST_RAYS:
         need = 2 * math.ceil(max(np.abs(x).max(), np.abs(y).max()) / pitch) + 1
         raise SamplingError(
-            f"the geometric spot reaches x = {_widest(x):.3g} m, y = {_widest(y):.3g} m and the "
-            f"window of {ny} x {nx} samples of {pitch:.3g} m loses {100 * lost:.3g} % of its "
-            f"rays, limit {100 * LOST_RAYS:g} %; use shape = ({need}, {need}) or more"
+            f"the geometric spot reaches x = {_widest(x):.3g} m, y = {_widest(y):.3g} m and a "
+            f"window of {ny} x {nx} samples of {pitch:.3g} m loses {100 * lost:.3g} % of the ray "
+            f"energy, limit {100 * LOST_RAYS:g} %; use shape = ({need}, {need}) or more"
         )
 
 
 def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> int:
-    """Odd side of a window outside which a point spread stays below ``tol`` of its peak.
+    """Return the side of a window outside which the point spread stays below ``tol`` of its peak.
 
-    Rays are binned into pixels, and beyond the last of them the diffraction tail of a round pupil,
-    at most 2 lambda N/(pi^3 r^3) per area, or the spikes of an aperture's straight edges, is
-    followed until a pixel of it is below ``tol``.
+    The window holds all rays. Beyond the outermost ray it extends until the diffraction tail in a
+    pixel falls below ``tol``. The tail of a round pupil is at most 2 lambda N/(pi^3 r^3) per area;
+    straight edges of an aperture make spikes.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Of any layout.
+        Wave of any layout.
     pitch : float
         Pixel side, m.
     tol : float
-        Of the brightest pixel.
+        Limit relative to the brightest pixel, above 0 to 1.
 
     Returns
     -------
     int
-        Pixels per side, centred on the reference point, a tilt's shift included.
+        Odd number of pixels per side, for a window centred on the reference point x = y = 0. It is
+        large enough for the image shift by a tilt.
+
+    Raises
+    ------
+    SceneError
+        If ``pitch`` or ``tol`` is out of range.
+
+    See Also
+    --------
+    point_spread : Takes this number as ``shape``.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 50e-9}, wavelength=632.8e-9, pupil_radius=0.0125, image_distance=0.05
+    ... )
+    >>> psf.window_shape(wave, pitch=9e-6, tol=1e-3)
+    5
     """
     positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)
@@ -153,22 +175,23 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
 def window_side(
     residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
 ) -> int:
-    """`window_shape` of a wave whose piston and tilt are already separated.
+    """Return the side of a window, as `window_shape`, for a wave whose tilt has been removed.
 
     Parameters
     ----------
     residual : Residual
+        Wave without piston and tilt; the tilt's image shift is included.
     pitch, tol : float
-        As of `window_shape`.
+        Pixel side, m, and limit relative to the brightest pixel.
     outline : Aperture, optional
-        Outline of the pupil, where the wave does not hold it itself.
+        Outline of the pupil if the wave does not contain it.
 
     Returns
     -------
     int
     """
     peak = peak_pixel(residual, pitch)
-    # Energy per pixel at the distance r from the last ray, and solved for r.
+    # The tail's energy per pixel at a distance r from the last ray, solved for r.
     tail = (2 * residual.airy_unit * pitch**2 / (math.pi**3 * tol * peak)) ** (1 / 3)
     wave = residual.wavefront
     outline = outline or wave.aperture
@@ -181,12 +204,12 @@ def window_side(
 
 
 def peak_pixel(residual: Residual, pitch: float) -> float:
-    """Energy of the brightest pixel, estimated from the rays and the Airy disc."""
+    """Estimate the energy fraction in the brightest pixel from the rays and the Airy disc."""
     rays, unit = residual.rays, residual.airy_unit
-    # Bins no finer than the Airy disc, which blurs the rays.
+    # Bins are not finer than the Airy disc, which blurs the rays.
     side = max(pitch, 2 * unit)
     if residual.wavefront.layout == "polar":
-        # Several rays a bin, or single rays pass for peaks.
+        # Trace several rays per bin: otherwise a single ray would count as a peak.
         n_r = min(max(24, math.ceil(4 * rays.reach / side)), 400)
         rays = residual.traced(n_r, 4 * n_r)
     elif residual.wavefront.layout == "cells":
@@ -199,17 +222,19 @@ def peak_pixel(residual: Residual, pitch: float) -> float:
     index = rows * (columns.max() + 1) + columns
     bins = np.bincount(index.ravel(), weights=rays.energy.ravel())
     ratio = pitch / unit
-    airy = min(1.0, math.pi / 4 * (ratio * ratio))  # a power would overflow with an exception
+    # A product, since a power of a huge ratio would raise OverflowError.
+    airy = min(1.0, math.pi / 4 * (ratio * ratio))
     if residual.wavefront.aperture is not None:
         airy = min(1.0, residual.pixel_share(pitch))
     return float(min(bins.max() * min(1.0, (pitch / side) ** 2), airy))
 
 
 def ray_reach(residual: Residual) -> float:
-    """Half the side of the square about the axis that holds every ray, m."""
+    """Half the side of the square about the axis that contains every ray, m."""
     shift = residual.shift
     return residual.rays.reach + max(abs(shift[0]), abs(shift[1]))
 
 
 def _widest(values: Array) -> float:
+    """Value with the largest magnitude."""
     return float(values.flat[int(np.argmax(np.abs(values)))])

@@ -1,1 +1,1 @@
-"""Fans of rays and random facets between wall and lens, and the paths that come of them."""
+"""Fans of rays via the wall to the lens, random facets of a rough wall, and the ray paths."""

@@ -1,4 +1,4 @@
-"""Random tilts of the wall's facets, one for each cell of a lattice that lies on the wall."""
+"""Random facet tilts of a rough wall, one facet per cell of a square lattice on the wall."""
 
 from __future__ import annotations
 
@@ -17,48 +17,63 @@ from .footprints import lens_footprint, surfaces
 
 Array = NDArray[np.float64]
 
-FACETS: Final = 401  # stream of the random generator
-MARGIN: Final = 0.25  # of the seen patch's width, beyond each of its sides
+FACETS: Final = 401  # stream number of the random generator
+MARGIN: Final = 0.25  # added on each side of the visible patch, relative to its width
 
 
 def facet_angles(
     scene: Scene, *, cell: float, slope_rms: float | None = None, seed: int = 0
 ) -> tuple[Array, Array]:
-    """Draw the tilt and azimuth of a facet for every wall cell that the lens sees the object by.
+    """Draw random facet slopes for the part of the wall in which the lens sees the hidden object.
 
     Parameters
     ----------
     scene : Scene
+        Its wall gives the mean surface, its hidden object and camera the visible part.
     cell : float
-        Side of a square cell in x and y, m. Cells have their corners at multiples of it.
+        Side of a square cell in x and y, m. The cell corners are at integer multiples of it.
     slope_rms : float, optional
-        Per axis, rad, up to 1; by default that of the wall material's strongest lobe that has one.
+        Slope rms per axis, rad, at most 1. The default is that of the strongest lobe of the wall
+        material that has a slope.
     seed : int
-        A cell has the same facet for one seed, whatever else is drawn.
+        Seed of the random generator, 0 to 2^64 - 1. The draw for a cell depends only on the seed
+        and the indices of the cell.
 
     Returns
     -------
     slopes : ndarray, (ny, nx, 2)
-        Tangents of the tilt against the mean wall, s1 and s2: the facet's normal is along
-        ``n - s1 t1 - s2 t2`` with n the mean wall's normal, t1 its tangent along x and
-        t2 = n x t1. For a flat wall it is the gradient of the facet's height.
+        Slopes s1 and s2 of each facet relative to the mean wall. The facet's normal is along
+        ``n - s1 t1 - s2 t2``, with n the normal of the mean wall, t1 its tangent along x and
+        t2 = n x t1. For a flat wall they are the gradient of the facet's height.
     positions : ndarray, (ny, nx, 3)
-        Centres of the cells on the mean wall, world, m, rows along y. They cover the light from
-        the object's reference point to the lens, and a quarter of its width more on every side.
+        Centres of the cells on the mean wall, world, m, rows along y. They cover the light path
+        from the object's reference point to the lens, plus a quarter of its width on each side.
 
     Raises
     ------
     SceneError
-        If no slope is given and the wall material has none.
+        If no slope is given and the wall material has none, or no light from the object's
+        reference point is reflected into the lens.
     SamplingError
-        If the lattice has more than 2^31 cells from the origin to the patch.
+        If a cell of the patch is more than 2^31 cells from the origin.
+    MemoryLimitError
+        If the facets would not fit in memory.
 
     Notes
     -----
-    V-grooves as of Oren and Nayar: normals have the density ``exp(-t^2/2 slope_rms^2)`` per solid
-    angle and mean-plane area at tilts t below pi/2, with any azimuth. A Rayleigh draw is accepted
-    with the probability sin(t)/t. For small slopes s1 and s2 are Gaussian of that rms; the facets
-    are independent, and no height has them as its gradient.
+    The facets follow the V-groove statistics of Oren and Nayar: at tilts t below pi/2, normals have
+    the density ``exp(-t^2/(2 slope_rms^2))`` per solid angle and mean-plane area, with uniform
+    azimuth. A Rayleigh-distributed tilt is accepted with probability sin(t)/t. For a small slope
+    rms, s1 and s2 are Gaussian with that rms. The facets are independent, so that in general no
+    continuous surface has these slopes.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> slopes, positions = raytrace.facet_angles(scene, cell=1e-4, slope_rms=0.05, seed=0)
+    >>> slopes.shape, round(float(slopes.std()), 3)
+    ((222, 253, 2), 0.05)
     """
     cell = positive("cell", cell, unit="m")
     checked_seed(seed)
@@ -70,7 +85,8 @@ def facet_angles(
     first, last = np.floor((seen.low - room) / cell), np.floor((seen.high + room) / cell)
     if max(-first.min(), last.max()) >= 2**31:
         raise SamplingError(
-            f"cell = {cell:g} m puts the patch more than 2^31 cells from the origin; enlarge it"
+            f"cell = {cell:g} m puts the patch more than 2^31 cells from the origin; use a larger "
+            "cell"
         )
     counts = last - first + 1
     fits_memory(
@@ -82,23 +98,29 @@ def facet_angles(
     height = surfaces(scene.wall, x, y)[..., 0]
     if np.isnan(height).any():
         raise SceneError(
-            "the wall has no height in a part of the patch about the light, as beyond the rim of a "
-            "sphere; use a larger radius or a smaller stop"
+            "the wall has no height in a part of the patch around the light path, for example "
+            "beyond the rim of a sphere; use a larger radius or a smaller stop"
         )
     return slopes, np.stack([x, y, height], axis=-1)
 
 
 def material_slope(scene: Scene) -> float:
-    """Slope rms per axis, rad, of the wall material's strongest lobe that has one."""
+    """Return the slope rms per axis, rad, of the wall's strongest lobe that has a slope.
+
+    Raises
+    ------
+    SceneError
+        If no lobe has a slope.
+    """
     lobes = scene.wall_material.lobe_table()
     rough = lobes[(lobes[:, 0] != LAMBERT) & (lobes[:, 2] > 0)]
     if not len(rough):
         raise SceneError(
-            "scene.wall_material has no lobe with a slope; give slope_rms, or a material such as "
-            "Ward, OrenNayar or SpecularMicrofacet with slope_rms above 0"
+            "scene.wall_material has no lobe with a slope; give slope_rms, or use a material such "
+            "as Ward, OrenNayar or SpecularMicrofacet with slope_rms above 0"
         )
     kind, _, width, _ = rough[np.argmax(rough[:, 1])]
-    # Ward's alpha is Beckmann's
+    # a Ward lobe stores alpha = sqrt(2) slope_rms
     alpha = kind in (WARD_1992, WARD_DUER, WARD_BOUNDED)
     return float(width / math.sqrt(2.0) if alpha else width)
 
@@ -106,18 +128,18 @@ def material_slope(scene: Scene) -> float:
 def _draw(
     columns: NDArray[np.int64], rows: NDArray[np.int64], slope_rms: float, seed: int
 ) -> Array:
-    """Slopes (ny, nx, 2) of the lattice's cells by their indices."""
+    """Return random slopes (ny, nx, 2), each determined by the seed and its cell's indices."""
     j, i = (a.ravel() for a in np.meshgrid(columns, rows))
     slopes = np.empty((len(i), 2))
     waiting, attempt = np.arange(len(i)), 0
     while len(waiting):
         address = np.empty((len(waiting), 4), dtype=np.uint32)
-        # two's complement keeps the cells on either side of the origin apart
+        # two's complement maps negative indices to distinct addresses
         address[:, 0] = j[waiting] & 0xFFFFFFFF
         address[:, 1] = i[waiting] & 0xFFFFFFFF
         address[:, 2], address[:, 3] = attempt, FACETS
         words = philox(address, seed).astype(np.float64)
-        # 53 bits, and never 0
+        # 53 random bits; never 0, whose logarithm is infinite
         uniform = (
             np.floor(words[:, 0] / 32) * 2.0**26 + np.floor(words[:, 1] / 64) + 0.5
         ) / 2.0**53

@@ -1,4 +1,4 @@
-"""The part of the relay wall that a lens sees an object point by."""
+"""Footprint of a lens on the wall: the part in which the lens sees an object point mirrored."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from ...errors import SceneError
 from ...scene import Camera, Wall
 
 Array = NDArray[np.float64]
-CELLS: Final = 48  # per side of the rectangle that is searched first, at least
-GROWTHS: Final = 24  # doublings of the rectangle
-LEVELS: Final = 9  # halvings of its cells
-MOST: Final = 2_000_000  # cells of a rectangle that is still grown
-FINE: Final = 0.125  # of the lens radius, where a cell's light is small enough
+CELLS: Final = 48  # smallest number of cells per side of the searched rectangle
+GROWTHS: Final = 24  # largest number of doublings of the rectangle
+LEVELS: Final = 9  # largest number of subdivisions of its cells
+MOST: Final = 2_000_000  # largest number of cells after doubling the rectangle
+FINE: Final = 0.125  # width of a cell's light at the lens, in lens radii, that ends subdivision
 CORNERS: Final = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Footprint:
-    """A rectangle of wall that holds every mirror reflection of a point in a lens.
+    """Rectangle of the wall that contains all mirror reflections of a point into a lens.
 
     Parameters
     ----------
     low, high : ndarray, (2,)
-        Its corners, x and y, m.
+        Corners of the rectangle with the lowest and highest x and y, m.
     points : ndarray, (n, 3)
-        Points of the wall in it, world, m, whose light passes the lens or next to it.
+        Wall points, world, m, whose reflected light passes through the lens or close to its edge.
     """
 
     low: Array
@@ -39,34 +39,39 @@ class Footprint:
 
 
 def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint:
-    """Search the wall for the points that reflect an object point into a lens.
+    """Find the part of the wall that reflects light from an object point into a lens.
 
     Parameters
     ----------
     wall : Wall
+        Relay wall, used as a mirror of its exact shape.
     object_point : ndarray, (3,)
-        World, m, in front of the wall.
+        Object point in front of the wall, world, m.
     camera : Camera
+        Camera with the lens.
 
     Returns
     -------
     Footprint
+        Rectangle around the reflecting points, and the points found.
 
     Raises
     ------
     SceneError
-        If the point is behind the wall or nothing of it is reflected into the lens.
+        If the point is behind the wall, or none of its light is reflected into the lens.
+    MemoryLimitError
+        If the wall needs more cells than fit in memory.
 
     Notes
     -----
-    A rectangle about the reflection in the plane z = 0, as much larger as the wall's slopes may
-    throw light, is cut into cells, and grown until none of its outermost cells is lit. A cell is
-    lit when the light of its corners passes the lens plane around the lens; lit cells are halved
-    until their light is smaller than the lens.
+    The search starts with a rectangle around the reflection in the plane z = 0, enlarged for the
+    wall's slopes, and divides it into cells. A cell counts as lit if the light reflected at its
+    corners overlaps the lens, with a margin. Lit cells are subdivided until their light is much
+    narrower than the lens. The rectangle is doubled until no cell at its border is lit.
     """
     o = np.asarray(object_point, dtype=np.float64)
     if o[2] <= 0:
-        raise SceneError(f"object_point has z = {o[2]:g} m, behind the wall; must be above 0")
+        raise SceneError(f"object_point has z = {o[2]:g} m, behind the wall; must be above 0 m")
     low, high = _mirror_box(wall, o, camera)
     edge = np.array([np.inf, np.inf] if wall.size is None else wall.size) / 2
     for _ in range(GROWTHS):
@@ -91,7 +96,10 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
 
 
 def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
-    """Where a plane mirror z = 0 shows the point to the lens, with room around, (2,) each."""
+    """Return the corners (2,) of a search rectangle in x and y, m.
+
+    It contains the reflection of the point into the lens by the plane z = 0, plus a margin.
+    """
     angle = 2 * np.pi * np.arange(16) / 16
     across = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ camera.frame[:2]
     rim = np.array(camera.position) + camera.stop_diameter / 2 * across
@@ -104,7 +112,7 @@ def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
     hits = o[:2] + share * (rim[:, :2] - o[:2])
     room = 0.25 * (hits.max(axis=0) - hits.min(axis=0))
     if np.isfinite(wall.finest_period):
-        # a wave's slope throws light 2 slope d_eff along the wall, more where it comes aslant
+        # a slope shifts the reflection point by 2 slope d_eff, more at oblique incidence
         legs = [np.linalg.norm(end - hits.mean(axis=0)) for end in (o[:2], rim[:, :2].mean(axis=0))]
         legs = [np.hypot(leg, z) for leg, z in zip(legs, (o[2], rim[:, 2].mean()), strict=True)]
         slope = wall.max_curvature * wall.finest_period / (2 * np.pi)
@@ -113,7 +121,7 @@ def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
 
 
 def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -> Array:
-    """Corners (n, 3) of the lit cells of a rectangle, on the wall."""
+    """Return the corners (n, 3) of the lit cells of a rectangle, as points on the wall."""
     radius = camera.stop_diameter / 2
     counts = _counts(wall, low, high)
     _fit(float(counts.prod()))
@@ -130,7 +138,8 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
         spread = np.where(some[:, None], most - least, 0.0)
         lit = (least - spread / 2 <= radius) & (most + spread / 2 >= -radius)
         lit = lit.all(axis=1) & some
-        # cells that never get here, as at the rim of a sphere, send all light but a point elsewhere
+        # at the last level accept wider cells; those still wider, as at the rim of a sphere, send
+        # a negligible part of their light into the lens
         limit = FINE * radius if level < LEVELS - 1 else radius
         fine: NDArray[np.bool_] = np.logical_and(lit, (spread <= limit).all(axis=1))
         found.append(points[fine[:, None] & ~dark.any(axis=-1)])
@@ -144,18 +153,32 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
 
 
 def _counts(wall: Wall, low: Array, high: Array) -> Array:
-    """Cells each way, an eighth of a wave, or corners would all see its crests."""
+    """Return the cells in x and y: at least 8 per period, since coarser corners miss the waves."""
     return np.asarray(np.maximum(CELLS, np.ceil(8 * (high - low) / wall.finest_period)))
 
 
 def _fit(n_cells: float) -> None:
+    """Raise `MemoryLimitError` if so many cells would not fit in memory."""
     fits_memory(f"{n_cells:.3g} wall cells", 1000.0 * n_cells, "use a smoother or smaller wall")
 
 
 def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Array, Array]:
-    """Wall points (..., 3) at places (..., 2), and where their light passes the lens's plane.
+    """Return wall points and the points where their reflected light meets the lens plane.
 
-    The second are (..., 2), u and v in m, NaN for what goes elsewhere.
+    Parameters
+    ----------
+    o : ndarray, (3,)
+        Object point, world, m.
+    places : ndarray, (..., 2)
+        Coordinates x and y on the wall, m.
+
+    Returns
+    -------
+    points : ndarray, (..., 3)
+        Wall points, world, m.
+    landed : ndarray, (..., 2)
+        Coordinates u and v in the lens plane about the centre of the lens, m; NaN for light that
+        does not reach this plane.
     """
     surface = surfaces(wall, places[..., 0], places[..., 1])
     points = np.concatenate([places, surface[..., :1]], axis=-1)
@@ -169,7 +192,15 @@ def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Arra
 
 
 def surfaces(wall: Wall, x: Array, y: Array) -> Array:
-    """Height and derivatives of the wall, (..., 6), NaN where it has no height."""
+    """Return the height and its derivatives, (..., 6), with NaN where the wall has no height.
+
+    Parameters
+    ----------
+    wall : Wall
+        Relay wall.
+    x, y : ndarray, (...)
+        World coordinates, m.
+    """
     if not wall.is_compiled:
         return wall.derivatives(x, y)
     from ...kernels import heights
@@ -180,15 +211,35 @@ def surfaces(wall: Wall, x: Array, y: Array) -> Array:
 
 
 def reflected(directions: Array, normals: Array) -> Array:
-    """Unit directions of light reflected by mirrors, (..., 3)."""
+    """Return the unit directions, (..., 3), of rays after specular reflection.
+
+    Parameters
+    ----------
+    directions : ndarray, (..., 3)
+        Directions of the incident rays, of any length.
+    normals : ndarray, (..., 3)
+        Unit normals.
+    """
     d = directions / np.linalg.norm(directions, axis=-1, keepdims=True)
     return np.asarray(d - 2 * np.sum(d * normals, axis=-1, keepdims=True) * normals)
 
 
 def lens_plane(points: Array, directions: Array, camera: Camera) -> tuple[Array, Array]:
-    """Where rays (..., 3) pass the plane of the lens, world, m, and how far they go, m.
+    """Intersect rays with the plane of the lens.
 
-    NaN for those that do not go toward it.
+    Parameters
+    ----------
+    points, directions : ndarray, (..., 3)
+        Starts, world, m, and unit directions of the rays.
+    camera : Camera
+        Camera with the lens.
+
+    Returns
+    -------
+    ends : ndarray, (..., 3)
+        Intersections, world, m; NaN for rays that do not approach the plane from the front.
+    length : ndarray, (...)
+        Distances from the starts, m; NaN for the same rays.
     """
     axis = camera.axis
     toward = directions @ axis

@@ -1,4 +1,4 @@
-"""What tracing light finds: paths where they are wanted, and the budget of the light."""
+"""Results of ray tracing: light paths, and the power balance by fate of the light."""
 
 from __future__ import annotations
 
@@ -19,61 +19,61 @@ ESCAPED: Final = 1
 ABSORBED: Final = 2
 LEFT: Final = 3
 BLOCKED: Final = 4
-#: What a status of a path means, by its number.
+#: Names of the status numbers of a path.
 STATUS: Final = ("detected", "escaped", "absorbed", "left", "blocked")
 
 
 def _nothing() -> Mapping[str, float]:
+    """Return an empty read-only mapping, as a default."""
     return MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RayPaths(Noun):
-    """Light paths through a scene, and where the light went.
+    """Light paths through a scene, and the power balance of the light.
 
     Parameters
     ----------
     points : ndarray, (n, k, 3)
-        Vertices from source to end, world, m: the source, ``n_bounces`` reflections, the end.
-        Shorter paths repeat their end. Empty when paths were not kept.
+        Vertices of each path, world, m: the source, ``n_bounces`` reflections, the end. Shorter
+        paths repeat their end. Empty if paths were not kept.
     path_length : ndarray, (n,)
-        Length from source to end, m; also the optical path, in air.
+        Length from source to end, m; equal to the optical path in air.
     weight : ndarray, (n,)
-        Power that the path carries at its end, W. The detected ones add up to ``flux + stray``.
+        Power carried by the path at its end, W. Detected paths add up to ``flux + stray``.
     n_bounces : ndarray of int32, (n,)
-        Reflections on the way.
+        Number of reflections.
     status : ndarray of int8, (n,)
-        0 detected; 1 escaped from the scene; 2 absorbed, or not resolved; 3 left when
-        ``max_bounces`` was reached; 4 blocked by the lens: beside the detector, the
-        field stop, or lost in the glass.
+        0: detected. 1: escaped from the scene. 2: absorbed, or not resolved. 3: left over when
+        ``max_bounces`` was reached. 4: blocked at the lens, by missing the detector, by the field
+        stop or by the lens's transmission.
     ledger : mapping of str to float
-        Power by fate, W; the names are those of `STATUS`, absorption by surface. What cannot be
-        resolved in float64 is ``unresolved``.
+        Power by fate, W, named as in `STATUS`, with absorption split by surface. ``unresolved`` is
+        the power of rays whose hit could not be resolved in float64.
     ledger_error : mapping of str to float
         Standard errors of the ledger, W.
     flux : float
         Detected power of light that met the hidden object, W.
     standard_error : float
-        Of ``flux``, W.
+        Standard error of ``flux``, W.
     by_bounce, by_bounce_error : ndarray, (max_bounces + 1,)
-        ``flux`` by the number of reflections, and its standard errors, W.
+        Contributions to ``flux`` by number of reflections, and their standard errors, W.
     stray, stray_error : float
         Detected power of light that never met the hidden object, and its standard error, W.
     wall_to_wall : float
-        Power that arrives at the wall straight from the wall, over all reflections, W.
+        Power that goes directly from wall to wall, summed over all reflections, W.
     trapped, trapped_error : float
-        What the wall absorbs of that, its light-trap loss, and the standard error, W.
+        Part of ``wall_to_wall`` that the wall absorbs (light-trap loss), and its standard error, W.
     mean_path_length : float
-        Of the light in ``flux``, by power, m; 0 when there is none.
+        Power-weighted mean path length of the light in ``flux``, m; 0 if ``flux`` is 0.
     n_rays : int
-        Rays traced.
+        Number of rays traced.
     stopped : {"rays", "tol", "time"}
-        Which limit ended the tracing.
+        Limit that ended the tracing.
     seconds : float
         Wall-clock time.
     queries : mapping of str to int
-        How often rays were held against each kind of surface, by name; what is absent or 0 was
-        skipped.
+        Number of intersection tests by kind of surface; absent or 0 for a kind that was skipped.
     """
 
     points: Array

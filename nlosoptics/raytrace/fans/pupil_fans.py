@@ -1,4 +1,4 @@
-"""Rays from one object point by the wall, used as a mirror, to the lens."""
+"""Fan of rays from one object point via the mirroring wall to the lens."""
 
 from __future__ import annotations
 
@@ -18,46 +18,59 @@ from .paths import DETECTED, ESCAPED, LEFT, STATUS, RayPaths
 
 Array = NDArray[np.float64]
 
-FANS: Final = 402  # stream of the random generator
-MARGIN: Final = 0.05  # of the fan's width, beyond each of its sides
-ABOVE: Final = 1e-9  # m, where reflected rays start over the wall they leave
+FANS: Final = 402  # stream number of the random generator
+MARGIN: Final = 0.05  # added on each side of the fan, relative to its width
+ABOVE: Final = 1e-9  # m, height above the wall at which reflected rays start
 
 
 def pupil_rays(
     scene: Scene, *, object_point: ArrayLike | None = None, n_rays: int, seed: int = 0
 ) -> RayPaths:
-    """Launch a fan of rays at the wall, a mirror of its true shape, and follow it to the lens.
+    """Trace a fan of rays from one object point via the mirroring wall to the lens.
 
     Parameters
     ----------
     scene : Scene
-        Its wall may be smooth or a height map; the material is not used.
+        Its wall, smooth or a height map, reflects as a mirror of its exact shape. The material
+        is ignored.
     object_point : array_like, (3,), optional
-        World, m; by default the hidden object's reference point.
+        Object point, world, m; by default the hidden object's reference point.
     n_rays : int
-        At least 16.
+        Number of rays, at least 16.
     seed : int
-        Shifts the lattice of launch directions.
+        Seed for the random shift of the lattice of launch directions, 0 to 2^64 - 1.
 
     Returns
     -------
     RayPaths
-        ``points`` (n_rays, 3, 3): object point, wall point, point in the plane of the lens.
-        ``status`` is 0 within the lens, 3 where the wall would be met again, and 1 elsewhere;
-        rays that meet no wall, or leave it away from the lens, repeat their last vertex.
-        ``weight`` is in W for a point source of 1 W/sr; reflection and lens lose nothing.
-        ``standard_error`` is that of independent rays, which those of a lattice stay below.
+        ``points`` (n_rays, 3, 3): object point, wall point, point in the plane of the lens. Rays
+        that miss the wall, or leave it away from the lens, repeat their last vertex.
+        ``status``: 0 for rays through the lens, 3 for rays that would meet the wall again, 1 for
+        all others. ``weight``: power in W for a point source of 1 W/sr, without losses at wall and
+        lens. ``standard_error``: that of independent rays, which overestimates the error here.
 
     Raises
     ------
     SceneError
-        If no light from the point is reflected into the lens.
+        If a value is out of range, or no light from the point is reflected into the lens.
+    MemoryLimitError
+        If the rays would not fit in memory.
 
     Notes
     -----
-    The fan covers the light from the point to the lens, and a margin. Its directions form a rank-1
-    lattice in the plane of Lambert's equal-area map about the fan's axis, so that every ray has
-    the same solid angle, and a smooth wall lays them out on the lens as a smoothly bent lattice.
+    The fan covers all light from the point to the lens, plus a margin. Its directions form a rank-1
+    lattice in Lambert's equal-area projection about the fan's axis, so that every ray represents
+    the same solid angle. A smooth wall maps them to a smoothly distorted lattice on the lens.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> rays = raytrace.pupil_rays(scene, n_rays=1024, seed=0)
+    >>> rays.points.shape, sorted({int(status) for status in rays.status})
+    ((1024, 3, 3), [0, 1])
+    >>> round(rays.mean_path_length, 2)
+    2.05
     """
     o = scene.object_point
     if object_point is not None:
@@ -87,21 +100,21 @@ def pupil_rays(
 
 
 def _fan(scene: Scene, o: Array, n_rays: int, seed: int) -> tuple[Array, float]:
-    """Unit directions (n_rays, 3) that cover the lens by way of the wall, and the solid angle."""
+    """Return unit directions (n_rays, 3) that fill the lens via the wall, and their solid angle."""
     toward = lens_footprint(scene.wall, o, scene.camera).points - o
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     axis = toward.mean(axis=0)
     axis /= np.linalg.norm(axis)
     e1, e2, _ = pupil_frame(axis)
-    # Lambert's map: 2 sin(theta/2) from the axis, equal areas for equal solid angles
+    # Lambert's equal-area projection: radius 2 sin(theta/2) for the angle theta to the axis
     flat = np.stack([toward @ e1, toward @ e2], axis=1)
     flat *= np.sqrt(2 / (1 + toward @ axis))[:, None]
     low, high = flat.min(axis=0), flat.max(axis=0)
-    # one and a half rays outside the light, so that those at the rim have neighbours
+    # at least 1.5 ray spacings outside the lens, so that rays at its rim have neighbours
     margin = max(MARGIN, 1.5 / (math.sqrt(n_rays) - 3))
     width = (1 + 2 * margin) * (high - low)
     middle = (low + high) / 2
-    # the map ends at 2, the direction backward
+    # the projection ends at radius 2, the backward direction
     width = np.minimum(width, 2 * (1.4 - np.abs(middle)))
     places = middle + (_lattice(n_rays, seed) - 0.5) * width
     square = np.sum(places**2, axis=1)
@@ -111,7 +124,11 @@ def _fan(scene: Scene, o: Array, n_rays: int, seed: int) -> tuple[Array, float]:
 
 
 def _lattice(n: int, seed: int) -> Array:
-    """Points (n, 2) of a rank-1 lattice in the unit square, shifted by a draw."""
+    """Return the points (n, 2) of a rank-1 lattice in the unit square with a random shift.
+
+    The generator is the integer near n divided by the golden ratio with the largest distance
+    between neighbouring points.
+    """
     near = round(n / ((1 + math.sqrt(5)) / 2))
     best, generator = -1.0, 1
     multiple = np.arange(1, min(n, 4 * math.isqrt(n) + 2))
@@ -130,7 +147,7 @@ def _lattice(n: int, seed: int) -> Array:
 
 
 def _met_again(scene: Scene, starts: Array, directions: Array, reach: Array) -> NDArray[np.bool_]:
-    """Whether reflected rays meet the wall a second time before the plane of the lens."""
+    """Return whether reflected rays meet the wall again before the plane of the lens, (n,)."""
     if scene.wall.is_flat or not len(starts):
         return np.zeros(len(starts), dtype=bool)
     second = intersect(scene.wall, starts, directions)
@@ -146,6 +163,7 @@ def _with_ledger(
     status: NDArray[np.int8],
     solid_angle: float,
 ) -> RayPaths:
+    """Return the paths with the power balance of a source of 1 W/sr."""
     n = len(status)
     counts = np.bincount(status, minlength=len(STATUS))
     share = counts / n

@@ -1,1 +1,1 @@
-"""Where rays meet walls and triangle meshes, in float64."""
+"""Intersections of rays with walls and triangle meshes, in float64."""

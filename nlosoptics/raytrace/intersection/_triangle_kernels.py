@@ -1,8 +1,11 @@
-"""Where rays meet triangles, compiled.
+"""Compiled intersection of rays with triangles.
 
-Every ray is o + t d with unit d and t in m. Rows of ``facets`` are a corner and the two sides from
-it, (n, 9), in the order of the leaves of the tree of ``boxes``; ``edges`` are the longest side of
-each, m.
+Every ray is o + t d with unit d and t in m. Rows of ``facets`` (n, 9) are a corner and the two
+sides that start at it, in the order of the leaves of the tree ``boxes``. ``edges`` (n,) are the
+lengths of the longest sides, m, and ``names`` (n,) the indices in the mesh.
+
+Rows of ``desk`` (n, 8) hold the working data of one ray in one cache line, first origin and
+direction, later the hit: point, normal, distance and, as an integer, the triangle's index or -1.
 """
 
 from __future__ import annotations
@@ -14,17 +17,20 @@ from numba import njit
 
 from ._wall_kernels import HIT, MISS, _unit
 
-BLOCK = 64  # rays at a time
+BLOCK = 64  # rays processed at once
 OX, OY, OZ, DX, DY, DZ, T, DEPTH, NX, NY, NZ, PX, PY, PZ, FACET = range(0, 15 * BLOCK, BLOCK)
 ROWS = 24
-SIDE = 144  # cells along a side of the map of directions by which rays are sorted
-INDEX = 6  # column of a ray's number in its row of what Embree gets
-NAME = 7  # column of a triangle's number, -1 for none, in a row of the desk
+SIDE = 144  # cells along a side of the octahedral map by which rays are sorted
+INDEX = 6  # column of ``rays`` with the number of the ray, as an integer
+NAME = 7  # column of ``desk`` with the index of the triangle, as an integer, or -1
 
 
 @njit(cache=True, inline="always")
 def _across(d):
-    """A unit vector across the unit vector d, without a jump (Duff et al. 2017)."""
+    """Return a unit vector perpendicular to the unit vector d, without branches.
+
+    Duff et al., J. Comput. Graph. Tech. 6(1), 2017.
+    """
     sign = math.copysign(1.0, d[2])
     a = -sign / (1.0 + abs(d[2]))
     return 1.0 + sign * a * d[0] * d[0], sign * a * d[0] * d[1], -sign * d[0]
@@ -32,9 +38,9 @@ def _across(d):
 
 @njit(cache=True, error_model="numpy")
 def _entry(boxes, node, o, inverse, low, high):
-    """Distance at which a ray enters a box between low and high, inf where it does not.
+    """Return the distance between low and high at which a ray enters a box; inf if it misses.
 
-    ``inverse`` is 1 / d, infinite along an axis along which the ray does not move.
+    ``inverse`` is 1 / d, infinite for a component of d that is zero.
     """
     for k in range(3):
         near, far = boxes[node, k] - o[k], boxes[node, k + 3] - o[k]
@@ -44,31 +50,32 @@ def _entry(boxes, node, o, inverse, low, high):
         else:
             p, q = near * inverse[k], far * inverse[k]
             low, high = max(low, min(p, q)), min(high, max(p, q))
-    # three roundings of either
+    # the slack allows for three roundings of each limit
     return low if low <= high + 1e-15 * (abs(low) + abs(high)) else math.inf
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _bin(x, y, z, dx, dy, dz):
-    """Cell of an octahedral map of where a ray's middle in the unit ball, pushed out along it, is.
+    """Return the cell by which a ray is sorted; rays of one cell hit much the same triangles.
 
-    Rays of one cell meet much the same triangles. Meyer et al. 2010 unfold the octahedron.
+    The point where the ray leaves a sphere around the scene is mapped to a square by unfolding an
+    octahedron (Meyer et al. 2010).
     """
     b, c = x * dx + y * dy + z * dz, x * x + y * y + z * z
     t = math.sqrt(max(b * b - c + 1.5, 0.0)) - b
     x, y, z = x + t * dx, y + t * dy, z + t * dz
     shrink = 1.0 / (abs(x) + abs(y) + abs(z) + 1e-30)
     x, y = x * shrink, y * shrink
-    below = 0.5 - math.copysign(0.5, z)  # a factor, as a jump would be guessed wrong half the time
+    below = 0.5 - math.copysign(0.5, z)  # a factor 0 or 1, since a branch would be mispredicted
     u = x + below * (math.copysign(1.0 - abs(y), x) - x)
     v = y + below * (math.copysign(1.0 - abs(x), y) - y)
-    # short of SIDE at 1 and rounding beyond
+    # 0.4999 instead of 0.5 keeps the cell below SIDE even at u = 1 plus rounding
     return int((u + 1.0) * (0.4999 * SIDE)) * SIDE + int((v + 1.0) * (0.4999 * SIDE))
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _landing(row, o, d, t):
-    """Point and normal, against the ray, where a ray meets a triangle at t."""
+    """Return hit point and unit normal of a ray at distance t; the normal is on the ray's side."""
     nx = row[4] * row[8] - row[5] * row[7]
     ny = row[5] * row[6] - row[3] * row[8]
     nz = row[3] * row[7] - row[4] * row[6]
@@ -80,10 +87,10 @@ def _landing(row, o, d, t):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _head(w, centre, half):
-    """Make directions of a block units; return 0 if all start in the box, NaN if a ray is bad.
+    """Normalise the directions of a block; return how many of its rays start outside the box.
 
-    ``w`` holds rows of BLOCK numbers. Rows of one array at fixed distances and loops without jumps
-    let the compiler work on several rays at once.
+    The result is NaN if a ray is invalid. ``w`` holds rows of BLOCK numbers. Fixed distances
+    between the rows and loops without branches let the compiler vectorise over rays.
     """
     outside = bad = 0.0
     for i in range(BLOCK):
@@ -98,7 +105,7 @@ def _head(w, centre, half):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _prepare(w, centre, shrink, aside, cells):
-    """Starts of a block of rays for Embree, as points of ``w``, and the cells they sort into."""
+    """Fill the starts of a block of rays for Embree (PX to PZ of ``w``) and their sorting cells."""
     for i in range(BLOCK):
         d, back = (w[DX + i], w[DY + i], w[DZ + i]), w[T + i] - 8.0 * aside
         e = _across(d)
@@ -111,15 +118,18 @@ def _prepare(w, centre, shrink, aside, cells):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def enter(origins, directions, limits, centre, scale, aside, desk, loose, bins, rays):
-    """Rays in float64, and what Embree gets of those that meet the box ``limits`` (1, 6).
+    """Prepare rays in float64, and in float32 for Embree those that meet the box ``limits`` (1, 6).
 
-    Rows of ``desk`` (n, 8), one cache line each, become origin, unit direction, an unused column
-    and -1. Rows of ``rays`` (n, 8), float32, become start, head and, as an integer, the ray's
-    number, sorted so that rays alike follow each other, for the processor's caches; ``loose`` and
-    ``bins`` are room for this. Starts are in units of ``scale`` about ``centre``, from where a ray
-    enters the box. They stand ``aside`` of the ray, so that one aimed at a vertex passes beside it,
-    and as far back eightfold, so that what the ray starts in front of is still in front of it.
-    Returns the number kept, or -1 where a ray holds NaN, infinity or no direction.
+    Rows of ``desk`` are filled with origin, unit direction, an unused column and -1. Rows of
+    ``rays`` (n, 8), float32, are filled with start, direction and, as an integer, the number of the
+    ray. They are sorted so that similar rays follow each other, for the processor's caches;
+    ``loose`` and ``bins`` are buffers for sorting.
+
+    Starts are in units of ``scale`` about ``centre``, at the entry into the box. They are displaced
+    sideways by ``aside``, so that a ray aimed at a vertex passes next to it. They are also moved
+    back by 8 ``aside``, so that triangles in front of the origin remain in front.
+
+    Returns the number of rays for Embree, or -1 if a ray has NaN, infinity or a zero direction.
     """
     kept = 0
     numbers, names = loose.view(np.int32), desk.view(np.int64)
@@ -169,7 +179,11 @@ def enter(origins, directions, limits, centre, scale, aside, desk, loose, bins, 
 
 @njit(cache=True)
 def _facet(row, o, d):
-    """Signed volumes (u, v, w), their sum and the distance of a triangle (a, b - a, c - a)."""
+    """Return the signed volumes u, v, w of a ray and a triangle, their sum, and the distance.
+
+    The volumes divided by their sum are barycentric coordinates: the ray hits the triangle
+    ``row`` = (a, b - a, c - a) if none is negative.
+    """
     sx, sy, sz = o[0] - row[0], o[1] - row[1], o[2] - row[2]
     ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
     px, py, pz = d[1] * bz - d[2] * by, d[2] * bx - d[0] * bz, d[0] * by - d[1] * bx
@@ -185,7 +199,10 @@ def _facet(row, o, d):
 
 @njit(cache=True)
 def _row(numbers, start, step):
-    """Nine numbers of a flat array as a tuple: views would be counted, which threads wait for."""
+    """Return nine numbers of a flat array as a tuple.
+
+    Array views would be reference-counted by atomic operations, which slow down parallel threads.
+    """
     return (
         numbers[start],
         numbers[start + step],
@@ -201,10 +218,11 @@ def _row(numbers, start, step):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _land(w):
-    """Distance, depth within the triangle, normal and point of a block of rays on triangles.
+    """Fill distance, smallest signed volume, normal and point of a block of rays on triangles.
 
-    ``w`` holds rows of BLOCK numbers, OX to FACET and the rest of a triangle. Rows of one array at
-    fixed distances and a loop without jumps let the compiler work on several rays at once.
+    ``w`` holds rows of BLOCK numbers: OX to FACET, and from FACET on the nine numbers of each
+    triangle. Fixed distances between the rows and a loop without branches let the compiler
+    vectorise over rays.
     """
     for i in range(BLOCK):
         o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
@@ -219,11 +237,12 @@ def _land(w):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place(facets, edges, names, desk, rays, ids, margin, nearest, farthest):
-    """Accept Embree's triangles where float64 agrees beyond doubt; return the others' number.
+    """Accept the triangles found by Embree where float64 confirms them beyond doubt.
 
-    Rows of the ``desk`` become point, normal, distance and the triangle's name. ``margin`` is how
-    far aside Embree may be, m; ``farthest`` is empty where there is no limit. Rays in doubt move to
-    the front of ``rays`` and ``ids``, those without a triangle included.
+    Rows of ``desk`` are filled with the hits. ``margin`` is the largest lateral error of Embree,
+    m, and ``farthest`` the largest distances, or empty without a limit. The doubtful rays, and
+    those without a triangle, are moved to the front of ``rays`` and ``ids``; their number is
+    returned.
     """
     doubtful = 0
     numbers, rows, named = rays.view(np.int32), rays.view(np.int64), desk.view(np.int64)
@@ -240,7 +259,8 @@ def place(facets, edges, names, desk, rays, ids, margin, nearest, farthest):
         for n in range(count):
             j = start + n
             i, k = numbers[j, INDEX], ids[j]
-            # volumes over det are barycentric; margin * edge is the volume of a strip
+            # a hit must be inside the triangle by more than ``margin``; a strip of this width along
+            # a side has at most the volume margin * edge
             if k >= 0 and w[DEPTH + n] > margin * edges[k] and w[T + n] >= nearest:
                 if farthest.size == 0 or w[T + n] <= farthest[i]:
                     for m in range(3):
@@ -258,7 +278,7 @@ def place(facets, edges, names, desk, rays, ids, margin, nearest, farthest):
 
 @njit(cache=True, nogil=True)
 def finish(desk, distance, points, normals, triangle, status):
-    """Take apart the rows of the desk, with NaN where a ray meets nothing."""
+    """Copy the rows of ``desk`` to the result arrays, with NaN for rays without a hit."""
     names = desk.view(np.int64)
     for i in range(distance.size):
         hit = names[i, NAME] >= 0
@@ -271,7 +291,7 @@ def finish(desk, distance, points, normals, triangle, status):
 
 @njit(cache=True, nogil=True)
 def aside(rays, shift, turn, out):
-    """Copies of rays ``shift`` away from where they are, in the direction ``turn`` around them."""
+    """Fill ``out`` with copies of rays displaced sideways by ``shift`` at the azimuth ``turn``."""
     cosine, sine = math.cos(turn), math.sin(turn)
     for j in range(rays.shape[0]):
         d = (rays[j, 3], rays[j, 4], rays[j, 5])
@@ -285,28 +305,28 @@ def aside(rays, shift, turn, out):
 
 @njit(cache=True, inline="always")
 def after(node):
-    """Node that follows all below ``node`` in a complete binary tree; -1 where none does."""
-    while node > 0 and node & 1 == 0:  # a second child: its parent is done with it
+    """Return the node that follows the subtree of ``node`` in depth-first order; -1 at the end."""
+    while node > 0 and node & 1 == 0:  # a second child ends the subtree of its parent too
         node = (node >> 1) - 1
     return node + 1 if node > 0 else -1
 
 
 @njit(cache=True, error_model="numpy")
 def _strike(row, edge, o, d):
-    """Distance of a triangle, edges and corners included, or NaN."""
+    """Return the distance to a triangle including its edges and corners; NaN if it is missed."""
     u, v, w, det, t = _facet(row, o, d)
     away = abs(o[0] - row[0]) + abs(o[1] - row[1]) + abs(o[2] - row[2])
-    # rounding of the volumes, so that no ray slips between two triangles
+    # the rounding error of the volumes, so that no ray passes between adjacent triangles
     slack = 4e-16 * (away + edge) * edge
     return t if det > 0.0 and min(u, v, w) >= -slack else math.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search(facets, edges, names, boxes, desk, index, nearest, farthest):
-    """First triangle of every ray of ``index`` between its limits, in float64 throughout.
+    """Find the first triangle of each ray of ``index`` between its limits, entirely in float64.
 
-    Rows of the ``desk`` become as in `place`. ``boxes`` (n, 6) is a complete binary tree, low and
-    high corners; its leaves hold four triangles each. Of triangles at the same distance the first
+    Rows of ``desk`` are filled with the hits. ``boxes`` (n, 6) is a complete binary tree of low and
+    high corners, with four triangles per leaf. Among triangles at the same distance, the first one
     in ``facets`` is taken.
     """
     first_leaf, corners = boxes.shape[0] // 2, facets.reshape(-1)
@@ -350,7 +370,7 @@ def search(facets, edges, names, boxes, desk, index, nearest, farthest):
 
 @njit(cache=True, error_model="numpy")
 def _blur(row, edge, o, d):
-    """Rounding of a hit's distance, m, with the sign of the side that is hit."""
+    """Return the rounding error of a hit's distance, m, with the sign of the side that is hit."""
     nx = row[4] * row[8] - row[5] * row[7]
     ny = row[5] * row[6] - row[3] * row[8]
     nz = row[3] * row[7] - row[4] * row[6]
@@ -361,7 +381,10 @@ def _blur(row, edge, o, d):
 
 @njit(cache=True, nogil=True)
 def _once(hits, begin, end):
-    """Drop from sorted rows those that repeat one before them; return where they end."""
+    """Remove repeated hits from the sorted rows ``begin`` to ``end``; return the new end.
+
+    A hit is repeated if an earlier one is on the same side at the same distance to rounding.
+    """
     kept = begin
     for j in range(begin, end):
         t, blur = hits[j, 0], hits[j, 1]
@@ -378,11 +401,12 @@ def _once(hits, begin, end):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search_all(facets, edges, boxes, origins, directions, nearest, units, counts):
-    """Every hit of every ray beyond ``nearest``, in float64 throughout.
+    """Find all hits of all rays beyond the distance ``nearest``, entirely in float64.
 
-    Fills unit directions and the number of hits of each ray (-1: it is none). Returns rows
-    (distance, rounding, triangle), ray by ray and sorted by distance. Hits that differ by rounding
-    and are of one side are one, that of the first row.
+    Fills ``units`` (n, 3) with unit directions and ``counts`` (n,) with the numbers of hits, -1 for
+    an invalid ray. Returns rows (distance, rounding error, triangle), ray by ray and sorted by
+    distance. Hits on the same side whose distances differ only by rounding are merged into the
+    first.
     """
     first_leaf, corners = boxes.shape[0] // 2, facets.reshape(-1)
     hits = np.empty((2 * origins.shape[0] + 16, 3))
@@ -413,7 +437,7 @@ def search_all(facets, edges, boxes, origins, directions, nearest, units, counts
                     longer = np.empty((2 * end, 3))
                     longer[:end] = hits
                     hits = longer
-                # triangles come in their order, so that those at one distance stay in it
+                # triangles arrive in their order, which insertion keeps at equal distances
                 j = end
                 while j > begin and hits[j - 1, 0] > t:
                     for column in range(3):

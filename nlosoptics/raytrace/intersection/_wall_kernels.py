@@ -1,7 +1,7 @@
-"""Where rays meet curved relay walls and triangles, compiled.
+"""Compiled intersection of rays with curved relay walls.
 
-Every ray is o + t d with unit d and t in m. ``box`` holds the half sizes in x and y that bound a
-search, inf where there is no bound.
+Every ray is o + t d with unit d and t in m. The limits ``box``, ``slab`` and ``rim`` and the
+curvature bounds ``grid_bounds`` are those of `intersections.search_bounds`, in m and 1/m.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ from ...kernels.parallel import threaded
 
 HIT, MISS, OUTSIDE, UNRESOLVED, BEHIND = 0, 1, 2, 3, 4
 MAX_STEPS = 500
-BLOCK = 64  # rays at a time
+BLOCK = 64  # rays processed at once
 OX, OY, OZ, DX, DY, DZ, T, HX, HY, MIDDLE, REACH, ERROR, SINE, P, Q = range(0, 15 * BLOCK, BLOCK)
 ROWS = 15
-TOLERANCE = 1e-13  # of the height above the wall, relative to the ray's scale
+TOLERANCE = 1e-13  # height above the wall that counts as 0, relative to the ray's scale
 
 
 @njit(cache=True)
 def conic_hit(row, box, o, d):
-    """Distance and status of one ray at a single sphere or cylinder.
+    """Return distance and status of one ray at a single sphere or cylinder.
 
-    The surface is g = c |p|^2 - 2 z = 0 in the coordinates that are curved, with g < 0 on the room
-    side, so the wanted root is the one at which g rises. In this form c -> 0 loses no digits.
+    With curvature c, the surface is g = c |p|^2 - 2 z = 0, where p holds the curved coordinates and
+    z. On the room side g < 0, so that the hit is the root at which g increases. This form does not
+    lose accuracy for c -> 0.
     """
     curvature = row[1]
     oo, od, dd = o[2] * o[2], o[2] * d[2], d[2] * d[2]
@@ -53,7 +54,7 @@ def conic_hit(row, box, o, d):
         t, entry = -c / (b + root), -(b + root) / a
     else:
         t, entry = (root - b) / a, c / (root - b)
-    if c > slack:  # not on the room side of the surface, or above a hollow's opening
+    if c > slack:  # the start is behind the surface, or beyond the opening of a concave wall
         if curvature < 0.0:
             return math.nan, BEHIND
         if t < 0.0:
@@ -63,7 +64,7 @@ def conic_hit(row, box, o, d):
         if through_back and abs(x) <= box[0] and abs(y) <= box[1]:
             return math.nan, BEHIND
     if curvature * curvature * oo > 64.0:
-        # from many radii away the squares above cancel; Newton's step from near the root does not
+        # at a distance of many radii the squares above cancel; a Newton step restores the accuracy
         z, across, along = o[2] + t * d[2], 0.0, 0.0
         if row[0] == SPHERE:
             x, y = o[0] + t * d[0], o[1] + t * d[1]
@@ -83,7 +84,7 @@ def conic_hit(row, box, o, d):
 
 @njit(cache=True)
 def _span(half, o, d, low, high):
-    """Part of [low, high] in which |o + t d| <= half."""
+    """Return the part of the interval [low, high] of t in which |o + t d| <= half."""
     if d == 0.0:
         return (low, high) if abs(o) <= half else (1.0, 0.0)
     first, last = (-half - o) / d, (half - o) / d
@@ -92,7 +93,10 @@ def _span(half, o, d, low, high):
 
 @njit(cache=True)
 def _search_interval(box, slab, rim, o, d):
-    """Interval of t in which the ray is over the wall and between its height limits."""
+    """Return the interval of t in which the ray is over the wall and within its height limits.
+
+    It is empty, low > high, for a ray that never is.
+    """
     low, high = 0.0, math.inf
     for i in range(2):
         if box[i] < math.inf:
@@ -114,7 +118,7 @@ def _search_interval(box, slab, rim, o, d):
 
 @njit(cache=True)
 def _curvature_bound(terms, grid_bounds, o, d, low, high):
-    """Bound on |d2 h/dt2| along the ray between t = low and high."""
+    """Return an upper bound on |d2h/dt2| along the ray between t = low and high, 1/m."""
     across = d[0] * d[0] + d[1] * d[1]
     bound = 0.0
     for i in range(terms.shape[0]):
@@ -138,10 +142,11 @@ def _curvature_bound(terms, grid_bounds, o, d, low, high):
 
 @njit(cache=True)
 def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
-    """Distance and status of the first crossing with any wall, never overshot.
+    """Return distance and status of the first crossing with a wall, by a safe march.
 
-    With M a bound on |f''|, f has no root nearer than that of f + f' s - M s^2/2: the step is safe
-    as a bracket and, as f -> 0, quadratic as Newton's.
+    f is the height of the ray above the wall and M a bound on |f''|. The step to the root s of
+    f + f' s - M s^2/2 cannot pass a root of f, and for f -> 0 it converges quadratically like
+    Newton's method.
     """
     missed = OUTSIDE if d[2] < 0.0 else MISS
     low, high = _search_interval(box, slab, rim, o, d)
@@ -162,7 +167,7 @@ def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
             if slope < 0.0:
                 return max(t - f / slope, 0.0), HIT
             if t > 0.0:
-                return math.nan, UNRESOLVED  # touches, without going through
+                return math.nan, UNRESOLVED  # the ray touches the wall without crossing it
             f = 0.0
         if t >= high:
             return math.nan, missed
@@ -181,9 +186,9 @@ def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
 
 @njit(cache=True, inline="always")
 def _sin_cos(x):
-    """Sine and cosine by one reduction and no jump, to an ulp or so; |x| <= 1e5."""
+    """Return sine and cosine without branches, accurate to about 1 ulp for |x| <= 1e5."""
     turns = math.floor(x * 0.6366197723675814 + 0.5)
-    # pi/2 in three parts, of which the products with a whole number are exact (fdlibm)
+    # pi/2 in three parts whose products with ``turns`` are exact (Cody and Waite, as in fdlibm)
     r = x - turns * 1.57079632673412561417e00
     r -= turns * 6.07710050630396597660e-11
     r -= turns * 2.02226624879595063154e-21
@@ -206,9 +211,9 @@ def _sin_cos(x):
 
 @njit(cache=True, inline="always")
 def _unit(d):
-    """Unit vector along d, of any finite length; NaN where there is none."""
+    """Return the unit vector along d, of any finite length; NaN for a zero vector."""
     largest = max(abs(d[0]), abs(d[1]), abs(d[2]))
-    # first, so that squares neither overflow nor vanish
+    # scaled first, so that the squares neither overflow nor underflow
     x, y, z = d[0] / largest, d[1] / largest, d[2] / largest
     norm = math.sqrt(x * x + y * y + z * z)
     return x / norm, y / norm, z / norm
@@ -216,20 +221,21 @@ def _unit(d):
 
 @njit(cache=True, error_model="numpy")
 def wave_hits(row, box, w, state):
-    """Distance, slopes and status of a block of rays at a single wave; status -1: to be marched.
+    """Fill distance, slopes and status of a block of rays at a single wave.
 
-    ``w`` holds the rays' numbers in rows of BLOCK, OX to Q. Rows of one array at fixed distances
-    and loops without jumps let the compiler work on several rays at once.
+    Status -1 marks rays that must be marched instead. ``w`` holds the data of the rays in rows of
+    BLOCK numbers, OX to Q. Fixed distances between the rows and loops without branches let the
+    compiler vectorise over rays.
 
-    Along a ray f = z + t dz - a cos(p + t q). With |a q| < |dz| it falls all the way, so that its
-    only zero is within |a / dz| of the mean plane's.
+    Along a ray the height above the wall is f = z + t dz - a cos(p + t q). For |a q| < |dz| it
+    decreases monotonically, and its only root is within |a / dz| of the hit on the mean plane.
     """
     a, kx, ky, phase = row[1], row[2], row[3], row[4]
     for i in range(BLOCK):
         q = kx * w[DX + i] + ky * w[DY + i]
         p = kx * w[OX + i] + ky * w[OY + i] + phase
         t, reach = -w[OZ + i] / w[DZ + i], abs(a / w[DZ + i])
-        # half of |dz| keeps Halley's step, f f'' < f'^2, of one sign with Newton's
+        # the factor 0.5 ensures f f'' < f'^2, so that Halley's and Newton's steps agree in sign
         good = (w[DZ + i] < 0.0) & (abs(a * q) < -0.5 * w[DZ + i]) & (w[OZ + i] > abs(a))
         good &= abs(p) + abs(q * (t + reach)) < 1e5
         w[P + i], w[Q + i], w[T + i], w[MIDDLE + i], w[REACH + i] = p, q, t, t, reach
@@ -247,11 +253,11 @@ def wave_hits(row, box, w, state):
             turn, curved = (aim - t) * q, (aim - t) * bend / slope
             t2 = turn * turn
             moved = sine * (1.0 - t2 * (0.5 - t2 / 24.0)) + cosine * turn * (1.0 - t2 / 6.0)
-            # a ray stays where it has converged, whatever the others of its block need
+            # a converged ray stays unchanged while others of its block are iterated
             busy = error > 1e-16 * (middle if middle > 1e-3 else 1e-3)
             w[T + i] = aim if busy else t
             w[SINE + i] = moved if busy else w[SINE + i]
-            # Halley's step leaves less than this, the cube of the step over lengths squared
+            # bound on the error after Halley's step, which converges with the cube of the step
             w[ERROR + i] = abs(aim - t) * (t2 + curved * curved) if busy else error
         left = 0
         for i in range(BLOCK):
@@ -270,7 +276,7 @@ def wave_hits(row, box, w, state):
 
 @njit(cache=True)
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
-    """Distance, status and slopes of the height where one ray first meets a wall."""
+    """Return distance, status and the wall's slopes at the first hit of one ray."""
     if terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
         t, condition = conic_hit(terms[0], box, o, d)
     else:
@@ -298,9 +304,10 @@ def intersect(
     normals,
     status,
 ):
-    """Fill distance (n,), points and normals (n, 3) and status (n,); return the bad rays' number.
+    """Fill distance (n,), points and normals (n, 3) and status (n,) with the first hits.
 
-    Directions have any length; a ray is bad with NaN, infinity or no direction.
+    Directions may have any length. Returns the number of invalid rays: those with NaN, infinity or
+    a zero direction.
     """
     waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
     count = distance.size

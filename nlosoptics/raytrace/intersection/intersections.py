@@ -1,4 +1,4 @@
-"""First hit of rays on the relay wall."""
+"""Intersections of rays with the relay wall: the first hit of every ray."""
 
 from __future__ import annotations
 
@@ -26,20 +26,21 @@ BEHIND: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Hits(Noun):
-    """Where rays meet a wall; read-only arrays of the rays' shape.
+    """Intersections of rays with a wall, as read-only arrays with the shape (...) of the rays.
 
     Parameters
     ----------
-    distance : ndarray, (...)
-        From the origin along the unit direction, m; NaN where there is no hit.
-    points : ndarray, (..., 3)
-        World, m; NaN where there is no hit.
-    normals : ndarray, (..., 3)
-        Unit normals toward the room; NaN where there is no hit.
-    status : ndarray of int8, (...)
-        0 hit; 1 no hit, the ray does not go down toward the mean plane; 2 it does, but beyond the
-        wall's edges; 3 it touches the wall or grazes it too long to be resolved; 4 it starts
-        behind the wall or comes through its back.
+    distance : ndarray, shape (...)
+        Distance from the origin along the unit direction, m; NaN without a hit.
+    points : ndarray, shape (..., 3)
+        Hit points, world, m; NaN without a hit.
+    normals : ndarray, shape (..., 3)
+        Unit normals toward the room, world; NaN without a hit.
+    status : ndarray of int8, shape (...)
+        0 (`HIT`): hit. 1 (`MISS`): no hit, the ray does not travel toward the mean plane.
+        2 (`OUTSIDE`): it does, but passes outside the wall's edges. 3 (`UNRESOLVED`): it touches
+        or grazes the wall, so that the hit is not resolved. 4 (`BEHIND`): it starts behind the
+        wall or arrives from its back.
     """
 
     distance: Array
@@ -53,25 +54,26 @@ class Hits(Noun):
 
     @property
     def hit(self) -> NDArray[np.bool_]:
-        """Whether each ray meets the wall."""
+        """Whether each ray hits the surface, boolean, shape (...)."""
         return np.asarray(self.status == HIT)
 
 
 def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
-    """First hit of every ray on the wall, from its room side.
+    """Find the first intersection of every ray with the wall, from its room side.
 
     Parameters
     ----------
     wall : Wall
+        Relay wall.
     origins : array_like, (..., 3)
-        World, m.
+        Starts of the rays, world, m.
     directions : array_like, (..., 3)
-        World, of any length but zero; the shapes broadcast.
+        Directions, world, of any length but zero; shapes broadcast.
 
     Returns
     -------
     Hits
-        Distances good to 1e-12 of the ray's length, except where rays graze.
+        Hits with a relative error of the distance below 1e-12, except for grazing rays.
 
     Raises
     ------
@@ -80,11 +82,21 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
 
     Notes
     -----
-    Planes, spheres and cylinders are closed forms. Other walls are marched: with M a bound on the
-    second derivative of the height above the wall along the ray, the root of f + f' s - M s^2/2 is
-    a step that never passes a crossing and turns into Newton's near one.
+    Planes, spheres and cylinders have closed forms. On other walls the ray is marched. With f the
+    height of the ray above the wall and M a bound on its second derivative along the ray, each
+    step is the root s of f + f' s - M s^2/2. Such a step never passes a crossing, and near a
+    crossing it converges like Newton's method.
 
-    A sum of walls that has a curved term and no size is searched to 0.999 of its radius.
+    A sum of walls without a size that has a curved term is searched up to 0.999 of its radius.
+
+    Examples
+    --------
+    >>> from nlosoptics import raytrace
+    >>> from nlosoptics.scene import ConcaveWall
+    >>> wall = ConcaveWall(5.0, size=1.0)
+    >>> hits = raytrace.intersect(wall, (0.1, 0.0, 1.0), [(0, 0, -1), (1, 0, 0)])
+    >>> hits.status.tolist(), round(float(hits.distance[0]), 6)
+    ([0, 1], 0.999)
     """
     if wall.is_flat:
         return _plane(wall, *_rays(origins, directions))
@@ -113,7 +125,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
         status,
     )
     if bad:
-        _rays(origins, directions)  # names the first one
+        _rays(origins, directions)  # raises an error that names the first bad ray
     return Hits(
         distance.reshape(shape),
         points.reshape(*shape, 3),
@@ -123,30 +135,30 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
 
 
 def flat_rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array, tuple[int, ...]]:
-    """Origins and directions as (n, 3) of values not yet checked, and the shape of the rays."""
+    """Return origins and directions as (n, 3) arrays, values unchecked, and the rays' shape."""
     o, d = (np.asarray(v, dtype=np.float64) for v in (origins, directions))
     if min(o.ndim, d.ndim) == 0 or (o.shape[-1], d.shape[-1]) != (3, 3) or o.shape != d.shape:
         o, d = _rays(o, d)
     shape = o.shape[:-1]
-    # compiled code knows one layout only: writeable and contiguous
+    # other layouts would make numba compile the kernels again
     o, d = (np.require(v.reshape(-1, 3), requirements=("C", "W")) for v in (o, d))
     return o, d, shape
 
 
 def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
-    """Origins and unit directions of one shape (..., 3), checked."""
+    """Return checked origins and unit directions of equal shape (..., 3)."""
     o, d = (np.asarray(v, dtype=np.float64) for v in (origins, directions))
     for name, v in (("origins", o), ("directions", d)):
         if v.ndim == 0 or v.shape[-1] != 3:
-            raise SceneError(f"{name} has shape {v.shape}; give (..., 3), x, y and z in m")
+            raise SceneError(f"{name} has shape {v.shape}; give (..., 3), with x, y and z in m")
         if not np.isfinite(v).all():
             place = np.argwhere(~np.isfinite(v))[0][:-1].tolist()
             raise SceneError(f"{name}{place} holds NaN or infinity; give finite components")
     largest = np.abs(d).max(axis=-1)
     if (largest == 0.0).any():
         place = np.argwhere(largest == 0.0)[0].tolist()
-        raise SceneError(f"directions{place} is zero; a ray needs a direction")
-    d = d / largest[..., None]  # first, so that squares neither overflow nor vanish
+        raise SceneError(f"directions{place} is zero; give a direction of any other length")
+    d = d / largest[..., None]  # scaled first, so that the squares neither overflow nor underflow
     d = d / np.sqrt((d * d).sum(axis=-1))[..., None]
     try:
         o, d = np.broadcast_arrays(o, d)
@@ -154,12 +166,12 @@ def _rays(origins: ArrayLike, directions: ArrayLike) -> tuple[Array, Array]:
         raise SceneError(
             f"origins {o.shape} and directions {d.shape} do not broadcast; give equal shapes"
         ) from None
-    # copies: a broadcast of one ray is contiguous and yet not its own
+    # copies, since a broadcast array shares its memory between rays
     return np.array(o, order="C"), np.array(d, order="C")
 
 
 def _plane(wall: Wall, o: Array, d: Array) -> Hits:
-    """Hits on the plane z = 0, without compiled code."""
+    """Return the hits on the plane z = 0, without compiled code."""
     status = np.where(o[..., 2] < 0, BEHIND, np.where(d[..., 2] < 0, HIT, MISS)).astype(np.int8)
     down = status == HIT
     distance = np.full(status.shape, np.nan)
@@ -177,11 +189,11 @@ def _plane(wall: Wall, o: Array, d: Array) -> Hits:
 
 
 def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
-    """Hits on a wall of Python functions: the compiled march, for all rays at once."""
+    """Return the hits on a wall of Python functions, by the march of `marched_hit` in numpy."""
     shape = origins.shape[:-1]
     o, d = origins.reshape(-1, 3), directions.reshape(-1, 3)
     half = (math.inf, math.inf) if wall.size is None else (wall.size[0] / 2, wall.size[1] / 2)
-    top = wall.max_height + 1e-9  # rounding must not cut a crest
+    top = wall.max_height + 1e-9  # m, so that rounding does not cut off a crest
     low, high = np.zeros(len(o)), np.full(len(o), math.inf)
     for axis, reach in enumerate((*half, top)):
         if reach == math.inf:
@@ -217,7 +229,7 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
         rows = active[landed]
         distance[rows] = np.maximum(t[rows] - f[landed] / slope[landed], 0.0)
         status[rows] = HIT
-        going &= ~landed & ~(touching & (t[active] > 0))  # or touches, without going through
+        going &= ~landed & ~(touching & (t[active] > 0))  # a ray that only touches stays unresolved
         f = np.where(touching, 0.0, f)
         gone = going & (t[active] >= high[active])
         m = bound[active]
@@ -243,8 +255,20 @@ def _callable(wall: CallableWall, origins: Array, directions: Array) -> Hits:
 
 
 def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array, Array, float]:
-    """Limits of a search: curvature of gridded terms, box, height slab and rim."""
-    margin = 0.999  # of a radius: at the rim itself the slope is infinite
+    """Return the limits within which a wall is searched for hits.
+
+    Returns
+    -------
+    curvature : ndarray, (n,)
+        Upper bound on the curvature of each gridded term, 1/m; 0 for other terms.
+    box : ndarray, (2,)
+        Half sizes in x and y, m; infinite if unbounded.
+    slab : ndarray, (2,)
+        Lowest and highest height, m.
+    rim : float
+        Largest distance from the z axis, m; infinite if unbounded.
+    """
+    margin = 0.999  # relative to the radius, since the slope is infinite at the rim itself
     size = wall.size
     box = np.array([math.inf, math.inf] if size is None else [size[0] / 2, size[1] / 2])
     single = len(terms) == 1
@@ -267,7 +291,7 @@ def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array
         elif row[0] == GRID:
             low, high, curvature[i] = grid_limits(row, tables)
             slab += (low, high)
-    pad = 1e-9 + 1e-12 * np.abs(slab).max()  # rounding must not cut a crest
+    pad = 1e-9 + 1e-12 * np.abs(slab).max()  # m, so that rounding does not cut off a crest
     slab[0] -= pad
     slab[1] += pad
     return curvature, box, slab, rim

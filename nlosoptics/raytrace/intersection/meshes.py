@@ -1,4 +1,4 @@
-"""Hits of rays on triangle meshes, the first or all, and what meshes hide from each other."""
+"""Intersections of rays with triangle meshes: first hits, all hits, and occlusion."""
 
 from __future__ import annotations
 
@@ -25,20 +25,26 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Array = NDArray[np.float64]
-CHUNK: Final = 1 << 17  # rays at a time, so that theirs stay in cache
-OFFSET: Final = 1e-9  # of half the mesh's extent: end of a path that counts as on the mesh
+CHUNK: Final = 1 << 17  # rays processed at once, so that their data stay in the cache
+OFFSET: Final = 1e-9  # hits nearer than this to an end of a path count as on it; in half extents
 
 
 @dataclass(frozen=True, eq=False)
 class MeshHits(Hits):
-    """Where rays meet a mesh; as `Hits`, with normals against the rays.
+    """Intersections of rays with a mesh, as read-only arrays with the shape (...) of the rays.
 
     Parameters
     ----------
-    distance, points, normals, status
-        As in `Hits`; the status is 0, hit, or 1, miss.
-    triangle : ndarray of int32, (...)
-        Index into ``mesh.faces``, -1 where there is no hit.
+    distance : ndarray, shape (...)
+        Distance from the origin along the unit direction, m; NaN without a hit.
+    points : ndarray, shape (..., 3)
+        Hit points, world, m; NaN without a hit.
+    normals : ndarray, shape (..., 3)
+        Unit normals of the triangles, on the side of the ray, world; NaN without a hit.
+    status : ndarray of int8, shape (...)
+        0 (`HIT`) or 1 (`MISS`).
+    triangle : ndarray of int32, shape (...)
+        Index into ``mesh.faces``; -1 without a hit.
     """
 
     triangle: NDArray[np.int32]
@@ -55,21 +61,24 @@ def intersect_mesh(
     *,
     min_distance: float = 0.0,
 ) -> MeshHits:
-    """First triangle that every ray meets, from either side.
+    """Find the first triangle that every ray hits, from either side.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        World, m. What is built for it is kept until it changes or goes.
-    origins, directions : array_like, (..., 3)
-        World, m; directions of any length but zero. The shapes broadcast.
+        Triangle mesh, world, m. Its search structures are cached until it changes or is deleted.
+    origins : array_like, (..., 3)
+        Starts of the rays, world, m.
+    directions : array_like, (..., 3)
+        Directions, world, of any length but zero; shapes broadcast.
     min_distance : float
-        Hits nearer than this are passed over, m: for rays that leave the mesh.
+        Hits nearer than this are ignored, m; for rays that start on the mesh.
 
     Returns
     -------
     MeshHits
-        On the exact plane of a triangle to rounding. Edges and vertices belong to their triangles.
+        First hits, in the planes of the triangles to float64 rounding. Edges and vertices belong
+        to their triangles.
 
     Raises
     ------
@@ -78,10 +87,24 @@ def intersect_mesh(
 
     Notes
     -----
-    Sheets that do not touch and are closer than 1e-6 of the mesh's extent, the outlines of parts in
-    front of others, and corners of an outline sharper than 120 degrees are resolved to that only,
-    in meshes of more than 256 triangles. A ray that starts on the mesh meets it there, at 0; at
-    less than 10 degrees to a triangle it may pass it by.
+    In meshes of more than 256 triangles, some details have a resolution of only 1e-6 of the mesh's
+    extent: separate sheets that are closer than this, outlines of parts in front of others, and
+    corners of an outline sharper than 120 degrees. A ray that starts on the mesh hits it at
+    distance 0, but may miss a triangle to which it is inclined by less than 10 degrees.
+
+    See Also
+    --------
+    all_hits : All intersections of every ray.
+    occluded : Whether a mesh blocks the line between two points.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics import raytrace
+    >>> box = trimesh.creation.box((1.0, 1.0, 1.0))
+    >>> hits = raytrace.intersect_mesh(box, (0.1, 0.2, 2.0), [(0, 0, -1), (0, 1, 0)])
+    >>> hits.hit.tolist(), round(float(hits.distance[0]), 6)
+    ([True, False], 1.5)
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
     o, d, shape = flat_rays(origins, directions)
@@ -110,16 +133,16 @@ def intersect_mesh(
 
 @dataclass(frozen=True, eq=False)
 class AllHits(Noun):
-    """Every hit of rays on a mesh; read-only arrays, sorted by ray, then by distance.
+    """All intersections of rays with a mesh: read-only arrays, sorted by ray, then by distance.
 
     Parameters
     ----------
     ray : ndarray of int64, (h,)
-        Index of the ray, of all rays in C order.
+        Index of the ray, with all rays counted in C order.
     distance : ndarray, (h,)
-        From the origin along the unit direction, m.
+        Distance from the origin along the unit direction, m.
     points : ndarray, (h, 3)
-        World, m.
+        Hit points, world, m.
     triangle : ndarray of int32, (h,)
         Index into ``mesh.faces``.
     """
@@ -141,20 +164,23 @@ def all_hits(
     *,
     min_distance: float = 0.0,
 ) -> AllHits:
-    """Every triangle that every ray meets, from either side.
+    """Find all intersections of every ray with a mesh, from either side.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        World, m. What is built for it is kept until it changes or goes.
-    origins, directions : array_like, (..., 3)
-        World, m; directions of any length but zero. The shapes broadcast.
+        Triangle mesh, world, m. Its search structures are cached until it changes or is deleted.
+    origins : array_like, (..., 3)
+        Starts of the rays, world, m.
+    directions : array_like, (..., 3)
+        Directions, world, of any length but zero; shapes broadcast.
     min_distance : float
-        Hits nearer than this are passed over, m.
+        Hits nearer than this are ignored, m.
 
     Returns
     -------
     AllHits
+        All hits of all rays.
 
     Raises
     ------
@@ -163,11 +189,10 @@ def all_hits(
 
     Notes
     -----
-    Triangles that a ray meets from the same side and at the same distance, to rounding, count once:
-    so does a ray through an edge or a vertex that triangles share, and through sheets that
-    coincide. Where it only touches an outline it enters and leaves there, which counts twice. So
-    rays from outside a closed mesh meet it an even number of times. A triangle in whose plane a
-    ray lies is not met.
+    Hits from the same side at the same distance, to rounding, count once. This applies to a ray
+    through a shared edge or vertex and to coincident sheets. A ray that only touches an outline
+    enters and leaves there, which counts twice. A ray from outside a closed mesh therefore has an
+    even number of hits. A triangle whose plane contains the ray is not hit.
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
     o, d, _ = flat_rays(origins, directions)
@@ -183,19 +208,21 @@ def all_hits(
 
 
 def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> NDArray[np.bool_]:
-    """Whether the mesh stands between each origin and its target.
+    """Return whether a mesh blocks the straight line between each origin and its target.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        World, m.
+        Triangle mesh, world, m.
     origins, targets : array_like, (..., 3)
-        World, m; the shapes broadcast. What the mesh has within 1e-9 of its extent of either end,
-        or within the rounding of their coordinates, is not in between, so that both may lie on it.
+        Ends of the lines, world, m; shapes broadcast. Both may lie on the mesh: intersections
+        within 1e-9 of half the mesh's extent of an end, or within the rounding of its coordinates,
+        are ignored.
 
     Returns
     -------
     ndarray of bool, (...)
+        True where the mesh blocks the line.
 
     Raises
     ------
@@ -226,14 +253,14 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
 def _in_parts(
     work: Callable[[slice], T], count: int, origins: ArrayLike, directions: ArrayLike
 ) -> list[T]:
-    """What ``work`` makes of slices of rays, on the processor's cores."""
+    """Return the results of ``work`` for consecutive slices of rays, computed on all cores."""
     pieces = -(-count // CHUNK)
     ends = [count * k // max(pieces, 1) for k in range(pieces + 1)]
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
     try:
         return list(worker_pool().map(work, parts) if len(parts) > 1 else map(work, parts))
     except NoRayError:
-        _rays(origins, directions)  # names the first one
+        _rays(origins, directions)  # raises an error that names the first bad ray
         raise
 
 
@@ -243,14 +270,14 @@ _built: dict[int, tuple[weakref.ref[Any], int, Facets]] = {}
 
 
 def threads() -> int:
-    """How many threads `worker_pool` has."""
+    """Return the number of threads of `worker_pool`: the cores, or fewer by NUMBA_NUM_THREADS."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 2
     asked = int(os.environ.get("NUMBA_NUM_THREADS", cores))
     return max(1, min(asked, cores))
 
 
 def worker_pool() -> ThreadPoolExecutor:
-    """Threads for blocks of rays, as many as cores; made at the first need."""
+    """Return the thread pool for blocks of rays, created at the first call."""
     with _lock:
         if not _threads:
             _threads.append(ThreadPoolExecutor(threads()))
@@ -258,11 +285,12 @@ def worker_pool() -> ThreadPoolExecutor:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_threads.clear)  # threads do not survive a fork
+    # a forked child has none of the parent's threads and must create its own pool
+    os.register_at_fork(after_in_child=_threads.clear)
 
 
 def _facets(mesh: trimesh.Trimesh) -> Facets:
-    """What was built for the mesh, or is now."""
+    """Return the search structures of a mesh, from the cache if the mesh has not changed."""
     key, state = id(mesh), hash(mesh)
     kept = _built.get(key)
     if kept is not None and kept[0]() is mesh and kept[1] == state:

@@ -1,7 +1,8 @@
-"""Triangles of a mesh as rays meet them: Embree's scene, float64 rows and a tree of boxes.
+"""Search structures of a triangle mesh: an Embree scene, float64 triangles and a tree of boxes.
 
-Embree, which computes in float32, says which triangle; float64 says where. Where Embree's answer
-is within its own rounding of an edge, or it sees nothing near an edge, a float64 search decides.
+Embree computes in float32 and finds the triangle; the hit point is computed in float64. If Embree's
+hit is so close to an edge that its rounding matters, or if it finds no hit close to an edge, a
+float64 search decides.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ if TYPE_CHECKING:
     import trimesh
 
 Array = NDArray[np.float64]
-ASIDE: Final = 1e-6  # of half the mesh's extent: sixteen roundings of float32
-MARGIN: Final = 3e-6  # of the same: ASIDE, and Embree's rounding
-FEW: Final = 256  # triangles, among which a float64 search costs less than to ask Embree around
-TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # about a ray, where Embree is asked
+ASIDE: Final = 1e-6  # lateral displacement of rays, in half extents; 16 roundings of float32
+MARGIN: Final = 3e-6  # largest lateral error of Embree, in half extents, including ASIDE
+FEW: Final = 256  # up to this many triangles a float64 search is faster than displaced rays
+TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # azimuths of the displaced rays, rad
 
 
 class _Room(threading.local):
-    """A thread's arrays of intermediate values, kept: fresh memory costs a fifth of a trace."""
+    """Buffers of one thread, kept between calls: new memory would cost a fifth of a trace."""
 
     count = -1
     kept: tuple[NDArray[Any], ...] = ()
 
     def arrays(self, count: int) -> tuple[NDArray[Any], ...]:
-        """Desk, rays as they come, their bins, and rays sorted."""
+        """Return buffers for ``count`` rays: desk, unsorted rays, their bins, and sorted rays."""
         if count > self.count:
             self.count = count
             self.kept = (
@@ -45,7 +46,7 @@ class _Room(threading.local):
 
 
 def _aligned(shape: tuple[int, int], kind: type) -> NDArray[Any]:
-    """An empty array of which rows of 64 bytes, or pairs of 32, are cache lines."""
+    """Return an uninitialised array that starts at a cache line, a multiple of 64 bytes."""
     size = shape[0] * shape[1] * np.dtype(kind).itemsize
     whole = np.empty(size + 64, dtype=np.uint8)
     start = -whole.ctypes.data % 64
@@ -57,16 +58,27 @@ _NO_LIMIT: Final = np.empty(0)
 
 
 class NoRayError(Exception):
-    """A ray that is no ray; the shell finds and names it."""
+    """A ray has NaN, infinity or a zero direction; the caller raises an error that names it."""
 
 
 class Facets:
-    """Embree's scene of a mesh's triangles, float64 rows and a tree of boxes over them."""
+    """Search structures of a mesh: an Embree scene, float64 triangles and a tree of boxes.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+        Triangle mesh, m.
+
+    Raises
+    ------
+    SceneError
+        If vertices are not finite or no triangle has an area.
+    """
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
         corners = np.asarray(mesh.vertices, dtype=np.float64)[np.asarray(mesh.faces)]
         if not np.isfinite(corners).all():
-            raise SceneError("the mesh has NaN or infinite vertices; mend it")
+            raise SceneError("the mesh has NaN or infinite vertices; repair it")
         a, first, second = corners[:, 0], corners[:, 1], corners[:, 2]
         across = np.cross(first - a, second - a)
         proper = np.flatnonzero((across != 0).any(axis=1))
@@ -94,23 +106,42 @@ class Facets:
         self.scene = self._scene(corners)
 
     def _scene(self, corners: Array) -> Any:
+        """Return the Embree scene of the triangles ``corners`` (n, 3, 3)."""
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
 
-        # the robust flag closes the gaps between triangles
+        # the robust flag prevents rays from passing between adjacent triangles
         scene = EmbreeScene(robust=True)
         TriangleMesh(scene, ((corners - self.centre) / self.reach).astype(np.float32))
-        # builds, which must not happen in two threads at once
+        # the first run builds the tree, which must not happen in two threads at once
         scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
         return scene
 
     def first(
         self, origins: Array, directions: Array, nearest: float, farthest: Array = _NO_LIMIT
     ) -> Array:
-        """Rows of point, unit normal, distance and name of the first triangle between limits, m.
+        """Find the first triangle of every ray between its distance limits.
 
-        The name is an integer, of the same 8 bytes, -1 where there is none and the row is void. The
-        array is the thread's own and is written over by its next call.
+        Parameters
+        ----------
+        origins, directions : ndarray, (n, 3)
+            Starts, m, and directions of any length.
+        nearest : float
+            Smallest distance, m.
+        farthest : ndarray, (n,)
+            Largest distances, m; empty without a limit.
+
+        Returns
+        -------
+        ndarray, (n, 8)
+            Hit point, unit normal, distance (m) and index of the triangle in the mesh. The index is
+            an integer stored in the 8 bytes of the last column, -1 without a hit, when the other
+            columns are invalid. The next call in the same thread overwrites the array.
+
+        Raises
+        ------
+        NoRayError
+            If a ray has NaN, infinity or a zero direction.
         """
         from . import _triangle_kernels
 
@@ -148,7 +179,10 @@ class Facets:
         return desk
 
     def _near(self, rays: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Whether rays that Embree lets through pass near an edge, as it sees from around them."""
+        """Return whether rays that Embree found to miss pass close to an edge, (n,).
+
+        Displaced copies of each ray are tested; a ray is close to an edge if one of them hits.
+        """
         from . import _triangle_kernels
 
         near = np.zeros(len(rays), dtype=bool)
@@ -161,7 +195,19 @@ class Facets:
     def all(
         self, origins: Array, directions: Array, nearest: float
     ) -> tuple[NDArray[np.int64], Array, Array, NDArray[np.int32]]:
-        """Numbers of hits of the rays, then distances, points and triangles of all, in order."""
+        """Find all hits of all rays beyond the distance ``nearest``, m.
+
+        Returns
+        -------
+        counts : ndarray of int64, (n,)
+            Number of hits of each ray.
+        distance : ndarray, (h,)
+            Distances of all hits, m, ray by ray and increasing.
+        points : ndarray, (h, 3)
+            Hit points, m.
+        triangle : ndarray of int32, (h,)
+            Indices of the triangles in the mesh.
+        """
         from . import _triangle_kernels
 
         counts, units = np.empty(len(origins), dtype=np.int64), np.empty((len(origins), 3))
@@ -177,13 +223,13 @@ class Facets:
 
 
 def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:
-    """Order of points along a Morton curve, by which neighbours in space are neighbours."""
+    """Return the order of points along a Morton curve, which keeps neighbours in space together."""
     span = np.where(high > low, high - low, 1.0)
     cells = ((points - low) / span * (2**20 - 1)).astype(np.uint64)
     code = np.zeros(len(points), dtype=np.uint64)
     for axis in range(3):
         bits = cells[:, axis]
-        # spreads twenty bits to every third place
+        # spreads the 20 bits to every third bit position
         for shift, mask in (
             (32, 0x1F00000000FFFF),
             (16, 0x1F0000FF0000FF),
@@ -197,9 +243,9 @@ def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:
 
 
 def _tree(corners: Array, rounding: float) -> Array:
-    """Boxes of a complete binary tree with four triangles a leaf, root first."""
+    """Return the boxes (m, 6) of a complete binary tree, root first, four triangles per leaf."""
     leaves = 1 << max(0, math.ceil(math.log2(max(1, math.ceil(len(corners) / 4)))))
-    # leaves that hold none are a point, which little meets, and which widens no box
+    # empty leaves are filled with a corner of the last triangle, which enlarges no box
     fill = np.broadcast_to(corners[-1, 0], (4 * leaves - len(corners), 3))
     low = np.concatenate([corners.min(axis=1) - rounding, fill])
     high = np.concatenate([corners.max(axis=1) + rounding, fill])

@@ -1,9 +1,14 @@
-"""Light from vertex to vertex, compiled: starts, scattering, arrivals and connections.
+"""Compiled light paths: start, scattering, arrival and connection of vertices.
 
-A vertex is a row of VERTEX numbers. ``incident`` points back to where the path came from, ``power``
-is what arrives (for paths from the lens: watts detected per unit radiance), ``density`` is the
-sampling density of the vertex per area, or -1 where a mirror or the laser decided it. Bit 0 of
-``history`` tells that for this vertex, bit 1 for the one before.
+A vertex is a row of VERTEX numbers: point P and normal N (world, m), direction I to the previous
+vertex, and
+
+- POWER: power that arrives, W; for paths from the lens, detected power per unit radiance, m^2 sr;
+- DENSITY: sampling density of the vertex, 1/m^2, or -1 if a mirror or the laser determined it;
+- SURFACE: kind of surface, negative if the path has ended; SCALE: brightness;
+- LENGTH: path length so far, m; MET: 1 if the path has met the hidden object;
+- HISTORY: bit 0 is set if DENSITY is -1 here, bit 1 if it was at the previous vertex;
+- BEFORE: kind of surface of the previous vertex.
 """
 
 from __future__ import annotations
@@ -37,7 +42,7 @@ POWER, DENSITY, SURFACE, SCALE, LENGTH, MET, HISTORY, BEFORE = range(9, 17)
 LEAVE = 9
 LOBE, PDF, MIRROR, AIMED, REACH, APART = range(3, 9)
 
-# columns of the sums after flux by bounce
+# columns of the sums that follow the fluxes by number of reflections
 STRAY, LENGTHS, ABSORBED_WALL, ABSORBED_OBJECT, ABSORBED_OCCLUDERS = range(5)
 ESCAPED, BLOCKED, LEFT, UNRESOLVED_LIGHT, WALL_TO_WALL, TRAPPED = range(5, 11)
 SUMS = 11
@@ -45,18 +50,25 @@ SUMS = 11
 
 @njit(cache=True, inline="always")
 def _sums(path_sums, first, i):
-    """Row of a ray's unit and group; ``first`` is a multiple of UNIT."""
+    """Return the row of sums for the unit and group of ray ``first + i``.
+
+    ``first`` is a multiple of UNIT.
+    """
     return path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
 
 
 @njit(cache=True, inline="always")
 def _lobes(world, kind):
+    """Return the lobes of the wall or of the hidden object."""
     return world.wall if kind == WALL else world.thing
 
 
 @njit(cache=True)
 def tangents(n):
-    """Two unit vectors across n: Duff et al., J. Comput. Graph. Tech. 6(1), 2017."""
+    """Return two unit vectors perpendicular to n and to each other.
+
+    Duff et al., J. Comput. Graph. Tech. 6(1), 2017.
+    """
     sign = math.copysign(1.0, n[2])
     p = -1.0 / (sign + n[2])
     q = n[0] * n[1] * p
@@ -69,9 +81,10 @@ def tangents(n):
 
 @njit(cache=True)
 def _chance(lobes, j, total, eye):
-    """Probability of drawing lobe j: by strength; from the lens half of that, half evenly.
+    """Return the probability of drawing lobe j.
 
-    The light's walk must follow the power, but a faint mirror can make all of the picture.
+    Light paths draw lobes in proportion to their strength, to follow the power. Eye paths do so
+    for one half and choose uniformly for the other, since a faint mirror can form the whole image.
     """
     strength = lobes[j, 1] * lobes[j, 3]
     if strength <= 0.0:
@@ -86,7 +99,7 @@ def _chance(lobes, j, total, eye):
 
 @njit(cache=True)
 def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
-    """Density of `_lobe_direction` per solid angle, mirrors left out."""
+    """Return the density of `_lobe_direction` without mirrors, 1/sr."""
     total = total_strength(lobes)
     density = 0.0
     for j in range(lobes.shape[0]):
@@ -98,7 +111,7 @@ def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
 
 @njit(cache=True)
 def _lobe_direction(lobes, incident, n, u, v, w, eye):
-    """Direction drawn from the lobes, and the weight of a mirror that was chosen, else -1."""
+    """Draw a direction from the lobes; return it, and the weight of a chosen mirror, else -1."""
     a, b = tangents(n)
     ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
     total = total_strength(lobes)
@@ -123,7 +136,7 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
 
 @njit(cache=True, inline="always")
 def _aimed(world, vertex, eye):
-    """Share of the light leaving a vertex that is sent to the object."""
+    """Return the share of the rays leaving a vertex that is aimed at the object."""
     if vertex[SURFACE] != WALL:
         return 0.0
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
@@ -131,7 +144,10 @@ def _aimed(world, vertex, eye):
 
 @njit(cache=True, inline="always")
 def _far(world, p):
-    """Whether aiming alone may bring light from here to the object."""
+    """Return whether only aimed rays are to reach the object from p.
+
+    That is so without glossy lobes and beyond 1.5 radii of the sphere around the object.
+    """
     ball = world.ball
     away = (p[0] - ball[0], p[1] - ball[1], p[2] - ball[2])
     return not world.glossy and dot(away, away) > 2.25 * ball[3] * ball[3]
@@ -139,11 +155,12 @@ def _far(world, p):
 
 @njit(cache=True, nogil=True)
 def scatter(world, sampler, first, number, eye, vertices, leave, origins, directions, live):
-    """Draw where light goes from vertices: along a lobe, or from the wall to the object.
+    """Draw the directions of rays leaving vertices: from a lobe, or from the wall to the object.
 
-    ``eye`` tells that the vertices are seen from the lens. ``leave`` gets the direction, lobes
-    times cosine, the lobes' density, the weight of a mirror or -1, the share aimed at the object,
-    and the distance of the point aimed at or -1.
+    ``eye`` is True for vertices of eye paths. Columns of ``leave``: direction; f_r times cosine
+    (LOBE); density of the lobes (PDF); weight of a mirror or -1 (MIRROR); share aimed at the object
+    (AIMED); distance of the point aimed at or -1 (REACH); 1 if only aimed rays may reach the object
+    (APART).
     """
     for i in range(vertices.shape[0]):
         vertex = vertices[i]
@@ -165,7 +182,7 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
             reach = math.sqrt(dot(d, d))
             d = (d[0] / reach, d[1] / reach, d[2] / reach)
         else:
-            # one lobe needs no choice
+            # a single lobe needs no random choice
             w = draw(sampler, group, index, ray, number + 3) if lobes.shape[0] > 1 else 0.0
             d, mirror = _lobe_direction(lobes, incident, n, u, v, w, eye)
         cosine = dot(d, n)
@@ -185,11 +202,11 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
 
 @njit(cache=True, inline="always")
 def _passed_on(world, leave, distance, kind, normal, scale):
-    """Share of the power that goes along a ray drawn by `scatter`, and its density per area.
+    """Return the weight of a ray drawn by `scatter`, and the density of its end, 1/m^2.
 
-    Lobes and aiming stand in for each other wherever both reach: one-sample balance heuristic. Far
-    from the object and without gloss, all light to it is aimed, which leaves nothing but a smooth
-    function of the numbers drawn.
+    Sampling by lobes and by aiming are combined with the one-sample balance heuristic. Far from the
+    object and without glossy lobes only aimed rays may reach the object. The weight is then a
+    smooth function of the random numbers.
     """
     d, aimed = three(leave, 0), leave[AIMED]
     if leave[MIRROR] >= 0.0:
@@ -200,7 +217,7 @@ def _passed_on(world, leave, distance, kind, normal, scale):
         at_object = aimed * world.norm * scale * distance * distance / cosine
     astray = kind != OBJECT or abs(distance - leave[REACH]) > 1e-6 * leave[REACH]
     if leave[REACH] >= 0.0 and astray:
-        return 0.0, 0.0  # aimed at what something else hides
+        return 0.0, 0.0  # another surface hides the point aimed at
     if leave[APART] > 0.0 and at_object > 0.0:
         if leave[REACH] < 0.0:
             return 0.0, 0.0
@@ -208,14 +225,14 @@ def _passed_on(world, leave, distance, kind, normal, scale):
     density = (1.0 - aimed) * leave[PDF] + at_object
     if density <= 0.0:
         return 0.0, 0.0
-    # a ray that could not be resolved has gone no distance
+    # an unresolved hit has distance 0
     square = distance * distance
     return leave[LOBE] / density, density * cosine / square if square > 0.0 else math.inf
 
 
 @njit(cache=True)
 def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, density):
-    """Fill the vertex at which a ray arrives."""
+    """Fill the vertex ``new`` at which a ray from the vertex ``old`` arrives."""
     for k in range(3):
         new[k] = origin[k] + distance * direction[k]
         new[3 + k], new[6 + k] = normal[k], -direction[k]
@@ -228,7 +245,10 @@ def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, d
 
 @njit(cache=True)
 def _end(old, new, origin, direction, distance, power):
-    """Fill a vertex at which a path may end; one that leaves the scene ends after a metre."""
+    """Fill point, power and length of a vertex at which a path may end.
+
+    A path that leaves the scene ends after 1 m.
+    """
     t = distance if distance < math.inf else 1.0
     for k in range(3):
         new[k] = origin[k] + t * direction[k]
@@ -237,7 +257,7 @@ def _end(old, new, origin, direction, distance, power):
 
 @njit(cache=True, nogil=True)
 def thin(sampler, first, share, vertices):
-    """Leave a share of the vertices, at random, with the power of all."""
+    """Keep a random share of the vertices and divide their power by the share."""
     for i in range(vertices.shape[0]):
         if vertices[i, SURFACE] >= 0.0:
             ray = first + i
@@ -252,10 +272,11 @@ def thin(sampler, first, share, vertices):
 def land(
     world, sampler, first, settings, old, leave, origins, directions, hits, new, path_sums, fates
 ):
-    """Bring light from vertices to the next ones and tell the ledger what is lost.
+    """Fill the next vertices of light paths, and add the lost power to the ledger.
 
-    ``settings`` is (bounce, max_bounces, analog, roulette's draw or -1); ``hits`` are (distance,
-    kind, normal, scale); ``fates`` gets the status of paths that end, else -1.
+    ``settings`` is (bounce, max_bounces, analog, number of the draw for Russian roulette or -1).
+    ``hits`` is (distance, kind, normal, scale). ``fates`` is filled with the status of paths that
+    end, else -1.
     """
     bounce, most, analog, roulette = settings
     distance, kind, normal, scale = hits
@@ -312,9 +333,11 @@ def land(
 
 @njit(cache=True, inline="always")
 def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
-    """Book light that a walk brings to the lens; what of it is detected.
+    """Add light that reaches the lens by scattering to the sums; return its detected power.
 
-    Unless the walk is analog, connections count the light, all but what mirrors alone bring.
+    Unless the trace is analog, connections already account for this light. The exception is light
+    from a mirror if its vertex or the one before was determined by a mirror or the laser, since
+    connections cannot find such paths.
     """
     d = three(leave, 0)
     point = (old[0] + distance * d[0], old[1] + distance * d[1], old[2] + distance * d[2])
@@ -333,7 +356,7 @@ def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
 
 @njit(cache=True, nogil=True)
 def start(world, first, most, origins, directions, hits, new, path_sums, fates):
-    """First vertices of the laser's light."""
+    """Fill the first vertices of the laser's light, and add the lost power to the ledger."""
     distance, kind, normal, scale = hits
     source = np.zeros(VERTEX)
     source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
@@ -370,7 +393,7 @@ def start(world, first, most, origins, directions, hits, new, path_sums, fates):
 
 @njit(cache=True, nogil=True)
 def look(origins, directions, powers, densities, hits, new):
-    """First vertices seen from the lens."""
+    """Fill the first vertices of eye paths."""
     distance, kind, normal, scale = hits
     source = np.zeros(VERTEX)
     source[BEFORE], source[SURFACE] = NOTHING, NOTHING
@@ -386,7 +409,7 @@ def look(origins, directions, powers, densities, hits, new):
 
 @njit(cache=True, nogil=True)
 def look_on(world, old, leave, origins, directions, hits, new):
-    """Second vertices seen from the lens, by way of the first."""
+    """Fill the second vertices of eye paths, after scattering at the first."""
     distance, kind, normal, scale = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
@@ -407,7 +430,7 @@ def look_on(world, old, leave, origins, directions, hits, new):
 
 @njit(cache=True, inline="always")
 def reflected(world, vertex, direction, cosine):
-    """Lobes at a vertex toward a direction, mirrors left out, 1/sr."""
+    """Return f_r of a vertex toward a direction, times its brightness, without mirrors, 1/sr."""
     kind = int(vertex[SURFACE])
     incident = three(vertex, 6)
     mu = dot(incident, three(vertex, 3))
@@ -417,7 +440,7 @@ def reflected(world, vertex, direction, cosine):
 
 @njit(cache=True, inline="always")
 def next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
-    """Density per area with which `scatter` would go from a vertex to a target."""
+    """Return the density with which `scatter` would continue from a vertex to a target, 1/m^2."""
     kind = int(vertex[SURFACE])
     n = three(vertex, 3)
     mu, between = dot(incident, n), dot(incident, direction)
@@ -431,7 +454,7 @@ def next_density(world, vertex, incident, direction, cosine, target, target_cosi
 
 @njit(cache=True)
 def between(a, b):
-    """Unit vector from vertex a to b, squared distance, cosines at both."""
+    """Return the unit vector from vertex a to b, the squared distance, and the cosines at both."""
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     square = dot(d, d)
     if square == 0.0:
@@ -443,11 +466,12 @@ def between(a, b):
 
 @njit(cache=True, nogil=True)
 def connect(world, light, eye, seen, second, glossy, value, length, starts, ends):
-    """Power that light vertices send to the detector by way of vertices seen from the lens.
+    """Fill the detected power and length of connections between light vertices and eye vertices.
 
-    ``second`` tells that ``eye`` holds second vertices, ``seen`` the first ones. With glossy lobes
-    three strategies make the same paths and share them by the balance heuristic: the light's walk
-    up to the last vertex but two (second), but one (not second), or to the last (`to_lens`).
+    ``seen`` holds the first vertices of the eye paths; ``eye`` holds the same, or the second ones
+    if ``second``. With glossy lobes, three strategies find the same paths and are weighted by the
+    balance heuristic. The light path contributes all vertices but the last two (``second``), all
+    but the last one (not ``second``), or all (`to_lens`).
     """
     for i in range(light.shape[0]):
         value[i] = 0.0
@@ -467,7 +491,7 @@ def connect(world, light, eye, seen, second, glossy, value, length, starts, ends
             x = seen[i]
             if second:
                 if b[DENSITY] > 0.0:
-                    # the first vertex seen, as the light's walk would find it
+                    # density with which the light path would find the first eye vertex
                     to, r2, cos_1, cos_2 = between(b, x)
                     last = next_density(world, b, back, to, cos_1, x, cos_2, r2, False)
                     f /= 1.0 + onward / b[DENSITY] * (1.0 + last / x[DENSITY])
@@ -487,7 +511,10 @@ def connect(world, light, eye, seen, second, glossy, value, length, starts, ends
 
 @njit(cache=True, nogil=True)
 def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
-    """Power that light vertices send straight to points of the lens, with glossy lobes shared."""
+    """Fill the detected power and length of connections between light vertices and lens points.
+
+    With glossy lobes they are weighted against `connect` by the balance heuristic.
+    """
     camera = world.camera
     area, axis = math.pi * camera[12] ** 2 * camera[18], three(camera, 9)
     for i in range(light.shape[0]):
@@ -525,7 +552,7 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
 
 @njit(cache=True, nogil=True)
 def book(light, eye, bounce, most, first, value, length, path_sums):
-    """Add connections to the sums of their bounce, or to stray light."""
+    """Add connections to the flux of their number of reflections, or to the stray light."""
     for i in range(value.size):
         if value[i] > 0.0:
             sums = _sums(path_sums, first, i)

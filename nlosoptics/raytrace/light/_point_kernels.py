@@ -1,6 +1,7 @@
-"""Light of a single point: its start, what of it enters the lens, and where that lands, compiled.
+"""Compiled light paths of a single point: emission, arrival at the lens, and detector position.
 
-A source is a row (position, normal, 1 if it shines alike into all directions else 0), of 1 W.
+A source of 1 W is a row of 7 numbers: position (m), normal, and 1 for isotropic or 0 for Lambertian
+emission.
 """
 
 from __future__ import annotations
@@ -44,7 +45,10 @@ from ._surround_kernels import (
 
 @njit(cache=True, nogil=True)
 def glow(world, sampler, first, power, new):
-    """Vertices on the object's front, in proportion to area times brightness, lit from above."""
+    """Fill vertices on the object's front, drawn by area times brightness, lit at normal incidence.
+
+    Each gets the same ``power``.
+    """
     for i in range(new.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
@@ -59,7 +63,7 @@ def glow(world, sampler, first, power, new):
 
 @njit(cache=True)
 def spots(sampler, first, corner, size, xy):
-    """Points (n, 2) evenly over the rectangle from ``corner`` on."""
+    """Fill ``xy`` (n, 2) with points distributed uniformly over a rectangle, m."""
     for i in range(xy.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
@@ -70,9 +74,9 @@ def spots(sampler, first, corner, size, xy):
 
 @njit(cache=True, nogil=True)
 def to_wall(world, light, targets, value, starts, ends):
-    """Power that light vertices send to wall points, vertices with their DENSITY and 1/DENSITY.
+    """Fill the power that light vertices send to wall points ``targets`` of known DENSITY.
 
-    Walks that arrive by themselves are the other strategy, by the balance heuristic.
+    The balance heuristic weights it against light that reaches the wall by scattering.
     """
     for i in range(light.shape[0]):
         value[i] = 0.0
@@ -93,9 +97,10 @@ def to_wall(world, light, targets, value, starts, ends):
 
 @njit(cache=True, nogil=True)
 def arrivals(vertices, evenly, power):
-    """Powers of walks that arrive at the wall, shared with `to_wall` of density ``evenly``.
+    """Fill the power of light that reaches the wall by scattering, weighted against `to_wall`.
 
-    That density is per mean-plane area, so that the wall's tilt takes part.
+    ``evenly`` is the density of its points per mean-plane area, 1/m^2. The wall's cosine, column 5
+    of a vertex, converts it to the density per wall area.
     """
     for i in range(vertices.shape[0]):
         power[i] = 0.0
@@ -108,7 +113,10 @@ def arrivals(vertices, evenly, power):
 
 @njit(cache=True, nogil=True)
 def cells_of(points, power, first, corner, step, shape, cells, powers):
-    """Cells (group, row and column as one number) and powers of light at points; their number."""
+    """Fill map cells and powers of light that arrives at points; return their number.
+
+    A cell is (group, row, column) as one number.
+    """
     count = 0
     ny, nx = shape
     for i in range(power.size):
@@ -124,7 +132,7 @@ def cells_of(points, power, first, corner, step, shape, cells, powers):
 
 @njit(cache=True, inline="always")
 def _intensity(source, d):
-    """Radiant intensity of a source along a direction, W/sr."""
+    """Return the radiant intensity of a source along a direction, W/sr."""
     if source[6] > 0.0:
         return 0.25 / math.pi
     return max(0.0, dot(d, three(source, 3))) / math.pi
@@ -132,7 +140,7 @@ def _intensity(source, d):
 
 @njit(cache=True, inline="always")
 def _along(a, b, n, x, y, z):
-    """Vector of the components (x, y, z) along a, b and n."""
+    """Return the vector with components (x, y, z) along a, b and n."""
     return (
         x * a[0] + y * b[0] + z * n[0],
         x * a[1] + y * b[1] + z * n[1],
@@ -142,10 +150,11 @@ def _along(a, b, n, x, y, z):
 
 @njit(cache=True, nogil=True)
 def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
-    """Directions of light that leaves a source, or points (x, y) of the wall that it is aimed at.
+    """Draw directions of light that leaves a source, or wall points (x, y) that it is aimed at.
 
-    ``box`` is (low x, low y, width, height) of the part of the wall that the ``share`` is aimed at;
-    the rest goes evenly over all of the wall, ``whole``, or as it shines where that has no width.
+    A ``share`` of the rays is aimed at the part ``box`` = (low x, low y, width, height) of the
+    wall. The others are aimed uniformly at the whole wall, ``whole``, or follow the emission of the
+    source if ``whole`` has no width. ``aimed`` marks the rays with a point in ``aims``.
     """
     n = three(source, 3)
     a, b = tangents(n)
@@ -177,34 +186,37 @@ def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
 
 @njit(cache=True, nogil=True)
 def toward(source, aims, aimed, directions, reach, live):
-    """Directions from a source to the points (n, 3) of the wall that light is aimed at."""
+    """Fill the directions and distances from a source to wall points (n, 3) that are aimed at."""
     for i in range(live.size):
         live[i], reach[i] = True, -1.0
         if not aimed[i]:
             continue
         d = (aims[i, 0] - source[0], aims[i, 1] - source[1], aims[i, 2] - source[2])
         reach[i] = math.sqrt(dot(d, d))
-        live[i] = math.isfinite(reach[i])  # the wall may have no height there
+        live[i] = math.isfinite(reach[i])  # NaN if the wall has no height at this point
         for k in range(3):
             directions[i, k] = d[k] / reach[i] if live[i] else 0.0
 
 
 @njit(cache=True, nogil=True)
 def arrive(source, whole, box, share, directions, reach, live, hits, new):
-    """First vertices of a source's light; both ways of drawing them share it by the balance."""
+    """Fill the first vertices of a source's light on the wall.
+
+    The sampling strategies of `shine` are combined by the balance heuristic.
+    """
     distance, kind, normal, _ = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
         if not live[i] or kind[i] != WALL:
             continue
         if reach[i] >= 0.0 and abs(distance[i] - reach[i]) > 1e-6 * reach[i]:
-            continue  # aimed at what something else hides
+            continue  # another surface hides the point aimed at
         d, n, t = three(directions[i], 0), three(normal[i], 0), distance[i]
         cosine, intensity = -dot(d, n), _intensity(source, d)
         if cosine <= 0.0 or intensity <= 0.0:
             continue
         p = (source[0] + t * d[0], source[1] + t * d[1], source[2] + t * d[2])
-        upright = n[2] * t * t / cosine  # solid angle over mean-plane area, inverted
+        upright = n[2] * t * t / cosine  # mean-plane area per solid angle
         density = intensity
         if whole[2] > 0.0:
             density = upright / (whole[2] * whole[3])
@@ -213,7 +225,7 @@ def arrive(source, whole, box, share, directions, reach, live, hits, new):
         if share > 0.0 and 0.0 <= x <= box[2] and 0.0 <= y <= box[3]:
             density += share / (box[2] * box[3]) * upright
         if density <= 0.0:
-            continue  # aimed light that rounding takes out of its box
+            continue  # rounding has moved an aimed point outside its box
         for k in range(3):
             new[i, k], new[i, 3 + k], new[i, 6 + k] = p[k], n[k], -d[k]
         new[i, POWER], new[i, DENSITY] = intensity / density, density * cosine / (t * t)
@@ -222,7 +234,7 @@ def arrive(source, whole, box, share, directions, reach, live, hits, new):
 
 @njit(cache=True, inline="always")
 def _lens_point(camera, sampler, group, index, ray):
-    """Even point of the lens."""
+    """Draw a point from the uniform distribution over the lens."""
     u, v = disc(
         draw(sampler, group, index, ray, DRAW_LENS),
         draw(sampler, group, index, ray, DRAW_LENS + 1),
@@ -237,7 +249,11 @@ def _lens_point(camera, sampler, group, index, ray):
 
 @njit(cache=True, inline="always")
 def _landing(camera, point, d):
-    """Where light comes to the detector's plane from along d, through a point of the lens."""
+    """Return the point of the detector plane, m, that a ray reaches through a point of the lens.
+
+    ``d`` is the direction from the lens back along the ray. Its point in the plane in focus is
+    projected through the centre of the lens.
+    """
     cosine = dot(d, three(camera, 9))
     apart = (point[0] - camera[0], point[1] - camera[1], point[2] - camera[2])
     far, zoom = camera[13] / cosine, camera[14] / camera[13]
@@ -250,7 +266,10 @@ def _landing(camera, point, d):
 
 @njit(cache=True, nogil=True)
 def look_around(world, sampler, first, origins, directions, powers):
-    """Rays from the lens over its whole front, and what the lens passes per unit radiance, W."""
+    """Fill rays from the lens, cosine-weighted over its front hemisphere.
+
+    ``powers`` are the transmitted powers per unit radiance, m^2 sr.
+    """
     camera = world.camera
     axis, e1, e2 = three(camera, 9), three(camera, 3), three(camera, 6)
     for i in range(powers.size):
@@ -271,11 +290,12 @@ def look_around(world, sampler, first, origins, directions, powers):
 
 @njit(cache=True, nogil=True)
 def look_at_pixels(world, sampler, first, each, window, origins, directions, powers):
-    """Rays from the lens to what pixels see, ``each`` rays a pixel; W per unit radiance.
+    """Fill rays from the lens into the fields of view of pixels, ``each`` rays per pixel.
 
-    Every other ray starts and lands opposite to the one before, about the centres of lens and
-    pixel: what varies evenly over a pixel cancels in such a pair.
-    ``window`` is (low x, low y, pitch, columns) on the detector's plane.
+    Rays form antithetic pairs: the second ray of a pair uses the points of lens and pixel opposite
+    to those of the first, so that linear variations over a pixel cancel. ``window`` is (low x,
+    low y, pitch, columns) in the detector plane, m. ``powers`` are the detected powers per unit
+    radiance, m^2 sr.
     """
     camera = world.camera
     zoom, c = camera[13] / camera[14], camera[13]
@@ -296,7 +316,7 @@ def look_at_pixels(world, sampler, first, each, window, origins, directions, pow
         x = sign * (draw(sampler, group, index, ray, DRAW_PIXEL) - 0.5)
         y = sign * (draw(sampler, group, index, ray, DRAW_PIXEL + 1) - 0.5)
         x, y = low_x + pitch * (column + 0.5 + x), low_y + pitch * (row + 0.5 + y)
-        # toward where the pixel's point is in focus
+        # toward the image of the detector point in the plane in focus
         a, b = -x * zoom - u, -y * zoom - v
         norm = math.sqrt(a * a + b * b + c * c)
         cosine = c / norm
@@ -309,7 +329,7 @@ def look_at_pixels(world, sampler, first, each, window, origins, directions, pow
 
 @njit(cache=True, nogil=True)
 def mirrored(world, eye, origins, directions, powers, live):
-    """Rays from vertices that the lens sees, on by the wall's smooth mirror lobes."""
+    """Fill the rays that continue eye paths by reflection at the wall's smooth mirror lobes."""
     strength = 0.0
     for j in range(world.wall.shape[0]):
         if is_mirror(world.wall, j):
@@ -325,7 +345,7 @@ def mirrored(world, eye, origins, directions, powers, live):
 
 @njit(cache=True, nogil=True)
 def from_source(source, lobes, eye, value, starts, ends):
-    """Power that a source sends to the detector by way of vertices that the lens sees."""
+    """Fill the detected power of connections between a source and eye vertices on the wall."""
     for i in range(value.size):
         value[i] = 0.0
         b = eye[i]
@@ -346,7 +366,7 @@ def from_source(source, lobes, eye, value, starts, ends):
 
 @njit(cache=True, inline="always")
 def _imaged(lobes, matt, mu, cosine, turn, f):
-    """Share of ``f``, the lobes' sum, that the mirror-like ones make."""
+    """Return the share of ``f``, the sum of all lobes, that is due to mirror-like lobes."""
     if matt.shape[0] == lobes.shape[0] or f <= 0.0:
         return 0.0
     return 1.0 - material(matt, mu, cosine, turn) / f
@@ -354,10 +374,10 @@ def _imaged(lobes, matt, mu, cosine, turn, f):
 
 @njit(cache=True, nogil=True)
 def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, x, y, imaged):
-    """Power that wall vertices send to points of the lens, where it lands, and the imaged share.
+    """Fill power, detector position and imaged share of light from wall vertices to lens points.
 
-    ``counted`` is (lobes, those of them that are not mirror-like). ``glossy`` tells that walks
-    which find the lens by themselves are the other strategy.
+    ``counted`` is (all lobes to count, those of them that are not mirror-like). If ``glossy``, the
+    balance heuristic weights it against light that reaches the lens by scattering.
     """
     lobes, matt = counted
     camera = world.camera
@@ -391,7 +411,7 @@ def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, 
 
 @njit(cache=True, nogil=True)
 def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
-    """Power of the mirror image's rays that enter the lens, and where they land."""
+    """Fill power and detector position of mirror-reflected rays that enter the lens."""
     camera, axis = world.camera, three(world.camera, 9)
     distance, kind = hits[0], hits[1]
     for i in range(value.size):
@@ -410,10 +430,11 @@ def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
 def lens_hits(
     world, counted, glossy, first_one, old, leave, new, fates, by_mirrors, value, x, y, imaged
 ):
-    """Power of walks that find the lens, where it lands, and the imaged share.
+    """Fill power, detector position and imaged share of light that reaches the lens by scattering.
 
-    Of what smooth mirrors send, light that met nothing else (``by_mirrors``, kept up to date here)
-    counts from the second reflection on; `image_hits` has the first, and connections the rest.
+    Light sent by a smooth mirror counts only if it has met nothing but mirrors (``by_mirrors``,
+    updated here) and has at least two reflections. `image_hits` counts the first reflection, and
+    connections count all other light.
     """
     lobes, matt = counted
     camera = world.camera
@@ -447,7 +468,7 @@ def lens_hits(
 
 @njit(cache=True, nogil=True)
 def connect(world, light, eye, value, starts, ends):
-    """Power that light vertices send to the detector by way of vertices that the lens sees."""
+    """Fill the detected power of connections between light vertices and eye vertices."""
     for i in range(value.size):
         value[i] = 0.0
         a, b = light[i], eye[i]
@@ -465,14 +486,17 @@ def connect(world, light, eye, value, starts, ends):
 
 @njit(cache=True, nogil=True)
 def landings(world, points, directions, x, y):
-    """Where light lands that comes along rays from points of the lens."""
+    """Fill the detector positions of light that arrives along rays traced from the lens, m."""
     for i in range(x.size):
         x[i], y[i] = _landing(world.camera, three(points[i], 0), three(directions[i], 0))
 
 
 @njit(cache=True, nogil=True)
 def book(value, x, y, window, rows, bounce, most, first, path_sums, cells):
-    """Add light to the sums of its bounce; find its pixel, or add it to what misses the window."""
+    """Add light to the sum of its number of reflections, and fill its pixel.
+
+    Light outside the window of pixels gets the pixel -1 and is added to the sum of missed light.
+    """
     low_x, low_y, pitch, columns = window
     for i in range(value.size):
         cells[i] = -1

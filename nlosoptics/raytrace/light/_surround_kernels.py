@@ -1,4 +1,4 @@
-"""What rays meet in a scene, and where they start, compiled."""
+"""Compiled starts and hits of rays in a scene: laser, lens, wall, planar object and meshes."""
 
 from __future__ import annotations
 
@@ -30,15 +30,48 @@ from ..intersection._wall_kernels import (
 )
 from ..intersection._wall_kernels import T as DISTANCE
 
+# kinds of hit: BACK is the back of the hidden object, LOST a hit that could not be resolved
 NOTHING, WALL, OBJECT, OCCLUDER, LENS, BACK, LOST = range(-1, 6)
-# numbers of a ray's draws; those that the detected light depends on most come first
+# Numbers of a ray's random draws. Low Sobol dimensions are the most uniform, so that the draws with
+# the largest influence on the detected power come first.
 DRAW_PIXEL, DRAW_FIRST, DRAW_LENS, DRAW_BEAM, DRAW_EYE, DRAW_NEXT = 0, 2, 6, 8, 10, 14
 DRAWS_A_BOUNCE = 5
-DRAW_THIN = 1000  # beyond all bounces
+DRAW_THIN = 1000  # above the draws of all bounces
 
 
 class World(NamedTuple):
-    """What kernels know of a scene; see `_world` for the contents."""
+    """Data of a scene for the kernels; lengths in m, world frame.
+
+    Attributes
+    ----------
+    wall, thing : ndarray, (n, 4)
+        Lobes of the wall and of the hidden object.
+    plate : ndarray, (14,)
+        Planar object: centre, right, up, normal, half width, half height; empty for a mesh.
+    picture : ndarray, (ny, nx)
+        Brightness of the planar object, row 0 on top.
+    rows, columns : ndarray, (ny + 1,) and (ny, nx + 1)
+        Cumulative brightness of the rows, and of the pixels within each row, 0 to 1.
+    triangles : ndarray, (n, 9)
+        Mesh object: a corner and the two sides from it.
+    areas : ndarray, (n + 1,)
+        Cumulative areas of the triangles, 0 to 1.
+    norm : float
+        1 over the integral of brightness over the object's area, 1/m^2; 0 for a black object.
+    aimed : ndarray, (2,)
+        Shares of rays from the wall that are aimed at the object; see `surroundings.AIMED`.
+    glossy : bool
+        Whether a lobe requires three sampling strategies.
+    ball : ndarray, (4,)
+        Centre and radius of a sphere around the object.
+    camera : ndarray, (21,)
+        0-11: lens centre, e1, e2, axis. 12-14: stop radius, focus distance, image distance.
+        15-16: half widths of the detector. 17: cosine of half the field stop, or -1.
+        18: transmission. 19: sampled area of the detector plane. 20: radius, at the focus distance,
+        of the cone through the field stop, or 0 to sample the detector.
+    laser : ndarray, (14,)
+        Start, direction, two transverse axes, beam radius, power (W).
+    """
 
     wall: NDArray[np.float64]
     thing: NDArray[np.float64]
@@ -58,17 +91,19 @@ class World(NamedTuple):
 
 @njit(cache=True, inline="always")
 def dot(a, b):
+    """Return the scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(cache=True, inline="always")
 def three(row, start):
+    """Return three consecutive numbers of a row as a tuple."""
     return row[start], row[start + 1], row[start + 2]
 
 
 @njit(cache=True, nogil=True)
 def beam(world, sampler, first, origins, directions):
-    """Rays of the laser, evenly over its disc."""
+    """Fill the rays of the laser, distributed uniformly over the beam."""
     laser = world.laser
     for i in range(origins.shape[0]):
         ray = first + i
@@ -84,9 +119,10 @@ def beam(world, sampler, first, origins, directions):
 
 @njit(cache=True, nogil=True)
 def sight(world, sampler, first, origins, directions, powers, densities):
-    """Rays from the lens into the scene, evenly over lens and detector, or the baffle's disc.
+    """Fill rays from the lens into the scene, uniform over lens and detector (or baffle disc).
 
-    Powers are what the detector gets per unit radiance; densities are per solid angle.
+    ``powers`` are the detected powers per unit radiance, m^2 sr; ``densities`` are the sampling
+    densities per solid angle, 1/sr.
     """
     camera = world.camera
     lens_area, zoom, baffle = math.pi * camera[12] ** 2, camera[13] / camera[14], camera[20]
@@ -100,7 +136,7 @@ def sight(world, sampler, first, origins, directions, powers, densities):
             draw(sampler, group, index, ray, DRAW_LENS + 1),
         )
         u, v = u * camera[12], v * camera[12]
-        # toward where the detector's point is in focus
+        # toward the image of the detector point in the plane in focus
         c = camera[13]
         if baffle > 0.0:
             a, b = disc(x, y)
@@ -121,7 +157,10 @@ def sight(world, sampler, first, origins, directions, powers, densities):
 
 @njit(cache=True, inline="always")
 def on_detector(camera, point, direction):
-    """Density per solid angle of `sight` along a direction from a point of the lens, or 0."""
+    """Return the density of `sight` for a direction from a point of the lens, 1/sr.
+
+    It is 0 if the light misses the detector or is blocked by the field stop.
+    """
     cosine = dot(direction, three(camera, 9))
     if cosine <= 0.0 or cosine < camera[17]:
         return 0.0
@@ -137,7 +176,7 @@ def on_detector(camera, point, direction):
 
 @njit(cache=True, inline="always")
 def _plate(world, o, d, low, high):
-    """Distance at which a ray meets the plate between low and high; inf if it does not."""
+    """Return the distance between low and high at which a ray hits the plate, else inf."""
     plate = world.plate
     along = dot(d, three(plate, 9))
     if along == 0.0:
@@ -154,7 +193,7 @@ def _plate(world, o, d, low, high):
 
 @njit(cache=True, inline="always")
 def _texel(world, point):
-    """Brightness of the picture at a point of the plate."""
+    """Return the brightness of the planar object at one of its points."""
     plate, picture = world.plate, world.picture
     across = (point[0] - plate[0], point[1] - plate[1], point[2] - plate[2])
     ny, nx = picture.shape
@@ -165,7 +204,10 @@ def _texel(world, point):
 
 @njit(cache=True, inline="always")
 def _lens(world, o, d, low, high):
-    """Distance at which a ray meets the lens from either side; inf if it does not."""
+    """Return the distance between low and high at which a ray hits the lens, else inf.
+
+    Hits from both sides count.
+    """
     camera = world.camera
     axis = three(camera, 9)
     along = dot(d, axis)
@@ -181,7 +223,10 @@ def _lens(world, o, d, low, high):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def wall_hits(walls, origins, directions, live, distance, kind, normal):
-    """First hits on a compiled wall, for live rays: distance, kind and normal; others stay."""
+    """Fill distance, kind and normal of live rays that hit a compiled wall.
+
+    Rays without a hit keep their values. ``walls`` holds the terms, tables and search bounds.
+    """
     terms, tables, grid_bounds, box, slab, rim = walls
     flat = terms.shape[0] == 0
     waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
@@ -223,7 +268,7 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
 
 @njit(cache=True, nogil=True)
 def settle(walls, points, on_wall):
-    """Put points that are on a compiled wall, to rounding, on it to the last digit."""
+    """Replace z of points that lie on a compiled wall by the wall's exact height."""
     terms, tables = walls[0], walls[1]
     for i in range(on_wall.size):
         if on_wall[i]:
@@ -234,7 +279,7 @@ def settle(walls, points, on_wall):
 
 @njit(cache=True, nogil=True)
 def plate_and_lens(world, origins, directions, live, distance, kind, normal, scale):
-    """Replace hits by nearer ones on the plate and, for light on its way, on the lens."""
+    """Replace the hits of live rays by nearer ones on the plate and on the lens."""
     has_plate = world.plate.size > 0
     for i in range(distance.size):
         if not live[i]:
@@ -255,10 +300,14 @@ def plate_and_lens(world, origins, directions, live, distance, kind, normal, sca
 
 @njit(cache=True, nogil=True)
 def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kind, normal, scale):
-    """Replace hits of the rays ``rows`` by nearer ones on triangles ``found`` at ``away``."""
+    """Replace the hits of the rays ``rows`` by nearer ones on triangles.
+
+    ``found`` and ``away`` are the triangles (-1 for none) and their distances, m. The first
+    ``thing_faces`` triangles belong to the hidden object, the others to occluders.
+    """
     for j in range(rows.size):
         i, k = rows[j], found[j]
-        # a face that lies on the wall covers nothing
+        # a triangle that lies in the wall's surface does not cover the wall
         limit = distance[i] * (1.0 - 1e-9) if kind[i] == WALL else distance[i]
         if k < 0 or not away[j] < limit:
             continue
@@ -273,7 +322,7 @@ def mesh_hits(rows, found, away, thing_faces, normals, directions, distance, kin
 
 @njit(cache=True, inline="always")
 def object_point(world, u, v):
-    """Point of the object's front, in proportion to area times brightness, and its normal."""
+    """Draw a point of the object's front by area times brightness; return it and its normal."""
     if world.plate.size > 0:
         plate = world.plate
         ny, nx = world.picture.shape
@@ -307,7 +356,7 @@ def object_point(world, u, v):
 
 @njit(cache=True, nogil=True)
 def clear(world, starts, ends, value):
-    """Take out connections that the plate or the lens is in the way of."""
+    """Set to zero the values of connections that the plate or the lens blocks."""
     has_plate = world.plate.size > 0
     for i in range(value.size):
         if value[i] <= 0.0:

@@ -1,4 +1,4 @@
-"""Blocks of rays: light from the laser, sight from the lens, and what joins them."""
+"""Blocks of rays: light paths from the laser, eye paths from the lens, and their connections."""
 
 from __future__ import annotations
 
@@ -17,16 +17,32 @@ from . import _surround_kernels as surround
 from .surroundings import Surroundings
 
 Array = NDArray[np.float64]
-LEDGER: Final = 0.25  # share of the rays that are followed for the ledger alone
-#: Points, lengths, powers, reflections and status of paths.
+LEDGER: Final = 0.25  # share of the rays continued when only the ledger still needs them
+#: Points, lengths, powers, numbers of reflections and status of paths.
 Kept = tuple[Array, Array, Array, NDArray[np.int32], NDArray[np.int8]]
-#: Sums of units and groups, counted queries and kept paths of a block.
+#: Sums by unit and group, numbers of intersection tests, and kept paths of a block.
 Traced = tuple[Array, Counter[str], list[Kept]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """What every block of rays needs."""
+    """Scene and options common to all blocks of rays.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene to trace.
+    around : Surroundings
+        Intersection tests of the scene.
+    sampler : tuple
+        Seed, Sobol columns and shifts; see `kernels.random.draw`.
+    max_bounces : int
+        Largest number of reflections.
+    analog : bool
+        Whether rays propagate as physical light, without connections and roulette.
+    keep_paths : bool
+        Whether to keep single paths.
+    """
 
     scene: Scene
     around: Surroundings
@@ -37,7 +53,7 @@ class Job:
 
     @property
     def columns(self) -> int:
-        """Number of sums: one for each count of reflections, and the ledger's."""
+        """Number of sums: one per number of reflections, and those of the ledger."""
         return self.max_bounces + 1 + kernels.SUMS
 
 
@@ -49,7 +65,7 @@ def traced(job: Job, first: int, end: int) -> Traced:
         block.look()
     before = np.zeros_like(light)
     before[:, kernels.DENSITY] = -1.0
-    # without gloss, later vertices send nothing to the detector and serve the ledger alone
+    # without glossy lobes, vertices after this bounce contribute to the ledger only
     last_seen = 0 if job.around.plan.glossy else max(1, job.max_bounces - 1)
     for bounce in range(1, job.max_bounces + 1):
         block.walked.append(light[:, kernels.P])
@@ -65,7 +81,17 @@ def traced(job: Job, first: int, end: int) -> Traced:
 
 
 class Rays:
-    """A block of rays: light from the laser, sight from the lens, and what joins them."""
+    """Block of rays: light paths from the laser, eye paths from the lens, and their connections.
+
+    Parameters
+    ----------
+    job : Job
+        Scene and options.
+    first : int
+        Number of the first ray.
+    n : int
+        Number of rays.
+    """
 
     def __init__(self, job: Job, first: int, n: int) -> None:
         self.job, self.first, self.n, self.around = job, first, n, job.around
@@ -80,7 +106,7 @@ class Rays:
         self.kept: list[Kept] = []
 
     def from_laser(self) -> Array:
-        """First vertices of the light."""
+        """Return the first vertices of the light paths."""
         job, rays = self.job, (self.origins, self.directions)
         surround.beam(self.around.world, job.sampler, self.first, *rays)
         self.walked.append(self.origins.copy())
@@ -94,7 +120,7 @@ class Rays:
         return new
 
     def look(self) -> None:
-        """First vertices that the lens sees, and the second ones where lobes are glossy."""
+        """Compute the first vertices of the eye paths, and with glossy lobes the second ones."""
         job, world, rays = self.job, self.around.world, (self.origins, self.directions)
         powers, densities = np.empty((2, self.n))
         surround.sight(world, job.sampler, self.first, *rays, powers, densities)
@@ -110,7 +136,7 @@ class Rays:
             self._settle(self.further)
 
     def onward(self, light: Array, bounce: int) -> Array:
-        """Vertices that the light of these goes to."""
+        """Return the next vertices of the light paths, after scattering at ``light``."""
         job, number = self.job, surround.DRAW_FIRST
         if bounce > 1:
             number = surround.DRAW_NEXT + surround.DRAWS_A_BOUNCE * (bounce - 2)
@@ -137,7 +163,10 @@ class Rays:
         return new
 
     def detect(self, light: Array, before: Array, bounce: int) -> None:
-        """Add what vertices of the light send to the detector."""
+        """Add the power that light vertices send to the detector after ``bounce`` reflections.
+
+        ``before`` holds the preceding vertices of the light paths.
+        """
         world, glossy, most = self.around.world, self.around.plan.glossy, self.job.max_bounces
         found = (self.value, self.length, self.starts, self.ends)
         if bounce == 1 or glossy:
@@ -151,6 +180,7 @@ class Rays:
             self._book(light, self.further, bounce + 2, (self.further, self.seen))
 
     def _scatter(self, vertices: Array, number: int, eye: bool) -> None:
+        """Draw the directions in which the paths continue, from random number ``number`` on."""
         kernels.scatter(
             self.around.world,
             self.job.sampler,
@@ -165,14 +195,14 @@ class Rays:
         )
 
     def _settle(self, vertices: Array) -> None:
-        """Put vertices on a wall that sees itself to the last digit."""
+        """Move vertices exactly onto the wall, if it sees itself."""
         if not self.around.plan.wall_to_wall:
             return
         on_wall = vertices[:, kernels.SURFACE] == surround.WALL
         self.around.settle(vertices[:, kernels.P], on_wall)
 
     def _hits(self, left: Array | None) -> Any:
-        """First hits of live rays, which leave the vertices ``left`` or come from elsewhere."""
+        """Return the first hits of live rays that start at the vertices ``left``, or elsewhere."""
         on_wall = np.zeros(self.n, dtype=bool)
         if left is not None:
             np.equal(left[:, kernels.SURFACE], surround.WALL, out=on_wall)
@@ -181,7 +211,7 @@ class Rays:
         )
 
     def _book(self, light: Array, eye: Array, bounce: int, seen: tuple[Array, ...]) -> None:
-        """Add connections that nothing stands in the way of."""
+        """Add the power of unblocked connections to the sums, and keep their paths if wanted."""
         on_wall = light[:, kernels.SURFACE] == surround.WALL
         self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
         kernels.book(
@@ -201,7 +231,7 @@ class Rays:
             self._keep(rows, parts, self.length, self.value, bounce, status)
 
     def _keep_ended(self, new: Array, bounce: int) -> None:
-        """Keep the analog walks that this step ended."""
+        """Keep the paths of an analog trace that ended in this step."""
         if self.job.keep_paths and self.job.analog:
             rows = np.flatnonzero(self.fates >= 0)
             parts = [*self.walked, new[:, kernels.P]]
@@ -217,6 +247,7 @@ class Rays:
         bounce: int,
         status: NDArray[np.int8],
     ) -> None:
+        """Store paths; shorter ones repeat their last point."""
         points = np.stack([part[rows] for part in parts], axis=1)
         missing = self.job.max_bounces + 2 - points.shape[1]
         points = np.concatenate([points, np.repeat(points[:, -1:], missing, axis=1)], axis=1)

@@ -1,4 +1,4 @@
-"""Irradiance of the relay wall by light that comes back to it, as a map."""
+"""Maps of the irradiance on the relay wall by light that returns to it."""
 
 from __future__ import annotations
 
@@ -24,19 +24,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WallIrradiance(Noun):
-    """Irradiance of the wall's cells.
+    """Irradiance of the relay wall on a grid of cells.
 
     Parameters
     ----------
     x, y : ndarray, (nx,) and (ny,)
         Centres of the cells, world, m.
     irradiance : ndarray, (ny, nx)
-        Power that arrives in a cell over the wall's area there, W/m^2; row 0 at the lowest y.
+        Power incident on a cell divided by the wall's area there, W/m^2; row 0 at the lowest y.
     standard_error : ndarray, (ny, nx)
-        W/m^2.
+        Standard error of ``irradiance``, W/m^2.
     power, power_error : float
         Power on all cells and its standard error, W.
     n_rays : int
+        Number of rays traced.
     seconds : float
         Wall-clock time.
     """
@@ -66,38 +67,55 @@ def wall_irradiance(
     sampler: Literal["sobol", "philox"] = "sobol",
     seed: int = 0,
 ) -> WallIrradiance:
-    """Map the light that comes back to the relay wall.
+    """Compute a map of the irradiance on the relay wall by light that returns to it.
 
     Parameters
     ----------
     scene : Scene
+        Scene to trace.
     shape : (int, int)
-        Cells (ny, nx).
+        Number of cells (ny, nx).
     size : (float, float), optional
-        Width and height of the map about the origin, m; by default the wall's.
+        Width and height of the map, centred on the origin, m; by default the size of the wall.
     source : {"laser", "object"}
-        The laser, whose own spot is left out; or the hidden object itself glowing with a radiant
-        exitance of 1 W/m^2 times its brightness, Lambertian, the laser off.
+        ``"laser"``: light of the laser, without the direct irradiance of its spot. ``"object"``:
+        the hidden object emits as a Lambertian source with a radiant exitance of 1 W/m^2 times its
+        brightness, and the laser is off.
     n_rays : int
+        Number of rays.
     max_bounces : int
-        Reflections before light is counted at the wall, at most; with ``source="object"`` 0 is the
-        object's own light alone.
-    sampler, seed
-        As for `trace`.
+        Largest number of reflections before light is counted at the wall, 1 to 62. With
+        ``source="object"``, 0 gives the direct light of the object alone.
+    sampler : {"sobol", "philox"}
+        Scrambled Sobol points in 32 independent groups, or independent random numbers.
+    seed : int
+        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
+        for any number of threads.
 
     Returns
     -------
     WallIrradiance
+        Irradiance and its standard error in every cell.
 
     Raises
     ------
     SceneError
         If an option is out of range, or the wall is unbounded and no size is given.
+    MemoryLimitError
+        If the map would not fit in memory.
 
     Notes
     -----
-    Vertices of the light are joined to even points of the wall; light that finds the wall by itself
-    counts as well, and the balance heuristic shares what both find.
+    Light vertices are connected to points spread uniformly over the wall. Light that reaches the
+    wall by scattering is counted too. The balance heuristic weights the two strategies.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> found = raytrace.wall_irradiance(scene, shape=(4, 6), n_rays=1024)
+    >>> found.irradiance.shape, found.x.round(3).tolist()
+    ((4, 6), [-0.583, -0.35, -0.117, 0.117, 0.35, 0.583])
     """
     one_of("source", source, ("laser", "object"))
     ny, nx = (whole("shape", n) for n in shape)
@@ -105,12 +123,15 @@ def wall_irradiance(
     whole("max_bounces", max_bounces, 0 if source == "object" else 1, MOST_BOUNCES - 2)
     size = scene.wall.size if size is None else pair("size", size)
     if size is None:
-        raise SceneError("wall.size is unbounded; give size, the width and height of the map in m")
+        raise SceneError(
+            "wall.size is unbounded, so the map has no extent; give size, its width and height in m"
+        )
     fits_memory(f"a map of {nx} x {ny} cells (shape)", 8 * GROUPS * nx * ny, "map fewer cells")
     begun = time.perf_counter()
     if source == "object":
         scene = replace(scene, hidden=replace(scene.hidden, material=Lambert(1.0)))
-    job = job_of(scene, max_bounces + 2, sampler, seed)  # the last arrival counts as well
+    # the walk must be long enough to include the last arrival at the wall
+    job = job_of(scene, max_bounces + 2, sampler, seed)
     step = np.divide(size, (nx, ny))
     corner = -np.divide(size, 2)
 
@@ -141,7 +162,7 @@ def wall_irradiance(
 
 
 def _upright(scene: Scene, x: Array, y: Array) -> Array:
-    """Cosine of the wall's tilt at cell centres, (ny, nx); 1 where it has no height."""
+    """Return the cosine of the wall's tilt at the cell centres, (ny, nx); 1 without a height."""
     if scene.wall.is_flat:
         return np.ones((len(y), len(x)))
     xs, ys = np.meshgrid(x, y)
@@ -157,7 +178,7 @@ def _arrivals(
     max_bounces: int,
     grid: tuple[Array, Array, tuple[int, int]],
 ) -> tuple[NDArray[np.int64], Array]:
-    """Cells and powers of the light of a block of rays, in the order of its reflections."""
+    """Return cell numbers and powers of all arrivals of a block of rays, by reflection."""
     from . import _light_kernels as kernels
     from . import _point_kernels as arriving
     from . import _surround_kernels as surround
@@ -179,11 +200,12 @@ def _arrivals(
     found, power = [], np.empty(n)
 
     def collect(points: Array, power: Array) -> None:
+        """Append the cells and powers of light that arrives at points."""
         cells, powers = np.empty(n, dtype=np.int64), np.empty(n)
         count = arriving.cells_of(points, power, first, *grid, cells, powers)
         found.append((cells[:count], powers[:count]))
 
-    # one more step than reflections for a source that is no reflection itself
+    # the laser's first vertex is a reflection, whereas the object's is the source itself
     for bounce in range(1, max_bounces + (1 if source == "laser" else 2)):
         arriving.to_wall(around.world, light, targets, power, rays.starts, rays.ends)
         on_wall = light[:, kernels.SURFACE] == surround.WALL
@@ -196,7 +218,7 @@ def _arrivals(
 
 
 def _targets(job: Job, first: int, n: int, corner: Array, size: Array) -> Array:
-    """Points of the wall, one for each ray, as vertices that are evenly spread in x and y."""
+    """Return one wall vertex per ray, spread uniformly in x and y over the map."""
     from . import _light_kernels as kernels
     from . import _point_kernels as arriving
     from . import _surround_kernels as surround

@@ -1,4 +1,4 @@
-"""Blocks of rays of one object point: for the flux through the lens, and for pixels."""
+"""Blocks of rays of one object point, for the flux through the lens and for pixels."""
 
 from __future__ import annotations
 
@@ -18,33 +18,37 @@ from .blocks import Job, Rays
 from .trace import BLOCK
 
 Array = NDArray[np.float64]
-#: Share of the light that is aimed at where glossy lobes send it to the lens; one binary digit.
+#: Share of the rays aimed at the part of the wall from which mirror-like lobes reflect them to the
+#: lens; a binary fraction splits Sobol points exactly.
 AIM: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """What every block of a point's rays needs.
+    """Data common to all blocks of rays of one object point.
 
     Parameters
     ----------
     job : Job
+        Scene and options.
     source : ndarray, (7,)
-        Position, normal, and 1 for even light; see `_point_kernels`.
+        Position (m) and normal of the point, and 1 for isotropic or 0 for Lambertian emission.
     whole : ndarray, (4,)
-        Rectangle of all of the wall, low x and y, width and height, over which light is spread
-        evenly; without area where it goes as it shines.
+        Rectangle of the whole wall (low x, low y, width, height), m, to be sampled uniformly; all
+        zero to sample directions as the point emits.
     image_box, gloss_box : ndarray, (4,)
-        Rectangles of the wall by which smooth mirrors show the point to the lens, and glossy
-        mirror-like lobes for the most part; without area where there are none.
+        Rectangles of the wall, m, in which the lens sees the point mirrored by smooth mirrors, and
+        by glossy mirror-like lobes up to three slope rms; all zero without such lobes.
     matt : ndarray, (n, 4)
-        The wall's lobes that are not mirror-like.
+        Lobes of the wall that are not mirror-like.
     mirror_image : bool
+        Whether to include the mirror image of the point.
     window : (float, float, float, int)
-        Low x and y, pitch and columns of the pixels.
+        Low x and y of the pixels in the detector plane, m, their pitch, m, and number of columns.
     rows : int
+        Number of pixel rows.
     each : int
-        Rays of a pixel, even.
+        Rays per pixel, an even number.
     """
 
     job: Job
@@ -60,18 +64,18 @@ class Task:
 
     @property
     def columns(self) -> int:
-        """Number of sums: one for each count of reflections, and what misses the pixels."""
+        """Number of sums: one per number of reflections, and one for light outside the pixels."""
         return self.job.max_bounces + 2
 
     @property
     def smooth(self) -> bool:
-        """Whether the wall has a smooth mirror's lobe."""
+        """Whether the wall has a lobe that is a smooth mirror."""
         lobes = self.job.around.world.wall
         return bool(((lobes[:, 2] == 0.0) & (lobes[:, 0] >= BECKMANN)).any())
 
     @property
     def mirrors(self) -> int:
-        """Smooth mirrors that the lens looks through, at most."""
+        """Largest number of consecutive mirror reflections of an eye path."""
         sees_itself = self.job.around.plan.wall_to_wall
         return self.job.max_bounces - 1 if self.smooth and sees_itself else 0
 
@@ -79,7 +83,19 @@ class Task:
 def flux_of(
     task: Task, first: int, end: int
 ) -> tuple[Array, NDArray[np.int64], Array, Counter[str]]:
-    """Sums of units and groups, mirror images by group and pixel, and counted queries."""
+    """Trace the rays from ``first`` up to ``end`` for the flux through the lens.
+
+    Returns
+    -------
+    sums : ndarray, (units, groups, columns)
+        Powers by number of reflections, and the power outside the pixels, W times rays.
+    cells : ndarray of int64, (n,)
+        Group and pixel, as one number, of each contribution to the mirror image.
+    powers : ndarray, (n,)
+        Powers of these contributions, W times rays.
+    counts : Counter
+        Numbers of intersection tests.
+    """
     block = _Block(task, first, end - first)
     most, plan = task.job.max_bounces, task.job.around.plan
     world, sampler = task.job.around.world, task.job.sampler
@@ -133,7 +149,10 @@ def flux_of(
 
 
 def pixels_of(task: Task, first: int, end: int) -> tuple[Array, Array, Counter[str]]:
-    """Means of the pixels ``first`` up to ``end``, their variances, and counted queries."""
+    """Return mean powers of the pixels ``first`` up to ``end``, their variances, and test counts.
+
+    Powers are in W. The rays of a pixel form antithetic pairs; the variance is that of the pairs.
+    """
     at_once = max(1, BLOCK // task.each)
     means, variances, counts = [], [], Counter[str]()
     for start in range(first, end, at_once):
@@ -146,12 +165,12 @@ def pixels_of(task: Task, first: int, end: int) -> tuple[Array, Array, Counter[s
         counts += asked
     del counts["rays"]
     pairs = task.each // 2
-    scale = pairs * (pairs - 3)  # Student's factor as of `mean_of`
+    scale = pairs * (pairs - 3)  # with Student's factor, as in `mean_of`
     return np.concatenate(means), np.concatenate(variances) / scale, counts
 
 
 def _seen_by_pixels(task: Task, first: int, n: int) -> tuple[Array, Counter[str]]:
-    """Power that each of the pixels' rays stands for, W, and counted queries."""
+    """Return the power estimate of each pixel ray, (n,), W, and numbers of intersection tests."""
     block, world = _Block(task, first, n), task.job.around.world
     most = task.job.max_bounces
     eyes = [block.look_at_pixels()]
@@ -172,7 +191,7 @@ def _seen_by_pixels(task: Task, first: int, n: int) -> tuple[Array, Counter[str]
 
 
 class _Block:
-    """Rays of a block, with what the kernels fill."""
+    """Block of rays of one object point, with the arrays that the kernels fill."""
 
     def __init__(self, task: Task, first: int, n: int) -> None:
         self.task, self.first, self.n = task, first, n
@@ -187,9 +206,9 @@ class _Block:
         self.kept: list[tuple[NDArray[np.int64], Array]] = []
 
     def image(self) -> None:
-        """Book the image that smooth mirrors make by one reflection."""
+        """Add the image that smooth mirrors form by one reflection."""
         rays, powers, world = self.rays, np.empty(self.n), self.task.job.around.world
-        # walls that bend may show the point elsewhere as well
+        # a curved wall may form further images outside the box, so that only a share is aimed
         light = self._shine(self.task.image_box, AIM if self.task.image_box.all() else 0.0)
         kernels.mirrored(world, light, rays.origins, rays.directions, powers, rays.live)
         hits = rays._hits(light)
@@ -199,10 +218,11 @@ class _Block:
         self.keep()
 
     def start(self) -> Array:
-        """First vertices of the point's light."""
+        """Return the first vertices of the point's light."""
         return self._shine(self.task.gloss_box, AIM if self.task.gloss_box.all() else 0.0)
 
     def _shine(self, box: Array, share: float) -> Array:
+        """Return first vertices on the wall, a ``share`` of the rays being aimed at ``box``."""
         task, rays, n = self.task, self.rays, self.n
         aims, aimed = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         where = (task.whole, box, share)
@@ -222,7 +242,7 @@ class _Block:
         return light
 
     def look_around(self) -> Array:
-        """Vertices seen from the lens over its whole front."""
+        """Return vertices seen from the lens in random directions of its front hemisphere."""
         rays, powers = self.rays, np.empty(self.n)
         world = self.task.job.around.world
         where = (rays.origins, rays.directions)
@@ -231,7 +251,7 @@ class _Block:
         return self._seen(powers)
 
     def look_at_pixels(self) -> Array:
-        """Vertices that pixels see."""
+        """Return vertices seen by the pixels, ``each`` per pixel."""
         task, rays, powers = self.task, self.rays, np.empty(self.n)
         kernels.look_at_pixels(
             task.job.around.world,
@@ -246,7 +266,7 @@ class _Block:
         return self._seen(powers)
 
     def mirrored(self, eye: Array) -> Iterator[Array]:
-        """Vertices seen from the lens by one smooth mirror, by two, and so on."""
+        """Yield vertices seen from the lens after one mirror reflection, after two, and so on."""
         rays, powers, world = self.rays, np.empty(self.n), self.task.job.around.world
         for _ in range(self.task.mirrors):
             kernels.mirrored(world, eye, rays.origins, rays.directions, powers, rays.live)
@@ -254,6 +274,7 @@ class _Block:
             yield eye
 
     def _seen(self, powers: Array, left: Array | None = None) -> Array:
+        """Return the vertices that eye rays of the given powers hit, starting at ``left``."""
         rays, new = self.rays, np.zeros((self.n, light_kernels.VERTEX))
         np.greater(powers, 0.0, out=rays.live)
         hits = rays._hits(left)
@@ -262,19 +283,19 @@ class _Block:
         return new
 
     def from_source(self, eye: Array, lobes: Array) -> Array:
-        """Power from the point straight to vertices that the lens sees."""
+        """Return the power that the point sends to the detector via the vertices ``eye``, W."""
         kernels.from_source(self.task.source, lobes, eye, *self.ends)
         self.clear(None)
         return self.value
 
     def connect(self, light: Array, eye: Array) -> Array:
-        """Power from vertices of the light to those that the lens sees."""
+        """Return the power that light vertices send to the detector via the vertices ``eye``, W."""
         kernels.connect(self.task.job.around.world, light, eye, *self.ends)
         self.clear(light)
         return self.value
 
     def clear(self, starts: Array | None) -> None:
-        """Take out connections that something stands in the way of."""
+        """Set blocked connections to zero; ``starts`` are their first vertices or None."""
         on_wall = np.zeros(self.n, dtype=bool)
         if starts is not None:
             np.equal(starts[:, light_kernels.SURFACE], surround.WALL, out=on_wall)
@@ -282,14 +303,15 @@ class _Block:
         self.task.job.around.clear(rays.starts, rays.ends, on_wall, self.value, rays.counts)
 
     def book(self, bounce: int) -> None:
-        """Add the present values, which land where `at` says."""
+        """Add the current values to the sums; they arrive at the detector points ``at``."""
         self._book(bounce, self.at)
 
     def book_seen(self, bounce: int) -> None:
-        """The same of values that land where `seen_at` says, of vertices seen from the lens."""
+        """Add the current values to the sums; they arrive at the detector points ``seen_at``."""
         self._book(bounce, self.seen_at)
 
     def _book(self, bounce: int, at: tuple[Array, Array]) -> None:
+        """Add the current values to the sums of ``bounce`` reflections, and find their pixels."""
         task = self.task
         kernels.book(
             self.value,
@@ -304,7 +326,7 @@ class _Block:
         )
 
     def keep(self) -> None:
-        """Keep group and pixel of the imaged share of the values just booked."""
+        """Keep group, pixel and power of the part of the last values that forms the image."""
         rows = np.flatnonzero((self.cells >= 0) & (self.imaged > 0.0))
         if len(rows):
             pixels = self.task.rows * self.task.window[3]

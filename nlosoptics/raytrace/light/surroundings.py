@@ -1,4 +1,4 @@
-"""What rays of a scene can meet, and what the scene lets a tracer leave out."""
+"""Surfaces of a scene that rays can hit, and the tests that a tracer can skip."""
 
 from __future__ import annotations
 
@@ -23,28 +23,29 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Hits = tuple[Array, NDArray[np.int8], Array, Array]
-# Shares of the light leaving the wall that are sent to the object: from the laser's spot and what
-# the lens sees, and from elsewhere. A wall that sees itself needs more of the rest. Few binary
-# digits, by which Sobol points are divided exactly.
+# Shares of the rays leaving the wall that are aimed at the object: first for the laser spot and
+# points seen from the lens, second for other points. The second row is for walls that see
+# themselves, which need more of the other rays. Binary fractions split Sobol points exactly.
 AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
 
 
 @dataclass(frozen=True, kw_only=True)
 class RayPlan:
-    """What tracing a scene takes, known before it begins; `str` says why the rest is left out.
+    """Steps needed to trace a scene, known before tracing; ``str(plan)`` gives the reasons.
 
     Parameters
     ----------
     wall_hits : {"closed form", "march", "python"}
-        How rays meet the wall.
+        Method to intersect rays with the wall.
     embree : bool
-        Whether there are triangles: a mesh as object, or occluders.
+        Whether the scene has triangles: a mesh as hidden object, or occluders.
     wall_to_wall : bool
         Whether light from the wall can meet the wall again.
     wall_shadows : bool
-        Whether the wall can stand between two of its own points, or one and the room.
+        Whether the wall can block the line between two of its points, or between the wall and a
+        point in the room.
     glossy : bool
-        Whether a lobe is narrow enough that paths are made in three ways instead of one.
+        Whether a lobe is narrow enough to require three sampling strategies instead of one.
     """
 
     wall_hits: str
@@ -61,7 +62,7 @@ class RayPlan:
                 self.embree,
                 "object and occluders hold none"
                 if not self.embree
-                else "embree finds them, float64 places the hits",
+                else "Embree finds the triangle, float64 computes the hit",
             ),
             (
                 "wall to wall",
@@ -73,16 +74,16 @@ class RayPlan:
             (
                 "wall shadows",
                 self.wall_shadows,
-                "crests may hide what is behind them"
+                "crests or the rim may block light"
                 if self.wall_shadows
-                else "the room in front of the wall is convex, or the wall is",
+                else "the wall, or the room in front of it, is convex",
             ),
             (
                 "three strategies",
                 self.glossy,
                 "a lobe is glossy"
                 if self.glossy
-                else "all lobes are wide: connecting with what the lens sees is enough",
+                else "all lobes are wide: connections to points seen from the lens suffice",
             ),
         ]
         return "\n".join(
@@ -91,17 +92,31 @@ class RayPlan:
 
 
 def ray_plan(scene: Scene) -> RayPlan:
-    """Say what tracing a scene takes: which surfaces rays must be held against, and which not.
+    """Determine which intersection tests are needed to trace a scene, and which can be skipped.
 
     Parameters
     ----------
     scene : Scene
+        Scene to trace.
+
+    Returns
+    -------
+    RayPlan
+        Needed tests; printing it shows the reasons.
 
     Notes
     -----
-    No straight line joins two points of a flat or convex wall in front of it. A hollow sphere or
-    cylinder sees itself, and as the room in front of it is a convex body, nothing of it stands
-    between two points there; its rim may hide what stands beside it.
+    A flat or convex wall cannot illuminate itself. A concave sphere or cylinder can. The room
+    inside it is convex, so that it does not block lines between points there. Its rim may block
+    lines to points outside that room. Walls of other shapes can do both.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> plan = raytrace.ray_plan(scene)
+    >>> plan.wall_hits, plan.embree, plan.wall_to_wall
+    ('closed form', False, False)
     """
     wall = scene.wall
     convex = wall.is_flat or isinstance(wall, ConvexWall)
@@ -119,9 +134,9 @@ def ray_plan(scene: Scene) -> RayPlan:
 
 
 def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
-    """Whether lens and object are inside a hollow wall, continued upward from where it is widest.
+    """Return whether lens and object lie inside the convex room of a concave wall.
 
-    That room is convex.
+    The room is the interior of the sphere or cylinder, extended toward +z from its widest level.
     """
     hidden, camera = scene.hidden, scene.camera
     thing = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
@@ -137,13 +152,14 @@ def _within_hollow(wall: ConcaveWall, scene: Scene) -> bool:
 
 
 class Surroundings:
-    """The surfaces of a scene, for blocks of rays; counts what it is asked.
+    """Intersection and occlusion tests of blocks of rays with all surfaces of a scene.
 
     Parameters
     ----------
     scene : Scene
+        Scene to trace.
     analog : bool
-        Whether light goes only where it would go.
+        Whether no rays are aimed at the object, so that directions follow the lobes alone.
     """
 
     def __init__(self, scene: Scene, *, analog: bool = False) -> None:
@@ -170,24 +186,36 @@ class Surroundings:
         on_wall: NDArray[np.bool_],
         counts: Counter[str],
     ) -> Hits:
-        """Distance, kind, normal and brightness where live rays end.
+        """Return distance, kind of surface, normal and brightness of the first hits of rays.
 
         Parameters
         ----------
         origins, directions : ndarray, (n, 3)
-            World, m; unit.
+            Starts, world, m, and unit directions.
         live : ndarray of bool, (n,)
+            Rays to trace; the others get no hit.
         on_wall : ndarray of bool, (n,)
-            Rays that leave the wall.
+            Rays that start on the wall.
         counts : Counter
-            Gets the number of rays held against each kind of surface.
+            Number of rays tested against each kind of surface; updated.
+
+        Returns
+        -------
+        distance : ndarray, (n,)
+            Distance to the hit, m; infinite without one.
+        kind : ndarray of int8, (n,)
+            Kind of surface, from ``NOTHING`` to ``LOST`` in `_surround_kernels`.
+        normal : ndarray, (n, 3)
+            Unit normal at the hit, world.
+        scale : ndarray, (n,)
+            Brightness of a planar object at the hit, else 1.
         """
         from . import _surround_kernels as kernels
 
         n = len(origins)
         distance, kind = np.full(n, math.inf), np.full(n, kernels.NOTHING, dtype=np.int8)
         normal, scale = np.zeros((n, 3)), np.ones(n)
-        # rays that leave a wall that cannot see itself need not ask for it
+        # rays that leave a wall which cannot see itself need no wall test
         asking = live
         if on_wall.any():
             leaving = live & on_wall
@@ -231,6 +259,7 @@ class Surroundings:
         kind: NDArray[np.int8],
         normal: Array,
     ) -> None:
+        """Fill in the hits on a wall of Python functions for the rays ``asking``."""
         from . import _surround_kernels as kernels
 
         rows = np.flatnonzero(asking)
@@ -240,10 +269,11 @@ class Surroundings:
         kind[met], kind[lost], distance[lost] = kernels.WALL, kernels.LOST, 0.0
 
     def settle(self, points: Array, on_wall: NDArray[np.bool_]) -> None:
-        """Put points (n, 3) that are on the wall to rounding on it to the last digit.
+        """Move points (n, 3), where ``on_wall`` (n,) is set, exactly onto the wall.
 
-        A wall that sees itself would else be missed by rays that start a little behind it: rounding
-        is that of where a ray came from, and near the origin far more than that of the height.
+        The points lie on the wall to rounding. On a wall that sees itself, rays that start slightly
+        behind it would miss it. The rounding error is relative to the distance travelled, which
+        near the origin is far larger than the height.
         """
         from . import _surround_kernels as kernels
 
@@ -260,16 +290,18 @@ class Surroundings:
         value: Array,
         counts: Counter[str],
     ) -> None:
-        """Set to zero the values of connections that something stands in the way of.
+        """Set the values of blocked connections to zero.
 
         Parameters
         ----------
         starts, ends : ndarray, (n, 3)
-            World, m.
+            Ends of the connecting lines, world, m.
         on_wall : ndarray of bool, (n,)
             Whether the start is on the wall.
         value : ndarray, (n,)
+            Powers of the connections; changed in place, values of 0 are not tested.
         counts : Counter
+            Number of rays tested against each kind of surface; updated.
         """
         from . import _surround_kernels as kernels
 
@@ -284,14 +316,14 @@ class Surroundings:
             rows = rows[~hidden]
         if len(rows) and self.plan.wall_shadows:
             counts["wall shadow"] += len(rows)
-            # from the end on the wall, as rays see it from its front alone
+            # start at the end that is on the wall, since rays hit the wall from its front only
             turned = ~on_wall[rows, None]
             near = np.where(turned, ends[rows], starts[rows])
             far = np.where(turned, starts[rows], ends[rows])
             value[rows[self._behind_wall(near, far)]] = 0.0
 
     def _behind_wall(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
-        """Whether the wall stands between two points, of which the ends may lie on it."""
+        """Return whether the wall blocks the lines between points (n, 3); ends may lie on it."""
         from . import _surround_kernels as kernels
 
         lines = ends - starts
@@ -308,7 +340,7 @@ class Surroundings:
 
 
 def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
-    """All triangles of a scene as one mesh, the object's first, and the number of those."""
+    """Return all triangles as one mesh, those of the hidden object first, and their number."""
     thing = None if isinstance(scene.hidden, PlanarObject) else scene.hidden.surface
     black = scene.occluding_mesh
     if thing is None or black is None:
@@ -321,7 +353,7 @@ def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
 
 
 def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
-    """Numbers of a scene for compiled code."""
+    """Return the data of a scene as arrays for the kernels."""
     from ._surround_kernels import World
 
     camera, laser = scene.camera, scene.laser
@@ -330,7 +362,7 @@ def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
     stop, area, baffle = -1.0, 4.0 * float(half.prod()), 0.0
     if camera.field_stop is not None:
         stop = math.cos(camera.field_stop / 2)
-        # what the baffle leaves of the detector's plane, where that is the smaller part
+        # sample the disc that the baffle leaves of the detector plane if it is smaller
         slope = math.tan(camera.field_stop / 2) if stop > 0.1 else math.inf
         if math.pi * (slope * scene.image_distance) ** 2 < area:
             area, baffle = math.pi * (slope * scene.image_distance) ** 2, slope
@@ -395,10 +427,10 @@ def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
 
 
 def _cumulative(values: Array) -> Array:
-    """Shares of the values up to each along the last axis, 0 to 1; even shares where all are 0."""
+    """Return cumulative shares along the last axis, from 0 to 1; uniform if all values are 0."""
     total = values.sum(axis=-1, keepdims=True)
     shares = np.where(total > 0.0, values, 1.0)
     sums = np.cumsum(shares, axis=-1) / shares.sum(axis=-1, keepdims=True)
     sums = np.minimum(np.insert(sums, 0, 0.0, axis=-1), 1.0)
-    sums[..., -1] = 1.0  # rounding must leave no number beyond the last
+    sums[..., -1] = 1.0  # exact, so that no random number falls beyond the last share
     return np.asarray(sums)

@@ -1,4 +1,4 @@
-"""Tracing light through a scene: laser, wall, object, wall, lens, by any number of reflections."""
+"""Monte Carlo light transport from laser to detector, with any number of reflections."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
 Given = TypeVar("Given")
-BLOCK: Final = 4096  # rays that one task traces, a multiple of the unit of the sums
-FIRST: Final = 1 << 10  # rays before the first look at the error, as well
-MOST: Final = 1 << 36
-GIVE_UP: Final = 1 << 18  # rays without any detected light after which tol cannot be meant
-MOST_BOUNCES: Final = 64
+BLOCK: Final = 4096  # rays per task; a multiple of UNIT
+FIRST: Final = 1 << 10  # rays before the first check of the error; a multiple of UNIT
+MOST: Final = 1 << 36  # largest number of rays
+GIVE_UP: Final = 1 << 18  # rays without any detected light after which tracing to tol fails
+MOST_BOUNCES: Final = 64  # largest number of reflections
 
 
 def trace(
@@ -48,54 +48,71 @@ def trace(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> RayPaths:
-    """Follow the laser's light until it is detected, absorbed or gone.
+    """Trace the laser's light by Monte Carlo until it is detected, absorbed or has escaped.
 
     Parameters
     ----------
     scene : Scene
+        Scene to trace.
     n_rays : int, optional
-        Rays to trace; with ``tol`` or ``max_seconds`` the most of them. Default 65536 when neither
-        is given.
+        Number of rays; with ``tol`` or ``max_seconds`` the largest number, 2^36 by default. The
+        default without either is 65536.
     tol : float, optional
-        Wanted relative standard error of ``flux``, 1e-6 to 1.
+        Target for the relative standard error of ``flux``, 1e-6 to 1.
     max_seconds : float, optional
-        Time after which no further rays are begun; what was reached is returned.
+        Time limit, s; the result of the rays traced by then is returned.
     max_bounces : int, default 5
-        Reflections followed, 1 to 64. Three are laser, wall, object, wall.
+        Largest number of reflections, 1 to 64. Three correspond to wall, object, wall.
     keep_paths : bool
-        Keep vertices, lengths and powers of single paths, for pictures; otherwise memory does not
-        grow with the rays. All paths of an analog trace, else the detected ones.
+        Keep vertices, lengths and powers of single paths, for example to plot them: all paths with
+        ``analog``, else the detected ones. Otherwise memory does not grow with the number of rays.
     analog : bool
-        Let light go only where it would go, with no connections to object and lens and no roulette:
-        slow, and the ledger closes to rounding.
+        Trace rays as physical light propagates, without connections to object and lens and without
+        Russian roulette. This is slow, but the ledger is balanced to rounding.
     sampler : {"sobol", "philox"}
-        Scrambled Sobol points in 32 independent groups, or independent numbers.
+        Scrambled Sobol points in 32 independent groups, or independent random numbers.
     seed : int
-        0 to 2^64 - 1. The same seed gives the same bits on any number of threads.
+        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
+        for any number of threads.
     progress : callable(str, float), optional
-        Told "rays" and the fraction done.
+        Called with ``"rays"`` and the completed fraction, 0 to 1.
 
     Returns
     -------
     RayPaths
+        Detected flux, power balance, and single paths if they were kept.
 
     Raises
     ------
     SceneError
-        If an option is out of range, something is behind the wall, or ``tol`` is wanted and no
-        light can arrive or none did.
+        If an option is out of range, a part of the scene is behind the wall, or ``tol`` is given
+        and no light reaches the detector via the hidden object.
     MemoryLimitError
         If the paths to keep would not fit in memory.
 
     Notes
     -----
-    Light leaves the wall along its lobes or toward the object, weighted by the one-sample balance
-    heuristic. Detected power is found by connecting its vertices with points of the scene that the
-    lens sees, drawn from detector and lens. Where a lobe is glossy, the lens looks a second
-    reflection far and vertices are also joined to the lens, the three strategies sharing every
-    path by the balance heuristic (Veach, Robust Monte Carlo methods for light transport simulation,
-    1997, ch. 9 and 10). From the fourth reflection on weak light ends by roulette. Standard errors
-    are those of the mean of the 32 groups.
+    This is bidirectional path tracing. At the wall, directions are drawn from its lobes or toward
+    the object and weighted by the one-sample balance heuristic. The detected power follows from
+    connecting light vertices with scene points that are seen from random points of the detector
+    and the lens. With a glossy lobe, the paths from the lens are extended by a second reflection,
+    and light vertices are also connected to the lens. The balance heuristic then weights these
+    three strategies (Veach, Robust Monte Carlo methods for light transport simulation, 1997, ch. 9
+    and 10). From the fourth reflection on, weak paths are ended by Russian roulette. Standard
+    errors are those of the mean over the 32 groups.
+
+    See Also
+    --------
+    ray_plan : Intersection tests that the scene requires.
+    trace_point : Light of a single object point, resolved by pixels.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> light = raytrace.trace(scene, n_rays=1024, max_bounces=3, seed=0)
+    >>> light.n_rays, light.stopped, light.standard_error < 0.2 * light.flux
+    (1024, 'rays', True)
     """
     from .blocks import traced
 
@@ -142,9 +159,9 @@ def trace(
                 progress("rays", min(0.99, (tol * flux / error) ** 2) if error > 0.0 else 0.0)
             if flux == 0.0 and done >= GIVE_UP:
                 raise SceneError(
-                    f"no light of {done} rays came back from the hidden object to the detector, "
-                    "and tol needs some; check camera.aim and what stands in the way, or give "
-                    "n_rays instead"
+                    f"no light of {done} rays reached the detector via the hidden object, but tol "
+                    "requires a flux above 0; check camera.aim and the occluders, or give n_rays "
+                    "instead of tol"
                 )
         goal = min(most, 2 * done)
     if progress is not None:
@@ -161,7 +178,7 @@ def job_of(
     analog: bool = False,
     keep_paths: bool = False,
 ) -> Job:
-    """Check the options that all tracing has, and prepare the scene for it."""
+    """Check the options common to all tracers, and return the prepared scene."""
     from .blocks import Job
 
     if not isinstance(scene, Scene):
@@ -184,7 +201,7 @@ def job_of(
 
 
 def _refuse_darkness(scene: Scene) -> None:
-    """Raise `SceneError` where a surface that all detected light meets is black."""
+    """Raise `SceneError` if the wall or the hidden object reflects no light at all."""
     for name, material in (
         ("wall_material", scene.wall_material),
         ("hidden.material", scene.hidden.material),
@@ -193,13 +210,18 @@ def _refuse_darkness(scene: Scene) -> None:
         if not (lobes[:, 1] * lobes[:, 3] > 0.0).any():
             raise SceneError(f"{name} reflects nothing, so no light can arrive; raise its albedo")
     if getattr(scene.hidden, "reflectance", np.ones(1)).max() == 0.0:
-        raise SceneError("hidden.image is black, so no light can arrive; give a picture")
+        raise SceneError(
+            "hidden.image is black, so no light can arrive; give an image with bright pixels"
+        )
 
 
 def in_blocks(
     work: Callable[[Given, int, int], Found], job: Given, start: int, end: int
 ) -> Iterator[Found]:
-    """What ``work`` finds for blocks of rays, in the order of the rays, on all cores."""
+    """Yield the results of ``work(job, first, end)`` for blocks of rays, computed on all cores.
+
+    The results come in the order of the rays, so that sums do not depend on the number of threads.
+    """
     parts = [(a, min(a + BLOCK, end)) for a in range(start, end, BLOCK)]
     if len(parts) == 1:
         yield work(job, *parts[0])
@@ -218,12 +240,12 @@ def in_blocks(
 
 
 def mean_of(sums: Array, rays: int) -> tuple[float, float]:
-    """Mean over the rays and its standard error, from the sums of the groups.
+    """Return the mean over the rays and its standard error, from the sums of the groups.
 
-    The error has Student's factor sqrt((g - 1)/(g - 3)) of g groups, so that deviations measured in
-    it have unit variance.
+    With g groups, the error contains the factor sqrt((g - 1)/(g - 3)) of Student's distribution.
+    Deviations divided by it then have unit variance.
     """
-    # the groups' sizes differ by one ray at most
+    # the sizes of the groups differ by at most one ray
     groups = min(rays, len(sums))
     means = sums[:groups] * (groups / rays)
     mean = math.fsum(sums) / rays
@@ -240,6 +262,7 @@ def _result(
     stopped: str,
     seconds: float,
 ) -> RayPaths:
+    """Return the means and standard errors of all sums, and the paths that were kept."""
     from . import _light_kernels as kernels
 
     rays, most = counts.pop("rays"), job.max_bounces

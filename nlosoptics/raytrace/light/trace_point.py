@@ -1,4 +1,4 @@
-"""Light of one point of the hidden object, traced by the relay wall onto the detector."""
+"""Monte Carlo tracing of the light of one object point via the relay wall to the detector."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Emission = Literal["lambertian", "isotropic"]
 EMISSIONS = ("lambertian", "isotropic")
-#: Least rays of a pixel: fewer pairs of them do not tell its standard error.
+#: Smallest number of rays per pixel; with fewer pairs of rays the standard error is unreliable.
 LEAST = 16
-#: Most of them, since those of a pixel are held at once.
+#: Largest number of rays per pixel, since all rays of a pixel are in memory at the same time.
 LARGEST = 1 << 16
-#: Sides of a wall, over the point's distance from it, up to which light goes evenly over the wall.
+#: Largest side of a wall, relative to the point's distance, that is sampled uniformly.
 WIDE = 4.0
-SPECK = 1e-9  # m, the size of what is left of the object
+SPECK = 1e-9  # m, side of the black square that replaces the hidden object
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PointTrace(Noun):
-    """Where the light of one object point lands, the point shining with 1 W.
+    """Image of one object point that emits 1 W, with the flux through the lens.
 
     Parameters
     ----------
@@ -47,20 +47,21 @@ class PointTrace(Noun):
     pitch : float
         Side of a pixel, m.
     first : (float, float)
-        Centre (x, y) of pixel [0, 0] on the detector's plane, from the camera's axis, m.
+        Centre (x, y) of pixel [0, 0] in the detector plane, relative to the optical axis, m.
     flux, flux_error : float
-        Power that the lens passes, wherever it lands, and its standard error, W.
+        Power transmitted by the lens, inside and outside the pixels, and its standard error, W.
     by_bounce, by_bounce_error : ndarray, (max_bounces + 1,)
-        ``flux`` by the number of reflections, and its standard errors, W.
+        Contributions to ``flux`` by number of reflections, and their standard errors, W.
     missed, missed_error : float
-        The part of ``flux`` that lands outside the pixels, and its standard error, W.
+        Part of ``flux`` that falls outside the pixels, and its standard error, W.
     n_rays : int
-        Rays of the flux.
+        Number of rays used for the flux.
     rays_per_pixel : int
+        Number of rays used for each pixel.
     seconds : float
         Wall-clock time.
     queries : mapping of str to int
-        How often rays were held against each kind of surface, by name.
+        Number of intersection tests by kind of surface.
     """
 
     energy: Array
@@ -84,12 +85,12 @@ class PointTrace(Noun):
 
     @property
     def x(self) -> Array:
-        """Centres of the columns, m."""
+        """Centres of the pixel columns, (nx,), m."""
         return self.first[0] + self.pitch * np.arange(self.energy.shape[1], dtype=np.float64)
 
     @property
     def y(self) -> Array:
-        """Centres of the rows, m."""
+        """Centres of the pixel rows, (ny,), m."""
         return self.first[1] + self.pitch * np.arange(self.energy.shape[0], dtype=np.float64)
 
 
@@ -107,37 +108,44 @@ def trace_point(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> PointTrace:
-    """Follow the light of one object point by the wall to the detector.
+    """Trace the light of one object point via the wall to the detector pixels.
 
     Parameters
     ----------
     scene : Scene
+        Scene to trace; its laser is not used.
     object_point : array_like, (3,), optional
-        World, m; by default the hidden object's reference point.
+        Emitting point, world, m; by default the hidden object's reference point.
     emission : {"lambertian", "isotropic"}
-        How 1 W leaves the point: about the picture's normal (a mesh's points shine along -z), or
-        alike into all directions.
+        Angular distribution of the 1 W that the point emits: Lambertian about the normal of the
+        hidden image (-z for a mesh), or equal in all directions.
     mirror_image : bool
-        Whether to count what one reflection by the wall's mirror-like lobes sends to the lens. It
-        makes the point's mirror image, which `psf.hybrid_point_spread` takes from waves instead.
+        Whether to include light that reaches the lens by one reflection at the wall's mirror-like
+        lobes. It forms the mirror image of the point. `psf.hybrid_point_spread` excludes it here
+        and computes it from waves.
     pitch : float, optional
-        Side of a pixel, m; the camera's image pixel by default.
+        Side of a pixel, m; by default that of the camera's image pixels.
     shape : (int, int), optional
-        Pixels (ny, nx); by default the camera's.
+        Number of pixels (ny, nx); by default the camera's.
     first : (float, float), optional
-        Centre (x, y) of pixel [0, 0], m; by default the pixels are centred on the camera's axis.
+        Centre (x, y) of pixel [0, 0] in the detector plane, m; by default the pixels are centred
+        on the optical axis.
     n_rays : int
-        Rays for the flux, and for the pixels together; a pixel gets 16 to 65536 of its own.
+        Number of rays for the flux, and again for all pixels together; each pixel gets at least
+        16 and at most 65536.
     max_bounces : int
-        Reflections by the wall, 1 to 64; further ones occur on walls that see themselves alone.
+        Largest number of reflections at the wall, 1 to 64. More than one occur only on walls that
+        see themselves.
     seed : int
-        0 to 2^64 - 1. The same seed gives the same bits on any number of threads.
+        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
+        for any number of threads.
     progress : callable(str, float), optional
-        Told "flux" or "pixels" and the fraction done.
+        Called with ``"flux"`` or ``"pixels"`` and the completed fraction, 0 to 1.
 
     Returns
     -------
     PointTrace
+        Power per pixel and flux, with standard errors.
 
     Raises
     ------
@@ -148,19 +156,30 @@ def trace_point(
 
     Notes
     -----
-    For the flux, vertices of the light, evenly over a wall that is not too wide, are joined to
-    points of the lens; where a lobe is glossy,
-    half of the light is aimed at where the wall shows the point, and walks that find the lens share
-    the paths by the balance heuristic (Veach 1997, ch. 9). Smooth mirrors have rays of their own,
-    aimed at their image. What one reflection by mirror-like lobes brings reaches the pixels from
-    there. For all else every pixel has rays of its own, from the lens to what the pixel sees, which
-    are joined to the point and to vertices of its light. Behind the thin lens light lands where its
-    ray meets the plane in focus, drawn back through the lens's centre, so a wall out of focus is
-    blurred. The hidden object itself is not in the way. Light that meets smooth mirrors alone, two
-    or more of them, is found by chance, on walls that see themselves; where one of them is glossy,
-    single pixels are far noisier than the rest. Rays of a pixel go evenly over what it sees: of a
-    point much nearer to the wall than a pixel is wide there, they may find no light at all and no
-    error either, which the sum of ``energy`` and ``missed`` far below ``flux`` tells.
+    Flux: light vertices are spread uniformly over the wall (over a wide wall, as the point emits)
+    and connected to points of the lens. With a glossy lobe, half of the rays are aimed at the part
+    of the wall in which the lens sees the point mirrored. The balance heuristic then weights the
+    connections and the rays that reach the lens by scattering (Veach 1997, ch. 9). Smooth mirrors
+    get additional rays, aimed at their mirror image.
+
+    Pixels: light of one reflection at mirror-like lobes is taken from the rays of the flux. For all
+    other light, each pixel has its own rays from the lens into its field of view. They are
+    connected to the point and to vertices of its light. A wall out of focus is blurred: the point
+    where a ray meets the plane in focus is projected through the centre of the lens.
+
+    Limits: the hidden object does not block light. On walls that see themselves, paths over two or
+    more mirror-like reflections are found by chance; if one of the lobes is glossy rather than
+    smooth, single pixels are far noisier than the others. If the point is much closer to the wall
+    than the width of a pixel there, the rays of a pixel may miss its light and report no error. The
+    sum of ``energy`` and ``missed`` is then far below ``flux``.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> image = raytrace.trace_point(scene, pitch=4e-3, shape=(3, 3), n_rays=1024, seed=0)
+    >>> image.energy.shape, image.rays_per_pixel, image.y.round(6).tolist()
+    ((3, 3), 112, [-0.004, 0.0, 0.004])
     """
     from .point_blocks import Task, flux_of, pixels_of
 
@@ -196,7 +215,7 @@ def trace_point(
             progress("flux", min(1.0, counts["rays"] / n_rays))
     energy, variance = np.zeros(ny * nx), np.zeros(ny * nx)
     done, number = 0, job.sampler
-    # Sobol points would give neighbours the same errors
+    # with Sobol points the errors of neighbouring pixels would be correlated
     alike = replace(job, sampler=(number[0], number[1][:, :0], number[2][:, :0]))
     for mean, square, asked in in_blocks(pixels_of, replace(task, job=alike), 0, ny * nx):
         energy[done : done + len(mean)], variance[done : done + len(mean)] = mean, square
@@ -204,7 +223,7 @@ def trace_point(
         counts += asked
         if progress is not None:
             progress("pixels", done / (ny * nx))
-    if landed.any():  # mirror images are a rare sight for pixels, so walks bring them
+    if landed.any():  # the rays of a pixel rarely find mirror images; the rays of the flux do
         mean, spread = _mean_map(landed.reshape(GROUPS, -1), n_rays)
         energy += mean
         variance += spread
@@ -213,21 +232,33 @@ def trace_point(
 
 
 def _mean_map(landed: Array, n_rays: int) -> tuple[Array, Array]:
-    """Mean of what rays bring to pixels, by groups (groups, n), and its variance as `mean_of`."""
+    """Return the mean power per pixel and its variance from the sums of groups, (groups, n).
+
+    The variance contains Student's factor as in `mean_of`.
+    """
     groups = min(n_rays, GROUPS)
     mean, spread = landed.sum(axis=0) / n_rays, np.zeros(landed.shape[1])
-    for one in landed[:groups]:  # not all at once, which would hold the groups four times
+    for one in landed[:groups]:  # one at a time, which needs a quarter of the memory
         spread += (one * (groups / n_rays) - mean) ** 2
     return mean, spread / (groups * (groups - 3)) if groups > 3 else np.full_like(mean, np.inf)
 
 
 def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
-    """The scene of one object point: a black speck there instead of the object, the focus kept.
+    """Return the scene with a tiny black square at the object point as its hidden object.
+
+    The camera keeps its focus distance.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with any hidden object.
+    object_point : array_like, (3,), or None
+        Object point, world, m; None for the hidden object's reference point.
 
     Raises
     ------
     SceneError
-        If the scene is none, or the point is not finite or behind the wall.
+        If ``scene`` is no `Scene`, or the point is not finite or behind the wall.
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
@@ -250,14 +281,23 @@ def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
 
 
 def point_normal(scene: Scene) -> Array:
-    """Direction about which a point of the object shines: the picture's normal, a mesh's -z."""
+    """Return the axis of a point's emission, (3,): the normal of the hidden image, -z for a mesh.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the hidden object.
+    """
     if isinstance(scene.hidden, PlanarObject):
         return np.array(scene.hidden.axes[2])
     return np.array([0.0, 0.0, -1.0])
 
 
 def _whole(scene: Scene) -> Array:
-    """Rectangle of a wall that is small enough to be lit evenly, else one of no width."""
+    """Return the rectangle of the wall (low x, low y, width, height), m, to sample uniformly.
+
+    All zero for a wall too wide for that.
+    """
     size, distance = scene.wall.size, float(scene.object_point[2])
     if size is None or max(size) > WIDE * distance:
         return np.zeros(4)
@@ -265,9 +305,10 @@ def _whole(scene: Scene) -> Array:
 
 
 def _boxes(scene: Scene) -> tuple[Array, Array]:
-    """Where the wall shows the point to the lens, by smooth mirrors and by glossy lobes.
+    """Return the rectangles of the wall in which the lens sees the point mirrored.
 
-    Rectangles (low x, low y, width, height), m; of no width without such a lobe or such an image.
+    The first is for smooth mirrors, the second for glossy mirror-like lobes. Each holds (low x,
+    low y, width, height), m, and is all zero without such a lobe or mirror image.
     """
     slopes = [lobe.slope_rms for lobe in scene.wall_material.mirror_lobes]
     none = np.zeros(4)
@@ -275,11 +316,11 @@ def _boxes(scene: Scene) -> tuple[Array, Array]:
         return none, none
     try:
         lit = lens_footprint(scene.wall, scene.object_point, scene.camera)
-    except SceneError:  # no image; the light finds the wall by itself
+    except SceneError:  # no mirror image to aim at
         return none, none
     middle = lit.points.mean(axis=0)
     legs = [float(np.linalg.norm(p - middle)) for p in (scene.object_point, scene.camera.position)]
-    # facets three standard deviations off send light this far along the wall
+    # a facet slope of three standard deviations shifts the reflection point by this length, m
     reach = 6.0 * max(slopes) * legs[0] * legs[1] / sum(legs)
     boxes = [none, none]
     for k, (wanted, more) in enumerate(((min(slopes) == 0.0, 0.0), (reach > 0.0, reach))):
@@ -298,7 +339,7 @@ def _window(
     shape: tuple[int, int] | None,
     first: tuple[float, float] | None,
 ) -> tuple[float, tuple[int, int], tuple[float, float]]:
-    """Checked pitch, shape and centre of the first pixel."""
+    """Return pixel pitch, shape and centre of the first pixel, checked and with defaults."""
     camera = scene.camera
     pitch = camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     given = camera.shape if shape is None else shape
@@ -323,6 +364,7 @@ def _result(
     seconds: float,
     counts: Counter[str],
 ) -> PointTrace:
+    """Return the result with means and standard errors of all sums."""
     most = task.job.max_bounces
     low_x, low_y, pitch, columns = task.window
     bounces = [mean_of(total[:, k], n_rays) for k in range(most + 1)]

@@ -1,4 +1,4 @@
-"""Scene files: TOML whose lengths, times, powers and angles carry their unit."""
+"""Scene files: TOML in which lengths, times, rates, powers and angles carry their units."""
 
 from .scene_file import read_scene, save_scene
 from .schema import scene_schema

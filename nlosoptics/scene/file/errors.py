@@ -1,4 +1,4 @@
-"""One-line messages for what is wrong in a scene file: key, value, limit and remedy."""
+"""One-line messages about faults in a scene file: key, value, limit and remedy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .text import toml_value
 
 @contextmanager
 def located(place: str, inner: str = "") -> Iterator[None]:
-    """Put ``place`` before the message of an `NlosError`, instead of ``inner``."""
+    """Prefix the message of an `NlosError` with ``place``, which replaces the prefix ``inner``."""
     try:
         yield
     except NlosError as error:
@@ -25,7 +25,13 @@ def located(place: str, inner: str = "") -> Iterator[None]:
 
 
 def validated(model: Any, raw: dict[str, Any]) -> Any:
-    """Read ``raw`` as ``model``; its first problem becomes a `SceneError`."""
+    """Return ``raw`` validated as the pydantic class ``model``.
+
+    Raises
+    ------
+    SceneError
+        For the first problem, in one line.
+    """
     try:
         return model.model_validate(raw)
     except ValidationError as error:
@@ -33,13 +39,17 @@ def validated(model: Any, raw: dict[str, Any]) -> Any:
 
 
 def _first_problem(error: ValidationError, model: Any) -> str:
-    """One line for the first problem: a misspelt key before what it leaves missing."""
+    """Return one line about the first problem and the number of the others.
+
+    An unknown key comes first: if a required key is misspelt, that explains the missing one.
+    """
     problems = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
     return _problem(problems[0], model) + more
 
 
 def _problem(problem: Any, model: Any) -> str:
+    """Return the message for one problem that pydantic found."""
     location, kind = problem["loc"], problem["type"]
     owner = model
     for element in location[:-1]:
@@ -66,6 +76,7 @@ def _problem(problem: Any, model: Any) -> str:
 
 
 def _unknown_key(name: str, key: str, value: str, owner: Any) -> str:
+    """Return the message for a key that the table ``owner`` does not have."""
     known = list(owner.model_fields)
     near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
     hint = f"did you mean {near[0]}?" if near else f"the keys here are {', '.join(known)}"
@@ -73,7 +84,7 @@ def _unknown_key(name: str, key: str, value: str, owner: Any) -> str:
 
 
 def missing_key(name: str, key: str, *, top: bool = False) -> str:
-    """Message for a key, or at the top a table, that is not there."""
+    """Return the message for a missing key, or with ``top`` for a missing table."""
     if top:
         return f"the table [{name}] is missing; add it with its keys"
     example = tables.example(name.partition(".")[0], key)
@@ -81,9 +92,9 @@ def missing_key(name: str, key: str, *, top: bool = False) -> str:
 
 
 def _unknown_choice(name: str, section: str, value: Any) -> str:
-    """Message for a table whose deciding key is absent or unknown."""
+    """Return the message for a table whose kind is unclear: its shape, lobe, image or mesh."""
     if section == "hidden" and "material" not in name:
-        return "hidden.mesh stands beside hidden.image, limit is one of them; remove the other"
+        return "hidden.mesh and hidden.image are both given, limit is one of them; remove the other"
     key, choices = ("lobe", tables.LOBES) if "material" in name else ("shape", tables.SHAPES)
     if not isinstance(value, dict):
         return f"{name} = {_shown(value)} is not a table; write [{name}] and its keys below"
@@ -96,5 +107,6 @@ def _unknown_choice(name: str, section: str, value: Any) -> str:
 
 
 def _shown(value: Any) -> str:
+    """Return a value as JSON of at most 60 characters; a table as ``{...}``."""
     text = "{...}" if isinstance(value, dict) else json.dumps(value, default=str)
     return text if len(text) <= 60 else text[:57] + "..."

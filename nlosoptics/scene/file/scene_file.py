@@ -1,9 +1,9 @@
-"""Scene files: TOML whose lengths, times, powers and angles carry their unit.
+"""Scene files: TOML in which lengths, times, rates, powers and angles carry their units.
 
-A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``, and any number of
-``[[occluder]]``, and may have ``[transient]``; ``[wall.material]`` and ``[hidden.material]`` are
-one lobe, or with double brackets a sum of lobes. ``[camera]`` may name a ``file`` with a camera
-table, whose keys it may override. Paths are relative to the file that they stand in.
+A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``. It may have
+``[transient]`` and any number of ``[[occluder]]``. ``[wall.material]`` and ``[hidden.material]``
+are one lobe; with double brackets they are a sum of lobes. ``[camera]`` may name another ``file``
+with a camera table and override its keys. Paths are relative to the file that contains them.
 """
 
 from __future__ import annotations
@@ -40,27 +40,30 @@ _ALTERNATIVES = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"
 
 
 def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
-    """Read a scene file, and open the pictures and meshes that it names.
+    """Read a scene file, and open the images and meshes that it names.
 
     Parameters
     ----------
     path : str or Path
         TOML file.
     scene : callable
-        Called with laser, wall, hidden object, camera and occluders, and the optional keywords
-        ``wall_material`` and ``transient``; `Scene`, which is above this file in the import order.
+        The class `Scene`, passed in because this module must not import it. It is called with
+        laser, wall, hidden object, camera and occluders, and with the optional keywords
+        ``wall_material`` and ``transient``.
 
     Returns
     -------
     Scene
-        Whatever ``scene`` returns.
+        Result of ``scene``.
 
     Raises
     ------
     SceneError
-        In one line that names file, key, value, limit and remedy.
-    SamplingError, MemoryLimitError
-        The same, if the pitch of a random wall is too coarse or too fine.
+        If a file, key or value is wrong. One line names file, key, value, limit and remedy.
+    SamplingError
+        If the pitch of a random wall is too coarse for its correlation length.
+    MemoryLimitError
+        If the pitch of a random wall is so fine that its heights would not fit in memory.
     """
     path = Path(path)
     folder = path.parent
@@ -87,24 +90,26 @@ def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
 
 
 def save_scene(scene: Any, path: str | Path) -> None:
-    """Write a scene file that `Scene.load` reads back to a scene of the same numbers.
+    """Write a scene file that `Scene.load` reads back without any change of values.
 
-    Pictures, heights and meshes that came from files stay where they are; the scene file names them
-    relative to its own folder. Those in memory, and those whose file is gone or was changed, are
-    written next to it without loss, under its name and their key, such as ``room_hidden_image.png``
-    (``.npy`` where a picture's values are no 8- or 16-bit levels), ``room_wall_heights.npy`` and
-    ``room_wall_mesh.ply``. All files appear complete or not at all.
+    Images, heights and meshes that came from files are not copied; the scene file refers to them by
+    paths relative to its own folder. Those in memory, and those whose file is missing or was
+    changed, are written losslessly next to the scene file. Their names consist of its stem and
+    their key, for ``room.toml``: ``room_hidden_image.png`` (``.npy`` if the values are no 8- or
+    16-bit levels), ``room_wall_heights.npy`` and ``room_wall_mesh.ply``. If writing fails, no
+    incomplete file is left behind.
 
     Parameters
     ----------
     scene : Scene
+        Scene to write.
     path : str or Path
-        Where to write; existing files of these names are replaced.
+        File to write; existing files of these names are replaced.
 
     Raises
     ------
     SceneError
-        If the folder does not exist, or a wall or material has no form in a scene file.
+        If the folder does not exist, or a wall or material cannot be written in a scene file.
     """
     path = Path(path)
     if path.is_dir():
@@ -115,6 +120,7 @@ def save_scene(scene: Any, path: str | Path) -> None:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    """Return the tables of a TOML file; raise `SceneError` if it cannot be read."""
     if not path.is_file():
         what = "a folder" if path.is_dir() else "missing"
         raise SceneError(f"{path}: the scene file is {what}; give the path of a TOML file")
@@ -125,24 +131,25 @@ def _read(path: Path) -> dict[str, Any]:
             f"{path}: byte {error.start} is not UTF-8 text; give a TOML file"
         ) from None
     except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{path}: not TOML: {error}; mend that line") from None
+        raise SceneError(f"{path}: not TOML: {error}; correct that line") from None
     except OSError as error:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); check the file") from None
 
 
 def _given(table: Any, *without: str) -> dict[str, Any]:
-    """Keys that the file sets; the dataclasses' defaults stand for the others."""
+    """Return the keys that the file sets; the others get the defaults of the dataclasses."""
     return {name: getattr(table, name) for name in table.model_fields_set if name not in without}
 
 
 def _laser(table: _file_tables.LaserTable) -> Laser:
+    """Return the laser, with its position from distance and incidence if these are given."""
     values = _given(table, "distance", "incidence", "azimuth")
     polar = [name for name in ("distance", "incidence") if name in table.model_fields_set]
     if table.position is not None:
         if polar or table.azimuth is not None:
             raise SceneError(
-                f"laser.{(*polar, 'azimuth')[0]} stands beside laser.position; give position, or "
-                "distance and incidence"
+                f"laser.{(*polar, 'azimuth')[0]} and laser.position are both given; give position, "
+                "or distance and incidence"
             )
         return Laser(**values)
     if table.distance is None or table.incidence is None:
@@ -170,6 +177,7 @@ def _laser(table: _file_tables.LaserTable) -> Laser:
 
 
 def _wall(table: Any, folder: Path) -> Wall:
+    """Return the wall of a table; paths in it are relative to ``folder``."""
     values = _given(table, "shape", "material")
     if table.shape == "mesh":
         return MeshWall(_resolved(folder, values.pop("mesh")), **values)
@@ -189,16 +197,19 @@ def _wall(table: Any, folder: Path) -> Wall:
 
 
 def _terms(tables: list[Any], folder: Path) -> Iterator[Wall]:
+    """Yield the summands of a wall."""
     for index, table in enumerate(tables):
         if table.material is not None:
             raise SceneError(
-                f"wall.terms[{index}].material stands in a summand; move it to wall.material"
+                f"wall.terms[{index}].material belongs to a summand, which has no material of its "
+                "own; move it to wall.material"
             )
         with located(f"wall.terms[{index}].", "wall."):
             yield _wall(table, folder)
 
 
 def _hidden(table: Any, folder: Path) -> PlanarObject | MeshObject:
+    """Return the hidden object of a table."""
     values = _given(table, "material")
     if table.material is not None:
         values["material"] = _material("hidden.material", table.material)
@@ -208,6 +219,7 @@ def _hidden(table: Any, folder: Path) -> PlanarObject | MeshObject:
 
 
 def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> Iterator[Occluder]:
+    """Yield the occluders of a scene file."""
     for index, table in enumerate(tables):
         values = _given(table)
         mesh = _resolved(folder, values.pop("mesh"))
@@ -216,10 +228,12 @@ def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> Iterat
 
 
 def _resolved(folder: Path, name: str) -> Path:
+    """Return the absolute path of a file named relative to ``folder``."""
     return (folder / name).resolve()
 
 
 def _material(name: str, table: Any) -> Material:
+    """Return the material of one lobe table or of a list of them; ``name`` is its key."""
     if isinstance(table, list):
         parts = [_lobe(f"{name}[{index}].", lobe) for index, lobe in enumerate(table)]
         with located(f"{name}: "):
@@ -228,6 +242,7 @@ def _material(name: str, table: Any) -> Material:
 
 
 def _lobe(place: str, table: Any) -> Material:
+    """Return the material of one lobe table; errors are prefixed with ``place``."""
     kinds: dict[str, type[Material]] = {
         "lambert": Lambert,
         "oren_nayar": OrenNayar,
@@ -242,13 +257,23 @@ def _lobe(place: str, table: Any) -> Material:
 def _camera_values(
     path: Path, table: _file_tables.CameraTable, seen: tuple[Path, ...]
 ) -> dict[str, Any]:
-    """Keys of a camera table over those of the file that it starts from."""
+    """Return the keys of a camera table merged over those of the file that it names.
+
+    Parameters
+    ----------
+    path : Path
+        File that contains the table.
+    table : CameraTable
+        Camera table, maybe with a ``file``.
+    seen : tuple of Path
+        Files read so far, to find a circular reference.
+    """
     own = _given(table, "file")
     for pair in _ALTERNATIVES:
         if all(name in own for name in pair):
             raise SceneError(
-                f"{path}: camera.{pair[1]} stands beside camera.{pair[0]}, limit is one of them; "
-                "remove the other"
+                f"{path}: camera.{pair[1]} and camera.{pair[0]} are both given, limit is one of "
+                "them; remove the other"
             )
     if table.file is None:
         return own
@@ -271,7 +296,7 @@ def _camera_values(
 
 
 def _camera(values: dict[str, Any]) -> Camera:
-    """Turn field of view and F-number into focal length and stop."""
+    """Return the camera, with field of view and F-number converted to focal length and stop."""
     for name in ("position", "aim"):
         if name not in values:
             raise SceneError(missing_key(f"camera.{name}", name))
@@ -297,7 +322,7 @@ def _camera(values: dict[str, Any]) -> Camera:
 
 
 def _open_files(scene: Any) -> None:
-    """Meet missing and broken files now, before anything is computed."""
+    """Open all files of the scene, so that a missing or broken one is reported at once."""
     hidden, wall = scene.hidden, scene.wall
     _ = hidden.surface if isinstance(hidden, MeshObject) else hidden.reflectance
     if isinstance(wall, MeshWall):

@@ -1,4 +1,4 @@
-"""JSON schema of scene files, with the notes of the dataclasses' docstrings."""
+"""JSON schema of scene files, with descriptions from the docstrings of the dataclasses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,13 @@ from . import tables
 
 
 def scene_schema() -> dict[str, Any]:
-    """JSON schema of scene files, for editors that complete and check TOML."""
+    """Return the JSON schema of scene files, for editors that complete and check TOML.
+
+    Returns
+    -------
+    dict
+        Schema after draft 2020-12, with a description and an example of every key.
+    """
     schema = tables.SceneFile.model_json_schema()
     documented: dict[str, Any] = {
         "LaserTable": Laser,
@@ -54,7 +60,7 @@ def scene_schema() -> dict[str, Any]:
 
 
 def _parameter_notes(docstring: str) -> dict[str, str]:
-    """First words on each parameter of a numpydoc docstring."""
+    """Return the description of each parameter of a numpydoc docstring, in one line."""
     notes: dict[str, str] = {}
     names: list[str] = []
     _, _, section = docstring.partition("Parameters\n----------\n")
@@ -70,7 +76,7 @@ def _parameter_notes(docstring: str) -> dict[str, str]:
 
 
 def _tidy(key: str, schema: dict[str, Any], notes: dict[str, str], section: str = "") -> None:
-    """Drop nulls, which TOML has not, and add the notes and the example of ``key``."""
+    """Remove null types, which TOML does not have, and add description and example of ``key``."""
     schema.pop("title", None)
     if "default" in schema and schema["default"] is None:
         del schema["default"]

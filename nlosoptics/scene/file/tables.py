@@ -1,6 +1,6 @@
-"""The tables of a scene file, as pydantic models: which keys there are and how each is written.
+"""Tables of a scene file as pydantic models: their keys and the form of each value.
 
-Limits are checked by the dataclasses that the tables become; defaults are theirs as well.
+The dataclasses built from the tables check the limits and hold the defaults.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .units import ANGLE, LENGTH, POWER, RATE, TIME, Kind, parse, written
 
 Pair = tuple[float, float]
 
-#: One right way of writing each key, shown by errors and editors.
+#: A valid value of each key, shown by errors and editors.
 EXAMPLES: dict[str, Any] = {
     "wavelength": "632.8 nm",
     "power": "5 mW",
@@ -99,12 +99,12 @@ EXAMPLES: dict[str, Any] = {
 
 
 def example(section: str, key: str) -> Any:
-    """One right way of writing ``key`` in the table ``section``; None for a key without one."""
+    """Return a valid value of ``key`` in the table ``section``; None for an unknown key."""
     return EXAMPLES.get(f"{section}.{key}", EXAMPLES.get(key))
 
 
-# What tells tables apart, and the tags of their classes. Tags hold a colon, so that an element of
-# a pydantic location is either a key or a tag.
+# Values of the keys that decide the kind of a table, with the tags of their classes. Tags contain a
+# colon, so that they cannot be confused with keys in a pydantic error location.
 LOBES = {name: f"lobe:{name}" for name in ("lambert", "oren_nayar", "specular", "ward")}
 SHAPES = {
     "flat": "wall:flat",
@@ -121,6 +121,7 @@ SHAPES = {
 
 
 def _string(kind: Kind) -> dict[str, Any]:
+    """Return the JSON schema of a quantity with its unit."""
     return {
         "type": "string",
         "pattern": r"^\s*[+-]?(\d[\d_]*\.?\d*|\.\d+)([eE][+-]?\d+)?\s*[^\d\s].*$",
@@ -129,6 +130,7 @@ def _string(kind: Kind) -> dict[str, Any]:
 
 
 def _quantity(kind: Kind) -> Any:
+    """Return the pydantic annotations of a quantity: validator, serializer and schema."""
     return (
         PlainValidator(lambda text: parse(text, kind)),
         PlainSerializer(lambda value: written(value, kind)),
@@ -137,6 +139,7 @@ def _quantity(kind: Kind) -> Any:
 
 
 def _several(text: object, count: int) -> tuple[float, ...]:
+    """Return a list of ``count`` lengths in m."""
     if not isinstance(text, list):
         raise ValueError("is not a list")
     if len(text) != count:
@@ -145,16 +148,19 @@ def _several(text: object, count: int) -> tuple[float, ...]:
 
 
 def _parse_size(text: object) -> Any:
+    """Return one length, or a pair of them, in m."""
     return _several(text, 2) if isinstance(text, list) else parse(text, LENGTH)
 
 
 def _write_lengths(value: Any) -> Any:
+    """Return one length, or a list of them, as text."""
     if isinstance(value, float):
         return written(value, LENGTH)
     return [written(component, LENGTH) for component in value]
 
 
 def _array(count: int) -> dict[str, Any]:
+    """Return the JSON schema of a list of ``count`` lengths."""
     return {"type": "array", "items": _string(LENGTH), "minItems": count, "maxItems": count}
 
 
@@ -178,7 +184,7 @@ SizeText = Annotated[
 
 
 class Table(BaseModel):
-    """A table of the file: unknown keys are errors, numbers are not read from strings."""
+    """Base class of tables: unknown keys are errors, and strings are not read as numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
@@ -210,7 +216,7 @@ class SpecularTable(Table):
 
 
 class WardTable(Table):
-    """Lobe of Ward's about the mirror direction."""
+    """Ward lobe about the mirror direction."""
 
     lobe: Literal["ward"]
     albedo: float
@@ -219,9 +225,10 @@ class WardTable(Table):
 
 
 def _choose(key: str, tables: dict[str, str]) -> Discriminator:
-    """Tell tables apart by the value of ``key``; ``tables`` maps values to tags."""
+    """Return a discriminator of tables by the value of ``key``; ``tables`` maps values to tags."""
 
     def tag(table: Any) -> str | None:
+        """Return the tag of a table's class; None if the key is missing or unknown."""
         value = table.get(key) if isinstance(table, dict) else getattr(table, key, None)
         return tables.get(value) if isinstance(value, str) else None
 
@@ -235,7 +242,7 @@ LobeTable = Annotated[
     | Annotated[WardTable, Tag("lobe:ward")],
     _choose("lobe", LOBES),
 ]
-#: One table is a lobe by itself, an array of tables is their sum.
+#: A single table is one lobe; an array of tables is a sum of lobes.
 MaterialTable = Annotated[
     Annotated[LobeTable, Tag("material:one")]
     | Annotated[list[LobeTable], Tag("material:sum"), Field(min_length=1)],
@@ -244,20 +251,24 @@ MaterialTable = Annotated[
 
 
 class LaserTable(Table):
-    """The laser; ``distance`` and ``incidence`` from ``aim`` may stand for ``position``."""
+    """Laser; ``distance`` and ``incidence`` as seen from ``aim`` may replace ``position``."""
 
     wavelength: LengthText
     power: PowerText
     beam_diameter: LengthText
     aim: VectorText | None = None
     position: VectorText | None = None
-    distance: LengthText | None = Field(None, description="from aim to where the beam starts")
+    distance: LengthText | None = Field(None, description="from aim to the start of the beam")
     incidence: AngleText | None = Field(None, description="between the beam and the wall's normal")
-    azimuth: AngleText | None = Field(None, description="of the beam's start, from +x toward +y")
+    azimuth: AngleText | None = Field(
+        None, description="direction from aim to the start of the beam, from +x toward +y"
+    )
     independent_patterns: int | None = None
 
 
 class _WallTable(Table):
+    """Keys common to most walls."""
+
     shape: str
     size: SizeText | None = None
     material: MaterialTable | None = None
@@ -285,7 +296,7 @@ class CylinderTable(_WallTable):
 
 
 class WavyTable(_WallTable):
-    """Wall with a sinusoidal wave."""
+    """Wall with a one-dimensional cosine wave."""
 
     shape: Literal["wavy"]
     amplitude: LengthText
@@ -295,14 +306,14 @@ class WavyTable(_WallTable):
 
 
 class SumTable(_WallTable):
-    """Wall whose height is the sum of several."""
+    """Wall whose height is the sum of several heights."""
 
     shape: Literal["sum"]
     terms: list[WallTable] = Field(min_length=1)
 
 
 class MeshWallTable(Table):
-    """Wall from a mesh file; its size is the mesh's."""
+    """Wall from a mesh file, which also determines its size."""
 
     shape: Literal["mesh"]
     mesh: str
@@ -311,7 +322,7 @@ class MeshWallTable(Table):
 
 
 class HeightMapTable(_WallTable):
-    """Wall through heights on a grid, m, in an .npy file."""
+    """Wall through heights on a grid, read from an .npy file in m."""
 
     shape: Literal["height_map"]
     heights: str
@@ -319,7 +330,7 @@ class HeightMapTable(_WallTable):
 
 
 class RandomTable(Table):
-    """Wall through heights drawn at random."""
+    """Wall with random heights."""
 
     shape: Literal["random"]
     height_rms: LengthText
@@ -345,6 +356,8 @@ WallTable = Annotated[
 
 
 class _HiddenTable(Table):
+    """Keys common to hidden objects."""
+
     position: VectorText
     yaw: AngleText | None = None
     pitch: AngleText | None = None
@@ -353,20 +366,21 @@ class _HiddenTable(Table):
 
 
 class PictureTable(_HiddenTable):
-    """Hidden picture on a plane."""
+    """Hidden image on a plane."""
 
     image: str
     size: SizeText
 
 
 class MeshObjectTable(_HiddenTable):
-    """Hidden mesh."""
+    """Hidden triangle mesh."""
 
     mesh: str
     scale: float | None = None
 
 
 def _hidden_tag(table: Any) -> str:
+    """Return the tag of a hidden object's table, decided by the keys image and mesh."""
     if isinstance(table, MeshObjectTable):
         return "hidden:mesh"
     if isinstance(table, dict) and "mesh" in table:
@@ -375,7 +389,7 @@ def _hidden_tag(table: Any) -> str:
 
 
 class OccluderTable(Table):
-    """A black mesh that blocks light."""
+    """Black mesh that blocks light."""
 
     mesh: str
     scale: float | None = None
@@ -392,21 +406,21 @@ HiddenTable = Annotated[
 
 
 class CameraTable(Table):
-    """The camera; keys of the table that ``file`` names are taken over and may be overridden."""
+    """Camera; it takes the keys of the table in ``file`` and may override them."""
 
-    file: str | None = Field(None, description="file whose [camera] table this one starts from")
+    file: str | None = Field(None, description="file with a [camera] table that supplies defaults")
     position: VectorText | None = None
     aim: VectorText | None = None
     focal_length: LengthText | None = None
     field_of_view: AngleText | None = Field(
-        None, description="full angle across sensor_width; stands for focal_length"
+        None, description="full angle across sensor_width; replaces focal_length"
     )
     sensor_width: LengthText | None = Field(
-        None, description="width that field_of_view spans; default pixels[0] pixel_pitch"
+        None, description="width spanned by field_of_view; default pixels[0] * pixel_pitch"
     )
     stop_diameter: LengthText | None = None
     f_number: float | None = Field(
-        None, description="focal_length / stop_diameter; stands for stop_diameter"
+        None, description="focal_length / stop_diameter; replaces stop_diameter"
     )
     pixel_pitch: LengthText | None = None
     pixels: list[int] | None = Field(None, min_length=2, max_length=2)
@@ -424,13 +438,13 @@ class CameraTable(Table):
 
 
 class CameraFile(Table):
-    """A file that holds a camera alone."""
+    """File that contains only a camera."""
 
     camera: CameraTable
 
 
 class TransientTable(Table):
-    """How light is taken over time; times are lengths of optical path."""
+    """Time-resolved capture; times are lengths of optical path."""
 
     side: LengthText
     count: int
@@ -446,7 +460,7 @@ class TransientTable(Table):
 
 
 class SceneFile(Table):
-    """A scene file."""
+    """Scene file."""
 
     laser: LaserTable
     wall: WallTable
@@ -458,7 +472,7 @@ class SceneFile(Table):
 
 SumTable.model_rebuild()
 
-#: Tables by the element of a pydantic location that leads to them.
+#: Table class for each element of a pydantic error location.
 OWNERS: dict[str, type[Table]] = {
     "laser": LaserTable,
     "camera": CameraTable,
@@ -479,5 +493,5 @@ OWNERS: dict[str, type[Table]] = {
     "hidden:picture": PictureTable,
     "hidden:mesh": MeshObjectTable,
 }
-#: Elements of a pydantic location that stand for no key.
+#: Elements of a pydantic error location that are not keys.
 TAGS = {*OWNERS, "material:one", "material:sum"} - {"laser", "camera", "occluder", "transient"}

@@ -1,4 +1,4 @@
-"""Scenes into the text of scene files, in SI units."""
+"""Conversion of scenes to the text of scene files, in SI units."""
 
 from __future__ import annotations
 
@@ -21,29 +21,32 @@ from ..walls.height_maps import HeightMapWall
 from ..walls.mesh_walls import MeshWall
 from . import tables as _file_tables
 
-#: Name in the text of the file of a key; what is in memory is given as suffix and bytes.
+#: Function of a key and its data that returns the file name to write in the scene file. The data
+#: are a `SourceFile`, or suffix and bytes if they are in memory.
 Naming = Callable[[str, SourceFile | tuple[str, bytes]], str]
 
 
 def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
-    """Scene file of ``scene`` at ``path``, SI units, and files beside it for what is in memory.
+    """Return the files to write for saving ``scene`` at ``path``.
 
     Returns
     -------
     dict of Path to bytes
-        Files stay where they are and are named relative to the folder. Pictures, heights and meshes
-        in memory, and those whose file is gone or was changed since it was read, are called by the
-        file's stem and their keys: ``room_hidden_image.png``.
+        The scene file in SI units, and one file for each image, height map or mesh that is in
+        memory or whose file is missing or was changed since it was read. Their names consist of
+        the stem of ``path`` and their key, such as ``room_hidden_image.png``. Other files are not
+        copied; the scene file refers to them by relative paths.
 
     Raises
     ------
     SceneError
-        If a wall or material has no form in a scene file.
+        If a wall or material cannot be written in a scene file.
     """
     base = path.parent.resolve()
     made: dict[Path, bytes] = {}
 
     def placed(key: str, held: SourceFile | tuple[str, bytes]) -> str:
+        """Return the name for ``key``; collect the data unless an unchanged file holds them."""
         if isinstance(held, SourceFile):
             if held.is_in_place:
                 return _relative(held, base)
@@ -57,22 +60,28 @@ def saved_files(scene: Any, path: Path) -> dict[Path, bytes]:
 
 
 def scene_files(scene: Any) -> dict[str, bytes]:
-    """Files of a folder that holds all of ``scene``, wherever it is moved.
+    """Return the files of a self-contained folder for ``scene`` that can be moved anywhere.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene to write.
 
     Returns
     -------
     dict of str to bytes
-        ``scene.toml``, and copies of the pictures, meshes and heights that it names, which are
-        called by their keys, such as ``hidden_image.png``.
+        ``scene.toml``, and copies of all images, meshes and height maps. Their names are their
+        keys, such as ``hidden_image.png``.
 
     Raises
     ------
     SceneError
-        If a file cannot be read, or a wall or material has no form in a scene file.
+        If a file cannot be read, or a wall or material cannot be written in a scene file.
     """
     copies: dict[str, bytes] = {}
 
     def copied(key: str, held: SourceFile | tuple[str, bytes]) -> str:
+        """Return the name for ``key``, and collect a copy of the data."""
         try:
             suffix, content = (held.suffix, held.content) if isinstance(held, SourceFile) else held
         except SceneError as error:
@@ -84,6 +93,7 @@ def scene_files(scene: Any) -> dict[str, bytes]:
 
 
 def _text(scene: Any, named: Naming) -> str:
+    """Return the TOML text of a scene."""
     laser, camera = scene.laser, scene.camera
     tables = _file_tables.SceneFile.model_construct(
         laser=_file_tables.LaserTable.model_construct(**vars(laser)),
@@ -105,6 +115,7 @@ def _text(scene: Any, named: Naming) -> str:
 
 
 def _material_table(material: Material) -> Any:
+    """Return the table of a material; a list of tables for a sum."""
     if isinstance(material, SumMaterial):
         return [_material_table(part) for part in material.parts]
     if isinstance(material, Lambert):
@@ -123,10 +134,13 @@ def _material_table(material: Material) -> Any:
         return _file_tables.WardTable.model_construct(
             lobe="ward", albedo=material.rho, alpha=material.alpha, variant=material.variant
         )
-    raise SceneError(f"{type(material).__name__} has no form in a scene file; write a sum of lobes")
+    raise SceneError(
+        f"{type(material).__name__} cannot be written in a scene file; use a material made of lobes"
+    )
 
 
 def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> Any:
+    """Return the table of a wall; ``key`` is the table's key in the file."""
     common = {"size": wall.size, "material": material}
     if isinstance(wall, MeshWall):
         return _file_tables.MeshWallTable.model_construct(
@@ -166,12 +180,13 @@ def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> An
             shape=shape, radius=wall.radius, axis=wall.axis, **common
         )
     raise SceneError(
-        f"{type(wall).__name__} has no form in a scene file; save its heights as an .npy file and "
+        f"{type(wall).__name__} cannot be written in a scene file; save its heights as .npy and "
         "use HeightMapWall"
     )
 
 
 def _hidden_table(hidden: PlanarObject | MeshObject, named: Naming) -> Any:
+    """Return the table of a hidden object."""
     common = {name: getattr(hidden, name) for name in ("position", "yaw", "pitch", "roll")}
     common["material"] = _material_table(hidden.material)
     if isinstance(hidden, PlanarObject):
@@ -182,6 +197,7 @@ def _hidden_table(hidden: PlanarObject | MeshObject, named: Naming) -> Any:
 
 
 def _occluder_table(key: str, occluder: Any, named: Naming) -> Any:
+    """Return the table of an occluder; ``key`` is the key of its mesh."""
     if not isinstance(occluder, Occluder):
         occluder = Occluder(occluder)
     places = {key: getattr(occluder, key) for key in ("scale", "position", "yaw", "pitch", "roll")}
@@ -190,6 +206,7 @@ def _occluder_table(key: str, occluder: Any, named: Naming) -> Any:
 
 
 def _file(key: str, held: Any, named: Naming) -> str:
+    """Return the file name of an image, height map or mesh, as text for the scene file."""
     if isinstance(held, SourceFile):
         return named(key, held)
     if key == "hidden.image":
@@ -200,18 +217,20 @@ def _file(key: str, held: Any, named: Naming) -> str:
 
 
 def _name(key: str) -> str:
+    """Return a key as part of a file name, with underscores for dots and brackets."""
     return "_".join(re.findall(r"\w+", key))
 
 
 def _relative(path: Path, base: Path) -> str:
+    """Return a path relative to ``base``, with forward slashes."""
     try:
         return Path(os.path.relpath(path, base)).as_posix()
-    except ValueError:  # another drive
+    except ValueError:  # Windows: on another drive there is no relative path
         return path.as_posix()
 
 
 def _toml(document: dict[str, Any]) -> str:
-    """Write nested tables and arrays of tables."""
+    """Return nested tables and arrays of tables as TOML text."""
     lines: list[str] = []
     for name, table in document.items():
         _toml_table(name, table, lines)
@@ -219,6 +238,7 @@ def _toml(document: dict[str, Any]) -> str:
 
 
 def _toml_table(name: str, table: Any, lines: list[str], brackets: str = "[]") -> None:
+    """Append the lines of a table, or of an array of tables, to ``lines``."""
     if isinstance(table, list):
         for item in table:
             _toml_table(name, item, lines, "[[]]")
@@ -236,12 +256,12 @@ def _toml_table(name: str, table: Any, lines: list[str], brackets: str = "[]") -
 
 
 def toml_value(value: Any) -> str:
-    """Write one value; a float as the shortest text that reads back."""
+    """Return a value as TOML text; a float as the shortest text that reads back exactly."""
     if isinstance(value, dict):
         return "{ " + ", ".join(f"{k} = {toml_value(v)}" for k, v in value.items()) + " }"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(toml_value(item) for item in value) + "]"
     if isinstance(value, float):
         return repr(value)
-    # a JSON string is a TOML string, but for the one control character that JSON leaves bare
+    # JSON strings are valid TOML, except that JSON does not escape the control character DEL
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

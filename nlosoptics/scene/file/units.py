@@ -1,6 +1,6 @@
-"""Numbers written with their unit, such as ``"632.8 nm"``, into SI floats.
+"""Conversion of quantities with units, such as ``"632.8 nm"``, to SI floats and back.
 
-Decimal arithmetic makes ``"632.8 nm"`` the float 6.328e-07 exactly.
+Decimal arithmetic converts ``"632.8 nm"`` to the float nearest to 6.328e-07.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ RATE = Kind("a rate", "1/s", "0.1 / s")
 POWER = Kind("a power", "W", "5 mW")
 ANGLE = Kind("an angle", "rad", "15 deg")
 
-# pint's own definitions take 0.2 s to read; these, all that scene files use, take 5 ms
+# reading pint's own definitions takes 0.2 s; these suffice for scene files and take 5 ms
 _DEFINITIONS = """
 kilo- = 1e3 = k-
 centi- = 1e-2 = c-
@@ -56,6 +56,7 @@ _NUMBER_AND_UNIT = re.compile(
 
 @cache
 def _registry() -> pint.UnitRegistry[Any]:
+    """Return the registry of the units above, built at the first call."""
     import pint
 
     registry: pint.UnitRegistry[Any] = pint.UnitRegistry(None, non_int_type=Decimal)
@@ -65,6 +66,7 @@ def _registry() -> pint.UnitRegistry[Any]:
 
 
 def _kind_of(quantity: Any) -> str:
+    """Return the name of a quantity's dimension, for messages."""
     for kind in (LENGTH, TIME, RATE, POWER, ANGLE):
         if quantity.is_compatible_with(kind.unit):
             return kind.name
@@ -72,12 +74,13 @@ def _kind_of(quantity: Any) -> str:
 
 
 def parse(text: object, kind: Kind) -> float:
-    """Read ``text`` as a quantity of ``kind`` and return it in SI units.
+    """Return ``text`` as a quantity of dimension ``kind`` in SI units.
 
     Raises
     ------
     ValueError
-        With what is wrong, to follow the key and its value in a message.
+        If it is not such a quantity. The message is a predicate, such as "is not a length", which
+        the caller puts after the key and its value.
     """
     match = _NUMBER_AND_UNIT.fullmatch(text) if isinstance(text, str) else None
     if match is None:
@@ -90,9 +93,9 @@ def parse(text: object, kind: Kind) -> float:
     if not math.isfinite(float(number)):
         raise ValueError("is not finite")
     try:
-        # a leading slash is a rate, as in "0.1 / s"
+        # a leading slash marks a rate, such as "0.1 / s"
         quantity = _registry().Quantity(Decimal(number), f"1{unit}" if unit[0] == "/" else unit)
-    except Exception:  # the unit parser raises whatever its tokenizer met
+    except Exception:  # the parser of pint raises arbitrary exception types
         raise ValueError(f"has the unknown unit {unit!r}, must be {kind.name}") from None
     if not quantity.is_compatible_with(kind.unit):
         raise ValueError(f"is {_kind_of(quantity)}, must be {kind.name}")
@@ -100,5 +103,5 @@ def parse(text: object, kind: Kind) -> float:
 
 
 def written(value: float, kind: Kind) -> str:
-    """Write ``value`` so that `parse` returns the same float."""
+    """Return ``value`` as text in SI units that `parse` converts back to the same float."""
     return f"{float(value)!r} {kind.unit}"

@@ -1,4 +1,4 @@
-"""Directional albedos by quadrature, where no closed form is known."""
+"""Directional albedos by numerical quadrature, for lobes without a closed form."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ._material import Array, Material
 
 
 def directional_albedo(theta: Array, integral: Callable[[float], float]) -> Array:
-    """Int f cos dOmega at every theta, by ``integral`` for one."""
+    """Return ``integral(theta)`` for every angle of incidence, in the shape of ``theta``."""
     return np.array([integral(t) for t in theta.ravel().tolist()]).reshape(theta.shape)
 
 
 def _panels(edges: ArrayLike) -> tuple[Array, Array]:
-    """Gauss-Legendre nodes and weights on the panels between ``edges`` (n, ...), along axis 0."""
+    """Return Gauss-Legendre nodes and weights on the panels between ``edges`` (n, ...), axis 0."""
     nodes, weights = np.polynomial.legendre.leggauss(32)
     edges = np.asarray(edges, dtype=np.float64)
     middles, halves = (edges[1:] + edges[:-1]) / 2, np.diff(edges, axis=0) / 2
@@ -27,11 +27,15 @@ def _panels(edges: ArrayLike) -> tuple[Array, Array]:
 
 
 def over_exitant_angles(material: Material, theta: float) -> float:
-    """Directional albedo of a wide lobe with kinks at its mirror angle and across the plane."""
+    """Integrate f cos(theta) of a wide lobe over the exitant hemisphere, for one incidence angle.
+
+    The panels end at the kinks of the full Oren-Nayar model: exitant angle equal to the incident
+    angle, and azimuth pi/2.
+    """
     edges = theta + 0.05 * np.array([-20.0, -8, -3, -1, 0, 1, 3, 8, 20])
     edges = np.concatenate([[0.0], edges[(edges > 0) & (edges < math.pi / 2)], [math.pi / 2]])
     polar, polar_weights = _panels(edges)
-    # one side of the plane of incidence, doubled
+    # azimuths on one side of the plane of incidence; the result is doubled
     turn, turn_weights = _panels([0.0, 0.05, 0.15, 0.5, math.pi / 2, math.pi])
     p, a = np.meshgrid(polar, turn, indexing="ij")
     exitant = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=-1)
@@ -41,15 +45,26 @@ def over_exitant_angles(material: Material, theta: float) -> float:
 
 
 def over_slopes(material: Material, theta: float, scale: float, *, smooth: bool = True) -> float:
-    """Directional albedo of a lobe about its half vector, over the slopes (p, q) of its facets.
+    """Integrate f cos(theta) of a half-vector lobe over the facet slopes (p, q), for one angle.
 
-    Facet (-p, -q, 1) sends the light to the exitant o, ``dOmega_o = 4 (i.h) cos^3(h) dp dq``. Those
-    that send it below the horizon lie outside a circle of radius 1/cos about (-tan, 0). ``scale``
-    is the slope rms; ``smooth`` lobes end like a Gaussian and have no root at the horizon.
+    The facet with normal (-p, -q, 1) reflects the light to the exitant o, with
+    ``dOmega_o = 4 (i.h) cos^3(h) dp dq``. Facets that reflect below the horizon lie outside a
+    circle of radius 1/cos(theta) about (-tan(theta), 0).
+
+    Parameters
+    ----------
+    material : Material
+        Lobe to integrate.
+    theta : float
+        Angle of incidence, rad.
+    scale : float
+        Slope rms of the lobe.
+    smooth : bool
+        True for a lobe with Gaussian tails whose integrand is smooth at the horizon.
     """
     sine, cosine = math.sin(theta), math.cos(theta)
-    reach = 8.5 * scale if smooth else 1e7 * scale  # exp(-36) beyond, or less than 1e-12
-    # q = sin(turn)/cos, which takes the root out of the circle's ends
+    reach = 8.5 * scale if smooth else 1e7 * scale  # the rest is below exp(-36) or 1e-12
+    # q = sin(turn)/cos(theta) removes the square-root singularity at the ends of the circle
     last = min(1.0, reach * cosine)
     if smooth:
         turns = np.linspace(0.0, math.asin(last), 5)
@@ -57,7 +72,7 @@ def over_slopes(material: Material, theta: float, scale: float, *, smooth: bool 
         turns = np.arcsin(np.append(_doublings(scale * cosine, last), last))
     turn, turn_weights = _panels(turns)
     q, q_weights = np.sin(turn) / cosine, np.cos(turn) / cosine * turn_weights
-    # cos(turn)/cos - tan, free of cancellation at grazing
+    # equals cos(turn)/cos(theta) - tan(theta), but without cancellation at grazing incidence
     top = (1 - q * q) * cosine / (np.cos(turn) + sine)
     bottom = -(np.cos(turn) + sine) / cosine
     low, high = np.clip(bottom, -reach, reach), np.clip(top, -reach, reach)
@@ -81,6 +96,6 @@ def over_slopes(material: Material, theta: float, scale: float, *, smooth: bool 
 
 
 def _doublings(scale: float, last: float) -> Array:
-    """0, and every fourfold of ``scale`` below ``last``: panels that widen with a lobe's tail."""
+    """Return 0 and ``scale`` times powers of 4 below ``last``: panels that widen along a tail."""
     count = max(0, math.ceil(math.log(last / scale, 4.0)))
     return np.append(0.0, scale * 4.0 ** np.arange(count))

@@ -1,4 +1,4 @@
-"""What all materials share: lobes that compiled kernels evaluate and draw from."""
+"""Base classes of materials, and the checks of directions and angles that they share."""
 
 from __future__ import annotations
 
@@ -11,67 +11,85 @@ from numpy.typing import ArrayLike, NDArray
 from ...errors import SceneError
 
 Array = NDArray[np.float64]
-#: Lobes of at most this slope rms, rad, are mirror-like: imaged as smooth.
+#: Largest slope rms, rad, of a lobe that counts as mirror-like and forms an image.
 MIRROR_SLOPE = 0.1
 
 
 class Material:
-    """Base of all materials."""
+    """Base class of all materials."""
 
     def lobe_table(self) -> Array:
-        """Lobes as the kernels take them, (n, 4): kind, strength, slope rms or alpha, factor."""
+        """Return the lobes for the kernels, (n, 4): kind, strength, slope rms or alpha, factor."""
         raise NotImplementedError
 
     @property
     def specular_reflectance(self) -> float:
-        """Share of the incident power that mirror-like lobes return, 0 to 1.
+        """Share of the incident power that mirror-like lobes reflect, 0 to 1.
 
-        Lobes are mirror-like up to a slope rms of 0.1 rad. That is 11 deg of spread in the
-        reflected light: rougher lobes pass no picture and count as diffuse.
+        A lobe is mirror-like up to a slope rms of 0.1 rad, which spreads the reflected light by
+        11 deg. Rougher lobes form no useful image and count as diffuse.
         """
         return 0.0
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """The parts that `specular_reflectance` counts, those that reflect nothing left out."""
+        """Mirror-like lobes with a reflectance above zero."""
         return ()
 
     @property
     def diffuse(self) -> Material | None:
-        """The material without its mirror-like lobes; None when nothing is left."""
+        """Material without its mirror-like lobes; None if no lobe is left."""
         return self
 
     def evaluate(self, incident: ArrayLike, exitant: ArrayLike, normal: ArrayLike) -> Array:
-        """Bidirectional reflectance f_r, 1/sr.
+        """Return the bidirectional reflectance f_r, 1/sr.
 
         Parameters
         ----------
         incident, exitant, normal : array_like, (..., 3)
-            Unit vectors away from the surface, in one frame; shapes broadcast.
+            Unit vectors that point away from the surface, in one common frame; shapes broadcast.
 
         Returns
         -------
         ndarray, (...)
-            Zero where either direction is below the surface. Lobes of zero slope are mirrors, a
-            delta function that contributes to `specular_reflectance` and not here.
+            f_r, zero where either direction is below the surface. A lobe of zero slope is a mirror:
+            its delta function contributes to `specular_reflectance` but not to this value.
+
+        Raises
+        ------
+        SceneError
+            If a direction is not finite or the shapes do not broadcast.
+
+        Examples
+        --------
+        >>> from nlosoptics.scene import Lambert
+        >>> up = (0.0, 0.0, 1.0)
+        >>> round(float(Lambert(0.8).evaluate(up, up, up)), 4)
+        0.2546
         """
         from ...kernels import brdf
 
         return _by_cosines(brdf.evaluate, self.lobe_table(), incident, exitant, normal)
 
     def pdf(self, incident: ArrayLike, exitant: ArrayLike, normal: ArrayLike) -> Array:
-        """Density of `sample` per solid angle of the exitant direction, 1/sr.
+        """Return the probability density with which `sample` draws exitant directions, 1/sr.
 
         Parameters
         ----------
         incident, exitant, normal : array_like, (..., 3)
-            Unit vectors away from the surface, in one frame; shapes broadcast.
+            Unit vectors that point away from the surface, in one common frame; shapes broadcast.
 
         Returns
         -------
         ndarray, (...)
-            Integrates to 1 over the whole sphere, less the share of lobes of zero slope: facets
-            may send a sample below the surface. Zero where the incident direction is below it.
+            Density per solid angle. It integrates over the whole sphere to 1 minus the share of
+            lobes of zero slope, since facets can reflect a sample below the surface. Zero where
+            the incident direction is below the surface.
+
+        Raises
+        ------
+        SceneError
+            If a vector is not of unit length or the shapes do not broadcast.
         """
         from ...kernels import brdf
 
@@ -84,29 +102,37 @@ class Material:
     def sample(
         self, incident: ArrayLike, normal: ArrayLike, draws: ArrayLike
     ) -> tuple[Array, Array]:
-        """Draw exitant directions.
+        """Draw random exitant directions with their Monte Carlo weights.
 
         Parameters
         ----------
         incident, normal : array_like, (..., 3)
-            Unit vectors away from the surface, in one frame; shapes broadcast with ``draws``.
+            Unit vectors that point away from the surface, in one common frame; shapes broadcast
+            with ``draws``.
         draws : array_like, (..., 3)
             Independent uniform numbers in [0, 1): two for the direction, one for the lobe.
 
         Returns
         -------
         exitant : ndarray, (..., 3)
-            Unit vectors, of density `pdf`.
+            Unit vectors with the density `pdf`.
         weight : ndarray, (...)
-            f_r cos(theta) over the density, whose mean is the directional albedo. Zero for
-            exitants below the surface, and for all where the incident direction is below it.
+            f_r cos(theta) / density, with the directional albedo as its mean. Zero for exitant
+            directions below the surface, and wherever the incident direction is below it.
+
+        Raises
+        ------
+        SceneError
+            If a vector is not of unit length, a draw is outside [0, 1), or the shapes do not
+            broadcast.
 
         Notes
         -----
-        Lambert and Oren-Nayar are drawn by the cosine about the normal, Ward by its half vector
-        (Walter, Notes on the Ward BRDF, 2005), microfacets by their visible normals (Heitz and
-        d'Eon 2014, Heitz 2018), mirrors as they are, and sums one lobe at a time in proportion to
-        albedo, with the weight of all of them.
+        Lambert and Oren-Nayar lobes are sampled by the cosine to the normal, Ward lobes by the half
+        vector (Walter, Notes on the Ward BRDF, 2005), and microfacet lobes by their visible
+        normals (Heitz and d'Eon 2014, Heitz 2018). A mirror has one exitant direction. A sum of
+        materials draws one lobe in proportion to its albedo and weights the sample with the f_r
+        and the density of the whole sum.
         """
         from ...kernels import brdf
 
@@ -123,24 +149,29 @@ class Material:
         return exitant.reshape(shape), weight.reshape(shape[:-1])
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Directional albedo: reflected share of light that arrives at ``theta``.
+        """Return the directional albedo: the reflected share of light incident at ``theta``.
 
         Parameters
         ----------
-        theta : array_like
+        theta : array_like, (...)
             Angle of incidence, rad, 0 to pi/2.
 
         Returns
         -------
-        ndarray, shape of theta
-            Closed forms where they exist, else quadrature to about 1e-9 (mirror-like lobes of
-            slope rms s: 1e-16/(s cos theta)^2 where that is more).
+        ndarray, (...)
+            Closed form where one exists. Otherwise quadrature with an error of about 1e-9, or
+            1e-16/(s cos theta)^2 if larger, for a mirror-like lobe of slope rms s.
+
+        Raises
+        ------
+        SceneError
+            If an angle is outside 0 to pi/2.
         """
         raise NotImplementedError
 
 
 class MirrorLobe(Material):
-    """Base of lobes about the mirror direction: mirror-like up to a slope rms of 0.1 rad.
+    """Base class of lobes about the mirror direction; mirror-like up to a slope rms of 0.1 rad.
 
     Attributes
     ----------
@@ -152,24 +183,30 @@ class MirrorLobe(Material):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """The lobe itself where it is mirror-like and reflects something."""
+        """Tuple of this lobe if it is mirror-like and reflects light, otherwise empty."""
         return (self,) if self.specular_reflectance > 0.0 else ()
 
     @property
     def diffuse(self) -> Material | None:
-        """None for a mirror-like lobe, which is the whole material; else the material."""
+        """None if the lobe is mirror-like, otherwise the lobe itself."""
         return None if self.slope_rms <= MIRROR_SLOPE else self
 
 
 def _by_cosines(
     kernel: Any, lobes: Array, incident: ArrayLike, exitant: ArrayLike, normal: ArrayLike
 ) -> Array:
-    """Fill an array by a kernel of the three cosines that an isotropic lobe depends on."""
+    """Return ``kernel(lobes, cosines)`` for arrays of directions, (...).
+
+    An isotropic lobe depends only on the cosines normal-incident, normal-exitant and
+    incident-exitant.
+    """
     i, o, n = (np.asarray(v, dtype=np.float64) for v in (incident, exitant, normal))
     for name, direction in (("incident", i), ("exitant", o), ("normal", n)):
         _three(name, direction)
         if not np.isfinite(direction).all():
-            raise SceneError(f"{name} is not finite; give unit vectors away from the surface")
+            raise SceneError(
+                f"{name} holds NaN or infinity; give unit vectors that point away from the surface"
+            )
     i, o, n = _broadcast(i, o, n)
     mu_i, mu_o, between = (np.sum(a * b, axis=-1) for a, b in ((i, n), (o, n), (i, o)))
     out = np.empty(mu_i.size)
@@ -178,19 +215,24 @@ def _by_cosines(
 
 
 def _three(name: str, array: Array) -> None:
+    """Raise `SceneError` unless the last axis has length 3."""
     if array.ndim == 0 or array.shape[-1] != 3:
         raise SceneError(f"{name} has shape {array.shape}, last axis must be 3; give (..., 3)")
 
 
 def _broadcast(*arrays: Array) -> tuple[Array, ...]:
+    """Broadcast arrays against each other; raise `SceneError` if their shapes do not match."""
     try:
         return np.broadcast_arrays(*arrays)
     except ValueError:
         shapes = ", ".join(str(a.shape) for a in arrays)
-        raise SceneError(f"shapes {shapes} do not broadcast; give one or n of each") from None
+        raise SceneError(
+            f"shapes {shapes} do not broadcast; give one vector or the same number of each"
+        ) from None
 
 
 def _unit(name: str, value: ArrayLike) -> Array:
+    """Return an array (..., 3) after checking that its vectors have unit length to 1e-6."""
     array = np.asarray(value, dtype=np.float64)
     _three(name, array)
     length = np.sqrt(np.sum(array * array, axis=-1))
@@ -202,7 +244,7 @@ def _unit(name: str, value: ArrayLike) -> Array:
 
 
 def check_angle(theta: ArrayLike) -> Array:
-    """Angles of incidence as an array, rad."""
+    """Return angles of incidence as an array, rad; raise `SceneError` outside 0 to pi/2."""
     theta = np.asarray(theta, dtype=np.float64)
     if not np.all((theta >= 0) & (theta <= math.pi / 2)):
         raise SceneError(f"theta = {theta!r} is out of range, must be 0 to pi/2 rad")

@@ -1,4 +1,4 @@
-"""Position and rotation of what stands in the room, and meshes placed by them."""
+"""Base classes of objects with a position and a rotation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ Array = NDArray[np.float64]
 
 
 def rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
-    """Rotate by roll about z, then pitch about x, then yaw about y (right-handed, rad)."""
+    """Return the (3, 3) rotation by roll about z, then pitch about x, then yaw about y.
+
+    Angles are in rad and right-handed; all axes are those of the world.
+    """
     (cy, sy), (cp, sp), (cr, sr) = ((math.cos(a), math.sin(a)) for a in (yaw, pitch, roll))
     about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_x = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])
@@ -30,10 +33,11 @@ def rotation_matrix(yaw: float, pitch: float, roll: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Posed(Noun):
-    """Position and rotation; ``table`` names the table of scene files in errors."""
+    """Base class of objects with a position and a rotation."""
 
+    #: Table of the scene file, for error messages.
     table: ClassVar[str]
-    #: Field that holds a file, or its contents.
+    #: Name of the field that holds a file path or the contents of a file.
     source: ClassVar[str]
     _: KW_ONLY
     position: Vector
@@ -49,7 +53,7 @@ class Posed(Noun):
 
     @property
     def rotation(self) -> Array:
-        """Rotation of the object's axes into the world's, (3, 3)."""
+        """Matrix that rotates vectors from the object's frame to the world frame, (3, 3)."""
         return rotation_matrix(self.yaw, self.pitch, self.roll)
 
     def __eq__(self, other: object) -> bool:
@@ -61,6 +65,7 @@ class Posed(Noun):
         )
 
     def _same_source(self, other: Any) -> bool:
+        """Return whether the files or data of two objects are equal."""
         return equal_sources(getattr(self, self.source), getattr(other, self.source))
 
     __hash__ = None  # type: ignore[assignment]
@@ -68,7 +73,7 @@ class Posed(Noun):
 
 @dataclass(frozen=True, eq=False)
 class PosedMesh(Posed):
-    """A triangle mesh, or the path of one, with its place."""
+    """Base class of triangle meshes, or paths of mesh files, with a pose and a scale."""
 
     source: ClassVar[str] = "mesh"
     mesh: Any
@@ -84,7 +89,7 @@ class PosedMesh(Posed):
         return super().__getstate__() | {"mesh": bare_mesh(self.mesh)}
 
     def _placed(self) -> trimesh.Trimesh:
-        """Mesh in the world frame."""
+        """Return the mesh in the world frame, m."""
         from .meshes import load_mesh
 
         mesh = load_mesh(f"{self.table}.mesh", self.mesh).copy()

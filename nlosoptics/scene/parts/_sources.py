@@ -1,4 +1,4 @@
-"""Where a scene's pictures, heights and meshes come from: a file that travels along, or memory."""
+"""Sources of a scene's images, heights and meshes: files whose bytes are kept, or memory."""
 
 from __future__ import annotations
 
@@ -19,44 +19,46 @@ if TYPE_CHECKING:
 else:
     _Path = type(Path())  # Python 3.11 has a class of paths for each system
 
-#: Largest values of the integers that a PNG holds.
+#: Largest value and type of the integers that a PNG file can store.
 _DEPTHS = ((255, np.uint8), (65535, np.uint16))
 
 
 class SourceFile(_Path):
-    """Path of a file whose bytes travel with it: read once, and held in a pickle.
+    """Path of a file whose bytes are read once and then kept with it, also in a pickle.
 
-    So a scene can be used where the file is not, and what it was computed from stays known when
-    the file is changed.
+    A scene can therefore be used on a machine without the file. The data that a result was
+    computed from stay known even if the file is changed later.
     """
 
     @classmethod
     def at(cls, path: str | Path) -> SourceFile:
-        """Absolute path of a file; one that holds its bytes already is returned as it is."""
+        """Return a `SourceFile` with the absolute path; a given `SourceFile` stays unchanged."""
         return path if isinstance(path, cls) else cls(Path(path).resolve())
 
     @cached_property
     def content(self) -> bytes:
-        """Bytes of the file.
+        """Bytes of the file, read at the first access.
 
         Raises
         ------
         SceneError
-            If it cannot be read.
+            If the file cannot be read.
         """
         try:
             return Path(self).read_bytes()
         except OSError as error:
-            raise SceneError(f"{self} cannot be read ({error.strerror}); put it back") from None
+            raise SceneError(
+                f"{self} cannot be read ({error.strerror}); put it back or correct its permissions"
+            ) from None
 
     @property
     def is_held(self) -> bool:
-        """Whether the bytes are known, so that the file itself is not needed any more."""
+        """Whether the bytes have been read, so that the file is no longer needed."""
         return "content" in vars(self)
 
     @property
     def is_in_place(self) -> bool:
-        """Whether the file holds the bytes that were read, or none were read yet."""
+        """Whether the file still has the bytes that were read, or has not been read yet."""
         if not self.is_held:
             return True
         try:
@@ -65,7 +67,7 @@ class SourceFile(_Path):
             return False
 
     def with_segments(self, *parts: Any) -> Path:
-        """Paths made of this one are plain ones."""
+        """Return derived paths, such as the parent folder, as plain `Path` objects."""
         return Path(*parts)
 
     def __reduce__(self) -> Any:
@@ -79,18 +81,19 @@ class SourceFile(_Path):
 
 
 def _held(path: str, content: bytes) -> SourceFile:
+    """Return a `SourceFile` with known bytes; unpickling calls it."""
     file = SourceFile(path)
     vars(file)["content"] = content
     return file
 
 
 def source(value: Any) -> Any:
-    """A path, or the text of one, as a `SourceFile`; all else as it is."""
+    """Return a path or string as a `SourceFile`, and any other value unchanged."""
     return SourceFile.at(value) if isinstance(value, (str, Path)) else value
 
 
 def equal_sources(one: Any, other: Any) -> bool:
-    """Whether two sources are the same path, equal arrays or meshes of the same triangles."""
+    """Return whether two sources are the same path, equal arrays or meshes of equal triangles."""
     if isinstance(one, Path) or isinstance(other, Path):
         return isinstance(one, Path) and one == other
     if isinstance(one, np.ndarray):
@@ -101,7 +104,7 @@ def equal_sources(one: Any, other: Any) -> bool:
 
 
 def bare_mesh(value: Any) -> Any:
-    """A mesh without what it keeps of its triangles, such as a tree for rays; all else as it is."""
+    """Return a mesh without cached data such as a ray tree; any other value is unchanged."""
     if not hasattr(value, "faces"):
         return value
     import trimesh
@@ -110,18 +113,19 @@ def bare_mesh(value: Any) -> Any:
 
 
 def picture_file(values: NDArray[np.float64]) -> tuple[str, bytes]:
-    """Suffix and bytes of the smallest file that holds brightness 0 to 1 to the last bit.
+    """Encode an image losslessly in the smallest possible file format.
 
     Parameters
     ----------
     values : ndarray, (ny, nx)
-        float64, row 0 on top.
+        Brightness from 0 to 1, float64, row 0 on top.
 
     Returns
     -------
     suffix : str
-        ``.png`` where all values are 8- or 16-bit integers over their largest, else ``.npy``.
+        ``.png`` if all values are integer multiples of 1/255 or 1/65535, else ``.npy``.
     content : bytes
+        Contents of the file.
     """
     from PIL import Image
 
@@ -135,16 +139,16 @@ def picture_file(values: NDArray[np.float64]) -> tuple[str, bytes]:
 
 
 def array_file(values: NDArray[Any]) -> bytes:
-    """Bytes of an ``.npy`` file."""
+    """Return the bytes of an ``.npy`` file with these values."""
     held = io.BytesIO()
     np.save(held, values, allow_pickle=False)
     return held.getvalue()
 
 
 def mesh_file(mesh: trimesh.Trimesh) -> bytes:
-    """Bytes of a binary PLY file that keeps float64 vertices and their order.
+    """Return the bytes of a binary PLY file with float64 vertices in their order.
 
-    trimesh's own writers round the coordinates.
+    The writers of trimesh are not used because they round the coordinates.
     """
     faces = np.zeros(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
     faces["count"], faces["corners"] = 3, mesh.faces

@@ -1,4 +1,4 @@
-"""The camera: a thin lens, its stop and a pixel detector."""
+"""Camera: a thin lens with its stop and a pixel detector."""
 
 from __future__ import annotations
 
@@ -23,44 +23,59 @@ class Camera:
     aim : (float, float, float)
         A point on the optical axis in front of the lens, m.
     focal_length : float
-        m.
+        Focal length of the thin lens, m.
     stop_diameter : float
         Clear diameter of the lens, m.
     pixel_pitch : float
-        Native pixel, m, 1e-12 to 1.
+        Side of a native pixel, m, 1e-12 to 1.
     pixels : (int, int)
-        Native pixels that are read in x and y: the sensor, or its region of interest, centred on
-        the axis.
+        Native pixels read out in x and y: the whole sensor, or a region of interest centred on the
+        optical axis.
     binning : int
         Native pixels summed along each side of an image pixel.
     exposure : float
-        s.
+        Exposure time, s.
     quantum_efficiency : float
         Electrons per photon, 0 to 1.
     transmission : float
-        Of the lens, 0 to 1.
+        Transmittance of the lens, 0 to 1.
     full_well : float
-        Electrons that a native pixel holds.
+        Full-well capacity of a native pixel, electrons.
     read_noise : float
-        rms electrons per native pixel and readout.
+        Read noise per native pixel and readout, electrons rms.
     dark_current : float
         Electrons per native pixel and second.
     bit_depth : int
-        Bits of the converter; one step is full_well/2^bit_depth electrons.
+        Bits of the analogue-to-digital converter; one step is full_well/2^bit_depth electrons.
     focus_distance : float or None
-        Axial distance in front of the lens that is in focus, m; None for the mirror image of the
-        hidden object.
+        Axial distance from the lens to the plane in focus, m; None focuses on the mirror image of
+        the hidden object.
     glare_fraction : float
         Share of the laser spot's light through the lens that spreads evenly over the sensor.
     field_stop : float or None
-        Full angle, rad, of a round baffle in front of the lens; what lies outside it, the laser
-        spot and its glare included, is not seen. None for no baffle.
+        Full angle, rad, of a round baffle in front of the lens. Light from outside this cone, for
+        example from the laser spot, causes neither signal nor glare. None for no baffle.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range, ``binning`` does not divide ``pixels``, or the camera is behind
+        the wall or looks away from it.
 
     Notes
     -----
-    Image axes: x along ``e1 = unit(Y x n)``, y along ``e2 = n x e1``, n from the lens along the
-    axis, Y = (0, 1, 0) (X when n is parallel to Y). A lens image is inverted, so an image array
-    drawn with row 0 on top is what the camera shows.
+    Image axes: x along ``e1 = unit(Y x n)``, y along ``e2 = n x e1``, with n the direction from
+    the lens along the optical axis and Y = (0, 1, 0) (X = (1, 0, 0) if n is parallel to Y). The
+    lens inverts the image, so that an image array drawn with row 0 on top appears upright.
+
+    Examples
+    --------
+    >>> from nlosoptics.scene import Camera
+    >>> camera = Camera(
+    ...     position=(0, 0, 1.0), aim=(0, 0, 0), focal_length=50e-3, stop_diameter=25e-3
+    ... )
+    >>> camera.shape, round(1e6 * camera.image_pitch)
+    ((512, 512), 72)
     """
 
     position: Vector
@@ -118,7 +133,7 @@ class Camera:
             if self.focus_distance <= self.focal_length:
                 raise SceneError(
                     f"camera.focus_distance = {self.focus_distance:g} m is within the focal length "
-                    f"{self.focal_length:g} m; nothing there has a real image"
+                    f"{self.focal_length:g} m, where there is no real image; use a larger distance"
                 )
         if self.field_stop is not None:
             put(
@@ -140,13 +155,13 @@ class Camera:
 
     @property
     def axis(self) -> NDArray[np.float64]:
-        """Unit vector from the lens along the optical axis, world frame."""
+        """Unit vector from the lens toward the aim point, world frame, (3,)."""
         n = np.subtract(self.aim, self.position)
         return np.asarray(n / np.linalg.norm(n))
 
     @property
     def frame(self) -> NDArray[np.float64]:
-        """Rows e1, e2, n of the camera's axes, world frame, (3, 3)."""
+        """Camera axes as rows e1, e2 and n, world frame, (3, 3)."""
         return pupil_frame(self.axis)
 
     @property
@@ -160,7 +175,12 @@ class Camera:
         return self.pixel_pitch * self.binning
 
     def resized(self, size: int) -> Camera:
-        """The same camera and field, binned to ``size`` image pixels along x.
+        """Return a copy of the camera whose binning gives ``size`` image pixels along x.
+
+        Parameters
+        ----------
+        size : int
+            Image pixels along x; must divide the native pixels.
 
         Raises
         ------
@@ -178,7 +198,19 @@ class Camera:
 
 
 def pupil_frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rows e1 = unit(Y x n), e2 = n x e1 and n for the unit vector n = ``axis``."""
+    """Return transverse axes for an optical axis, as used for pupil and image coordinates.
+
+    Parameters
+    ----------
+    axis : ndarray, (3,)
+        Unit vector n along the optical axis, world frame.
+
+    Returns
+    -------
+    ndarray, (3, 3)
+        Rows e1 = unit(Y x n), e2 = n x e1 and n, with Y = (0, 1, 0), or (1, 0, 0) if n is
+        parallel to Y.
+    """
     e1 = np.cross((0.0, 1.0, 0.0), axis)
     if np.linalg.norm(e1) < 1e-12:
         e1 = np.cross((1.0, 0.0, 0.0), axis)

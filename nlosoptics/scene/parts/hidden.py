@@ -1,4 +1,4 @@
-"""Hidden objects: a picture on a posed plane, or a triangle mesh."""
+"""Hidden objects: an image on a plane, or a triangle mesh."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 def _check_hidden(hidden: PlanarObject | MeshObject) -> None:
-    """Refuse what is no material, and a position behind the wall."""
+    """Raise `SceneError` for a wrong type of material or a position behind the wall."""
     if not isinstance(hidden.material, Material):
         raise SceneError(
             f"hidden.material = {hidden.material!r} is a {type(hidden.material).__name__}; give a "
@@ -39,24 +39,42 @@ def _check_hidden(hidden: PlanarObject | MeshObject) -> None:
 
 @dataclass(frozen=True, eq=False)
 class PlanarObject(Posed):
-    """A picture on a plane, the usual hidden letter.
+    """Greyscale image on a plane, such as a hidden letter.
 
-    Unturned it faces the wall with its top toward +y: a viewer at the wall reads it, so its right
-    points to -x and its normal to -z.
+    Without rotation it faces the wall with its top toward +y. It reads correctly from the wall:
+    the right side of the image points to -x and its normal to -z.
 
     Parameters
     ----------
     image : str, Path or array_like (ny, nx)
-        File (PNG, TIFF, JPEG or ``.npy``) or array, row 0 on top; brightness 0 to 1 (8- and 16-bit
-        integers: 0 to the type's largest) scales the material's reflectance.
+        File (PNG, TIFF, JPEG or ``.npy``) or array, row 0 on top. Brightness from 0 to 1 (8- and
+        16-bit integers: from 0 to the largest value of their type) scales the reflectance of the
+        material.
     size : float or (float, float)
-        Width and height, m; one number is the width, and the picture's shape gives the height.
+        Width and height, m. A single number is the width; the height follows from the image's
+        shape.
     position : (float, float, float)
-        Centre, m, world.
+        Centre of the image, world, m.
     yaw, pitch, roll : float
-        Turns about world y, x and z, rad, roll first.
+        Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
     material : Material
-        Of a white pixel.
+        Material of a white pixel.
+
+    Raises
+    ------
+    SceneError
+        If the file is missing or no image, a value is out of range, or a part of the image lies
+        behind the wall.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.scene import PlanarObject
+    >>> bar = PlanarObject(np.ones((40, 10)), 0.1, position=(0.5, 0.0, 1.0))
+    >>> bar.size
+    (0.1, 0.4)
+    >>> bar.corners.min(axis=0).round(3).tolist()
+    [0.45, -0.2, 1.0]
     """
 
     table: ClassVar[str] = "hidden"
@@ -83,7 +101,7 @@ class PlanarObject(Posed):
         if self.position[2] <= drop:
             raise SceneError(
                 f"hidden.position has z = {self.position[2]:g} m, which puts a corner of the "
-                f"picture at z = {self.position[2] - drop:g} m, behind the wall; move it into the "
+                f"image at z = {self.position[2] - drop:g} m, behind the wall; move it into the "
                 "room, turn it less or make hidden.size smaller"
             )
 
@@ -100,41 +118,55 @@ class PlanarObject(Posed):
             object.__setattr__(self, "image", picture)
 
     def _same_source(self, other: Any) -> bool:
+        """Return whether the images are equal; a file and an array are compared by pixels."""
         if isinstance(self.image, SourceFile) == isinstance(other.image, SourceFile):
             return super()._same_source(other)
         return np.array_equal(self.reflectance, other.reflectance)
 
     @cached_property
     def reflectance(self) -> Array:
-        """Picture as relative reflectance, (ny, nx) float64, 0 to 1, row 0 on top."""
+        """Relative reflectance of the pixels, (ny, nx) float64, 0 to 1, row 0 on top."""
         if isinstance(self.image, SourceFile):
             return read_picture(self.image)
         return np.asarray(self.image)
 
     @property
     def axes(self) -> Array:
-        """Rows right, up and normal of the picture, world frame, (3, 3)."""
+        """Unit vectors right, up and normal of the image as rows, world frame, (3, 3)."""
         unturned = np.array([[-1.0, 0, 0], [0, 1, 0], [0, 0, -1]])
         return np.asarray(unturned @ self.rotation.T)
 
     @property
     def corners(self) -> Array:
-        """Corners of the picture, m, world frame, (4, 3)."""
+        """Corners of the image, (4, 3), world, m."""
         right, up, _ = self.axes
         sides = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2 * self.size
         return np.asarray(self.position + sides[:, :1] * right + sides[:, 1:] * up)
 
 
 def checked_picture(name: str, values: Any) -> Array:
-    """Scale brightness to 0 to 1 (8 and 16 bits: by their type's largest), check and lock it."""
+    """Return a greyscale image as a read-only float64 array with values from 0 to 1.
+
+    Parameters
+    ----------
+    name : str
+        Name of the image in error messages.
+    values : array_like, (ny, nx)
+        Brightness: 0 to 1, or integers of 8 or 16 bits, divided by the largest value of the type.
+
+    Raises
+    ------
+    SceneError
+        If it is not a two-dimensional array of finite brightness within these limits.
+    """
     try:
         raw = np.asarray(values)
     except ValueError:
         raise SceneError(
-            f"{name} has rows of unlike length; give a grey picture (ny, nx)"
+            f"{name} has rows of unequal length; give a greyscale image (ny, nx)"
         ) from None
     if raw.ndim != 2 or raw.size == 0:
-        raise SceneError(f"{name} has shape {raw.shape}; give a grey picture (ny, nx)")
+        raise SceneError(f"{name} has shape {raw.shape}; give a greyscale image (ny, nx)")
     if raw.dtype.kind not in "biuf":
         raise SceneError(f"{name} holds {raw.dtype} values; give real brightness from 0 to 1")
     short = raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2
@@ -150,23 +182,23 @@ def checked_picture(name: str, values: Any) -> Array:
 
 
 def read_picture(path: Path) -> Array:
-    """Read a picture file as relative reflectance, (ny, nx), 0 to 1, row 0 on top.
+    """Read an image file as relative reflectance, (ny, nx), 0 to 1, row 0 on top.
 
     Raises
     ------
     SceneError
-        If the file is missing, is not a picture, or is empty.
+        If the file is missing, is not an image, or is empty.
     """
     file = SourceFile.at(path)
     if not file.is_held and not file.is_file():
-        raise SceneError(f"hidden.image: there is no file {path}; give the path of a picture")
+        raise SceneError(f"hidden.image: there is no file {path}; give the path of an image")
     content = file.content
     try:
         raw = _decoded(path.suffix, content)
-    # Pillow's decoders raise SyntaxError, and its guard against bombs an Exception of its own
+    # Pillow raises SyntaxError for broken files and its own exception for decompression bombs
     except Exception as error:
         raise SceneError(
-            f"hidden.image: {path} is not a picture ({type(error).__name__}); give PNG, TIFF, JPEG "
+            f"hidden.image: {path} is not an image ({type(error).__name__}); give PNG, TIFF, JPEG "
             "or .npy"
         ) from None
     if not isinstance(raw, np.ndarray):
@@ -175,7 +207,7 @@ def read_picture(path: Path) -> Array:
 
 
 def _decoded(suffix: str, content: bytes) -> NDArray[Any]:
-    """Values of a picture file as they stand there."""
+    """Return the unscaled values of an image file; colour images are converted to grey."""
     file = io.BytesIO(content)
     if suffix == ".npy":
         held: NDArray[Any] = np.load(file, allow_pickle=False)
@@ -190,19 +222,26 @@ def _decoded(suffix: str, content: bytes) -> NDArray[Any]:
 
 @dataclass(frozen=True, eq=False)
 class MeshObject(PosedMesh):
-    """A triangle mesh.
+    """Hidden object given by a triangle mesh.
 
     Parameters
     ----------
     mesh : str, Path or trimesh.Trimesh
         File (STL, OBJ, PLY, ...) or mesh, in its own frame, m.
     scale : float
-        Factor on the mesh's coordinates, for files in other units.
+        Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
-        Where the mesh's origin goes, m, world.
+        Position of the mesh's origin, world, m.
     yaw, pitch, roll : float
-        Turns about world y, x and z, rad, roll first.
+        Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
     material : Material
+        Material of the whole surface.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range. A missing file, or a mesh that reaches behind the wall, is
+        found when `surface` is first used.
     """
 
     table: ClassVar[str] = "hidden"
@@ -215,7 +254,7 @@ class MeshObject(PosedMesh):
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
-        """Mesh in the world frame."""
+        """Mesh in the world frame, m; its file is read at the first access."""
         mesh = self._placed()
         lowest = float(mesh.vertices[:, 2].min())
         if lowest <= 0:

@@ -1,4 +1,4 @@
-"""The light source."""
+"""Light source: a collimated laser beam."""
 
 from __future__ import annotations
 
@@ -10,21 +10,37 @@ from ...errors import SceneError
 
 @dataclass(frozen=True, kw_only=True)
 class Laser:
-    """Collimated beam that lights one spot of the relay wall.
+    """Collimated laser beam that illuminates one spot of the relay wall.
 
     Parameters
     ----------
     wavelength : float
-        In vacuum, m.
+        Vacuum wavelength, m, 1e-8 to 1e-4.
     power : float
         Continuous power on the wall, W.
     beam_diameter : float
-        Diameter of the beam, m, uniform.
-    position, aim : (float, float, float)
-        Where the beam starts and the point of the mean wall plane that it is aimed at, m.
+        Diameter of the beam, m; the irradiance is uniform across it.
+    position : (float, float, float)
+        Start of the beam, world, m.
+    aim : (float, float, float)
+        Point of the mean wall plane z = 0 that the beam is aimed at, world, m.
     independent_patterns : int or None
-        Number of independent speckle patterns that one exposure averages; None for light made
-        spatially incoherent (a fast diffuser in the beam), which shows no speckle.
+        Number of independent speckle patterns averaged in one exposure. None for spatially
+        incoherent light (a fast diffuser in the beam), which shows no speckle.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range or ``position`` is behind the wall.
+
+    Examples
+    --------
+    >>> from nlosoptics.scene import Laser
+    >>> laser = Laser(
+    ...     wavelength=632.8e-9, power=5e-3, beam_diameter=3e-3, position=(0.3, 0.0, 1.2)
+    ... )
+    >>> laser.aim
+    (0.0, 0.0, 0.0)
     """
 
     wavelength: float

@@ -1,4 +1,4 @@
-"""Triangle meshes from files or from memory."""
+"""Loading and checking of triangle meshes."""
 
 from __future__ import annotations
 
@@ -16,12 +16,20 @@ if TYPE_CHECKING:
 
 
 def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
-    """Load and check a triangle mesh; ``name`` is the key named in errors.
+    """Return a triangle mesh from a file or from memory, checked.
+
+    Parameters
+    ----------
+    name : str
+        Key of the mesh in error messages, such as ``"hidden.mesh"``.
+    given : str, Path or trimesh.Trimesh
+        Mesh file, or a mesh in memory.
 
     Raises
     ------
     SceneError
-        If the file is missing or unreadable, or holds no triangles or non-finite vertices.
+        If the file is missing or unreadable, or the mesh has no triangles, no area or vertices
+        that are not finite.
     """
     import trimesh
 
@@ -30,18 +38,18 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
         path = SourceFile.at(given)
         if not path.is_held and not path.is_file():
             raise SceneError(f"{name}: there is no file {path}; give the path of a mesh")
-        # from its place where it can be: a mesh may name further files beside it
+        # prefer the path: a mesh file may refer to other files in its folder
         file: Any = io.BytesIO(path.content) if path.is_held else str(path)
         try:
             mesh = trimesh.load(file, file_type=path.suffix[1:], force="mesh", process=False)
-        except Exception as error:  # trimesh's loaders raise whatever their format raises
+        except Exception as error:  # the loaders of trimesh raise arbitrary exception types
             raise SceneError(
                 f"{name}: {path} is not a mesh ({type(error).__name__}); give STL, OBJ or PLY"
             ) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise SceneError(f"{name}: {given} holds no triangles; give a surface mesh")
     if not np.isfinite(mesh.vertices).all():
-        raise SceneError(f"{name}: {given} has NaN or infinite vertices; mend the mesh")
+        raise SceneError(f"{name}: {given} has NaN or infinite vertices; repair the mesh")
     if not mesh.area > 0:
         raise SceneError(f"{name}: {given} has no area; give a surface mesh")
     return mesh

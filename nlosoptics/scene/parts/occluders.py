@@ -1,4 +1,4 @@
-"""Black bodies in the room, which block light."""
+"""Occluders: black bodies in the room that block light."""
 
 from __future__ import annotations
 
@@ -16,26 +16,32 @@ from .meshes import load_mesh
 if TYPE_CHECKING:
     import trimesh
 
-ROUNDING = 1e-12  # of the largest coordinate: what turning a mesh onto the wall leaves
+ROUNDING = 1e-12  # relative to the largest coordinate: error of rotating a mesh onto the wall
 
 
 @dataclass(frozen=True, eq=False)
 class Occluder(PosedMesh):
-    """A black body: a triangle mesh that absorbs what meets it, from either side.
+    """Black body: a triangle mesh that absorbs all light that meets it from either side.
 
-    It may stand on the plane z = 0 and not reach behind it. What a curved wall hides of it blocks
-    nothing, and a face that lies in the wall covers nothing of it.
+    It may touch the plane z = 0 but not reach behind it. Parts of it behind a curved wall block
+    nothing, and a face that lies in the wall's surface does not cover the wall.
 
     Parameters
     ----------
     mesh : str, Path or trimesh.Trimesh
         File (STL, OBJ, PLY, ...) or mesh, in its own frame, m.
     scale : float
-        Factor on the mesh's coordinates, for files in other units.
+        Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
-        Where the mesh's origin goes, m, world.
+        Position of the mesh's origin, world, m.
     yaw, pitch, roll : float
-        Turns about world y, x and z, rad, roll first.
+        Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range. A missing file, or a mesh that reaches behind the plane z = 0,
+        is found when `surface` is first used.
     """
 
     table: ClassVar[str] = "occluder"
@@ -44,14 +50,17 @@ class Occluder(PosedMesh):
 
     @cached_property
     def surface(self) -> trimesh.Trimesh:
-        """Mesh in the world frame."""
+        """Mesh in the world frame, m; its file is read at the first access."""
         mesh = self._placed()
         _refuse_behind("occluder.mesh", mesh, "move occluder.position into the room")
         return mesh
 
 
 def checked_occluders(values: Any) -> tuple[Occluder | trimesh.Trimesh, ...]:
-    """Tuple of `Occluder` and of meshes in the world frame, or raise `SceneError`."""
+    """Return the occluders as a tuple; raise `SceneError` for other types or meshes behind z = 0.
+
+    Files of an `Occluder` are not read here.
+    """
     try:
         occluders = tuple(values)
     except TypeError:
@@ -73,7 +82,7 @@ def checked_occluders(values: Any) -> tuple[Occluder | trimesh.Trimesh, ...]:
 
 
 def joined(occluders: tuple[Occluder | trimesh.Trimesh, ...]) -> trimesh.Trimesh | None:
-    """All occluders as one mesh in the world frame; None without any."""
+    """Return all occluders as one mesh in the world frame, m; None without occluders."""
     if not occluders:
         return None
     import trimesh
@@ -87,6 +96,7 @@ def joined(occluders: tuple[Occluder | trimesh.Trimesh, ...]) -> trimesh.Trimesh
 
 
 def _refuse_behind(name: str, mesh: trimesh.Trimesh, remedy: str) -> None:
+    """Raise `SceneError` if the mesh reaches below z = 0 by more than rounding."""
     lowest = float(mesh.vertices[:, 2].min())
     if lowest < -ROUNDING * float(np.abs(mesh.vertices).max()):
         raise SceneError(

@@ -1,4 +1,4 @@
-"""How a scene's light is taken over time: wall points, bins, and where to look for the picture."""
+"""Settings of a time-resolved capture: wall points, time bins and reconstruction volume."""
 
 from __future__ import annotations
 
@@ -8,36 +8,44 @@ from ..._checks import in_range, one_of, positive, real, whole
 from ...errors import SceneError
 
 SCANS = ("single", "confocal", "exhaustive")
-#: Keys of the volume, which come together.
+#: Keys of the reconstruction volume: either all are given or none.
 VOLUME = ("near", "far", "step")
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransientScan:
-    """Time-resolved capture off the wall z = 0, and the volume for a picture of it.
+    """Time-resolved capture on the plane wall z = 0, and the volume to reconstruct from it.
 
-    Times are lengths of optical path without the legs from the laser and to the camera.
+    Times are optical path lengths in m. They exclude the paths from the laser to the wall and from
+    the wall to the camera.
 
     Parameters
     ----------
     side : float
-        Of the square scanned, about the wall's centre, m.
+        Side of the scanned square, centred on the wall, m.
     count : int
-        Points along each side, at the middles of cells.
+        Scan points along each side, at the centres of cells.
     scan : {"single", "confocal", "exhaustive"}
-        Where the laser points: at laser.aim; at each sensor point; at every point for each.
+        Illuminated points: ``laser.aim`` only; the sensor point itself; or, for each sensor point,
+        every scan point in turn.
     delta_t : float
-        Width of a bin, m of optical path.
+        Width of a time bin, m of optical path.
     n_bins : int
-        Bins of time.
+        Number of time bins.
     t_start : float
-        Where bin 0 begins, m of optical path.
+        Start of bin 0, m of optical path.
     max_bounces : int
-        Most reflections of a path, the wall's two included.
+        Largest number of reflections of a path, 3 to 5, including the two at the wall.
     wl_mean : float, optional
-        Virtual wavelength of the picture, m.
+        Virtual wavelength for the phasor-field reconstruction, m.
     near, far, step : float, optional
-        First and last plane of the picture and their distance, m from the wall.
+        Distances of the first and last reconstructed plane from the wall, and the spacing of the
+        planes, m. Give all three or none.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range, or only some of ``near``, ``far`` and ``step`` are given.
     """
 
     side: float
@@ -69,8 +77,8 @@ class TransientScan:
         if 0 < len(given) < 3:
             missing = next(name for name in VOLUME if name not in given)
             raise SceneError(
-                f"transient.{missing} is missing beside transient.{given[0]}; give near, far and "
-                "step, or none of them"
+                f"transient.{missing} is missing although transient.{given[0]} is given; give "
+                "near, far and step, or none of them"
             )
         if self.near is not None and self.far is not None:
             in_range("transient.far", self.far, self.near, unit="m", remedy="not before near")

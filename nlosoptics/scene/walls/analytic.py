@@ -1,6 +1,6 @@
-"""Relay walls: smooth mean surfaces z = h(x, y) about the plane z = 0, facing +z.
+"""Relay walls with analytic shapes: surfaces z = h(x, y) near the plane z = 0, facing +z.
 
-``height > 0`` is toward the room. A wall knows its shape only; what it is made of is
+``h > 0`` is toward the room. A wall holds only its shape; its scattering is
 `Scene.wall_material`.
 """
 
@@ -26,6 +26,7 @@ Array = NDArray[np.float64]
 
 
 def _term(kind: int, *parameters: float) -> Array:
+    """Return one row, (1, 8), of the table of height terms that the kernels take."""
     row = np.zeros((1, 8))
     row[0, 0] = kind
     row[0, 1 : 1 + len(parameters)] = parameters
@@ -33,47 +34,47 @@ def _term(kind: int, *parameters: float) -> Array:
 
 
 class Wall(Noun):
-    """Base of all relay walls.
+    """Base class of all relay walls.
 
     Attributes
     ----------
     size : (float, float) or None
-        Extent in x and y, m, centred on the origin; None for an unbounded wall.
+        Full extent in x and y, m, centred on the origin; None for an unbounded wall.
     """
 
     size: tuple[float, float] | None
-    #: Whether `compiled` has the height.
+    #: Whether kernels can evaluate the height, from the arrays that `compiled` returns.
     is_compiled = True
 
     def compiled(self) -> tuple[Array, Array]:
-        """Height function as the kernels take it.
+        """Return the height function as arrays for compiled kernels.
 
         Returns
         -------
         terms : ndarray, (n, 8)
-            A summand a row: its kind, one of `PLANE` to `GRID`, and its parameters in SI units.
+            One row per summand: its kind, from `PLANE` to `GRID`, then its parameters in SI units.
         tables : ndarray, (m,)
-            Samples of grids, at the places that their rows name.
+            Samples of gridded summands; the rows of these hold an offset into this array.
 
         Raises
         ------
         SceneError
-            If the wall is one of Python functions, as a `CallableWall` is.
+            If the height is a Python function (`CallableWall`).
         """
         raise NotImplementedError
 
     @property
     def max_curvature(self) -> float:
-        """Bound on the principal curvatures, 1/m, over the wall; 0 for a plane."""
+        """Upper bound on the principal curvatures over the wall, 1/m; 0 for a plane."""
         raise NotImplementedError
 
     def _max_bend(self, size: tuple[float, float]) -> float:
-        """Bound on the second derivatives of the height, 1/m, over ``size``."""
+        """Return an upper bound on the second derivatives of the height over ``size``, 1/m."""
         return self.max_curvature
 
     @property
     def finest_period(self) -> float:
-        """Shortest lateral scale on which the height turns around, m; inf if it never does."""
+        """Shortest lateral period of the height, m; infinite if it does not oscillate."""
         return math.inf
 
     @property
@@ -82,24 +83,36 @@ class Wall(Noun):
         return False
 
     def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Whether (x, y), m, lies within the wall's edges."""
+        """Return whether points lie within the wall's edges.
+
+        Parameters
+        ----------
+        x, y : array_like, (...)
+            World coordinates, m; shapes broadcast.
+        """
         x, y = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
         if self.size is None:
             return np.ones(np.broadcast(x, y).shape, dtype=bool)
         return np.asarray((abs(x) <= self.size[0] / 2) & (abs(y) <= self.size[1] / 2))
 
     def derivatives(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Height and its derivatives (h, hx, hy, hxx, hxy, hyy), shape (..., 6).
+        """Return the height and its derivatives (h, hx, hy, hxx, hxy, hyy), (..., 6).
 
         Parameters
         ----------
-        x, y : array_like
-            World coordinates, m.
+        x, y : array_like, (...)
+            World coordinates, m; shapes broadcast.
+
+        Returns
+        -------
+        ndarray, (..., 6)
+            Height h in m, its slopes, and its second derivatives in 1/m.
 
         Raises
         ------
         SceneError
-            Where the wall has no height, as beyond the rim of a sphere.
+            If a coordinate is not finite, or the wall has no height there, for example beyond the
+            rim of a sphere.
         """
         from ...kernels import heights
 
@@ -113,16 +126,28 @@ class Wall(Noun):
             i = int(np.argmax(missing))
             raise SceneError(
                 f"the wall has no height at x = {x.flat[i]:g} m, y = {y.flat[i]:g} m; "
-                "stay inside its radius or mesh"
+                "stay inside its radius, height map or mesh"
             )
         return out.reshape(*x.shape, 6)
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Height h(x, y), m, toward the room."""
+        """Return the height h(x, y), (...), m, positive toward the room.
+
+        Parameters
+        ----------
+        x, y : array_like, (...)
+            World coordinates, m; shapes broadcast.
+        """
         return self.derivatives(x, y)[..., 0]
 
     def normal(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Unit normal toward the room, shape (..., 3), world frame."""
+        """Return the unit normals toward the room, (..., 3), world frame.
+
+        Parameters
+        ----------
+        x, y : array_like, (...)
+            World coordinates, m; shapes broadcast.
+        """
         d = self.derivatives(x, y)
         normal = np.stack([-d[..., 1], -d[..., 2], np.ones(d.shape[:-1])], axis=-1)
         return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
@@ -133,19 +158,25 @@ class Wall(Noun):
         Parameters
         ----------
         max_sag_error : float
-            Largest distance between the mesh and the surface, m. Half a cell of side c lies within
-            c / sqrt(2) of its longest side's middle, so that second derivatives of at most b part
-            it from the surface by at most b c^2 / 4.
+            Largest allowed distance in z between the mesh and the surface, m.
 
         Returns
         -------
         trimesh.Trimesh
-            Vertices on the surface, normals toward the room.
+            Mesh with vertices on the surface, in m, and normals toward the room.
 
         Raises
         ------
         SceneError
-            If the wall is unbounded.
+            If the wall is unbounded or reaches beyond the radius of a summand.
+        MemoryLimitError
+            If the mesh would not fit in memory.
+
+        Notes
+        -----
+        The cell side c follows from the bound b on the second derivatives: every point of half a
+        cell is within c / sqrt(2) of the midpoint of its longest side, so that the distance to the
+        surface is at most b c^2 / 4.
         """
         import trimesh
 
@@ -171,18 +202,24 @@ class Wall(Noun):
         return trimesh.Trimesh(vertices, faces, process=False)
 
     def _check_size(self) -> None:
+        """Store ``size`` as a pair of extents above 0, m; raise `SceneError` otherwise."""
         if self.size is not None:
             object.__setattr__(self, "size", pair("wall.size", self.size))
 
 
 @dataclass(frozen=True)
 class FlatWall(Wall):
-    """The plane z = 0.
+    """Flat wall: the plane z = 0.
 
     Parameters
     ----------
     size : float or (float, float), optional
         Full extent in x and y, m; None for an unbounded wall.
+
+    Raises
+    ------
+    SceneError
+        If the size is not above 0.
     """
 
     _: KW_ONLY
@@ -192,22 +229,24 @@ class FlatWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """One plane."""
+        """Return the plane as one height term."""
         return _term(PLANE), np.zeros(1)
 
     @property
     def max_curvature(self) -> float:
-        """Zero."""
+        """Zero, 1/m."""
         return 0.0
 
     @property
     def is_flat(self) -> bool:
-        """True."""
+        """True: the height is zero everywhere."""
         return True
 
 
 @dataclass(frozen=True)
 class _CurvedWall(Wall):
+    """Base class of spherical and cylindrical walls."""
+
     radius: float
     _: KW_ONLY
     size: tuple[float, float] | None = None
@@ -228,7 +267,7 @@ class _CurvedWall(Wall):
             )
 
     def _rim_sq(self, size: tuple[float, float]) -> float:
-        """Square of the largest distance from the vertex across the curvature, m^2."""
+        """Return the square of the largest distance from the vertex, or from the axis, m^2."""
         x, y = size
         if self.shape == "sphere":
             return (x * x + y * y) / 4
@@ -236,7 +275,7 @@ class _CurvedWall(Wall):
         return across * across / 4
 
     def compiled(self) -> tuple[Array, Array]:
-        """One sphere or cylinder."""
+        """Return the sphere or cylinder as one height term."""
         curvature = self._sign / self.radius
         if self.shape == "sphere":
             return _term(SPHERE, curvature), np.zeros(1)
@@ -245,35 +284,65 @@ class _CurvedWall(Wall):
 
     @property
     def max_curvature(self) -> float:
-        """1/radius, the principal curvature everywhere."""
+        """Principal curvature, 1/radius everywhere, 1/m."""
         return 1.0 / self.radius
 
     def _max_bend(self, size: tuple[float, float]) -> float:
+        """Return the largest second derivative, at the rim, 1/m; infinite beyond the radius."""
         cosine_sq = 1.0 - self._rim_sq(size) / self.radius**2
         return math.inf if cosine_sq <= 0 else 1.0 / (self.radius * cosine_sq**1.5)
 
 
 @dataclass(frozen=True)
 class ConcaveWall(_CurvedWall):
-    """Sphere or cylinder, hollow toward the room, vertex at the origin.
+    """Concave sphere or cylinder: hollow toward the room, vertex at the origin.
 
     Parameters
     ----------
     radius : float
         Radius of curvature, m.
     size : float or (float, float), optional
-        Full extent in x and y, m; None for as far as the surface goes.
+        Full extent in x and y, m; None extends the surface up to its radius.
     shape : {"sphere", "cylinder"}
+        Kind of surface.
     axis : {"x", "y"}, default "y"
-        Direction of a cylinder's axis; a sphere has none.
+        Direction of the axis of a cylinder; ignored for a sphere.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range or the size reaches beyond the radius.
+
+    Examples
+    --------
+    >>> from nlosoptics.scene import ConcaveWall
+    >>> wall = ConcaveWall(5.0, size=1.0)
+    >>> round(1e3 * float(wall.height(0.1, 0.0)), 4)
+    1.0001
+    >>> round(float(wall.normal(0.1, 0.0)[0]), 4)
+    -0.02
     """
 
 
 @dataclass(frozen=True)
 class ConvexWall(_CurvedWall):
-    """Sphere or cylinder, bulging toward the room, vertex at the origin.
+    """Convex sphere or cylinder: bulging toward the room, vertex at the origin.
 
-    Parameters are those of `ConcaveWall`.
+    Parameters
+    ----------
+    radius : float
+        Radius of curvature, m.
+    size : float or (float, float), optional
+        Full extent in x and y, m; None extends the surface up to its radius.
+    shape : {"sphere", "cylinder"}
+        Kind of surface.
+    axis : {"x", "y"}, default "y"
+        Direction of the axis of a cylinder; ignored for a sphere.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range or the size reaches beyond the radius.
     """
 
     _sign = -1.0
@@ -281,20 +350,25 @@ class ConvexWall(_CurvedWall):
 
 @dataclass(frozen=True)
 class WavyWall(Wall):
-    """One-dimensional wave, h = amplitude cos(2 pi s/period + phase).
+    """Wall with a one-dimensional wave, h = amplitude cos(2 pi s/period + phase).
 
     Parameters
     ----------
     amplitude : float
-        Half of peak to valley, m; its sign is a shift of phase.
+        Half the peak-to-valley height, m; a negative value shifts the phase by pi.
     period : float
-        Wavelength of the wave, m.
+        Period of the wave along s, m.
     phase : float, default 0
         Phase at the origin, rad.
     size : float or (float, float), optional
-        Full extent in x and y, m.
+        Full extent in x and y, m; None for an unbounded wall.
     direction : float, default 0
-        Angle from +x toward +y of the coordinate s, rad.
+        Angle of the coordinate s from +x toward +y, rad.
+
+    Raises
+    ------
+    SceneError
+        If a value is not finite, or period or size are not above 0.
     """
 
     amplitude: float
@@ -312,19 +386,19 @@ class WavyWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """One wave."""
+        """Return the wave as one height term."""
         k = 2 * math.pi / self.period
         kx, ky = k * math.cos(self.direction), k * math.sin(self.direction)
         return _term(WAVE, self.amplitude, kx, ky, self.phase), np.zeros(1)
 
     @property
     def max_curvature(self) -> float:
-        """|amplitude| (2 pi/period)^2, reached on the crests."""
+        """Largest curvature, |amplitude| (2 pi/period)^2, at crests and troughs, 1/m."""
         return abs(self.amplitude) * (2 * math.pi / self.period) ** 2
 
     @property
     def finest_period(self) -> float:
-        """The period."""
+        """Period of the wave, m; infinite if the amplitude is zero."""
         return self.period if self.amplitude else math.inf
 
     @property
@@ -335,14 +409,28 @@ class WavyWall(Wall):
 
 @dataclass(frozen=True, init=False)
 class SumWall(Wall):
-    """Sum of the heights of several walls, such as two crossed waves.
+    """Wall whose height is the sum of several heights, for example two crossed waves.
 
     Parameters
     ----------
     *terms : Wall
-        Summands; their own sizes do not count.
+        Summands; their own sizes are ignored.
     size : float or (float, float), optional
-        Full extent in x and y, m.
+        Full extent in x and y, m; None for an unbounded wall.
+
+    Raises
+    ------
+    SceneError
+        If a summand is no wall, or is a `CallableWall`.
+
+    Examples
+    --------
+    >>> import math
+    >>> from nlosoptics.scene import SumWall, WavyWall
+    >>> wave, crossed = WavyWall(1e-4, 0.25), WavyWall(1e-4, 0.25, direction=math.pi / 2)
+    >>> wall = SumWall(wave, crossed, size=1.0)
+    >>> round(1e3 * float(wall.height(0.0, 0.0)), 3)
+    0.2
     """
 
     terms: tuple[Wall, ...]
@@ -354,13 +442,15 @@ class SumWall(Wall):
         if not terms or not all(isinstance(t, Wall) for t in terms):
             raise SceneError(f"SumWall got {terms!r}; give at least one wall")
         if not all(term.is_compiled for term in terms):
-            raise SceneError("SumWall cannot add a CallableWall; add the others in its functions")
+            raise SceneError(
+                "SumWall cannot add a CallableWall; add the other heights in its functions instead"
+            )
         object.__setattr__(self, "terms", terms)
         object.__setattr__(self, "size", size)
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Terms of all summands, their tables joined."""
+        """Return the height terms of all summands, with their tables concatenated."""
         rows, tables, offset = [], [np.zeros(1)], 1
         for term in self.terms:
             row, table = term.compiled()
@@ -373,18 +463,19 @@ class SumWall(Wall):
 
     @property
     def max_curvature(self) -> float:
-        """Sum of the summands' bounds."""
+        """Sum of the curvature bounds of the summands, 1/m."""
         return sum(term.max_curvature for term in self.terms)
 
     def _max_bend(self, size: tuple[float, float]) -> float:
+        """Return the sum of the summands' bounds on the second derivatives, 1/m."""
         return sum(term._max_bend(size) for term in self.terms)
 
     @property
     def finest_period(self) -> float:
-        """The shortest of the summands'."""
+        """Shortest period of the summands, m."""
         return min(term.finest_period for term in self.terms)
 
     @property
     def is_flat(self) -> bool:
-        """Whether every summand is."""
+        """Whether every summand is flat."""
         return all(term.is_flat for term in self.terms)

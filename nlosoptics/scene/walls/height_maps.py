@@ -1,4 +1,4 @@
-"""Relay walls from sampled heights, measured or drawn at random, and from a user's functions."""
+"""Relay walls from sampled heights, measured or random, and from Python functions."""
 
 from __future__ import annotations
 
@@ -20,30 +20,36 @@ from ...kernels.codes import GRID
 from ..parts._sources import SourceFile, source
 from .analytic import Array, Wall, _term
 
-HEIGHTS: Final = 301  # stream of the random generator
-#: Lags, in correlation lengths, at which the autocorrelations have fallen below 1e-15.
+HEIGHTS: Final = 301  # stream number of the random generator
+#: Lag, in correlation lengths, beyond which the autocorrelation is below 1e-15.
 REACH: Final = {"gaussian": 6.0, "exponential": 35.0}
 
 
 @dataclass(frozen=True, eq=False)
 class HeightMapWall(Wall):
-    """Wall through heights on a regular grid, bicubic with continuous slopes.
+    """Wall through heights on a regular grid, by bicubic interpolation with continuous slopes.
 
     Parameters
     ----------
     heights : array_like (ny, nx), str or Path
-        Heights, m, [y, x], row 0 at the lowest y, or an .npy file of them; at least 4 by 4. The
-        grid is centred on the origin.
+        Heights [y, x], m, row 0 at the lowest y, or an .npy file of them; at least 4 by 4 values.
+        The grid is centred on the origin.
     pitch : float
-        Distance between neighbours, m.
+        Distance between neighbouring heights, m.
     size : float or (float, float), optional
-        Full extent in x and y, m; by default, and at most, that of the grid.
+        Full extent in x and y, m; at most that of the grid, which is the default.
 
     Attributes
     ----------
     drawn : dict or None
-        Arguments of `random` that drew the heights, which a scene file keeps in their stead; None
-        for other heights, those of a copy with another size included.
+        Arguments of `random` if it drew the heights. A scene file stores them instead of the
+        heights. None for other walls, and for a copy with another size.
+
+    Raises
+    ------
+    SceneError
+        If the file is missing or no array, the heights are too few or not finite, or ``size``
+        exceeds the grid.
     """
 
     heights: Any
@@ -61,7 +67,7 @@ class HeightMapWall(Wall):
             object.__setattr__(self, "heights", own)
         samples = self._samples
         if samples.ndim != 2 or min(samples.shape) < 4:
-            raise SceneError(f"wall.heights has shape {samples.shape}; give (ny, nx), 4 at least")
+            raise SceneError(f"wall.heights has shape {samples.shape}; give at least (4, 4)")
         if not np.isfinite(samples).all():
             place = np.argwhere(~np.isfinite(samples))[0].tolist()
             raise SceneError(f"wall.heights{place} is NaN or infinite; fill the gaps first")
@@ -86,6 +92,7 @@ class HeightMapWall(Wall):
 
     @cached_property
     def _samples(self) -> Array:
+        """Heights on the grid, (ny, nx), m."""
         return _read(self.heights) if isinstance(self.heights, SourceFile) else self.heights
 
     @classmethod
@@ -99,38 +106,54 @@ class HeightMapWall(Wall):
         autocorrelation: str = "gaussian",
         seed: int = 0,
     ) -> HeightMapWall:
-        """Draw a stationary Gaussian random surface.
+        """Draw a wall with stationary Gaussian random heights.
 
         Parameters
         ----------
         height_rms : float
-            Of the ensemble, m; one wall's own scatters about it by some
-            ``correlation_length / size``.
+            Height rms of the ensemble, m. The rms of a single wall deviates from it by about
+            ``correlation_length / size``, relative.
         correlation_length : float
             Lag l at which the autocorrelation has fallen to 1/e, m; at least two pitches.
         size : float or (float, float)
-            Full extent in x and y, m, met or passed by less than a pitch.
+            Full extent in x and y, m; rounded up to a whole number of pitches.
         pitch : float
-            Distance between drawn heights, m.
+            Distance between neighbouring heights, m.
         autocorrelation : {"gaussian", "exponential"}
-            ``C(r) = exp(-r^2/l^2)`` or ``exp(-r/l)``. The second has slopes that grow without bound
-            as the pitch shrinks: the bicubic surface has those of its pitch.
+            ``C(r) = exp(-r^2/l^2)`` or ``C(r) = exp(-r/l)``. The slope rms of the second grows
+            without limit as the pitch decreases, so that it depends on the pitch.
         seed : int
-            The same seed and grid give the same wall, with any number of threads.
+            Seed of the random generator, 0 to 2^64 - 1. The same seed and grid give the same wall
+            for any number of threads.
 
         Returns
         -------
         HeightMapWall
+            Wall through the random heights; its ``drawn`` holds the arguments.
 
         Raises
         ------
         SamplingError
-            If the pitch is too coarse for the correlation length.
+            If the correlation length is below two pitches.
+        SceneError
+            If a value is out of range.
+        MemoryLimitError
+            If the grid would not fit in memory.
 
         Notes
         -----
-        Circulant embedding: white noise filtered by the square root of the autocorrelation's
-        discrete spectrum on a grid so much larger that its wrap-around does not show.
+        Circulant embedding: white noise is filtered by the square root of the discrete spectrum of
+        the autocorrelation. The periodic grid exceeds the wall by the lag at which the
+        autocorrelation is below 1e-15, so that opposite edges are uncorrelated.
+
+        Examples
+        --------
+        >>> from nlosoptics.scene import HeightMapWall
+        >>> wall = HeightMapWall.random(
+        ...     height_rms=1e-6, correlation_length=10e-3, size=0.5, pitch=2e-3, seed=1
+        ... )
+        >>> wall.size, round(1e6 * float(wall.heights.std()), 2)
+        ((0.5, 0.5), 1.04)
         """
         from scipy import fft
 
@@ -159,7 +182,7 @@ class HeightMapWall(Wall):
         x, y = (np.minimum(np.arange(n), n - np.arange(n)) * pitch / length for n in counts)
         square = x * x + y[:, None] ** 2
         lags = np.exp(-square if autocorrelation == "gaussian" else -np.sqrt(square))
-        # what rounding leaves of spectra that vanish may be negative
+        # rounding can make vanishing parts of the spectrum slightly negative
         spectrum = np.maximum(fft.rfft2(lags).real, 0.0)
         noise = generator(seed, HEIGHTS).standard_normal((counts[1], counts[0]))
         heights = fft.irfft2(fft.rfft2(noise) * np.sqrt(spectrum), s=noise.shape)
@@ -177,6 +200,7 @@ class HeightMapWall(Wall):
 
     @cached_property
     def _fit(self) -> tuple[Array, Array]:
+        """Height term and table of the bicubic surface."""
         from scipy.interpolate import RectBivariateSpline
 
         ny, nx = self._samples.shape
@@ -187,17 +211,17 @@ class HeightMapWall(Wall):
         return term, np.concatenate([self._samples.ravel(), *slopes])
 
     def compiled(self) -> tuple[Array, Array]:
-        """One bicubic grid."""
+        """Return the bicubic grid as one height term."""
         return self._fit
 
     @cached_property
     def max_curvature(self) -> float:
-        """Bound on the second derivatives of the height, 1/m."""
+        """Upper bound on the second derivatives of the height, 1/m."""
         return grid_limits(self._fit[0][0], self._fit[1])[2]
 
     @property
     def finest_period(self) -> float:
-        """Four pitches, m."""
+        """Shortest period that the grid is taken to resolve: four pitches, m."""
         return 4 * self.pitch
 
     @property
@@ -207,6 +231,7 @@ class HeightMapWall(Wall):
 
 
 def _read(path: SourceFile) -> Array:
+    """Return the heights of an .npy file, m."""
     if not path.is_held and not path.is_file():
         raise SceneError(f"wall.heights: there is no file {path}; give the path of an .npy file")
     file = io.BytesIO(path.content)
@@ -215,24 +240,26 @@ def _read(path: SourceFile) -> Array:
     except (OSError, ValueError, TypeError, EOFError) as error:
         raise SceneError(
             f"wall.heights: {path} holds no array of numbers ({type(error).__name__}); "
-            "write one by numpy.save"
+            "write one with numpy.save"
         ) from None
 
 
 def grid_limits(row: Array, tables: Array) -> tuple[float, float, float]:
-    """Lowest and highest height of a bicubic Hermite surface and a bound on its curvature.
+    """Return bounds of a bicubic Hermite surface: lowest height, highest height, curvature.
 
-    From the Hermite basis on [0, 1]: values mix convexly, slopes add at most step/4 of their
-    size; a first derivative is at most 3/2 of the difference quotient plus the largest slope; a
-    second derivative is linear between nodes.
+    The bounds follow from the Hermite basis on [0, 1]. The value weights are convex, and slopes
+    contribute at most step/4 times their magnitude. A first derivative is at most 3/2 of the
+    difference quotient plus the largest slope. A second derivative is linear between nodes.
     """
     sx, sy, nx, ny, offset = row[3], row[4], int(row[5]), int(row[6]), int(row[7])
     v, vx, vy, vxy = tables[offset : offset + 4 * nx * ny].reshape(4, ny, nx)
 
     def top(a: Array) -> float:
+        """Return the largest magnitude."""
         return float(np.abs(a).max())
 
     def second(values: Array, slopes: Array, step: float) -> float:
+        """Return the largest second derivative along axis 1, which occurs at a node."""
         quotient = 6 * np.diff(values) / step
         start, stop = slopes[:, :-1], slopes[:, 1:]
         return (
@@ -250,33 +277,35 @@ def grid_limits(row: Array, tables: Array) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, eq=False)
 class CallableWall(Wall):
-    """Wall whose height is a user's own vectorised Python function.
+    """Wall whose height is given by vectorised Python functions.
 
-    It is met by rays and aims waves like any other, in Python instead of compiled code: some
-    hundred times slower. No scene file holds one.
+    It can be used like every other wall. Rays are intersected in Python instead of compiled code,
+    which is about a hundred times slower. It cannot be saved in a scene file.
 
     Parameters
     ----------
     height : callable
-        ``height(x, y)``, m, of arrays of equal shape, m.
+        ``height(x, y)`` returns the height in m for arrays x and y, m, of equal shape.
     gradient : callable
-        ``gradient(x, y)``: (dh/dx, dh/dy).
+        ``gradient(x, y)`` returns (dh/dx, dh/dy).
     hessian : callable, optional
-        ``hessian(x, y)``: (d2h/dx2, d2h/dxdy, d2h/dy2), 1/m; by default central differences of the
-        gradient over 1e-5 of the finest period, or of a metre without one.
+        ``hessian(x, y)`` returns (d2h/dx2, d2h/dxdy, d2h/dy2), 1/m. By default it is computed by
+        central differences of the gradient with a step of 1e-5 of the finest period, or 1e-5 m if
+        that is infinite.
     size : float or (float, float), optional
         Full extent in x and y, m; None for an unbounded wall.
     max_height : float
-        Bound on abs(height) over the wall, m.
+        Upper bound on abs(height) over the wall, m.
     max_curvature : float
-        Bound on the second derivative of the height in any direction, 1/m; to be given.
+        Upper bound on the second derivative of the height in any direction, 1/m; required.
     finest_period : float
-        Shortest lateral scale on which the height turns around, m.
+        Shortest lateral period of the height, m; infinite if it does not oscillate.
 
     Raises
     ------
     SceneError
-        From every use in which the functions break a bound or return what is no height.
+        If a value is out of range. Every later use raises it if a function exceeds a bound, or
+        returns values of the wrong shape or that are not finite.
     """
 
     height: Callable[[Array, Array], ArrayLike] = field()  # type: ignore[assignment]
@@ -285,7 +314,7 @@ class CallableWall(Wall):
     hessian: Callable[[Array, Array], Any] | None = None
     size: tuple[float, float] | None = None
     max_height: float
-    # a default, or the base's property would be in its place; its check refuses it
+    # without a default the property of the base class would become it; inf fails the check below
     max_curvature: float = math.inf
     finest_period: float = math.inf
 
@@ -311,18 +340,24 @@ class CallableWall(Wall):
         return super().__getstate__()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Refused: functions of Python are not compiled."""
+        """Raise `SceneError`, since Python functions cannot be compiled."""
         raise SceneError(
-            "a CallableWall has no compiled form; sample its heights into a HeightMapWall here"
+            "a CallableWall has no compiled form; sample its heights into a HeightMapWall instead"
         )
 
     def derivatives(self, x: ArrayLike, y: ArrayLike) -> Array:
-        """Height and its derivatives (h, hx, hy, hxx, hxy, hyy), shape (..., 6).
+        """Return the height and its derivatives (h, hx, hy, hxx, hxy, hyy), (..., 6).
+
+        Parameters
+        ----------
+        x, y : array_like, (...)
+            World coordinates, m; shapes broadcast.
 
         Raises
         ------
         SceneError
-            If a function breaks a bound or returns what is no height.
+            If a function exceeds a bound, or returns values of the wrong shape or that are not
+            finite.
         """
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         out = np.empty((*x.shape, 6))
@@ -347,6 +382,7 @@ class CallableWall(Wall):
         return out
 
     def _slopes(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Return the checked values of ``gradient``."""
         slopes = self.gradient(x, y)
         if len(slopes) != 2:
             raise SceneError(f"wall.gradient returned {len(slopes)} values; give hx and hy")
@@ -354,20 +390,26 @@ class CallableWall(Wall):
 
     @staticmethod
     def _called(name: str, values: ArrayLike, like: Array) -> Array:
+        """Return the values of a function after checking their shape and that they are finite."""
         values = np.asarray(values, dtype=np.float64)
         if values.shape not in (like.shape, ()):
             raise SceneError(
-                f"wall.{name} returned shape {values.shape} for {like.shape}; vectorise it"
+                f"wall.{name} returned shape {values.shape} for coordinates of shape {like.shape}; "
+                "vectorise the function"
             )
         if not np.isfinite(values).all():
-            raise SceneError(f"wall.{name} returned NaN or infinity; give a height everywhere")
+            raise SceneError(
+                f"wall.{name} returned NaN or infinity; return finite values on the whole wall"
+            )
         return values
 
     def _within(self, name: str, values: Array) -> None:
-        # differences of gradients are good to some 1e-5 of the bound
+        """Raise `SceneError` if a value exceeds the bound ``name``."""
+        # the tolerance allows for finite differences, whose relative error is about 1e-5
         limit = float(getattr(self, name))
         largest = float(values.max(initial=0.0))
         if largest > limit * (1 + 1e-4) + 1e-9:
             raise SceneError(
-                f"wall.{name} = {limit:g} is passed by the wall's own {largest:g}; give a bound"
+                f"wall.{name} = {limit:g} is exceeded by the wall's actual {largest:g}; give a "
+                "larger bound"
             )

@@ -1,4 +1,4 @@
-"""Triangle meshes: loading, checking, and the smooth wall surface behind one."""
+"""Relay walls given by triangle meshes, and the smooth surfaces fitted to them."""
 
 from __future__ import annotations
 
@@ -24,18 +24,24 @@ from ..parts.meshes import load_mesh
 
 @dataclass(frozen=True, eq=False)
 class MeshWall(Wall):
-    """Relay wall given by a mesh that is a height field over z = 0.
+    """Relay wall given by a triangle mesh that is a height field over the plane z = 0.
 
-    Waves need a smooth surface, which triangles are not: the vertices are joined by a bicubic
-    surface with continuous slopes, and `fit_residual` says how far that can be from the truth.
-    `mesh_error` says how far the triangles themselves are from it, which rays on them meet.
+    Waves need a smooth surface, so a bicubic surface with continuous slopes is fitted to the
+    vertices. `fit_residual` estimates its error. `mesh_error` is the mean distance of the flat
+    triangles from it.
 
     Parameters
     ----------
     mesh : str, Path or trimesh.Trimesh
-        File (STL, OBJ, PLY) or mesh, m, world frame, facing +z.
+        Mesh file (STL, OBJ, PLY) or mesh in the world frame, m, around the origin, facing +z.
     scale : float
-        Factor on the mesh's coordinates, for files in other units.
+        Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
+
+    Raises
+    ------
+    SceneError
+        If ``scale`` is not above 0. A missing file, too few vertices, or a mesh that folds back or
+        does not surround the origin is found at the first use.
     """
 
     mesh: Any
@@ -58,7 +64,7 @@ class MeshWall(Wall):
 
     @cached_property
     def triangles(self) -> trimesh.Trimesh:
-        """The mesh itself, scaled."""
+        """Scaled mesh in the world frame, m."""
         mesh = load_mesh("wall.mesh", self.mesh)
         if self.scale != 1.0:
             mesh = mesh.copy()
@@ -67,19 +73,19 @@ class MeshWall(Wall):
 
     @property
     def size(self) -> tuple[float, float]:  # type: ignore[override]
-        """Extent in x and y that is centred on the origin and covered by the mesh, m."""
+        """Largest extent in x and y, centred on the origin, that the mesh covers, m."""
         low, high = self.triangles.bounds
         reach = np.minimum(-low[:2], high[:2])
         if not (reach > 0).all():
             raise SceneError(
                 f"wall.mesh spans x {low[0]:g} to {high[0]:g} m and y {low[1]:g} to {high[1]:g} m; "
-                "it must surround the origin"
+                "it must surround the origin; shift the mesh"
             )
         return (2 * float(reach[0]), 2 * float(reach[1]))
 
     @cached_property
     def _fit(self) -> tuple[Array, Array, float, float]:
-        """Term, table, residual and curvature bound of the bicubic surface."""
+        """Height term, table, residual (m) and curvature (1/m) of the fitted bicubic surface."""
         from scipy.interpolate import RectBivariateSpline
 
         mesh = self.triangles
@@ -95,7 +101,7 @@ class MeshWall(Wall):
             z[columns, rows] = points[:, 2]
             spline = RectBivariateSpline(x, y, z)
             every_other = RectBivariateSpline(x[::2], y[::2], z[::2, ::2])
-            # vertices that a fit through every other one was not shown
+            # compare at all vertices inside the grid of every other one, to avoid extrapolation
             end_x, end_y = x[::2][-1], y[::2][-1]
             seen = np.ix_(x <= end_x, y <= end_y)
             guess = every_other(x[x <= end_x], y[y <= end_y])
@@ -125,6 +131,7 @@ class MeshWall(Wall):
 
     @staticmethod
     def _check_height_field(mesh: trimesh.Trimesh) -> None:
+        """Raise `SceneError` unless all triangles face the same way in z."""
         upward = np.asarray(mesh.face_normals)[np.asarray(mesh.area_faces) > 0][:, 2]
         if not (np.all(upward > 0) or np.all(upward < 0)):
             raise SceneError(
@@ -133,32 +140,32 @@ class MeshWall(Wall):
             )
 
     def compiled(self) -> tuple[Array, Array]:
-        """One bicubic grid, that of the smooth surface."""
+        """Return the fitted bicubic surface as one height term."""
         return self._fit[0], self._fit[1]
 
     @property
     def fit_residual(self) -> float:
-        """How far the smooth surface may be from the wall that the mesh samples, m.
+        """Estimated error of the fitted surface relative to the wall that the mesh samples, m.
 
-        On a regular grid of vertices: the largest misfit, at the vertices left out, of the surface
-        through every other vertex, which overstates that through all of them. Otherwise the largest
-        misfit of a least-squares bicubic spline with fewer coefficients than vertices.
+        For vertices on a regular grid: the largest misfit of a surface through every other vertex,
+        which overestimates the error of the surface through all of them. For other meshes: the
+        largest misfit of a least-squares bicubic spline with fewer coefficients than vertices.
         """
         return self._fit[2]
 
     @cached_property
     def mesh_error(self) -> float:
-        """Mean distance in z between the triangles and the smooth surface, m.
+        """Mean distance in z between the triangles and the fitted surface, m.
 
-        What the height of a hit on a triangle gets wrong; a reflected path, twice that. On a
-        square grid of pitch h over a radius of curvature R it is h^2 / 6R: the mean, over a right
-        triangle, of the sag of a paraboloid below its chords.
+        It is the height error of a ray's hit on a triangle; the path of a reflected ray errs by
+        twice as much. For a square grid of pitch h and a radius of curvature R it is h^2/(6R), the
+        mean sag of a paraboloid over a right triangle.
         """
         corners = np.asarray(self.triangles.triangles, dtype=np.float64)
         first, second = (corners[:, i, :2] - corners[:, 0, :2] for i in (1, 2))
         areas = np.abs(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
         total = whole = 0.0
-        # three points of a triangle, by which the mean of a quadratic is exact
+        # three-point quadrature over a triangle, exact for quadratic functions
         for shares in np.eye(3) / 2 + 1 / 6:
             x, y, z = np.einsum("k,nkc->cn", shares, corners)
             inside = np.asarray(self.contains(x, y))
@@ -168,33 +175,54 @@ class MeshWall(Wall):
         return total / whole
 
     def wave_grade(self, wavelength: float) -> bool:
-        """Whether the smooth surface is known to a twentieth of a wavelength (m), as waves need."""
+        """Return whether the surface is accurate enough for waves, to a twentieth of a wavelength.
+
+        Parameters
+        ----------
+        wavelength : float
+            Wavelength, m.
+
+        Raises
+        ------
+        SceneError
+            If the wavelength is not above 0, or the mesh cannot be fitted.
+        """
         return self.fit_residual <= positive("wavelength", wavelength) / 20
 
     @property
     def max_curvature(self) -> float:
-        """Largest curvature of the smooth surface at its nodes, 1/m."""
+        """Upper bound on the curvature of the fitted surface at its nodes, 1/m."""
         return self._fit[3]
 
     @property
     def finest_period(self) -> float:
-        """Eight cells of the smooth surface, m."""
+        """Shortest period that the surface is taken to resolve: eight of its cells, m."""
         return 8 * float(max(self._fit[0][0, 3], self._fit[0][0, 4]))
 
 
 def _distinct(values: Array, tolerance: float) -> NDArray[np.float64]:
-    """Sorted values without those closer than ``tolerance`` to the one before."""
+    """Return sorted values without those closer than ``tolerance`` to their predecessor."""
     ordered = np.sort(values)
     return np.asarray(ordered[np.append(True, np.diff(ordered) > tolerance)])
 
 
 def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float, tuple[int, int]]:
-    """Least-squares bicubic spline of scattered vertices, its largest misfit and node counts."""
+    """Fit scattered vertices (n, 3) by a least-squares bicubic spline.
+
+    Returns
+    -------
+    spline : scipy.interpolate.LSQBivariateSpline
+        Height as a function of x and y.
+    residual : float
+        Largest misfit at a vertex, m.
+    counts : (int, int)
+        Nodes in x and y that resolve the spline.
+    """
     import warnings
 
     from scipy.interpolate import LSQBivariateSpline
 
-    per_knot = 6  # vertices for every coefficient, so that the misfit means something
+    per_knot = 6  # vertices per coefficient; with fewer the misfit would not measure the error
     n = math.sqrt(len(points) / per_knot)
     if n < 4:
         raise SceneError(
@@ -205,7 +233,7 @@ def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float
     low, high = points.min(axis=0), points.max(axis=0)
     knots_x, knots_y = (np.linspace(low[i], high[i], counts[i] + 2)[1:-1] for i in (0, 1))
     with warnings.catch_warnings():
-        # a rank-deficient fit shows in the misfit
+        # a rank-deficient fit needs no warning: its misfit is large
         warnings.simplefilter("ignore")
         spline = LSQBivariateSpline(points[:, 0], points[:, 1], points[:, 2], knots_x, knots_y)
     residual = float(abs(spline.ev(points[:, 0], points[:, 1]) - points[:, 2]).max())

@@ -1,1 +1,1 @@
-"""Time-resolved captures: the noun, its files, preprocessing and detectors."""
+"""Time-resolved captures: their data class, file formats, preprocessing and detectors."""

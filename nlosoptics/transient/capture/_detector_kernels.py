@@ -1,4 +1,7 @@
-"""Photon counts, compiled: each bin draws by its own address, so that threads change nothing."""
+"""Compiled Poisson draws of photon counts.
+
+Each bin has its own random numbers, so the counts do not depend on the number of threads.
+"""
 
 from __future__ import annotations
 
@@ -12,17 +15,17 @@ from ...kernels.random import uniform
 
 #: Stream of the random generator.
 COUNTS = np.uint64(451)
-#: Expected counts from which on draws are rejected into shape, not added up.
+#: Counts with a mean from this value on are drawn by rejection, others by inversion.
 MANY = 10.0
 
 
 @njit(cache=True)
 def _few(mean, seed, address):
-    """Poisson count by inversion: the sum of chances up to one uniform number."""
+    """Draw a Poisson count by inversion of the cumulative distribution."""
     left = uniform(seed, COUNTS, address, np.uint64(0))
     chance = math.exp(-mean)
     count = 0
-    # beyond 200 the chances of a mean of 10 are below the least double
+    # at means below 10, the probability of 200 counts is far below the resolution of a double
     while left >= chance and count < 200:
         left -= chance
         count += 1
@@ -32,7 +35,7 @@ def _few(mean, seed, address):
 
 @njit(cache=True)
 def _many(mean, seed, address):
-    """Poisson count by transformed rejection: Hoermann, Insur. Math. Econ. 12, 39 (1993), PTRS."""
+    """Draw a Poisson count by rejection: Hoermann, Insur. Math. Econ. 12, 39 (1993), PTRS."""
     b = 0.931 + 2.53 * math.sqrt(mean)
     a = -0.059 + 0.02483 * b
     inverse = 1.1239 + 1.1328 / (b - 3.4)
@@ -57,7 +60,7 @@ def _many(mean, seed, address):
 
 @threaded()
 def poisson(means, seed, counts):
-    """Fill ``counts`` (n,) with Poisson draws of ``means`` (n,); ``seed`` uint64."""
+    """Fill ``counts`` (n,) with Poisson draws of means ``means`` (n,); ``seed`` is uint64."""
     for i in prange(means.shape[0]):
         mean = means[i]
         if mean <= 0.0:

@@ -1,4 +1,4 @@
-"""What a time-resolved capture holds: light at wall points over time, per laser point."""
+"""The time-resolved capture: intensity at wall points over time, for each laser point."""
 
 from __future__ import annotations
 
@@ -26,44 +26,65 @@ QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TransientCapture(Noun, Shown):
-    """Light at points of the relay wall in bins of optical path.
+    """Intensity at points of the relay wall, in bins of optical path.
 
-    The wall is the plane z = 0 with its normal +z, unless normals say otherwise. Grids of points
-    are [y, x], row 0 at the lowest y.
+    The wall is the plane z = 0 with normal +z, unless other normals are given. Grids of points are
+    ordered [y, x], with row 0 at the lowest y.
 
     Parameters
     ----------
     H : array_like
-        (n_bins, *laser_shape, *sensor_shape) where each laser point is seen at each sensor point
-        (``pairing="all"``), (n_bins, *shape) where each at its own (``"confocal"``, which need not
-        be the same point). The integral over each bin, not a density. Single precision is kept.
+        (n_bins, *laser_shape, *sensor_shape) for ``pairing="all"``, (n_bins, *shape) for
+        ``"confocal"``. Values are integrals over each bin, not densities, in the unit of
+        ``quantity``. Single precision is kept.
     laser_points, sensor_points : array_like
-        (*laser_shape, 3) and (*sensor_shape, 3), m. One point may be (3,): it adds no axis.
+        (*laser_shape, 3) and (*sensor_shape, 3), world, m. A single point may have shape (3,); it
+        adds no axis to ``H``.
     delta_t : float
         Width of a bin, m of optical path.
     t_start : float
-        Where bin 0 begins, m of optical path.
+        Start of bin 0, m of optical path.
     pairing : {"all", "confocal"}
+        "all": every laser point is observed at every sensor point. "confocal": laser point i is
+        observed at sensor point i only; the two points may differ.
     quantity : {"irradiance", "radiance", "radiosity", "counts", "unknown"}
+        Physical quantity of ``H``; `render` states the units.
     outer_legs : bool
-        Whether the times hold the legs from the laser to the wall and from the wall to the sensor.
+        Whether times include the paths from laser to wall and from wall to sensor.
     laser_origin, sensor_origin : array_like of 3 floats, optional
-        Where the laser and the sensor stand, m; needed to take the outer legs away.
+        Positions of laser and sensor, world, m. Required to subtract the outer legs.
     laser_normals, sensor_normals : array_like, optional
-        Of the points' shapes; None: +z.
+        Unit normals of the wall, shaped like the points; None means +z.
     by_bounce : mapping of int to array_like
-        Parts of ``H`` by the number of reflections, wall included: 3, 4, 5.
+        Contributions to ``H``, each shaped like ``H``, by number of reflections. The number
+        includes the two reflections at the wall: 3, 4, 5.
     standard_error : array_like, optional
-        Of ``H``, same shape and unit; 0 where nothing was drawn at random.
+        Standard error of ``H``, same shape and unit; 0 for values computed without random numbers.
     details : mapping
-        What else a file or a renderer had to say.
+        Further information from a file or a renderer, by name.
 
     Raises
     ------
     SamplingError
-        If shapes do not fit one another.
+        If array shapes are inconsistent.
     SceneError
         If a value is not finite or out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, wall_grid
+    >>> capture = TransientCapture(
+    ...     H=np.ones((10, 4, 4)),
+    ...     laser_points=(0.0, 0.0, 0.0),
+    ...     sensor_points=wall_grid(side=1.0, count=4),
+    ...     delta_t=0.02,
+    ...     t_start=1.0,
+    ... )
+    >>> capture.n_bins, capture.laser_shape, capture.sensor_shape
+    (10, (), (4, 4))
+    >>> print(capture.times[:3].round(3))
+    [1.01 1.03 1.05]
     """
 
     H: Array
@@ -97,7 +118,7 @@ class TransientCapture(Noun, Shown):
                 if normals.shape != points.shape:
                     raise SamplingError(
                         f"{name}_normals have shape {normals.shape}, must be {points.shape} like "
-                        "the points"
+                        f"{name}_points; give one normal per point"
                     )
                 put(self, f"{name}_normals", normals)
             origin = getattr(self, f"{name}_origin")
@@ -109,7 +130,9 @@ class TransientCapture(Noun, Shown):
         given: Any = self.by_bounce
         if not isinstance(given, Mapping):
             kind = type(given).__name__
-            raise SceneError(f"by_bounce is a {kind}; give bins by the number of reflections")
+            raise SceneError(
+                f"by_bounce is a {kind}, must be a mapping; give {{number of reflections: bins}}"
+            )
         parts = {
             whole("a key of by_bounce", n): self._bins(f"by_bounce[{n}]", h)
             for n, h in given.items()
@@ -121,38 +144,39 @@ class TransientCapture(Noun, Shown):
         ]:
             if values is not None and len(values) != len(self.H):
                 raise SamplingError(
-                    f"{name} has {len(values)} bins, must be {len(self.H)} like H; cut both alike"
+                    f"{name} has {len(values)} bins, must be {len(self.H)} like H; crop both to "
+                    "the same bins"
                 )
         put(self, "details", MappingProxyType(dict(self.details)))
 
     @property
     def laser_shape(self) -> tuple[int, ...]:
-        """Axes of the laser points, () for one."""
+        """Shape of the laser points without the last axis; () for a single point."""
         return self.laser_points.shape[:-1]
 
     @property
     def sensor_shape(self) -> tuple[int, ...]:
-        """Axes of the sensor points, () for one."""
+        """Shape of the sensor points without the last axis; () for a single point."""
         return self.sensor_points.shape[:-1]
 
     @property
     def n_bins(self) -> int:
-        """Bins of time."""
+        """Number of time bins."""
         return int(self.H.shape[0])
 
     @property
     def edges(self) -> Array:
-        """(n_bins + 1,), m of optical path."""
+        """Edges of the bins, (n_bins + 1,), m of optical path."""
         return self.t_start + self.delta_t * np.arange(self.n_bins + 1)
 
     @property
     def times(self) -> Array:
-        """(n_bins,), the bins' middles, m of optical path."""
+        """Centres of the bins, (n_bins,), m of optical path."""
         return self.t_start + self.delta_t * (np.arange(self.n_bins) + 0.5)
 
     @property
     def is_confocal(self) -> bool:
-        """Whether each laser point is seen at that very point."""
+        """Whether each laser point is observed only at the same point, to 1e-9 m."""
         return self.pairing == "confocal" and bool(
             np.allclose(self.laser_points, self.sensor_points, rtol=0.0, atol=1e-9)
         )
@@ -168,34 +192,63 @@ class TransientCapture(Noun, Shown):
             "sensor points": told(self.sensor_shape),
             "pairing": self.pairing,
             "quantity": self.quantity,
-            "outer legs": "in the times" if self.outer_legs else "not in the times",
+            "outer legs": "included in times" if self.outer_legs else "not included in times",
         }
-        alt = "Light on the relay wall: optical path against sensor position"
+        alt = "Intensity at the relay wall: optical path against sensor position"
         return Figures("Transient", figures, alt)
 
     def with_details(self, **more: Any) -> TransientCapture:
-        """Return the same capture with more ``details``."""
+        """Return a copy of the capture with additional ``details``.
+
+        Parameters
+        ----------
+        **more
+            Entries to add to ``details``, by name; existing entries are replaced.
+
+        Returns
+        -------
+        TransientCapture
+        """
         return replace(self, details={**self.details, **more})
 
     def save(self, path: str | Path, *, compression: int = 0) -> None:
-        """Write y-tal's HDF5 layout, whole or not at all; `load` and y-tal read it.
+        """Write the capture to an HDF5 file in the layout of y-tal.
 
-        Space is [x, y] in the file. y-tal has grids and lists of points: other shapes are written
-        as lists. What its layout lacks it does not see: ``by_bounce``, ``standard_error`` and
-        arrays among the ``details`` are attributes of ``H``, the rest is in ``scene_info``, where
-        ``details`` that JSON has no form for become lists or text.
+        `load` and y-tal can read the file. If writing fails, no partial file is left.
 
         Parameters
         ----------
         path : str or Path
-            An existing file is replaced.
+            File to write; an existing file is replaced.
         compression : int
-            Of ``H`` by gzip, 0 (none) to 9. Attributes are never compressed.
+            gzip level of ``H``, 0 (none) to 9. Attributes are never compressed.
 
         Raises
         ------
         SceneError
             If the file cannot be written.
+
+        Notes
+        -----
+        Spatial axes are [x, y] in the file. y-tal supports grids and lists of points; points of
+        any other shape are written as lists. Data that y-tal's layout lacks are stored where y-tal
+        ignores them: ``by_bounce``, ``standard_error`` and array-valued ``details`` as attributes
+        of ``H``, everything else as JSON in ``scene_info``. ``details`` without a JSON form become
+        lists or text.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from nlosoptics.transient import TransientCapture
+        >>> capture = TransientCapture(
+        ...     H=[0.0, 1.0, 2.0], laser_points=(0, 0, 0), sensor_points=(0.1, 0, 0), delta_t=0.02
+        ... )
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     capture.save(Path(folder) / "one.hdf5")
+        ...     again = TransientCapture.load(Path(folder) / "one.hdf5")
+        >>> print(again.H)
+        [0. 1. 2.]
         """
         from .tal_files import save
 
@@ -216,47 +269,52 @@ class TransientCapture(Noun, Shown):
         quantity: Quantity | None = None,
         gate_start: float | None = None,
     ) -> TransientCapture:
-        """Read a capture of this or another program; the layout is told by what the file holds.
+        """Read a capture from a file of this or another program.
 
-        What a layout leaves open is an error that names the argument which decides. Arguments go
-        before what the file says.
+        The layout is recognised from the names of the variables in the file. If the layout leaves
+        a value open, an error names the argument that supplies it. Arguments override the file.
 
         Parameters
         ----------
         path : str or Path
-            HDF5 of y-tal, Z-NLOS or NLOS-DIRAC; ``.mat`` (v5 or v7.3) of the phasor field (2019,
-            2020) or the LCT (2018).
+            HDF5 file of y-tal, Z-NLOS or NLOS-DIRAC, or ``.mat`` file (v5 or v7.3) of the phasor
+            field (2019, 2020) or the LCT (2018).
         format : {"tal", "znlos", "dirac", "phasor_field_2019", "phasor_field_2020", "lct"}
-            Confirms a layout whose conventions its variables alone do not prove: of the LCT,
-            confocal pairs and a ``width`` of half the side; of the phasor field (2020), a
-            ``SPAD_index`` that counts from 0.
+            Confirms conventions that the file itself does not prove. For "lct": pairs are confocal
+            and ``width`` is half the side. For "phasor_field_2020": ``SPAD_index`` counts from 0.
         bin_width : float
-            m of optical path; a bin of 4 ps is 1.2e-3.
+            Width of a bin, m of optical path; 4 ps are 1.2e-3 m.
         t_start : float
-            Where bin 0 begins, m of optical path.
+            Start of bin 0, m of optical path.
         side : float
-            Of the square wall whose cells' middles were scanned, m, whole.
+            Full side of the square wall, m. The scanned points are the centres of its cells.
         pairing : {"all", "confocal"}
+            How laser and sensor points are paired, see `TransientCapture`.
         laser_point : array_like of 3 floats
-            The one laser point, m.
+            Position of the only laser point, world, m.
         outer_legs : bool
-            Whether the times hold the legs from the laser to the wall and on to the sensor.
+            Whether times include the paths from laser to wall and from wall to sensor.
         quantity : str
-            Of the bins; "unknown" where nothing says it.
+            Physical quantity of the bins; "unknown" if neither file nor argument states it.
         gate_start : float
-            m of optical path; bins that begin before it, direct light, become 0.
+            Bins that start before this optical path, m, are set to 0 to remove direct light.
 
         Returns
         -------
         TransientCapture
-            Grids [y, x], row 0 at the lowest y. Scans of the phasor field, which move the laser,
-            have laser and sensor swapped, which light does not tell.
+            Grids are [y, x], with row 0 at the lowest y. Phasor-field captures scan the laser and
+            keep the sensor fixed; they are returned with laser and sensor swapped, which leaves
+            the data unchanged by reciprocity.
 
         Raises
         ------
         SceneError, SamplingError
-            If the file is missing, foreign or cut short, a value is missing, not finite or in
-            another unit, or arrays do not fit one another.
+            If the file is missing, truncated or of an unknown layout; if a value is missing, not
+            finite or in another unit; or if array shapes are inconsistent.
+
+        See Also
+        --------
+        TransientCapture.save : Write a capture; its example also reads it.
         """
         from .formats import load_capture
 
@@ -278,10 +336,14 @@ class TransientCapture(Noun, Shown):
         try:
             array = np.asarray(values)
         except ValueError:
-            raise SamplingError(f"{name} has rows of several lengths; give them all one") from None
+            raise SamplingError(
+                f"{name} has rows of several lengths; give rows of equal length"
+            ) from None
         if array.dtype not in (np.float32, np.float64):
             if array.dtype.kind not in "iuf":
-                raise SceneError(f"{name} of type {array.dtype} is not an array of real numbers")
+                raise SceneError(
+                    f"{name} of type {array.dtype} is not an array of real numbers; give floats"
+                )
             array = array.astype(np.float64)
         shape = pair_shape(self.pairing, self.laser_shape, self.sensor_shape)
         if array.ndim == 0 or array.shape[0] == 0 or array.shape[1:] != shape:

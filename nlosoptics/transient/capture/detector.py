@@ -1,4 +1,4 @@
-"""The detector of a time-resolved capture: gate, jitter, dark counts, photon noise."""
+"""Detector of a time-resolved capture: gate, jitter, dark counts and photon noise."""
 
 from __future__ import annotations
 
@@ -15,44 +15,59 @@ from .capture import TransientCapture
 
 Array = NDArray[np.floating]
 
-#: Lengths below it, m, can only be seconds: 0.1 um of path is 0.3 fs.
+#: Shorter lengths, m, are refused as seconds given by mistake: 0.1 um of path is 0.3 fs.
 FINEST = 1e-7
-#: Beyond these, standard deviations and tail lengths, less than 1e-14 of the light arrives.
+#: Range of the time response, in standard deviations of the Gaussian and in lengths of the tail;
+#: less than 1e-14 of the counts lie beyond.
 SIGMAS, TAILS = 8.0, 33.0
-#: Means beyond it lose whole counts to the rounding of doubles.
+#: Largest mean count; rounding of doubles would lose whole counts beyond it.
 MOST_COUNTS = 2.0**50
 
 
 @dataclass(frozen=True, kw_only=True)
 class Detector:
-    """A counting detector, such as a SPAD with its clock, far from saturation.
+    """Time-stamping photon counter, such as a SPAD, far from saturation.
 
-    Lengths are of optical path: 50 ps are 0.015 m. Photons pile up nowhere, nor does one blind the
-    detector for the next: that holds below some 5 % detections a pulse.
+    Lengths are in m of optical path: 50 ps are 0.015 m. Pile-up and dead time are neglected, which
+    is valid below about 5 % detections per pulse.
 
     Parameters
     ----------
     photons : float, optional
-        Expected photons that the whole capture (all bins of all points) brings to the detector
-        before its gate; by default ``H`` itself is photons.
+        Expected number of photons at the detector, before the gate, summed over all bins and
+        points of the capture. None: the values of ``H`` are already photon numbers.
     efficiency : float
-        Share of the photons that is counted, 0 to 1.
+        Fraction of the photons that is counted, 0 to 1.
     jitter : float
-        Standard deviation of the Gaussian part of the time stamps' errors, m of optical path.
+        Standard deviation of the Gaussian time-stamp error, m of optical path.
     tail : float
-        Mean delay of the diffusion tail, m of optical path; its counts have the Gaussian too.
+        Mean delay of the exponential diffusion tail, m of optical path. Counts in the tail have
+        the Gaussian error in addition.
     tail_share : float
-        Share of the counts that are in the tail, 0 to 1.
+        Fraction of the counts that lie in the tail, 0 to 1.
     dark_counts : float
-        Expected in each bin of each point, after ``efficiency``; as long as the gate is open.
+        Expected dark counts per bin and point while the gate is open; ``efficiency`` does not
+        apply to them.
     gate : (float, float), optional
-        m of optical path between which the detector counts what arrives; time stamps may err out
-        of it. Always open by default.
+        Opening and closing of the gate, m of optical path. It acts on arrival times, so recorded
+        time stamps may lie outside. None: always open.
 
     Raises
     ------
     SceneError
-        If a value is out of range, or a length can only be in seconds.
+        If a value is out of range, or a length is so short that it must be in seconds.
+
+    Examples
+    --------
+    >>> from nlosoptics.transient import Detector, TransientCapture
+    >>> capture = TransientCapture(
+    ...     H=[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+    ...     laser_points=(0.0, 0.0, 0.0),
+    ...     sensor_points=(0.1, 0.0, 0.0),
+    ...     delta_t=0.01,
+    ... )
+    >>> print(Detector(photons=1000.0, jitter=0.01).expected(capture).round(1))
+    [  7.7  66.7 240.8 368.7 240.8  66.7   7.7]
     """
 
     photons: float | None = None
@@ -73,24 +88,26 @@ class Detector:
             length = in_range(f"detector.{name}", getattr(self, name), 0.0, unit="m")
             if 0.0 < length < FINEST:
                 raise SceneError(
-                    f"detector.{name} = {length:g} is too short for m of optical path, limit "
-                    f"{FINEST:g} m: as seconds it would be {length * 299792458.0:.6g}; give m"
+                    f"detector.{name} = {length:g} is too short for a length in m, limit "
+                    f"{FINEST:g} m; if it is in seconds, give {length * 299792458.0:.6g} (m)"
                 )
             put(self, name, length)
         if (self.tail > 0.0) != (self.tail_share > 0.0):
             raise SceneError(
-                f"detector.tail = {self.tail:g} m with tail_share = {self.tail_share:g} is no "
-                "tail; give both above 0, or neither"
+                f"detector.tail = {self.tail:g} m with tail_share = {self.tail_share:g} is "
+                "incomplete; give both above 0, or neither"
             )
         put(self, "dark_counts", in_range("detector.dark_counts", self.dark_counts, 0.0))
         if self.gate is not None:
             if not isinstance(self.gate, tuple | list) or len(self.gate) != 2:
-                raise SceneError(f"detector.gate = {self.gate!r} must be (opens, closes) in m")
+                raise SceneError(
+                    f"detector.gate = {self.gate!r} is not a pair, must be (opens, closes) in m"
+                )
             opens, closes = (real("detector.gate", value) for value in self.gate)
             if not closes > opens:
                 raise SceneError(
-                    f"detector.gate closes at {closes:g} m, must be after {opens:g} m, where it "
-                    "opens"
+                    f"detector.gate closes at {closes:g} m, must be after it opens at {opens:g} m; "
+                    "give (opens, closes) in m"
                 )
             put(self, "gate", (opens, closes))
 
@@ -106,31 +123,40 @@ class Detector:
         return math.sqrt(self.jitter**2 + tail)
 
     def expected(self, capture: TransientCapture) -> Array:
-        """Mean counts of every bin, in the capture's shape.
+        """Return the expected counts in every bin.
 
-        Light counts as even over each bin, of which the gate may cut a part. Counts whose time
-        stamps err beyond the capture's first or last bin are lost.
+        Parameters
+        ----------
+        capture : TransientCapture
+            Capture with values of at least 0. Within a bin the arrival is taken as uniform, and
+            the gate may cut a part of it.
+
+        Returns
+        -------
+        ndarray
+            Mean counts, shaped like ``capture.H``. Counts with time stamps outside the capture's
+            bins are lost.
 
         Raises
         ------
         SceneError
-            If the capture has bins below 0, or no light where ``photons`` are wanted.
+            If a bin is below 0, or all are 0 while ``photons`` is given.
         """
         H = capture.H
         lowest = float(H.min())
         if lowest < 0.0:
             raise SceneError(
-                f"the capture has a bin of {lowest:g}, which is no light; counts are taken of a "
-                "capture without negative bins"
+                f"the capture has a bin of {lowest:g}, must be at least 0 to be an expected count; "
+                "remove negative values"
             )
-        fits_memory("detector", 3 * 8.0 * H.size, "take the capture in parts")
+        fits_memory("detector", 3 * 8.0 * H.size, "split the capture")
         share = self.efficiency
         if self.photons is not None:
             total = float(H.sum(dtype=np.float64))
             if not total > 0.0:
                 raise SceneError(
-                    f"the capture has no light, detector.photons = {self.photons:g} cannot come of "
-                    "it; leave photons out or check the capture"
+                    f"the capture has no light, detector.photons = {self.photons:g} cannot be "
+                    "reached; omit photons or check the capture"
                 )
             share *= self.photons / total
         open_share = self._open_share(capture).reshape(-1, *[1] * (H.ndim - 1))
@@ -140,25 +166,31 @@ class Detector:
         return np.asarray(means + self.dark_counts * open_share)
 
     def measure(self, capture: TransientCapture, seed: int = 0) -> TransientCapture:
-        """Counts of one measurement.
-
-        Each bin draws from the seed and its own index: the same bits on any number of threads.
+        """Draw the photon counts of one measurement.
 
         Parameters
         ----------
         capture : TransientCapture
+            Capture to measure, with values of at least 0.
         seed : int
+            Seed of the random numbers, 0 to 2^64 - 1. Results are identical for any number of
+            threads.
 
         Returns
         -------
         TransientCapture
-            Of ``quantity="counts"``, with the standard error of each bin, the root of its mean.
-            Counts do not tell bounces apart.
+            Poisson counts, ``quantity="counts"``. ``standard_error`` is the square root of the
+            expected count of each bin; ``by_bounce`` is empty.
 
         Raises
         ------
         SceneError
-            See `expected`; or if counts are too many to be told apart.
+            If a bin is below 0, all are 0 while ``photons`` is given, or an expected count exceeds
+            2^50.
+
+        See Also
+        --------
+        Detector.expected : Mean counts without noise.
         """
         from . import _detector_kernels
 
@@ -186,14 +218,14 @@ class Detector:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
     def _open_share(self, capture: TransientCapture) -> Array:
-        """Share of each bin in which the gate is open, (n_bins,)."""
+        """Return the fraction of each bin during which the gate is open, (n_bins,)."""
         if self.gate is None:
             return np.ones(capture.n_bins)
         inside = np.clip(capture.edges, *self.gate)
         return np.asarray(np.diff(inside) / capture.delta_t)
 
     def _stamped(self, means: Array, step: float) -> Array:
-        """Counts by their time stamps: convolved with the response along the first axis."""
+        """Return counts by recorded time: ``means`` convolved with the response along axis 0."""
         from scipy.ndimage import convolve1d
         from scipy.signal import lfilter
 
@@ -203,31 +235,33 @@ class Detector:
         stamped = np.asarray(convolve1d(means, response, axis=0, mode="constant", origin=origin))
         first = len(response) - before
         if rest and first < n_bins:
-            # an exponential goes on by itself, whatever its length
+            # a recursive filter applies the exponential tail at a cost independent of its length
             decay = math.exp(-step / self.tail)
             stamped[first:] += rest * lfilter([1.0], [1.0, -decay], means[: n_bins - first], axis=0)
         return stamped
 
     def _response(self, step: float, n_bins: int) -> tuple[Array, int, float]:
-        """Shares of a bin's counts that are stamped so many bins later.
+        """Return the fraction of a bin's counts that is recorded j bins later.
 
-        With the distribution F of errors, light even over a bin lands j bins later with the second
-        difference of F's integral at j steps, over the step. Of max(x, 0), the integral without
-        errors, that is 1 at 0; the rest is small far from 0, where differences then round to
-        nothing.
+        Let F be the distribution function of the time-stamp error and G its integral. For arrivals
+        uniform over a bin, the fraction is the second difference of G at j steps, divided by the
+        step. G is split into max(x, 0), whose share is 1 at j = 0 and 0 elsewhere, and a
+        remainder. The remainder is small far from 0, so that rounding does no harm there.
 
         Returns
         -------
         response : ndarray
+            (n,), fractions for j = -before, 1 - before, ...
         before : int
-            Index of 0.
+            Index of j = 0 in ``response``.
         rest : float
-            Share one bin after the last, from where an exponential goes on; 0 for none.
+            Fraction one bin after the last of ``response``. From there on the response is
+            exponential; 0 if it ends.
         """
         reach = SIGMAS * self.jitter
         bend = self.jitter**2 / self.tail if self.tail else 0.0
         before = min(math.ceil(reach / step) + 1, n_bins)
-        # where the Gaussian is over, the tail is exponential; a short one is over before
+        # beyond the Gaussian's reach the tail is purely exponential; a short tail ends earlier
         after = min(math.ceil((reach + min(bend, TAILS * self.tail)) / step) + 2, n_bins)
         at = step * np.arange(-before - 1.0, after + 2.0)
         response = np.diff(self._surplus(at), 2) / step
@@ -237,14 +271,14 @@ class Detector:
             level = 0.5 * bend / self.tail - step * after / self.tail
             rest = self.tail_share * self.tail / step * math.exp(level)
             rest *= math.expm1(-step / self.tail) ** 2
-        # rounding alone takes shares far from 0 below it
+        # far from j = 0 only rounding errors are negative
         return np.maximum(response, 0.0), before, rest
 
     def _surplus(self, x: Array) -> Array:
-        """Integral of the distribution of errors up to x, less max(x, 0), m.
+        """Return the integral of the error's distribution function up to x, minus max(x, 0), m.
 
-        Of the Gaussian it is sigma phi(z) - |x| Phi(-|z|), z = x/sigma. The tail's distribution T
-        solves T + tail T' = Phi, so that its integral is the Gaussian's less tail T.
+        For the Gaussian it is sigma phi(z) - |x| Phi(-|z|), z = x/sigma. The distribution function
+        T of the tail solves T + tail T' = Phi, so its integral is the Gaussian's minus tail T.
         """
         from scipy.special import log_ndtr, ndtr
 

@@ -1,6 +1,7 @@
-"""Captures of other projects: Z-NLOS, NLOS-DIRAC, phasor field 2019 and 2020, LCT.
+"""Readers of captures from other projects: Z-NLOS, NLOS-DIRAC, phasor field 2019 and 2020, LCT.
 
-Each reader says what its layout fixes; what it leaves open is left None, with the reason.
+Each reader sets the values that its layout defines. Values that the layout leaves open stay None,
+with the reason in ``needs`` or ``doubt``.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ Array = NDArray[Any]
 
 
 def read_znlos(variables: Mapping[str, Any]) -> Found:
-    """Z-NLOS [1]_: colours and bounces added up, times with the outer legs, m.
+    """Read a Z-NLOS capture [1]_; colours and bounces are summed, times include the outer legs.
 
-    Grids tell by their points which index is x; their order is the data's.
+    The grid points show which index runs along x. Data and grids have the same index order.
 
     References
     ----------
@@ -42,14 +43,14 @@ def read_znlos(variables: Mapping[str, Any]) -> Found:
     }
     if confocal and lasers.shape != sensors.shape:
         raise SamplingError(
-            f"isConfocal is 1, laser points {lasers.shape[:2]} are not paired with sensor points "
-            f"{sensors.shape[:2]}"
+            f"isConfocal is 1, but laser points {lasers.shape[:2]} are not paired with sensor "
+            f"points {sensors.shape[:2]}, shapes must be equal; correct the file"
         )
     if data.ndim == 5 and not confocal:
         if lasers.shape[:2] != (1, 1):
             raise SamplingError(
-                f"data of shape {data.shape} has no laser axes, isConfocal is 0 and there are "
-                f"{lasers.shape[:2]} laser points; data must have 7 axes"
+                f"data of shape {data.shape} has no laser axes, must have 7 axes for isConfocal = "
+                f"0 and {lasers.shape[:2]} laser points; correct the file"
             )
         H = H[:, None, None]
     found = Found(
@@ -78,9 +79,10 @@ def read_znlos(variables: Mapping[str, Any]) -> Found:
 def _znlos_bins(
     data: Array, sensors: tuple[int, ...], lasers: tuple[int, ...], n_bins: float | None
 ) -> Array:
-    """Bins (n_bins, *laser, *sensor) of (colours, t, bounces, *sensor, *laser) or of its reverse.
+    """Return bins (n_bins, *laser, *sensor) from data (colours, t, bounces, *sensor, *laser).
 
-    Points lie as the grids have them in either order, and the reverse has lasers before sensors.
+    The axes may also be stored in reverse order, then with ``(*laser, *sensor)``; the order within
+    each grid is that of its points in both cases.
     """
     many = data.ndim == 7
     ways = (
@@ -95,19 +97,19 @@ def _znlos_bins(
             return np.moveaxis(total, -1, 0)
     raise SamplingError(
         f"data has shape {data.shape}, must be (colours, {n_bins or 't'}, bounces, "
-        f"{', '.join(map(str, ways[0][2]))}) for its grids, or in the reverse order"
+        f"{', '.join(map(str, ways[0][2]))}) for its grids, or in reverse order; correct the file"
     )
 
 
 def read_dirac(variables: Mapping[str, Any]) -> Found:
-    """NLOS-DIRAC: (t, x, y) bins over the times ``da``, grid of ``xg`` and ``yg``, m."""
+    """Read an NLOS-DIRAC capture: bins (t, x, y) at times ``da`` on the grid ``xg``, ``yg``, m."""
     H = array(variables, "data_t", 3)
     x, y = array(variables, "xg", 2), array(variables, "yg", 2)
     times = array(variables, "da", 1, 2).ravel()
     if x.shape != H.shape[1:] or y.shape != x.shape or times.size != H.shape[0]:
         raise SamplingError(
-            f"data_t {H.shape}, xg {x.shape}, yg {y.shape} and da {times.size} do not fit; data_t "
-            "must be (da, *xg)"
+            f"data_t has shape {H.shape}, must be ({times.size}, nx, ny) for da with xg {x.shape} "
+            f"and yg {y.shape}; correct the file"
         )
     points = np.stack([x, y, np.zeros(x.shape)], axis=-1)
     return upright(
@@ -118,18 +120,18 @@ def read_dirac(variables: Mapping[str, Any]) -> Found:
             delta_t=float(times[1] - times[0]) if times.size > 1 else None,
             needs={
                 "pairing": "NLOS-DIRAC does not say whether its pairs are confocal",
-                "t_start": "NLOS-DIRAC does not say where its times begin",
-                "outer_legs": "NLOS-DIRAC does not say what its times hold",
+                "t_start": "NLOS-DIRAC does not say where bin 0 starts",
+                "outer_legs": "NLOS-DIRAC does not say which legs its times include",
             },
         )
     )
 
 
 def read_phasor_field_2019(variables: Mapping[str, Any]) -> Found:
-    """Phasor field 2019 [1]_: ``dataset`` with one fixed point, and lists of scanned points.
+    """Read a phasor-field capture of 2019 [1]_: a structure ``dataset`` with lists of points.
 
-    The laser scans and the sensor stands; light goes either way alike, so that the scanned points
-    are returned as sensor points, as y-tal does. Times hold the outer legs.
+    The laser scans and the sensor is fixed. By reciprocity, the scanned points are returned as
+    sensor points, as in y-tal. Times include the outer legs.
 
     References
     ----------
@@ -138,14 +140,17 @@ def read_phasor_field_2019(variables: Mapping[str, Any]) -> Found:
     """
     dataset = variables["dataset"]
     if not isinstance(dataset, Mapping):
-        raise SceneError("dataset is no structure; the phasor field's has data, laserPos and more")
+        raise SceneError(
+            "dataset is not a structure, must hold data, laserPos, cameraPos and more; give a "
+            "capture of the phasor field"
+        )
     data = array(dataset, "data", 3)
     scanned, fixed = (_list(dataset, f"{name}Pos") for name in ("laser", "camera"))
     n_bins = number(dataset, "t")
     if fixed.shape[0] != 1:
         raise SceneError(
-            f"dataset.cameraPos has {len(fixed)} points, the layout has one sensor point; load it "
-            "as pairs by another program"
+            f"dataset.cameraPos has {len(fixed)} points, limit 1 in this layout; build a "
+            "TransientCapture from the arrays"
         )
     # (laser, sensor, t) in MATLAB's order
     if data.shape[:2] == (len(scanned), 1):
@@ -154,11 +159,13 @@ def read_phasor_field_2019(variables: Mapping[str, Any]) -> Found:
         H = data[:, 0]
     else:
         raise SamplingError(
-            f"dataset.data has shape {data.shape}, must be ({len(scanned)}, 1, n_bins) for its "
-            "laserPos"
+            f"dataset.data has shape {data.shape}, must be ({len(scanned)}, 1, n_bins) for "
+            "dataset.laserPos; correct the file"
         )
     if n_bins is not None and int(n_bins) != H.shape[0]:
-        raise SamplingError(f"dataset.t = {n_bins:g} bins, dataset.data has {H.shape[0]}")
+        raise SamplingError(
+            f"dataset.t = {n_bins:g} bins, dataset.data has {H.shape[0]}; correct the file"
+        )
     return Found(
         layout="phasor_field_2019",
         H=bins(H),
@@ -177,12 +184,12 @@ def read_phasor_field_2019(variables: Mapping[str, Any]) -> Found:
 
 
 def read_phasor_field_2020(variables: Mapping[str, Any]) -> Found:
-    """Phasor field 2020 [1]_: rectified (y, x, t) counts, bins in seconds, one sensor point.
+    """Read a phasor-field capture of 2020 [1]_: rectified counts (y, x, t), one sensor point.
 
-    The scanned points are returned as sensor points, as y-tal does, at (i - n/2) times the
-    spacing. ``SPAD_index`` names the fixed point, (x, y); whether it counts from 0 or 1 the file
-    does not say, so that ``laser_point`` decides, or ``format``, by which it counts from 0, as
-    y-tal does.
+    The bin width in the file is in seconds. The scanned points are returned as sensor points at
+    (i - n/2) times the spacing, as in y-tal. ``SPAD_index`` is the index (x, y) of the fixed point.
+    The file does not say whether it counts from 0 or 1. The user therefore gives ``laser_point``,
+    or confirms with ``format`` that it counts from 0, as y-tal assumes.
 
     References
     ----------
@@ -192,7 +199,9 @@ def read_phasor_field_2020(variables: Mapping[str, Any]) -> Found:
     data = array(variables, "rect_data", 3)
     seconds, pitch = number(variables, "ts"), number(variables, "sampling_spacing")
     if pitch is None:
-        raise SceneError("sampling_spacing is empty; the size of the wall is missing")
+        raise SceneError(
+            "sampling_spacing is empty, must be the pitch of the scan in m; correct the file"
+        )
     ny, nx, _ = data.shape
     points = np.zeros((ny, nx, 3))
     points[..., 0] = (np.arange(nx) - nx / 2) * positive("sampling_spacing", pitch, unit="m")
@@ -208,7 +217,7 @@ def read_phasor_field_2020(variables: Mapping[str, Any]) -> Found:
         outer_legs=False,
         quantity="counts",
         details={"swapped": "laser and sensor"},
-        doubt="SPAD_index may count from 0, as y-tal takes it, or from 1",
+        doubt="SPAD_index may count from 0, as y-tal assumes, or from 1",
         instead=("laser_point",),
     )
 
@@ -221,16 +230,17 @@ def _index_point(variables: Mapping[str, Any], points: Array) -> Array | None:
     if not counts or at[0] >= points.shape[1] or at[1] >= points.shape[0]:
         raise SceneError(
             f"SPAD_index = {at.tolist()} is no point of the {points.shape[1]} x {points.shape[0]} "
-            "grid"
+            "grid; correct the file"
         )
     return np.asarray(points[int(at[1]), int(at[0])])
 
 
 def read_lct(variables: Mapping[str, Any]) -> Found:
-    """LCT [1]_: rectified confocal counts (x, y, t); ``width`` is half the side.
+    """Read an LCT capture [1]_: rectified confocal counts (x, y, t); ``width`` is half the side.
 
-    There x grows to the right and y downward as the wall looks into the room. With y up and z into
-    the room, x grows to the left: both indices are turned about, lest the scene be mirrored.
+    For a viewer who looks from the wall into the room, x grows to the right and y downward in the
+    file. In this library y points up and z into the room, so that x grows to the left. Both indices
+    are therefore reversed; otherwise the scene would be rotated by 180 degrees about z.
 
     References
     ----------
@@ -241,7 +251,10 @@ def read_lct(variables: Mapping[str, Any]) -> Found:
     width = number(variables, "width")
     nx, ny, _ = data.shape
     if width is None or nx != ny:
-        raise SceneError(f"width = {width} and rect_data of {nx} x {ny} points are no square wall")
+        raise SceneError(
+            f"width = {width} and rect_data of {nx} x {ny} points are not a square wall, must have "
+            "as many points along x as along y; correct the file"
+        )
     H = np.moveaxis(data, 2, 0)[:, ::-1, ::-1].swapaxes(1, 2)
     return Found(
         layout="lct",
@@ -252,10 +265,10 @@ def read_lct(variables: Mapping[str, Any]) -> Found:
         outer_legs=False,
         quantity="counts",
         needs={
-            "bin_width": "the LCT's layout does not hold the width of its bins",
-            "gate_start": "the LCT's first bins can be direct light",
+            "bin_width": "the LCT layout does not store the width of its bins",
+            "gate_start": "the first bins of an LCT capture can be direct light",
         },
-        doubt=f"rect_data with width = {width:g} looks like the LCT's layout, in which pairs are "
+        doubt=f"rect_data with width = {width:g} looks like the LCT layout, in which pairs are "
         "confocal and width is half the wall's side",
         instead=("pairing", "side"),
     )
@@ -264,14 +277,14 @@ def read_lct(variables: Mapping[str, Any]) -> Found:
 def _seconds(name: str, value: float) -> float:
     if not 0.0 < value < 1e-6:
         raise SceneError(
-            f"{name} = {value:g} is no bin in s, must be above 0 and below 1e-06; give bin_width "
-            "in m of optical path"
+            f"{name} = {value:g} is no bin width in s, must be above 0 and below 1e-06; give "
+            "bin_width in m of optical path"
         )
     return value
 
 
 def _grid(variables: Mapping[str, Any], key: str) -> Array:
-    """Points (a, b, 3) from (3, a, b) or (a, b, 3), or three numbers."""
+    """Return points (a, b, 3) stored as (3, a, b), as (a, b, 3) or as three numbers."""
     values = np.asarray(array(variables, key, 1, 2, 3), dtype=np.float64)
     if values.size == 3:
         return values.reshape(1, 1, 3)
@@ -279,11 +292,13 @@ def _grid(variables: Mapping[str, Any], key: str) -> Array:
         return np.moveaxis(values, 0, -1)
     if values.ndim == 3 and values.shape[-1] == 3:
         return values
-    raise SamplingError(f"{key} has shape {values.shape}, must be (3, a, b) or (a, b, 3)")
+    raise SamplingError(
+        f"{key} has shape {values.shape}, must be (3, a, b) or (a, b, 3); correct the file"
+    )
 
 
 def _list(variables: Mapping[str, Any], key: str) -> Array:
-    """Points (n, 3) from (n, 3) or (3, n)."""
+    """Return points (n, 3) stored as (n, 3), as (3, n) or as three numbers."""
     values = np.asarray(array(variables, key, 1, 2), dtype=np.float64)
     if values.size == 3:
         return values.reshape(1, 3)
@@ -291,7 +306,7 @@ def _list(variables: Mapping[str, Any], key: str) -> Array:
         return values
     if values.ndim == 2 and values.shape[0] == 3:
         return values.T
-    raise SamplingError(f"{key} has shape {values.shape}, must be (n, 3)")
+    raise SamplingError(f"{key} has shape {values.shape}, must be (n, 3); correct the file")
 
 
 def _normals(variables: Mapping[str, Any], key: str, count: int) -> Array | None:

@@ -1,4 +1,4 @@
-"""Captures in files: which layout a file has, and what its reader may not guess."""
+"""Loading of capture files: recognise the layout, then require what the file leaves open."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .layouts import LIGHT, Found
 T = TypeVar("T")
 Array = NDArray[Any]
 LAYOUTS = ("tal", "znlos", "dirac", "phasor_field_2019", "phasor_field_2020", "lct")
-#: Bins outside of these, m of optical path, are in another unit: 0.1 um is 0.3 fs, 10 m is 33 ns.
+#: Plausible bin widths, m of optical path (0.3 fs and 33 ns); others must be in another unit.
 FINEST, COARSEST = 1e-7, 10.0
 
 
 @contextmanager
 def in_file(path: Path) -> Iterator[None]:
-    """Put the file's name before an error."""
+    """Prefix errors raised in the context with the file's name."""
     try:
         yield
     except NlosError as error:
@@ -45,7 +45,10 @@ def load_capture(
     quantity: str | None = None,
     gate_start: float | None = None,
 ) -> T:
-    """Read a file and call ``capture``, a `TransientCapture`, with its values; see its `load`."""
+    """Read a file and return ``capture(**values)``; the other arguments override the file.
+
+    ``capture`` is the class `TransientCapture`, the arguments are those of its ``load``.
+    """
     path = Path(path)
     if format is not None:
         one_of("format", format, LAYOUTS)
@@ -80,8 +83,8 @@ def _read(path: Path, format: str | None) -> Found:
     layout = _layout(variables)
     if format is not None and format != layout:
         raise SceneError(
-            f"format = {format!r}, the file has the layout {layout!r} by what it holds; leave "
-            "format out or name that"
+            f"format = {format!r}, the file has the layout {layout!r} by its variables; omit "
+            "format or give that layout"
         )
     readers = {
         "tal": tal_files.read,
@@ -95,7 +98,7 @@ def _read(path: Path, format: str | None) -> Found:
 
 
 def _layout(variables: Mapping[str, Any]) -> str:
-    """Layout of a file by the names of what it holds."""
+    """Return the layout of a file, recognised from the names of its variables."""
     if "H" in variables:
         return "tal"
     if "rect_data" in variables:
@@ -104,8 +107,8 @@ def _layout(variables: Mapping[str, Any]) -> str:
         if "sampling_spacing" in variables:
             return "phasor_field_2020"
         raise SceneError(
-            "rect_data stands without width (LCT) or sampling_spacing (phasor field 2020); the "
-            "size of the wall is missing"
+            "rect_data needs width (LCT) or sampling_spacing (phasor field 2020) for the size of "
+            "the wall, and the file has neither; add one of them to the file"
         )
     for key, layout in (
         ("dataset", "phasor_field_2019"),
@@ -116,24 +119,27 @@ def _layout(variables: Mapping[str, Any]) -> str:
             return layout
     held = ", ".join(sorted(variables)[:8]) or "nothing"
     raise SceneError(
-        f"holds {held}, which is no known capture; known are y-tal (H), Z-NLOS (data, "
+        f"holds {held}, which is no known layout; give a file of y-tal (H), Z-NLOS (data, "
         "cameraGridPositions), NLOS-DIRAC (data_t), phasor field (dataset; rect_data and "
-        "sampling_spacing) and LCT (rect_data and width)"
+        "sampling_spacing) or LCT (rect_data and width)"
     )
 
 
 def _fill(found: Found, pairing: str | None, laser_point: Any, side: float | None) -> None:
-    """Points and pairing: what is given, else what the file says, else an error."""
+    """Set points and pairing from the arguments, else from the file; raise if still unknown."""
     if pairing is not None:
         found.pairing = one_of("pairing", pairing, ("all", "confocal"))
     if side is not None:
         _lay_grid(found, positive("side", side, unit="m"))
     if found.sensor_points is None:
         why = found.needs.get("side", "the file has no sensor points")
-        raise SceneError(f"{why}; give side = the whole side of the square scanned, m")
+        raise SceneError(f"{why}; give side = full side of the scanned square, m")
     if laser_point is not None:
         if found.pairing == "confocal":
-            raise SceneError("laser_point stands beside confocal pairs; give one of them")
+            raise SceneError(
+                "laser_point was given for confocal pairs, which have one laser point each; omit "
+                "laser_point, or give pairing = 'all'"
+            )
         found.laser_points = np.array(vector("laser_point", laser_point))
         found.laser_normals, found.pairing = None, "all"
     if found.pairing is None:
@@ -146,19 +152,20 @@ def _fill(found: Found, pairing: str | None, laser_point: Any, side: float | Non
 
 
 def _lay_grid(found: Found, side: float) -> None:
-    """Lay the sensor points on the cells of a square wall, [y, x]."""
+    """Set the sensor points to the cell centres of a square wall, [y, x]."""
     from .wall_points import wall_grid
 
     shape = found.H.shape[-2:]
     if found.H.ndim < 3 or shape[0] != shape[1]:
         raise SamplingError(
-            f"side = {side:g} m lays a square grid, the file has {found.H.shape[1:]} points"
+            f"side = {side:g} m needs a square grid of points, the file has {found.H.shape[1:]}; "
+            "omit side"
         )
     found.sensor_points, found.sensor_normals = wall_grid(side, shape[0]), None
 
 
 def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of a capture, from a file and from the caller."""
+    """Return the arguments of a `TransientCapture` from a file and the caller's arguments."""
     values = {
         name: getattr(found, name) if given[argument] is None else given[argument]
         for name, argument in (
@@ -170,8 +177,8 @@ def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
     }
     for name, argument, what in (
         ("delta_t", "bin_width", "the width of a bin, m of optical path"),
-        ("t_start", "t_start", "where bin 0 begins, m of optical path"),
-        ("outer_legs", "outer_legs", "whether times hold the legs from laser and to sensor"),
+        ("t_start", "t_start", "start of bin 0, m of optical path"),
+        ("outer_legs", "outer_legs", "whether times include the legs from laser and to sensor"),
     ):
         if values[name] is None:
             why = found.needs.get(argument, f"the file does not say {name}")
@@ -189,15 +196,15 @@ def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
         late = begins >= start - 1e-9 * values["delta_t"]
         if not late.any():
             raise SamplingError(
-                f"gate_start = {start:g} m is after the last bin, which begins at "
-                f"{begins[-1]:g} m; give an earlier one, m of optical path"
+                f"gate_start = {start:g} m is after the last bin, which starts at "
+                f"{begins[-1]:g} m of optical path; give an earlier one"
             )
         H, parts = _opened(H, late), {n: _opened(part, late) for n, part in parts.items()}
         error = None if error is None else _opened(error, late)
     elif "gate_start" in found.needs:
         raise SceneError(
             f"{found.needs['gate_start']}; give gate_start = optical path in m before which bins "
-            "become 0, or 0 to keep all"
+            "are set to 0, or 0 to keep all"
         )
     return dict(
         H=np.ascontiguousarray(H),
@@ -216,24 +223,24 @@ def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _opened(values: Array, late: NDArray[np.bool_]) -> Array:
-    """Bins with those 0 that are not late."""
-    if len(values) != len(late):  # told apart by the capture
+    """Return bins with those set to 0 that start before the gate."""
+    if len(values) != len(late):  # TransientCapture reports the mismatch
         return values
     return np.where(late.reshape(-1, *[1] * (values.ndim - 1)), values, values.dtype.type(0))
 
 
 def path_step(name: str, value: Any) -> float:
-    """Bin width in m of optical path; one that can only be another unit is refused."""
+    """Return a bin width in m of optical path; refuse one that must be in another unit."""
     step = positive(name, value, unit="m")
     if step < FINEST:
         raise SceneError(
-            f"{name} = {step:g} is too short for m of optical path, limit {FINEST:g} m: as seconds "
-            f"it would be bin_width = {step * LIGHT:.6g}; give bin_width in m"
+            f"{name} = {step:g} is too short for a length in m, limit {FINEST:g} m; if it is in "
+            f"seconds, give bin_width = {step * LIGHT:.6g} (m of optical path)"
         )
     if step > COARSEST:
         raise SceneError(
-            f"{name} = {step:g} is too long for m of optical path, limit {COARSEST:g} m; give "
-            f"bin_width in m ({step:g} ps would be {step * 1e-12 * LIGHT:.6g})"
+            f"{name} = {step:g} is too long for m of optical path, limit {COARSEST:g} m; if it is "
+            f"in ps, give bin_width = {step * 1e-12 * LIGHT:.6g} (m)"
         )
     return step
 
@@ -242,7 +249,7 @@ def _path_start(value: Any, step: float) -> float:
     start = real("t_start", value)
     if 0.0 < abs(start) < 1e-6 * step:
         raise SceneError(
-            f"t_start = {start:g} beside bins of {step:g} m is no length: as seconds it would be "
-            f"{start * LIGHT:.6g}; give t_start in m of optical path"
+            f"t_start = {start:g} is too short for a length in m, limit {1e-6 * step:g} m for bins "
+            f"of {step:g} m; if it is in seconds, give t_start = {start * LIGHT:.6g} (m)"
         )
     return start

@@ -1,4 +1,4 @@
-"""Values of a capture file, before they are a capture: checks and axes common to all layouts."""
+"""Values read from a capture file: checks and axis conventions common to all layouts."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ LIGHT = 299792458.0  # m/s
 
 @dataclass(kw_only=True)
 class Found:
-    """Values of a capture file, None where it does not say; space as it lies in the file.
+    """Values of a capture file, with None for those that the file does not state.
 
-    ``H`` is (n_bins, *laser axes, *sensor axes) as in `TransientCapture`. ``needs`` has, by
-    argument of `load_capture`, why it must be given; ``doubt`` what ``format`` settles, and so do
-    the arguments ``instead``.
+    Axes of ``H`` are (n_bins, *laser axes, *sensor axes) as in `TransientCapture`, but spatial
+    axes keep the direction of the file. ``needs`` maps an argument of `load_capture` to the reason
+    why the user must give it. ``doubt`` states an unproven assumption, which the user confirms by
+    ``format`` or replaces by giving all arguments in ``instead``.
     """
 
     layout: str
@@ -48,31 +49,35 @@ class Found:
 
 
 def number(variables: Mapping[str, Any], key: str) -> float | None:
-    """One number of a file; None where it is absent or empty."""
+    """Return one number of a file, or None if it is absent or empty."""
     value = variables.get(key)
     if value is None or np.size(value) == 0:
         return None
     if np.size(value) != 1:
-        raise SceneError(f"{key} has {np.size(value)} values, must be one number")
+        raise SceneError(f"{key} has {np.size(value)} values, must be one number; correct the file")
     return real(key, np.asarray(value).reshape(())[()])
 
 
 def array(variables: Mapping[str, Any], key: str, *ndims: int) -> Array:
-    """An array of real numbers of a file, as stored, of one of ``ndims`` dimensions."""
+    """Return an array of real numbers as stored; its number of axes must be among ``ndims``."""
     value = variables.get(key)
     if value is None:
-        raise SceneError(f"{key} is missing; the file is not whole")
+        raise SceneError(f"{key} is missing, the file is incomplete; copy or write it again")
     values = np.asarray(value)
     if values.dtype.kind not in "biuf":
-        raise SceneError(f"{key} holds {values.dtype} values, must be real numbers")
+        raise SceneError(
+            f"{key} holds {values.dtype} values, must be real numbers; correct the file"
+        )
     if values.ndim not in ndims:
         wanted = " or ".join(map(str, ndims))
-        raise SamplingError(f"{key} has shape {values.shape}, must have {wanted} dimensions")
+        raise SamplingError(
+            f"{key} has shape {values.shape}, must have {wanted} dimensions; correct the file"
+        )
     return values
 
 
 def bins(values: Array) -> Array:
-    """Bins in single or double precision; whole numbers become double."""
+    """Return bins as float32 or float64; integers become float64."""
     if values.dtype in (np.float32, np.float64):
         return values
     fits_memory("H", 8.0 * values.size, "free memory, or load a part of the file")
@@ -80,7 +85,7 @@ def bins(values: Array) -> Array:
 
 
 def triple(variables: Mapping[str, Any], key: str) -> Any:
-    """Three numbers of a file; None where they are absent."""
+    """Return three numbers of a file as a vector, or None if they are absent."""
     value = variables.get(key)
     if value is None or np.size(value) == 0:
         return None
@@ -88,7 +93,7 @@ def triple(variables: Mapping[str, Any], key: str) -> Any:
 
 
 def upright(found: Found) -> Found:
-    """Turn grids by their points to [y, x] that rise, of a layout that may lay them any way."""
+    """Transpose and flip grids to rising [y, x], judged from the coordinates of their points."""
     paired = found.pairing == "confocal"
     shapes = [] if found.laser_points is None else [found.laser_points.ndim - 1]
     lasers = 0 if paired or not shapes else shapes[0]
@@ -106,7 +111,7 @@ def upright(found: Found) -> Found:
 
 
 def _turn(points: Array) -> tuple[bool, bool, bool]:
-    """Whether (ny or nx, ..., 3) points need a transposition, then flips of rows and columns."""
+    """Return whether points (a, b, 3) must be transposed, then flipped along rows and columns."""
     last = points[-1, 0] - points[0, 0], points[0, -1] - points[0, 0]
     down, across = last
     swap = abs(down[0]) > abs(down[1]) or abs(across[1]) > abs(across[0])
@@ -116,7 +121,7 @@ def _turn(points: Array) -> tuple[bool, bool, bool]:
 
 
 def turned(values: Array, turn: tuple[bool, bool, bool], axis: int) -> Array:
-    """Transpose and flip two axes of an array, from ``axis`` on."""
+    """Return an array with axes ``axis`` and ``axis`` + 1 transposed and flipped by `_turn`."""
     swap, rows, columns = turn
     if swap:
         values = values.swapaxes(axis, axis + 1)

@@ -1,4 +1,4 @@
-"""What HDF5 and MATLAB files hold, by name."""
+"""Variables of HDF5 and MATLAB files, by name."""
 
 from __future__ import annotations
 
@@ -12,25 +12,30 @@ import numpy as np
 from ..._checks import fits_memory
 from ...errors import SceneError
 
-#: Attributes of HDF5 datasets that are read with them, under ``name@attribute``.
+#: Separator in the key ``name@attribute`` of an attribute of an HDF5 dataset.
 AT = "@"
-#: Types of MATLAB's elements: a variable, a compressed one, and those within a variable.
+#: Type codes of elements in MATLAB v5 files: a variable, a compressed one, and those inside one.
 MATRIX: Final = 14
 COMPRESSED: Final = 15
 DATA: Final = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13, MATRIX, 16, 17, 18})
-DEEPEST: Final = 32  # structures within one another
-CHARS, SPARSE, INT64 = 4, 5, 14  # classes of arrays; the numbers' follow one another
+DEEPEST: Final = 32  # nested structures
+CHARS, SPARSE, INT64 = 4, 5, 14  # array classes; numeric ones are 6 to INT64
 
 
 def variables(path: Path) -> dict[str, Any]:
-    """Variables of an HDF5 or MATLAB file (v5, v7.3), arrays in MATLAB's order if it wrote them.
+    """Read all variables of an HDF5 or MATLAB file (v5, v7.3).
 
-    Empty ones are None, groups and structures dicts, texts str.
+    Arrays written by MATLAB get MATLAB's order of axes.
+
+    Returns
+    -------
+    dict of str to Any
+        Arrays; None for empty variables, dict for groups and structures, str for text.
 
     Raises
     ------
     SceneError
-        If the file is neither, or is not whole.
+        If the file has neither format or is damaged.
     """
     import h5py
 
@@ -38,14 +43,14 @@ def variables(path: Path) -> dict[str, Any]:
         with path.open("rb") as file:
             head = file.read(128)
     except OSError as error:
-        raise SceneError(f"cannot be read ({error.strerror}); check the file") from None
+        raise SceneError(f"cannot be read ({error.strerror}); check path and permissions") from None
     if h5py.is_hdf5(path):
         return _hdf5(path, matlab=head.startswith(b"MATLAB 7.3"))
     if head.startswith(b"\x89HDF"):
         raise SceneError("is a broken HDF5 file (its header cannot be read); copy it again")
     if head[126:128] in (b"IM", b"MI"):
         return _mat5(path, "<" if head[126:128] == b"IM" else ">")
-    raise SceneError("is neither HDF5 nor a MATLAB file; give a capture of one of them")
+    raise SceneError("is neither HDF5 nor a MATLAB file; give a capture in one of these formats")
 
 
 def _hdf5(path: Path, *, matlab: bool) -> dict[str, Any]:
@@ -55,16 +60,18 @@ def _hdf5(path: Path, *, matlab: bool) -> dict[str, Any]:
         with h5py.File(path, "r") as file:
             found = {}
             for name, item in file.items():
-                if name.startswith("#"):  # MATLAB's own
+                if name.startswith("#"):  # MATLAB's internal references
                     continue
                 if item is None:
-                    raise SceneError(f"is a broken HDF5 file ({name} leads nowhere); copy it again")
+                    raise SceneError(
+                        f"is a broken HDF5 file (the link {name} has no target); copy it again"
+                    )
                 found[name] = _hdf5_item(name, item, file, matlab)
                 for key, value in item.attrs.items():
                     if not key.startswith(("MATLAB_", "H5PATH")):
                         found[f"{name}{AT}{key}"] = value
             return found
-    # h5py raises whatever the library's error maps to
+    # h5py maps errors of the HDF5 library to any of these types
     except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
@@ -79,7 +86,7 @@ def _hdf5_item(name: str, item: Any, file: Any, matlab: bool) -> Any:
     if isinstance(item, h5py.Group):
         return {key: _hdf5_item(f"{name}.{key}", v, file, matlab) for key, v in item.items()}
     if not isinstance(item, h5py.Dataset):
-        raise SceneError(f"has {name}, which is no array; give a capture's file")
+        raise SceneError(f"has {name}, which is no array; give the file of a capture")
     if item.shape is None or item.attrs.get("MATLAB_empty", 0):
         return None
     fits_memory(name, float(item.nbytes), "free memory, or load a smaller capture")
@@ -89,7 +96,7 @@ def _hdf5_item(name: str, item: Any, file: Any, matlab: bool) -> Any:
     if isinstance(value, h5py.Reference):
         return _hdf5_item(name, file[value], file, matlab)
     if matlab and isinstance(value, np.ndarray):
-        value = value.T  # MATLAB counts the first index fastest
+        value = value.T  # MATLAB stores the first index fastest
         if item.attrs.get("MATLAB_class", b"") in (b"char", "char"):
             return "".join(map(chr, value.ravel()))
     return value
@@ -102,7 +109,7 @@ def _mat5(path: Path, order: Literal["<", ">"]) -> dict[str, Any]:
         with path.open("rb") as file:
             _check_elements(file, order, 128, path.stat().st_size, 0)
         found = loadmat(path, squeeze_me=False, struct_as_record=True)
-    # scipy's reader raises many kinds on a file cut short
+    # scipy's reader raises many types of error on a truncated file
     except Exception as error:
         raise SceneError(
             f"is a broken MATLAB file ({type(error).__name__}: {_first_line(error)}); copy it again"
@@ -113,43 +120,45 @@ def _mat5(path: Path, order: Literal["<", ">"]) -> dict[str, Any]:
 def _check_elements(
     file: BinaryIO, order: Literal["<", ">"], at: int, end: int, depth: int
 ) -> list[int]:
-    """Types of the elements from ``at`` to ``end``; ValueError if they or their sizes cannot be.
+    """Return the types of the elements from ``at`` to ``end``; ValueError if one is invalid.
 
-    scipy looks an element's type up in a table without asking whether it is in it, and crashes
-    where it is not (pull request 25349). Compressed elements have checksums.
+    scipy looks up an element's type in a table without a bounds check and crashes on an unknown
+    one (pull request 25349). Compressed elements need no check because they have checksums.
     """
     kinds = []
     while at < end:
         file.seek(at)
         head = file.read(8)
         if len(head) < 8 or depth > DEEPEST:
-            raise ValueError("an element is cut short" if len(head) < 8 else "structures nest")
+            raise ValueError(
+                "an element is cut short" if len(head) < 8 else f"over {DEEPEST} nested structures"
+            )
         kind, size = struct.unpack(order + "II", head)
         start, step = at + 8, size
-        if kind >> 16:  # up to four bytes within the tag
+        if kind >> 16:  # up to four bytes of data are stored in the tag itself
             kind, size, start, step = kind & 0xFFFF, kind >> 16, at + 4, 0
         known = kind in (MATRIX, COMPRESSED) if depth == 0 else kind in DATA
         if not known or (start == at + 4 and size > 4):
             raise ValueError(f"byte {at} has an element of type {kind} and {size} bytes")
         if start + size > end:
-            raise ValueError(f"an element of {size} bytes at byte {at} ends beyond what holds it")
+            raise ValueError(f"an element of {size} bytes at byte {at} ends beyond its container")
         if kind == MATRIX and size:
             within = _check_elements(file, order, start, start + size, depth + 1)
             _check_array(file, order, start, within)
         kinds.append(kind)
-        # all but compressed elements fill up to eight bytes
+        # all but compressed elements are padded to a multiple of eight bytes
         at += 8 + (step if kind == COMPRESSED else -(-step // 8) * 8)
     return kinds
 
 
 def _check_array(file: BinaryIO, order: Literal["<", ">"], at: int, kinds: list[int]) -> None:
-    """Raise ValueError unless an array has the parts that it says it has."""
+    """Raise ValueError unless an array has all the parts that its header declares."""
     file.seek(at + 8)
     head = file.read(16).ljust(16, b"\0")
     flags, _, _, length = struct.unpack(order + "4I", head)
     kind, imaginary = flags & 0xFF, bool(flags & 0x800)
-    parts = kinds[3:]  # after flags, sizes and name
-    if kind not in range(CHARS, INT64 + 1):  # cells and structures hold arrays
+    parts = kinds[3:]  # the first three are flags, shape and name
+    if kind not in range(CHARS, INT64 + 1):  # cells and structures contain arrays
         length -= length % 4
         shape = struct.unpack(f"{order}{length // 4}i", file.read(length).ljust(length, b"\0"))
         if math.prod(shape) > max(1, len(parts)):
@@ -162,7 +171,9 @@ def _check_array(file: BinaryIO, order: Literal["<", ">"], at: int, kinds: list[
 def _mat5_item(value: Any) -> Any:
     if isinstance(value, np.ndarray) and value.dtype.names is not None:
         if value.size != 1:
-            raise SceneError(f"holds an array of {value.size} structures, must be one")
+            raise SceneError(
+                f"holds an array of {value.size} structures, must be one; write them one by one"
+            )
         record = value.reshape(-1)[0]
         return {name: _mat5_item(record[name]) for name in value.dtype.names}
     if isinstance(value, np.ndarray) and value.size == 0:

@@ -1,4 +1,4 @@
-"""What measured captures need before imaging: gates, coarser bins, blurs, weights, legs."""
+"""Preprocessing of captures: gating, binning, smoothing, distance weights, outer legs."""
 
 from __future__ import annotations
 
@@ -24,58 +24,83 @@ def gated(
     Parameters
     ----------
     capture : TransientCapture
+        Capture to crop.
     start, stop : float, optional
-        m of optical path; None: the capture's own. Bins that the gate cuts through are left out.
+        Range to keep, m of optical path; None keeps that end. Bins that the range covers only in
+        part are removed.
+
+    Returns
+    -------
+    TransientCapture
 
     Raises
     ------
     SamplingError
-        If no whole bin is left.
+        If the range contains no whole bin.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, gated
+    >>> capture = TransientCapture(
+    ...     H=np.ones(100), laser_points=(0, 0, 0), sensor_points=(0.1, 0, 0), delta_t=0.02
+    ... )
+    >>> late = gated(capture, start=0.5)
+    >>> late.n_bins, round(late.t_start, 3)
+    (75, 0.5)
     """
     edges = capture.edges
     low = edges[0] if start is None else real("start", start)
     high = edges[-1] if stop is None else real("stop", stop)
-    slack = 1e-6 * capture.delta_t  # edges are sums of bins, which rounding moves
+    slack = 1e-6 * capture.delta_t  # edges have rounding errors
     first = int(np.searchsorted(edges, low - slack))
     last = int(np.searchsorted(edges, high + slack, side="right")) - 1
     if last <= first:
         raise SamplingError(
             f"gate from {low:g} to {high:g} m holds no bin of this capture, which covers "
-            f"{edges[0]:g} to {edges[-1]:g} m; widen it"
+            f"{edges[0]:g} to {edges[-1]:g} m in steps of {capture.delta_t:g} m; widen the gate"
         )
     return _mapped(capture, lambda h: h[first:last], t_start=float(edges[first]))
 
 
 def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> TransientCapture:
-    """Sums over neighbouring bins, and means over neighbouring points of the grids.
+    """Reduce the resolution: sum neighbouring bins, average neighbouring wall points.
 
     Parameters
     ----------
     capture : TransientCapture
+        Capture to reduce.
     bins : int
-        Bins that become one.
+        Number of bins that are summed to one.
     grid : int
-        Points along each axis of a grid that become one at their middle, with their mean light and
-        normal. An axis of one point stays.
+        Number of points along each axis that are averaged to one: position, normal and intensity.
+        Axes with a single point are unchanged.
+
+    Returns
+    -------
+    TransientCapture
 
     Raises
     ------
     SamplingError
-        If the bins or points cannot be shared out evenly.
+        If the number of bins or points is not a multiple of ``bins`` or ``grid``.
 
     Notes
     -----
-    Standard errors are added as those of independent values.
+    Standard errors are combined as for independent values.
     """
     bins, grid = whole("bins", bins), whole("grid", grid)
     if capture.n_bins % bins:
         raise SamplingError(
-            f"{capture.n_bins} bins are no multiple of bins = {bins}; gate the capture first"
+            f"{capture.n_bins} bins are no multiple of bins = {bins}; crop the capture with "
+            "transient.gated first"
         )
     shape = capture.H.shape[1:]
     odd = [n for n in shape if n > 1 and n % grid]
     if odd:
-        raise SamplingError(f"{odd[0]} points along an axis are no multiple of grid = {grid}")
+        raise SamplingError(
+            f"{odd[0]} points along an axis are no multiple of grid = {grid}; give a divisor"
+        )
 
     def coarse(h: Array) -> Array:
         h = h.reshape(-1, bins, *h.shape[1:]).sum(axis=1)
@@ -108,100 +133,113 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
 def smoothed(
     capture: TransientCapture, *, path: float = 0.0, grid: float = 0.0
 ) -> TransientCapture:
-    """Light blurred by a Gaussian: as long as the detector's pulse, it holds down what is noise.
+    """Blur a capture by a Gaussian to reduce noise.
+
+    A blur as long as the detector's response suppresses noise at little loss of signal.
 
     Parameters
     ----------
     capture : TransientCapture
+        Capture without standard errors.
     path : float
-        Standard deviation over time, m of optical path.
+        Standard deviation along time, m of optical path.
     grid : float
-        The same along the axes of the grids of points, in steps between neighbours.
+        Standard deviation along every axis of wall points, in steps between neighbouring points.
+
+    Returns
+    -------
+    TransientCapture
 
     Raises
     ------
     SceneError
-        If a standard deviation is below 0, or the capture has standard errors, which neighbours
-        would then share.
+        If a standard deviation is below 0, or the capture has standard errors. The blur would
+        correlate the errors of neighbouring values, which a capture cannot store.
 
     Notes
     -----
-    Beyond its ends a histogram or grid goes on with its outermost values.
+    Beyond the ends of an axis, the outermost value is repeated.
     """
     from scipy.ndimage import gaussian_filter
 
     path, grid = in_range("path", path, 0.0, unit="m"), in_range("grid", grid, 0.0)
     if capture.standard_error is not None:
         raise SceneError(
-            "smoothed makes standard errors depend on each other; give a capture without any"
+            "the capture has standard errors, which a blur would correlate; remove them with "
+            "dataclasses.replace(capture, standard_error=None)"
         )
     sigma = [path / capture.delta_t, *[grid] * (capture.H.ndim - 1)]
     return _mapped(capture, lambda h: np.asarray(gaussian_filter(h, sigma, mode="nearest")))
 
 
 def distance_weighted(capture: TransientCapture, power: float) -> TransientCapture:
-    """Light times a power of half its path, m: 4 undoes the falloff of diffuse targets.
+    """Multiply each bin by a power of half its optical path, to undo the falloff with distance.
 
     Parameters
     ----------
     capture : TransientCapture
-        Without outer legs.
+        Capture without outer legs.
     power : float
-        2 for retro-reflective targets, whose light falls with the square of the distance.
+        Exponent of half the path in m: 4 for diffuse targets, 2 for retro-reflective ones.
+
+    Returns
+    -------
+    TransientCapture
 
     Raises
     ------
     SceneError
-        If outer legs are in, or the first bin's middle is not above 0.
+        If the times include outer legs, or the centre of bin 0 is not above 0.
     """
     power = real("power", power)
     _inner(capture, "distance_weighted")
     half = 0.5 * capture.times
     if half[0] <= 0.0:
         raise SceneError(
-            f"bin 0 is at a path of {capture.times[0]:g} m, must be above 0; gate the capture first"
+            f"bin 0 is at a path of {capture.times[0]:g} m, must be above 0; gate the capture with "
+            "transient.gated first"
         )
     weights = half**power
     return _mapped(capture, lambda h: h * weights.reshape(-1, *[1] * (h.ndim - 1)).astype(h.dtype))
 
 
 def without_outer_legs(capture: TransientCapture) -> TransientCapture:
-    """Times without the legs from the laser to the wall and from the wall to the sensor.
+    """Subtract the legs from laser to wall and from wall to sensor from all times.
 
     Parameters
     ----------
     capture : TransientCapture
-        One whose times have no outer legs comes back as it is.
+        Capture with ``laser_origin`` and ``sensor_origin``. It is returned unchanged if its times
+        do not include outer legs.
 
     Returns
     -------
     TransientCapture
-        ``t_start`` is earlier by the shortest legs; each bin's light is shared between the two bins
-        that it comes to lie on. Light that falls before the last of the paths' first bins or after
-        the first of their ends is cut, so that all paths cover the same times.
+        ``t_start`` is reduced by the shortest legs. Each pair of points is shifted by its own
+        legs, with linear interpolation between bins. Only bins that all pairs cover are kept.
 
     Raises
     ------
     SceneError
-        If the capture does not say where laser and sensor stand.
+        If an origin is missing.
     SamplingError
-        If no bin is left that all paths cover.
+        If no bin is covered by all pairs.
 
     Notes
     -----
-    Standard errors are shared as the light is: they are upper bounds.
+    Standard errors are interpolated like the values, which gives an upper bound.
     """
     if not capture.outer_legs:
         return capture
     legs = outer_legs(capture)
-    steps = (legs - legs.min()) / capture.delta_t  # each path goes back by this many bins more
+    steps = (legs - legs.min()) / capture.delta_t  # shift of each pair in bins, beyond the least
     whole_steps = np.floor(steps).astype(np.int64)
     part = steps - whole_steps
     n_bins = capture.n_bins - int(np.ceil(steps.max()))
     if n_bins < 1:
         raise SamplingError(
-            f"the outer legs differ by {np.ptp(legs):g} m, more than the capture's "
-            f"{capture.n_bins * capture.delta_t:g} m; take more bins"
+            f"the outer legs differ by {np.ptp(legs):g} m, limit {capture.n_bins - 1} bins of "
+            f"{capture.delta_t:g} m; give a capture with more bins"
         )
 
     def shifted(h: Array) -> Array:
@@ -219,12 +257,14 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
 
 
 def outer_legs(capture: TransientCapture) -> Array:
-    """Length of the outer legs of every path, m, of the shape of ``capture.H[0]``; 0 without.
+    """Return the length of the outer legs of every pair, m, shaped like ``capture.H[0]``.
+
+    It is 0 if the times of the capture do not include outer legs.
 
     Raises
     ------
     SceneError
-        If the times hold them and an origin is not known.
+        If the times include outer legs and an origin is missing.
     """
     shape = capture.H.shape[1:]
     if not capture.outer_legs:
@@ -232,8 +272,8 @@ def outer_legs(capture: TransientCapture) -> Array:
     missing = [n for n in ("laser_origin", "sensor_origin") if getattr(capture, n) is None]
     if missing:
         raise SceneError(
-            f"outer_legs = True and {' and '.join(missing)} not given: the path outside cannot be "
-            "taken away; give both origins, or times without these legs"
+            f"outer_legs = True and {' and '.join(missing)} not given, so the outer legs cannot "
+            "be subtracted; give both origins, or a capture without outer legs"
         )
     sides: list[Array] = []
     for name in ("laser", "sensor"):
@@ -254,7 +294,7 @@ def _inner(capture: TransientCapture, what: str) -> None:
 
 
 def _means(array: Array, first: int, last: int, count: int) -> Array:
-    """Means over blocks of ``count`` along the axes from ``first`` up to ``last``, but of one."""
+    """Average blocks of ``count`` along axes ``first`` to ``last`` - 1, except axes of length 1."""
     for axis in range(first, last):
         shape = array.shape
         if shape[axis] == 1:
@@ -266,7 +306,7 @@ def _means(array: Array, first: int, last: int, count: int) -> Array:
 def _mapped(
     capture: TransientCapture, change: Callable[[Array], Array], **others: Any
 ) -> TransientCapture:
-    """A capture whose histograms, parts and errors went through one linear change."""
+    """Apply a linear change to ``H``, ``by_bounce`` and ``standard_error`` of a capture."""
     error = capture.standard_error
     changed: dict[str, Any] = {
         "H": change(capture.H),

@@ -1,8 +1,8 @@
-"""y-tal's HDF5 layout: captures read, and written so that y-tal reads them.
+"""Reader and writer of y-tal's HDF5 layout.
 
-y-tal refuses names that it does not know, and looks at no attributes. What a capture holds beyond
-its layout is therefore in ``scene_info`` (numbers and words, as JSON, which is YAML) and in
-attributes of ``H`` (parts by bounce, standard error, arrays among the details).
+y-tal refuses unknown dataset names but ignores attributes. Data that its layout lacks are therefore
+stored in ``scene_info`` (numbers and text, as JSON, a subset of YAML) and in attributes of ``H``
+(contributions by bounce, standard error, array-valued details).
 """
 
 from __future__ import annotations
@@ -28,29 +28,30 @@ H_FORMATS = {"UNKNOWN": 0, "T_Sx_Sy": 1, "T_Lx_Ly_Sx_Sy": 2, "T_Si": 3, "T_Li_Si
 GRID_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_3": 2}
 VOLUME_FORMATS = {"UNKNOWN": 0, "N_3": 1, "X_Y_Z_3": 2, "X_Y_3": 3}
 OURS = "nlosoptics"
-#: Attributes of ``H``.
+#: Names of the attributes of ``H``; the first and last are prefixes.
 PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
+#: Value of an attribute that equals ``H`` itself.
 SAME = "H"
 
 
 def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
-    """Write a capture; see `TransientCapture.save`."""
+    """Write a `TransientCapture` to an HDF5 file in y-tal's layout, atomically."""
     import h5py
 
     path = Path(path)
     level = whole("compression", compression, 0, 9)
     if path.is_dir() or not path.parent.is_dir():
         what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
-        raise SceneError(f"{path}: {what}; name a file in a folder that is there")
+        raise SceneError(f"{path}: {what}; give a file in an existing folder")
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        # attributes beyond 64 KiB need the format of HDF5 1.8
+        # attributes larger than 64 KiB need the file format of HDF5 1.8
         with h5py.File(draft, "w", libver=("v108", "v108")) as file:
             _write(file, capture, level)
         draft.replace(path)
     except OSError as error:
         reason = error.strerror or str(error)
-        raise SceneError(f"{path}: cannot be written ({reason}); choose another place") from None
+        raise SceneError(f"{path}: cannot be written ({reason}); choose another path") from None
     finally:
         with suppress(OSError):
             draft.unlink()
@@ -95,7 +96,7 @@ def _write(file: Any, capture: Any, level: int) -> None:
 
 
 def _axes(capture: Any) -> tuple[tuple[int, ...], tuple[int, ...], str]:
-    """Axes of laser and sensor points that y-tal has a format for, and its name."""
+    """Return shapes of laser and sensor points that y-tal supports, and its name for the format."""
     laser, sensor = capture.laser_shape, capture.sensor_shape
     if capture.pairing == "confocal":
         if len(sensor) == 2:
@@ -111,14 +112,14 @@ def _axes(capture: Any) -> tuple[tuple[int, ...], tuple[int, ...], str]:
 
 
 def _brief(values: Array, H: Any) -> Any:
-    """Bins beside ``H``: a word where they are the same, one number where they are even."""
+    """Compress bins stored with ``H``: `SAME` if equal to it, one number if constant."""
     if values.dtype == H.dtype and np.array_equal(values, H[...]):
         return SAME
     return values.flat[0] if (values == values.flat[0]).all() else values
 
 
 def _at_length(value: Any, H: Array) -> Array:
-    """What `_brief` stored, as bins."""
+    """Return the bins that `_brief` compressed."""
     if isinstance(value, str):
         return H
     bins = np.asarray(value)
@@ -126,7 +127,7 @@ def _at_length(value: Any, H: Array) -> Array:
 
 
 def _turned(values: Array, lasers: int, sensors: int) -> Array:
-    """Bins with the axes of grids changed about, from [y, x] to [x, y] or back."""
+    """Return bins with the axes of two-dimensional grids swapped, [y, x] to [x, y] or back."""
     for first, count in ((1, lasers), (1 + lasers, sensors)):
         if count == 2:
             values = values.swapaxes(first, first + 1)
@@ -161,19 +162,19 @@ def _scene_info(capture: Any) -> dict[str, Any]:
 
 
 def _is_array(value: Any) -> bool:
-    """Whether HDF5 holds a value as it is."""
+    """Whether HDF5 can store a value as an array."""
     return isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.size > 0
 
 
 def _plain(value: Any) -> Any:
-    """What JSON has no form for: arrays as lists, mappings as such, all else as its text."""
+    """Convert a value without a JSON form: arrays to lists, mappings to dicts, others to text."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return dict(value) if isinstance(value, Mapping) else str(value)
 
 
 def read(variables: Mapping[str, Any]) -> Found:
-    """Read y-tal's layout; a capture of ours comes back as it was written."""
+    """Read y-tal's layout; a capture written by `save` is restored exactly."""
     info = _info(variables.get("scene_info"))
     ours = info.get(OURS) if isinstance(info.get(OURS), Mapping) else None
     H = bins(array(variables, "H", 2, 3, 5))
@@ -212,7 +213,7 @@ def read(variables: Mapping[str, Any]) -> Found:
 
 
 def _info(text: Any) -> dict[str, Any]:
-    """``scene_info`` as a mapping; a text that cannot be read is kept as it is."""
+    """Parse ``scene_info`` to a mapping; text that cannot be parsed is kept under its name."""
     if text is None or text == "":
         return {}
     if not isinstance(text, str):
@@ -225,8 +226,8 @@ def _info(text: Any) -> dict[str, Any]:
 
 
 def _yaml(text: str) -> Any:
-    """YAML by whatever reader is installed, None without one."""
-    if len(text) > 1_000_000:  # ground truth as text takes minutes
+    """Parse YAML if PyYAML is installed; None if it is not, or if the text is invalid or long."""
+    if len(text) > 1_000_000:  # parsing ground truth stored as text takes minutes
         return None
     try:
         import yaml
@@ -239,12 +240,12 @@ def _yaml(text: str) -> Any:
 
 
 def _flag(variables: Mapping[str, Any], key: str) -> bool | None:
-    """Whether something holds; None where the file does not say it."""
+    """Return a flag of the file, None if it is absent."""
     values = np.asarray(variables.get(key, ()))
     if values.size == 0 or values.ravel()[0] is None:
         return None
     if values.dtype.kind not in "biuf" or values.ravel()[0] not in (0, 1):
-        raise SceneError(f"{key} = {values.ravel()[0]} is neither 0 nor 1; write one of them")
+        raise SceneError(f"{key} = {values.ravel()[0]} is neither 0 nor 1; correct the file")
     return bool(values.ravel()[0])
 
 
@@ -253,7 +254,9 @@ def _points(variables: Mapping[str, Any], key: str) -> Array | None:
         return None
     values = np.asarray(array(variables, key, 1, 2, 3), dtype=np.float64)
     if values.shape[-1] != 3:
-        raise SamplingError(f"{key} has shape {values.shape}, must be (n, 3) or (nx, ny, 3)")
+        raise SamplingError(
+            f"{key} has shape {values.shape}, must be (n, 3) or (nx, ny, 3); correct the file"
+        )
     return values if values.ndim > 1 else values[None]
 
 
@@ -262,14 +265,14 @@ def _grid_shape(points: Array | None) -> tuple[int, ...] | None:
 
 
 def _normals(variables: Mapping[str, Any], name: str, points: Array | None) -> Array | None:
-    """Normals where they are not +z everywhere."""
+    """Return the normals of the points, None if all are +z or absent."""
     normals = _points(variables, f"{name}_grid_normals")
     if normals is None or points is None or (normals == (0.0, 0.0, 1.0)).all():
         return None
     if normals.shape != points.shape:
         raise SamplingError(
             f"{name}_grid_normals has shape {normals.shape}, must be {points.shape} like "
-            f"{name}_grid_xyz"
+            f"{name}_grid_xyz; correct the file"
         )
     return normals
 
@@ -277,9 +280,10 @@ def _normals(variables: Mapping[str, Any], name: str, points: Array | None) -> A
 def _pairs(
     H: Array, lasers: tuple[int, ...] | None, sensors: tuple[int, ...] | None
 ) -> tuple[tuple[int, ...] | None, str | None]:
-    """Laser axes of ``H``, and whether its points are pairs; None where that is not said.
+    """Return the laser axes of ``H`` and the pairing, each None if the file leaves it open.
 
-    A grid tells one point from as many as there are sensors, so that H's axes settle the rest.
+    The pairing follows from the axes of ``H`` and the number of laser points: one laser point
+    means "all", a grid like that of the sensors without axes of its own in ``H`` "confocal".
     """
     if sensors is None:
         return (None, None) if lasers is None else ((), "all")
@@ -293,20 +297,20 @@ def _pairs(
             return lasers, "confocal"
         raise SamplingError(
             f"H {H.shape} has no laser axes, {count} laser points are neither one nor paired with "
-            f"the sensor points {sensors}"
+            f"the sensor points {sensors}; correct the file"
         )
     if lasers is not None and H.shape[1:] == lasers + sensors:
         return lasers, "all"
     raise SamplingError(
         f"H has shape {H.shape}, must be (n_bins, *{sensors}) or (n_bins, *{lasers}, *{sensors}) "
-        "for its grids"
+        "for its grids; correct the file"
     )
 
 
 def _check_format(
     variables: Mapping[str, Any], ndim: int, paired: str | None, lasers: tuple[int, ...] | None
 ) -> None:
-    """Refuse an ``H_format`` that says other axes than the arrays have."""
+    """Raise `SamplingError` if ``H_format`` contradicts the axes of the arrays."""
     form = variables.get("H_format")
     if form is None or np.size(form) != 1:
         return
@@ -316,11 +320,13 @@ def _check_format(
     fits = {2: "T_Si", 5: "T_Lx_Ly_Sx_Sy", 3: "T_Li_Si" if many else "T_Sx_Sy"}[ndim]
     if value and value != H_FORMATS[fits]:
         said = names.get(value, str(value))
-        raise SamplingError(f"H_format is {said}, H of {ndim} axes with these grids is {fits}")
+        raise SamplingError(
+            f"H_format is {said}, H of {ndim} axes with these grids is {fits}; correct the file"
+        )
 
 
 def _own(found: Found, ours: Mapping[str, Any]) -> Found:
-    """Give a capture of ours its axes back."""
+    """Restore the axes of a capture that was written by `save`."""
     try:
         laser, sensor = (tuple(map(int, ours[f"{name}_shape"])) for name in ("laser", "sensor"))
         found.pairing, found.quantity = str(ours["pairing"]), str(ours["quantity"])
@@ -346,20 +352,20 @@ def _own(found: Found, ours: Mapping[str, Any]) -> Found:
                     setattr(found, key, values.reshape(*shape, 3))
     except (KeyError, TypeError, ValueError) as error:
         raise SceneError(
-            f"scene_info.{OURS} does not fit the arrays ({type(error).__name__}: {error}); the "
-            "file was changed"
+            f"scene_info.{OURS} does not fit the arrays ({type(error).__name__}: {error}), the "
+            "file was changed; save the capture again"
         ) from None
     return found
 
 
 def _foreign(found: Found, info: dict[str, Any], lasers: tuple[int, ...] | None) -> Found:
-    """Turn another program's [x, y] to [y, x], rising."""
+    """Convert a capture of another program from [x, y] to rising [y, x]."""
     found.details = {key: value for key, value in info.items() if key != "ground_truth"}
     if found.pairing == "all" and lasers == () and found.laser_points is not None:
         found.laser_points = found.laser_points.reshape(3)
         if found.laser_normals is not None:
             found.laser_normals = found.laser_normals.reshape(3)
     if found.sensor_points is None and found.H.ndim == 3:
-        found.H = found.H.swapaxes(1, 2)  # [x, y] by the layout's word, without points to tell
+        found.H = found.H.swapaxes(1, 2)  # no points to judge from; the layout defines [x, y]
         return found
     return upright(found)

@@ -1,4 +1,4 @@
-"""Points of the relay wall: grids of them, their checks, and how lasers and sensors pair."""
+"""Points on the relay wall: grids, checks, and the pairing of laser and sensor points."""
 
 from __future__ import annotations
 
@@ -13,35 +13,44 @@ from ...errors import SamplingError, SceneError
 
 Array = NDArray[np.floating]
 
-#: Share of its pitch by which points may lie off an even grid.
+#: Largest deviation of points from an even grid, as a fraction of its pitch.
 UNEVEN = 1e-3
 
 
 def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Middles of the cells of a square grid on the wall z = 0.
+    """Return the cell centres of a square grid on the wall z = 0.
 
     Parameters
     ----------
     side : float
-        Of the square, m.
+        Side of the square, m.
     count : int
-        Cells along each side.
+        Number of cells along each side.
     centre : (float, float)
-        m.
+        Centre (x, y) of the square, m.
 
     Returns
     -------
     ndarray
-        (count, count, 3), [y, x], m.
+        (count, count, 3), ordered [y, x], world, m.
 
     Raises
     ------
     SceneError
         If a value is not finite or out of range.
+
+    Examples
+    --------
+    >>> from nlosoptics.transient import wall_grid
+    >>> points = wall_grid(side=2.0, count=4)
+    >>> points.shape
+    (4, 4, 3)
+    >>> print(points[0, :, 0])
+    [-0.75 -0.25  0.25  0.75]
     """
     side, count = positive("side", side, unit="m"), whole("count", count)
     if is_single(centre) or len(centre) != 2:
-        raise SceneError(f"centre = {centre!r} is no place on the wall; give (x, y) in m")
+        raise SceneError(f"centre = {centre!r} is not a point on the wall; give (x, y) in m")
     x, y = (real("centre", value) for value in centre)
     along = (np.arange(count) + 0.5) * (side / count) - 0.5 * side
     points = np.zeros((count, count, 3))
@@ -51,33 +60,39 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
 
 
 def real_array(name: str, values: Any, *, ndmin: int = 0) -> NDArray[np.float64]:
-    """A copy of real numbers in double precision; they need not be finite."""
+    """Return a float64 copy of an array of real numbers, which need not be finite."""
     try:
         array = np.array(values, ndmin=ndmin)
     except ValueError:  # rows of several lengths
-        raise SamplingError(f"{name} have rows of several lengths; give them all one") from None
-    # an empty list has no type of its own
+        raise SamplingError(
+            f"{name} have rows of several lengths; give rows of equal length"
+        ) from None
+    # the type of an empty list says nothing
     if array.dtype.kind not in "iuf" and array.size:
-        raise SceneError(f"{name} of type {array.dtype} are no real numbers; give floats in m")
+        raise SceneError(f"{name} of type {array.dtype} are not real numbers; give floats in m")
     return array.astype(np.float64, copy=False)
 
 
 def checked_points(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """A copy of finite points (..., 3)."""
+    """Return a float64 copy of finite points (..., 3)."""
     points = real_array(name, values)
     if points.ndim == 0 or points.shape[-1] != 3 or points.size == 0:
-        raise SamplingError(f"{name} have shape {points.shape}, must be (..., 3), m")
+        raise SamplingError(
+            f"{name} have shape {points.shape}, must be (..., 3); give x, y and z in m"
+        )
     if not np.isfinite(points).all():
-        raise SceneError(f"{name} have values that are not finite")
+        raise SceneError(f"{name} have values that are not finite; give finite numbers in m")
     return points
 
 
 def points_on_wall(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """A copy of finite points (..., 3) in the plane z = 0."""
+    """Return a float64 copy of finite points (..., 3) that lie in the plane z = 0."""
     points = checked_points(name, values)
     off = float(np.abs(points[..., 2]).max())
     if off > 1e-9:
-        raise SceneError(f"{name} are up to {off:g} m off the wall z = 0; put them on it")
+        raise SceneError(
+            f"{name} are up to {off:g} m off the wall z = 0, limit 1e-09 m; move them onto it"
+        )
     points[..., 2] = 0.0
     return points
 
@@ -85,34 +100,35 @@ def points_on_wall(name: str, values: ArrayLike) -> NDArray[np.float64]:
 def pair_shape(
     pairing: Any, laser_shape: tuple[int, ...], sensor_shape: tuple[int, ...]
 ) -> tuple[int, ...]:
-    """Axes of the pairs of laser and sensor points, behind the bins.
+    """Return the shape of a capture behind its time axis.
 
     Raises
     ------
     SceneError
         If ``pairing`` is neither "all" nor "confocal".
     SamplingError
-        If confocal points are not as many of both.
+        If confocal laser and sensor points differ in shape.
     """
     if one_of("pairing", pairing, ("all", "confocal")) == "all":
         return laser_shape + sensor_shape
     if laser_shape != sensor_shape:
         raise SamplingError(
-            f"laser points {laser_shape} and sensor points {sensor_shape} are not pairs; give as "
-            "many of both, or pairing='all'"
+            f"laser points {laser_shape} and sensor points {sensor_shape} are not pairs, their "
+            "shapes must be equal; give one laser point per sensor point, or pairing='all'"
         )
     return sensor_shape
 
 
 def even_axes(points: Array) -> tuple[Array, Array, float]:
-    """Axes x (nx,) and y (ny,) of the even grid nearest to points (ny, nx, 3).
+    """Fit an even grid with axes x (nx,) and y (ny,) to points (ny, nx, 3).
 
-    Coordinates of single precision are as uneven as they are rounded, and become even here.
+    This also removes the rounding of single-precision coordinates.
 
     Returns
     -------
     tuple
-        x, y, m, and by how much the points are off that grid along x or y, as a share of its pitch.
+        x and y, m, and the largest deviation of the points from that grid along x or y, as a
+        fraction of its pitch.
     """
     first, last = points[0, 0], points[-1, -1]
     x = np.linspace(first[0], last[0], points.shape[1])

@@ -1,4 +1,4 @@
-"""The sums of `rayleigh_sommerfeld` in torch, for a graphics card."""
+"""Rayleigh-Sommerfeld sums in torch, for GPUs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .volume import Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Numbers that a step may hold at once.
+#: Largest number of array elements held in one step.
 STEP = 2**26
 
 
@@ -30,14 +30,21 @@ def carry(
     device: str,
     advance: Advance,
 ) -> ComplexArray:
-    """The field at each voxel, as `plane_by_plane` with a grid and `direct_sum` without.
+    """Return the field at each voxel, computed in torch.
 
-    Parameters are theirs, and ``device`` is torch's name of one.
+    Parameters
+    ----------
+    volume, legs, band, spectra, times, advance
+        See `rayleigh_sommerfeld.direct_sum`.
+    grid : Lattice or None
+        Lattice of ``legs.near`` to compute convolutions; None to sum every path.
+    device : str
+        torch device, such as "cuda".
 
     Returns
     -------
     ndarray
-        (t, nz, ny, nx) complex, of the spectra's precision.
+        (t, nz, ny, nx) complex, in the precision of ``spectra``.
 
     Raises
     ------
@@ -50,14 +57,14 @@ def carry(
         import torch
     except ImportError:
         raise MissingExtraError(
-            "device needs torch; install nlosoptics[inverse], or leave device out"
+            "device needs torch; install nlosoptics[inverse], or omit device"
         ) from None
     try:
         place = torch.device(device)
         torch.empty(1, device=place)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise SceneError(f"device = {device!r} is not there: {reason}; leave device out") from None
+        raise SceneError(f"device = {device!r} is not available: {reason}; omit device") from None
     with torch.inference_mode():
         if grid is None:
             fields = _direct(torch, volume, legs, band, spectra, times, place, advance)
@@ -76,7 +83,7 @@ def _direct(
     place: Any,
     advance: Advance,
 ) -> Any:
-    """Every path: for each wave, a matrix of voxels and near points."""
+    """Sum every path: for each wave, multiply a matrix (voxels, near points) by the spectra."""
     light = torch.as_tensor(spectra, device=place)
     voxels = torch.as_tensor(volume.points.reshape(-1, 3), device=place)
     near = torch.as_tensor(np.ascontiguousarray(legs.near), device=place)
@@ -111,7 +118,7 @@ def _planes(
     place: Any,
     advance: Advance,
 ) -> Any:
-    """Convolutions of wall and planes, all kernels whole."""
+    """Convolve the wall spectra with the kernel of each plane, by FFT of the full kernel."""
     y, x = grid.axes
     shape = (y.size(False), x.size(False))
     walls = grid.walls(spectra)

@@ -1,4 +1,4 @@
-"""Stolt's change of variable by a short kernel, and sums over paths."""
+"""Compiled loops of f-k migration (Stolt's change of variable) and of backprojection."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ def stolt(
     n_waves,
     out,
 ):
-    """Fill ``out`` (b, kx, n) with the waves of depth, frequency j/period in slot j mod n.
+    """Fill ``out`` (b, kx, n) with the spectrum over depth, kz = j/period in element j mod n.
 
-    ``spectrum`` (b, kx, n_f + 2 taps) holds the gridded frequencies of half the path, m / (grid
-    bin_width) at index m + taps; ``lateral_sq`` (b, kx) is kx^2 + ky^2, 1/m^2. Each wave of depth
-    kz is the spectrum at f = sqrt(k^2 + kz^2) times df/dkz = kz/f; beyond the bins' Nyquist
-    frequency there is none. ``table`` holds the kernel from -taps/2 to taps/2.
+    ``spectrum`` (b, kx, n_f + 2 taps) is the oversampled spectrum over half the path, with
+    frequency m/(grid_size bin_width) at index m + taps. ``lateral_sq`` (b, kx) is kx^2 + ky^2,
+    1/m^2. The value at kz is the spectrum at f = sqrt(kx^2 + ky^2 + kz^2) times df/dkz = kz/f, and
+    0 beyond the Nyquist frequency of the bins. ``table`` holds the gridding kernel from -taps/2 to
+    taps/2.
     """
     n = out.shape[2]
     half = 0.5 * taps
@@ -66,12 +67,13 @@ def stolt(
 def backproject(
     series, lasers, sensors, laser_of, sensor_of, legs, x, y, z, start, width, power, out, seen
 ):
-    """Fill ``out`` (ny, nx, nz) with sums over paths of the light at each path's length.
+    """Fill ``out`` (ny, nx, nz) with the sum over pairs of the intensity at the path over a voxel.
 
-    ``series`` (n_paths, n_bins + 2) is the light of the path from ``lasers[laser_of[p]]`` over the
-    voxel to ``sensors[sensor_of[p]]``, whose times hold ``legs[p]`` more, with an empty bin before
-    and after. Light is taken from the two bins whose middles are next to the path's length. It is
-    weighted by (r1 r2)^power, power one of -2, 0, 1, 2. ``seen`` is whether any path is in a bin.
+    ``series`` (n_paths, n_bins + 2) is the intensity of pair p over time, with an empty bin before
+    and after. The path goes from ``lasers[laser_of[p]]`` over the voxel to
+    ``sensors[sensor_of[p]]``; recorded times are longer by ``legs[p]``. Values are interpolated
+    linearly between bin centres and weighted by (r1 r2)^power with power -2, 0, 1 or 2. ``seen``
+    (ny, nx, nz) tells whether any path of a voxel lies within the bins.
     """
     last = series.shape[1] - 1.0
     nz = z.shape[0]

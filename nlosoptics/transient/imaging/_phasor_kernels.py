@@ -1,6 +1,7 @@
-"""Loops of the Rayleigh-Sommerfeld sums; their callers check and allocate.
+"""Compiled loops of the Rayleigh-Sommerfeld sums; the callers check and allocate.
 
-Loops over planes run on one thread each: their callers spread planes over threads.
+Functions that work on planes are single-threaded, because their callers distribute planes over
+threads.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ def distance(a, b):
 
 @njit(cache=True)
 def add_path(path, amplitude, first, step, spectrum, field):
-    """Add spectrum * amplitude exp(i k path) at every k = first + j step to ``field``.
+    """Add spectrum[j] * amplitude exp(i k path) to ``field[j]``, for k = first + j step.
 
-    Four wavenumbers advance side by side, so that no product waits for the one before it.
+    Four wavenumbers advance in parallel, which avoids a chain of dependent products.
     """
     turn = complex(math.cos(step * path), math.sin(step * path))
     one = amplitude * complex(math.cos(first * path), math.sin(first * path))
@@ -53,11 +54,11 @@ def add_path(path, amplitude, first, step, spectrum, field):
 
 @threaded()
 def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fields):
-    """Sum over points of spectrum[j, i, k] exp(i k path), then over k, at each time.
+    """Fill ``fields`` (times, voxels) with sums of spectrum[j, i, k] exp(i k (path + t)).
 
-    ``legs`` says what a path is: ALONE: |x - near_i|; ALL: |x - far_j| + |x - near_i|; PAIRED:
-    |x - far_i| + |x - near_i|. ``falls``: each leg also divides by its length. ``turns`` (times, k)
-    is exp(i k t); ``fields`` (times, voxels).
+    The sum runs over points j, i and wavenumbers k. ``legs`` defines the path; ALONE:
+    |x - near_i|; ALL: |x - far_j| + |x - near_i|; PAIRED: |x - far_i| + |x - near_i|. With
+    ``falls``, each term is divided by the length of each leg. ``turns`` (times, k) is exp(i k t).
     """
     n_far = far.shape[0] if legs == ALL else 1
     for v in prange(voxels.shape[0]):
@@ -81,9 +82,10 @@ def direct_sum(voxels, near, far, legs, falls, first, step, spectrum, turns, fie
 
 @njit(cache=True, nogil=True)
 def fill_kernels(across, up, away, ways, falls, first, step, kernels):
-    """exp(i ways k r) (over r^ways where it falls) at r = (across, up, away), every k.
+    """Fill ``kernels`` (k, z, y, x) with exp(i ways k r), divided by r^ways if ``falls``.
 
-    ``kernels`` (k, z, y, x). Wavenumbers follow one another by a factor.
+    r is the length of the vector (across[x], up[y], away[z]), m. Each wavenumber follows from the
+    one before by a factor exp(i step ways r).
     """
     values = np.empty(len(across), np.complex128)
     turns = np.empty(len(across), np.complex128)
@@ -102,7 +104,7 @@ def fill_kernels(across, up, away, ways, falls, first, step, kernels):
 
 @njit(cache=True, nogil=True)
 def multiply_row(spectrum, kernel, row):
-    """Spectrum times kernel, of which a half may be given, the other being its mirror image."""
+    """Fill ``row`` with spectrum times kernel; a half kernel is continued by its mirror image."""
     count = len(row)
     half = min(count, len(kernel))
     for x in range(half):
@@ -113,9 +115,10 @@ def multiply_row(spectrum, kernel, row):
 
 @njit(cache=True, nogil=True)
 def add_product(spectrum, kernel, row, product):
-    """Add spectrum * kernel, all periods of ``product`` on one.
+    """Add spectrum * kernel to ``product``, folded to the period of ``product``.
 
-    A transform whose b periods are added up is b times that of every b-th number.
+    Summing b periods of a transform gives b times the transform of every b-th sample, so that the
+    inverse transform returns only the samples at voxels.
     """
     rows, columns = product.shape
     height, width = spectrum.shape
@@ -129,7 +132,7 @@ def add_product(spectrum, kernel, row, product):
 
 @njit(cache=True, nogil=True)
 def multiply_waves(spectra, kernels, products):
-    """products[k, z] = spectra[k] * kernels[k, z], as `add_product`."""
+    """Set products[k, z] to spectra[k] * kernels[k, z], folded to the period of the product."""
     height, width = spectra.shape[1:]
     row = np.empty(width, products.dtype)
     for k in range(products.shape[0]):
@@ -146,7 +149,7 @@ def multiply_waves(spectra, kernels, products):
 
 @njit(cache=True, nogil=True)
 def sum_waves(spectra, kernels, products):
-    """products[z] = sum over k of spectra[k] * kernels[k, z], as `add_product`."""
+    """Set products[z] to the sum over k of spectra[k] * kernels[k, z], folded to its period."""
     row = np.empty(spectra.shape[2], products.dtype)
     products[:] = 0.0
     for k in range(kernels.shape[0]):
@@ -156,10 +159,10 @@ def sum_waves(spectra, kernels, products):
 
 @njit(cache=True, nogil=True)
 def add_waves(fields, xs, ys, zs, far, falls, first, step, turns, total):
-    """Add over k fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x), k = first + j step.
+    """Add the sum over k of fields[k] turns[t, k] exp(i k r) to ``total`` (t, z, y, x).
 
-    r is a voxel's distance from ``far`` (m, 3), over which it divides where it falls; without a
-    point there, r = 0.
+    Wavenumbers are k = first + j step. r is the distance of a voxel from the point ``far`` (1, 3),
+    m, and 0 if ``far`` is empty. With ``falls``, terms are divided by r.
     """
     legs = far.shape[0] > 0
     for flat in range(len(zs) * len(ys)):

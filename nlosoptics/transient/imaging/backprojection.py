@@ -1,4 +1,4 @@
-"""Backprojection: light put back on the ellipsoids that its path allows, any pairing, any grid."""
+"""Backprojection of captures onto ellipsoids of equal path, for any pairing and any grid."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Array = NDArray[np.floating]
 Filter = Literal["none", "second_derivative", "laplacian"]
 Falloff = Literal["none", "matched", "diffuse", "retroreflective"]
 
-#: The power of r1 r2 that weights each path.
+#: Exponent of r1 r2 in the weight of each path.
 POWERS: Final = {"none": 0, "matched": -2, "diffuse": 2, "retroreflective": 1}
-BLOCK: Final = 8  # rows of voxels between two calls of progress
+BLOCK: Final = 8  # rows of voxels between calls of progress
 
 
 def backprojection(
@@ -34,48 +34,55 @@ def backprojection(
     falloff: Falloff = "none",
     progress: Progress | None = None,
 ) -> VolumeImage:
-    """Picture of a hidden scene by backprojection onto ellipsoids.
+    """Reconstruct a hidden scene by backprojection onto ellipsoids.
 
     Parameters
     ----------
     capture : TransientCapture
-        Any pairing and grids, with or without outer legs, without direct light.
+        Capture of any pairing and grid, with or without outer legs, without direct light.
     volume : Volume, optional
-        Any before the wall; None, for an even grid of sensor points [y, x] without outer legs: a
-        voxel before each, at half the paths of the bins, as far as light comes back in time from
-        all of a plane.
+        Voxels in front of the wall. None: one voxel column in front of each sensor point, at the
+        depths of the bins, up to the farthest plane that the time window covers completely. This
+        requires an even grid of sensor points [y, x] and no outer legs.
     filter : {"none", "second_derivative", "laplacian"}
-        Of the sums: ``-d^2/dz^2``, or minus the Laplacian of a Gaussian along all axes that have
-        voxels.
+        Filter of the sums, after a Gaussian blur: ``-d^2/dz^2``, or minus the Laplacian over all
+        axes with at least 3 voxels.
     width : float, optional
-        The Gaussian's standard deviation, m, for both filters alone; None: the voxels' pitch along
+        Standard deviation of the Gaussian, m; only with a filter. None: pitch of the voxels along
         z.
     falloff : {"none", "matched", "diffuse", "retroreflective"}
-        Weight of each path: 1; ``1/(r1 r2)^2``, the falloff itself, which makes the sum the adjoint
-        of light off points; ``(r1 r2)^2`` or ``r1 r2``, which undo it.
+        Weight of each path with legs r1 and r2: 1 for "none"; ``1/(r1 r2)^2``, the falloff itself,
+        for "matched", which makes the sum the adjoint of the intensity from points; ``(r1 r2)^2``
+        and ``r1 r2`` undo the falloff of diffuse and retro-reflective targets.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
 
     Returns
     -------
     VolumeImage
-        Without a filter linear in the capture; filtered sums below 0 are 0, and
-        ``details["below_zero"]`` says how much that was, over the sum of what is above.
+        Sums per voxel, linear in the capture if unfiltered. Negative filtered values are set to 0;
+        ``details["below_zero"]`` is their sum relative to the sum of the positive ones.
 
     Raises
     ------
     SamplingError
-        If voxels are outside of what the window of time covers, or a filter has no three voxels.
+        If voxels have no path within the time window, or a filter has fewer than 3 voxels along z.
     SceneError
-        If direct light is in, the volume is not before the wall, or ``width`` has no filter.
+        If the capture has direct light, the volume is not in front of the wall, or ``width`` is
+        given without a filter.
     MemoryLimitError
-        If light and picture would not fit.
+        If capture and image exceed the free memory.
+
+    See Also
+    --------
+    fk_migration, lct : Sharper and faster, for confocal captures.
+    phasor_image : Wave-based, for any capture.
 
     Notes
     -----
-    Each voxel adds the light at the path ``r1 + r2`` over it, taken between the middles of the two
-    nearest bins (nothing is outside of the first and last), in float32 with sums in float64 [1]_.
-    The filters sharpen what is a blur by about 1/distance [2]_.
+    Each voxel sums the values at the path ``r1 + r2`` over all pairs [1]_, interpolated linearly
+    between bin centres. Values outside the bins are 0. Values are float32, sums float64. Unfiltered
+    images are blurred about as 1/distance; the filters sharpen them [2]_.
 
     References
     ----------
@@ -83,12 +90,32 @@ def backprojection(
        using ultrafast time-of-flight imaging, Nature Communications 3, 745 (2012).
     .. [2] Laurenzis, Velten, Feature selection and back-projection algorithms for
        non-line-of-sight laser-gated viewing, J. Electron. Imaging 23, 063003 (2014).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, Volume, backprojection, wall_grid
+    >>> wall = wall_grid(side=1.0, count=16)
+    >>> laser = np.array([0.0, 0.0, 0.0])
+    >>> target = np.array([0.1, 0.0, 0.6])
+    >>> path = np.linalg.norm(laser - target) + np.linalg.norm(wall - target, axis=-1)
+    >>> capture = TransientCapture(
+    ...     H=np.stack([path // 0.02 == k for k in range(100)]).astype(float),
+    ...     laser_points=laser,
+    ...     sensor_points=wall,
+    ...     delta_t=0.02,
+    ... )
+    >>> volume = Volume.box(centre=(0.0, 0.0, 0.6), size=(0.5, 0.5, 0.3), pitch=0.1)
+    >>> image = backprojection(capture, volume)
+    >>> z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
+    >>> print(volume.points[z, y, x].round(3) + 0.0)
+    [0.1 0.  0.6]
     """
     begun = time.perf_counter()
     one_of("filter", filter, ("none", "second_derivative", "laplacian"))
     one_of("falloff", falloff, POWERS)
     if filter == "none" and width is not None:
-        raise SceneError("width is for a filter, and filter = 'none'; leave it out or name one")
+        raise SceneError("width is for a filter, but filter = 'none'; omit width or give a filter")
     volume = _own_volume(capture) if volume is None else volume
     volume.check_before_wall()
     if filter != "none":
@@ -96,7 +123,7 @@ def backprojection(
         if not pitch:
             raise SamplingError(
                 f"filter = {filter!r} needs at least 3 voxels along z, the volume has "
-                f"{len(volume.z)}; give more or filter='none'"
+                f"{len(volume.z)}; give more, or filter='none'"
             )
         width = pitch if width is None else positive("width", width, unit="m")
     refuse_direct_light(capture, "backprojection")
@@ -122,10 +149,12 @@ def _own_volume(capture: TransientCapture) -> Volume:
     points = capture.sensor_points
     if points.ndim != 3 or capture.outer_legs:
         raise SamplingError(
-            f"sensor points {capture.sensor_shape} or outer legs tell no volume; give one"
+            f"sensor points {capture.sensor_shape} with outer_legs = {capture.outer_legs} define "
+            "no default volume, which needs a grid (ny, nx) and no outer legs; give volume"
         )
     depths = 0.5 * capture.times
-    # over the sensor point that is farthest from all lasers, light goes z + sqrt(z^2 + farthest^2)
+    # at depth z, the longest of the shortest paths is z + sqrt(z^2 + farthest^2), for the sensor
+    # point that is farthest from all laser points
     end, farthest = float(capture.edges[-1]), 0.0
     if capture.pairing == "confocal":
         apart = np.linalg.norm(capture.laser_points - points, axis=-1)
@@ -139,8 +168,8 @@ def _own_volume(capture: TransientCapture) -> Volume:
     depths = depths[(depths > 0.0) & (depths <= last)]
     if not len(depths):
         raise SamplingError(
-            f"bins up to {end:g} m hold no path to a plane before all of the wall points; give a "
-            "volume, or take more bins"
+            f"bins up to {end:g} m of optical path cover no complete plane in front of the wall "
+            "points; give volume, or capture more bins"
         )
     return Volume(*axes_before(points), depths)
 
@@ -148,7 +177,7 @@ def _own_volume(capture: TransientCapture) -> Volume:
 def _sums(
     capture: TransientCapture, volume: Volume, power: int, progress: Progress | None
 ) -> Array:
-    """(nz, ny, nx) sums over the paths of a capture."""
+    """Return the sums (nz, ny, nx) over all pairs of a capture."""
     from . import _migration_kernels as kernels
 
     nz, ny, nx = volume.shape
@@ -194,13 +223,13 @@ def _sums(
         raise SamplingError(
             f"voxels at depths {volume.z[unseen[0]]:g} to {volume.z[unseen[-1]]:g} m have no path "
             f"within the times {capture.edges[0]:g} to {capture.edges[-1]:g} m; make the volume "
-            "smaller or take more bins"
+            "smaller or capture more bins"
         )
     return np.ascontiguousarray(found.transpose(2, 0, 1))
 
 
 def _filtered(sums: Array, volume: Volume, filter: str, width: float) -> Array:
-    """Minus second derivatives of a Gaussian's blur along z or all axes with voxels, per m^2."""
+    """Return minus the second derivative along z, or the Laplacian, of the blurred sums, 1/m^2."""
     from scipy.ndimage import gaussian_filter
 
     axes = [volume.z, volume.y, volume.x]

@@ -1,4 +1,4 @@
-"""Which wall points a virtual camera looks through and lights from, and the paths between."""
+"""Wall points and paths that a virtual camera uses, and the limits of its sampling."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from .volume import Volume
 
 Array = NDArray[np.floating]
 
-#: Share of the volume's paths that may lie beyond the capture's bins unmentioned.
+#: Fraction of the volume's paths outside the capture's bins from which on a note is given.
 CUT = 0.01
-#: Share of the pitch by which steps of a grid may differ unmentioned.
+#: Variation of a grid's steps, relative to the pitch, from which on a note is given.
 UNEVEN = 1e-3
 
 
 def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | None:
-    """Steps of a grid of wall points against the wavelength; None where they are fine enough.
+    """Return a note if a grid of wall points is too coarse for the wavelength or uneven, or None.
 
     Parameters
     ----------
     name : str
-        Of the points.
+        Name of the points in the note.
     points : ndarray
         (..., 3), m.
     wavelength : float
-        m of optical path.
+        Virtual wavelength, m of optical path.
     ways : int
-        2 where light leaves from and comes back to the same points, else 1.
+        2 if each point both emits and receives (confocal), else 1.
     """
     steps = [
         np.linalg.norm(np.diff(points, axis=axis), axis=-1).ravel()
@@ -49,47 +49,49 @@ def grid_note(name: str, points: Array, wavelength: float, ways: int) -> str | N
     if largest > limit * (1.0 + 1e-9):
         return (
             f"{name} are up to {largest:.4g} m apart, limit {limit:.4g} m, wl_mean/{2 * ways}: "
-            f"copies of the scene may appear; take wl_mean of {2 * ways * largest:.4g} m or more"
+            f"aliases of the scene may appear; give wl_mean of {2 * ways * largest:.4g} m or more"
         )
     spread = max(float(np.ptp(step)) / float(step.mean()) for step in steps)
     if spread > UNEVEN:
         return (
-            f"{name} are unevenly spaced by {spread:.2g} of their pitch, limit {UNEVEN:g}: dense "
-            "parts weigh more"
+            f"{name} are unevenly spaced by {spread:.2g} of their pitch, limit {UNEVEN:g}: densely "
+            "sampled parts of the wall get more weight"
         )
     return None
 
 
 def bin_note(delta_t: float, wavelength: float) -> str | None:
-    """Bins against the wavelength.
+    """Return a note if bins are wider than a quarter of the wavelength, or None.
 
     Raises
     ------
     SamplingError
-        If a wave has less than two bins.
+        If bins are wider than half of the wavelength.
     """
     if delta_t > 0.5 * wavelength:
         raise SamplingError(
-            f"delta_t = {delta_t:.4g} m holds over half of wl_mean = {wavelength:.4g} m, which "
-            f"is not sampled then; take wl_mean of {4 * delta_t:.4g} m or more"
+            f"delta_t = {delta_t:.4g} m exceeds half of wl_mean = {wavelength:.4g} m, so that the "
+            f"wave is undersampled; give wl_mean of {4 * delta_t:.4g} m or more"
         )
     if delta_t > 0.25 * wavelength:
         return (
-            f"delta_t = {delta_t:.4g} m is over a quarter of wl_mean = {wavelength:.4g} m: bins "
-            f"blur the wave's phase; take wl_mean of {4 * delta_t:.4g} m or more"
+            f"delta_t = {delta_t:.4g} m exceeds a quarter of wl_mean = {wavelength:.4g} m: bins "
+            f"blur the wave's phase; give wl_mean of {4 * delta_t:.4g} m or more"
         )
     return None
 
 
 def window_note(capture: TransientCapture, volume: Volume, paths: Array) -> str | None:
-    """Share of the volume's paths that the capture's bins do not hold.
+    """Return a note if part of the volume's paths lies outside the capture's bins, or None.
 
     Parameters
     ----------
     capture : TransientCapture
+        Capture with the bins.
     volume : Volume
+        Volume to image.
     paths : ndarray
-        A sample of path lengths as the capture counts them, m.
+        Sample of path lengths, any shape, m, with outer legs if the capture has them.
     """
     edges = capture.edges
     early = float(np.mean(paths < edges[0]))
@@ -99,33 +101,35 @@ def window_note(capture: TransientCapture, volume: Volume, paths: Array) -> str 
     return (
         f"bins from {edges[0]:.4g} to {edges[-1]:.4g} m leave out {100 * (early + late):.2g} % of "
         f"the paths of a volume from z = {volume.z[0]:.4g} to {volume.z[-1]:.4g} m "
-        f"({paths.min():.4g} to {paths.max():.4g} m): those parts look darker than they are"
+        f"({paths.min():.4g} to {paths.max():.4g} m): those parts of the image are too dark"
     )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Setup:
-    """A camera's way through a capture.
+    """Assignment of a capture's wall points to the near and far points of a virtual camera.
 
     Parameters
     ----------
     legs : Legs
+        Near and far points, whose distances to a voxel make up its path.
     grid : ndarray
-        ``legs.near`` in the shape of its grid, (..., 3), m.
+        (..., 3), m: ``legs.near`` in the shape of its grid.
     columns : ndarray of int
-        (m, n): which pair of the capture far_j and near_i make.
+        (m, n): index of the capture's pair that far point j and near point i form.
     given : ndarray
-        (m, n), m: what the recorded times hold beside the paths to a voxel; a projector's leg,
-        being known, is taken away from it.
+        (m, n), m: known path lengths in addition to the legs to a voxel. These are the outer legs
+        and, for a projector, the leg from each laser point to its focus.
     used : ndarray of bool
-        (n,), near points within the aperture; their spectra are 0 without.
+        (n,): near points within the aperture; the spectra of others are set to 0.
     sides : tuple of str
-        Whose points near and far are.
-    far_points, far_shape
-        (m, 3), m, and the shape of their grid: lasers that light is focused by, also where their
-        legs are part of ``given``.
+        Kind of the near and of the far points, ("sensor", "laser") or ("laser", "sensor").
+    far_points : ndarray
+        (m, 3), m: points by which the light is focused, even if their legs are part of ``given``.
+    far_shape : tuple of int
+        Shape of the grid of ``far_points``.
     merged : bool
-        Whether it is, so that their spectra add up.
+        Whether the legs of the far points are part of ``given``. Their spectra are then summed.
     """
 
     legs: Legs
@@ -139,7 +143,7 @@ class Setup:
     merged: bool = False
 
     def cut(self, near: NDArray[np.bool_], far: NDArray[np.bool_]) -> Setup:
-        """Without far points beyond the aperture, and with near ones marked."""
+        """Return the setup without unused far points and with ``near`` as its used near points."""
         keep = np.flatnonzero(far)
         if len(keep) == len(far):
             return replace(self, used=near)
@@ -154,7 +158,10 @@ class Setup:
         )
 
     def paths(self, volume: Volume, moments: Array) -> tuple[float, float, Array]:
-        """Bounds of the times asked for, without outer legs, and a sample with them."""
+        """Return the least and greatest requested time, and a sample of times.
+
+        All are in m and include ``given``, so that they compare with the capture's bins.
+        """
         near = self.legs.near[self.used]
         low, high = _reach(volume, near)
         given = self.given[:, self.used]
@@ -170,7 +177,7 @@ class Setup:
         return first, last, self._sample(volume, moments)
 
     def _sample(self, volume: Volume, moments: Array) -> Array:
-        """Path lengths, as the capture counts them, of a few hundred voxels and wall points."""
+        """Return path lengths, including ``given``, for a few hundred voxels and wall points."""
         axes = (a[len(a) // 16 :: max(1, len(a) // 8)] for a in (volume.x, volume.y, volume.z))
         voxels = Volume(*axes).points.reshape(-1, 3)
         some = np.flatnonzero(self.used)
@@ -189,18 +196,34 @@ class Setup:
 def camera_setup(
     capture: TransientCapture, camera: str, laser: Any, focus: Any, falls: bool
 ) -> Setup:
-    """Which points a camera looks through and which it lights from."""
+    """Assign laser and sensor points to a virtual camera.
+
+    Parameters
+    ----------
+    capture : TransientCapture
+        Capture with the points.
+    camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
+        Virtual camera, see `phasor_image`.
+    laser : int, tuple of int or None
+        Index of the laser point, for "transient".
+    focus : array_like of 3 floats or None
+        Focus of the projector, m, for "projector_camera".
+    falls : bool
+        Whether each leg contributes a factor 1/length.
+    """
     lasers, sensors = capture.laser_points.reshape(-1, 3), capture.sensor_points.reshape(-1, 3)
     outer = outer_legs(capture)
     if camera != "projector_camera" and focus is not None:
-        raise SceneError(f"projector_focus is for camera = 'projector_camera', not {camera!r}")
+        raise SceneError(
+            f"projector_focus is for camera = 'projector_camera', not {camera!r}; omit it"
+        )
     if camera != "transient" and laser is not None:
-        raise SceneError(f"laser is for camera = 'transient', not {camera!r}")
+        raise SceneError(f"laser is for camera = 'transient', not {camera!r}; omit it")
     if capture.pairing == "confocal":
         if camera in ("transient", "projector_camera"):
             raise SamplingError(
-                f"camera = {camera!r} needs a laser point seen at many sensor points, and this "
-                "capture has pairs; take 'confocal_time_gated'"
+                f"camera = {camera!r} needs a laser point observed at many sensor points, but this "
+                "capture has pairs; give camera = 'confocal_time_gated'"
             )
         legs = Legs(near=sensors, far=lasers, paired=True, falls=falls)
         return Setup(
@@ -215,7 +238,7 @@ def camera_setup(
     columns = np.arange(len(lasers) * len(sensors)).reshape(len(lasers), len(sensors))
     outer = outer.reshape(columns.shape)
     grid, sides, far_shape = capture.sensor_points, ("sensor", "laser"), capture.laser_shape
-    # light's way back is its way: one sensor before many lasers is one laser before many sensors
+    # by reciprocity, one sensor with many lasers equals one laser with many sensors
     if len(sensors) == 1 and len(lasers) > 1 and camera in ("confocal_time_gated", "direct_light"):
         lasers, sensors, columns, outer = sensors, lasers, columns.T, outer.T
         grid, sides, far_shape = capture.laser_points, ("laser", "sensor"), ()
@@ -228,11 +251,13 @@ def camera_setup(
     elif camera == "projector_camera":
         if min(len(lasers), len(sensors)) < 2:
             raise SamplingError(
-                f"camera = 'projector_camera' needs several laser and several sensor points, and "
-                f"there are {len(lasers)} and {len(sensors)}"
+                f"camera = 'projector_camera' needs several laser and several sensor points, this "
+                f"capture has {len(lasers)} and {len(sensors)}; give another camera"
             )
         if focus is None:
-            raise SceneError("camera = 'projector_camera' needs projector_focus, (x, y, z) in m")
+            raise SceneError(
+                "camera = 'projector_camera' needs projector_focus; give (x, y, z) in m"
+            )
         lead = np.linalg.norm(lasers - np.asarray(vector("projector_focus", focus)), axis=-1)
         outer, far, merged = outer + lead[:, None], np.empty((0, 3)), True
     return Setup(
@@ -254,11 +279,17 @@ def _laser_index(capture: TransientCapture, laser: Any) -> int:
     if laser is None:
         if count == 1:
             return 0
-        raise SceneError(f"camera = 'transient' needs laser, the index of one of {count} points")
+        raise SceneError(
+            f"camera = 'transient' needs laser for a capture of {count} laser points; give the "
+            "index of one of them"
+        )
     if is_single(laser):
         return whole("laser", laser, 0, count - 1)
     if len(laser) != len(shape):
-        raise SceneError(f"laser has {len(laser)} indices, must be {len(shape)} like laser points")
+        raise SceneError(
+            f"laser has {len(laser)} indices, must be {len(shape)} for laser points of shape "
+            f"{shape}; give one index per axis"
+        )
     index = tuple(
         whole(f"laser[{i}]", v, 0, n - 1) for i, (v, n) in enumerate(zip(laser, shape, strict=True))
     )
@@ -268,7 +299,7 @@ def _laser_index(capture: TransientCapture, laser: Any) -> int:
 def apertures(
     setup: Setup, aperture: Any, aperture_of: str
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which near points and which far points are used."""
+    """Return masks of the near points (n,) and the far points (m,) within the aperture."""
     one_of("aperture_of", aperture_of, ("both", "laser", "sensor"))
     near_shape, far_shape = setup.grid.shape[:-1], setup.far_shape
     n_far = len(setup.columns)
@@ -285,33 +316,35 @@ def apertures(
     try:
         mask = np.asarray(aperture)
     except ValueError:
-        raise SamplingError("aperture has rows of several lengths; give a mask") from None
+        raise SamplingError(
+            "aperture has rows of several lengths; give a mask shaped like the points"
+        ) from None
     if mask.dtype != bool:
         raise SceneError(f"aperture of type {mask.dtype} is no mask; give booleans, or a side in m")
     fits = [mask.shape == shape for shape in (near_shape, far_shape)]
     if not any(fits):
         raise SamplingError(
             f"aperture has shape {mask.shape}, must be {near_shape} like the "
-            f"{setup.sides[0]} points"
+            f"{setup.sides[0]} points; give such a mask, or a side in m"
         )
     cuts_near = fits[0] and (aperture_of in ("both", setup.sides[0]) or setup.legs.paired)
     cuts_far = fits[1] and n_far > 1 and aperture_of in ("both", setup.sides[1])
     if not (cuts_near or cuts_far):
         raise SamplingError(
-            f"aperture of shape {mask.shape} and aperture_of = {aperture_of!r} cut no points; take "
-            f"aperture_of = {setup.sides[0]!r} or 'both'"
+            f"aperture of shape {mask.shape} applies to none of the points that aperture_of = "
+            f"{aperture_of!r} selects; give aperture_of = {setup.sides[0]!r} or 'both'"
         )
     if cuts_near:
         near = mask.ravel()
     if cuts_far:
         far = mask.ravel()
     if not (near.any() and far.any()):
-        raise SamplingError("aperture leaves no wall point; give a larger one")
+        raise SamplingError("aperture contains no wall point; give a larger one")
     return near, far
 
 
 def _square(points: Array, side: float) -> NDArray[np.bool_]:
-    """Points within a square about their middle."""
+    """Return a mask of the points within a square of ``side``, m, about their centre."""
     flat = points[:, :2]
     if len(flat) == 1:
         return np.ones(1, dtype=bool)
@@ -319,13 +352,13 @@ def _square(points: Array, side: float) -> NDArray[np.bool_]:
     inside = np.asarray((np.abs(flat - middle) <= 0.5 * side + 1e-9).all(axis=1))
     if not inside.any():
         raise SamplingError(
-            f"aperture = {side:g} m leaves none of {len(flat)} wall points; give a larger one"
+            f"aperture = {side:g} m contains none of {len(flat)} wall points; give a larger one"
         )
     return inside
 
 
 def _reach(volume: Volume, points: Array) -> tuple[Array, Array]:
-    """Bounds of the distances from each point to the volume's voxels, m."""
+    """Return the least and greatest distance from each point to the volume's voxels, m."""
     ends = np.array([[a[0], a[-1]] for a in (volume.x, volume.y, volume.z)])
     nearest = np.clip(points, ends[:, 0], ends[:, 1])
     furthest = np.where(np.abs(points - ends[:, 0]) > np.abs(points - ends[:, 1]), *ends.T)

@@ -1,4 +1,4 @@
-"""Even grids of confocal captures, as Fourier methods need them, and what these refuse."""
+"""Even grids of confocal captures, and the checks of the Fourier methods that need them."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from .volume import Volume
 
 Array = NDArray[np.floating]
 
-#: Share of the light at the shortest possible paths from which on it is taken for direct light.
+#: Fraction of the total at the shortest possible paths from which on a capture is refused.
 DIRECT_SHARE = 0.01
-#: Stretches of time, of which the darkest tells the dark level, and standard deviations of what it
-#: adds by chance.
+#: Number of time intervals, the darkest of which gives the dark level; and allowance for the noise
+#: of dark counts, in standard deviations.
 STRETCHES, CHANCE = 16, 4.0
 
 
 @dataclass(frozen=True, eq=False)
 class ConfocalGrid:
-    """An even grid of wall points in z = 0, each lit and seen itself.
+    """Even grid of confocal wall points in z = 0, with the time axis as half the optical path.
 
     Parameters
     ----------
     x, y : ndarray
-        (nx,) and (ny,), m.
+        (nx,) and (ny,): coordinates of the points, m.
     start, pitch : float
-        Of the bins, m of half the optical path.
+        Start of bin 0 and width of the bins, m of half the optical path.
     n_bins : int
+        Number of bins.
     """
 
     x: Array
@@ -45,35 +46,41 @@ class ConfocalGrid:
 
     @property
     def depths(self) -> Array:
-        """(n_bins,), middles of the bins, m of half the path."""
+        """Centres of the bins, (n_bins,), m of half the optical path."""
         return self.start + self.pitch * (np.arange(self.n_bins) + 0.5)
 
     @property
     def stop(self) -> float:
-        """Where the bins end, m of half the path."""
+        """End of the last bin, m of half the optical path."""
         return self.start + self.pitch * self.n_bins
 
     def volume(self) -> Volume:
-        """Voxels before the grid's points at the bins' depths, those at or behind the wall not."""
+        """Return voxels in front of the points, at all depths of bins above 0."""
         depths = self.depths
         return Volume(self.x, self.y, depths[depths > 0.0])
 
 
 def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
-    """The even confocal grid of a capture, or the reason why it has none.
+    """Return the even confocal grid of a capture, or raise if it has none.
+
+    Parameters
+    ----------
+    capture : TransientCapture
+        Confocal capture.
+    method : str
+        Name of the calling method, for messages.
 
     Raises
     ------
     SamplingError
-        If the capture is not confocal, or its points make no even, rising grid [y, x].
+        If the capture is not confocal, or its points are not an even, rising grid [y, x] in z = 0.
     SceneError
-        If the points are not in z = 0, outer legs are in the times, direct light is, or the
-        capture holds values below 0.
+        If the capture has outer legs, direct light or negative values.
     """
     if not capture.is_confocal:
         raise SamplingError(
-            f"{method} needs a confocal capture, whose laser and sensor points are the same; this "
-            f"one has pairing = {capture.pairing!r}: use backprojection or phasor_image"
+            f"{method} needs a confocal capture with equal laser and sensor points, this one has "
+            f"pairing = {capture.pairing!r}; use backprojection or phasor_image"
         )
     if capture.outer_legs:
         raise SceneError(
@@ -82,31 +89,32 @@ def confocal_grid(capture: TransientCapture, method: str) -> ConfocalGrid:
     points = capture.sensor_points
     if points.ndim != 3 or min(points.shape[:2]) < 2:
         raise SamplingError(
-            f"{method} needs a grid of points (ny, nx), these are {capture.sensor_shape}; use "
-            "backprojection"
+            f"{method} needs a grid of points (ny, nx), at least 2 x 2, sensor points have shape "
+            f"{capture.sensor_shape}; use backprojection"
         )
     x, y, off = even_axes(points)
     pitch = min(x[1] - x[0], y[1] - y[0])
     away = max(off * abs(pitch), float(np.abs(points[..., 2]).max()))
     if pitch <= 0.0 or away > UNEVEN * pitch:
         raise SamplingError(
-            f"{method} needs an even grid [y, x] in z = 0 with x and y rising; these points are up "
-            f"to {away:.3g} m off it: use backprojection"
+            f"{method} needs an even grid [y, x] in z = 0 with x and y rising, sensor points "
+            f"deviate by up to {away:.3g} m; use backprojection"
         )
     refuse_direct_light(capture, method)
     if float(capture.H.min()) < 0.0:
         raise SceneError(
-            f"{method} needs light of at least 0, the capture goes down to {capture.H.min():g}"
+            f"{method} needs values of at least 0, the capture goes down to {capture.H.min():g}; "
+            "remove negative values"
         )
     return ConfocalGrid(x, y, 0.5 * capture.t_start, 0.5 * capture.delta_t, capture.n_bins)
 
 
 def refuse_direct_light(capture: TransientCapture, method: str) -> None:
-    """Raise `SceneError` where the laser's spot itself is seen.
+    """Raise `SceneError` if the capture contains direct light from the laser's spot.
 
-    Light that reaches the sensor point no later than two bins after the path along the wall comes
-    from no hidden object. Dark counts are the same at all times: the level of the darkest stretch
-    of time is taken off, and what it varies by is allowed for.
+    Values up to two bins after the straight path along the wall cannot come from a hidden object.
+    Dark counts are constant over time: the mean of the darkest time interval is subtracted, and
+    its noise is allowed for.
     """
     n_bins, n_paths = capture.n_bins, max(1, capture.H[0].size)
     if capture.pairing == "confocal":
@@ -119,28 +127,31 @@ def refuse_direct_light(capture: TransientCapture, method: str) -> None:
     ends = np.clip(np.floor(shortest) + 2, 0, n_bins).astype(np.int64)
     if not ends.any():
         return
-    # light, its squares, and paths in each bin: along the wall, and later
+    # sum, sum of squares and number of paths for each bin: up to the path along the wall, and later
     sums = np.zeros((2, 3, n_bins))
     for k, light in enumerate(np.abs(bins) for bins in capture.H.reshape(n_bins, n_paths)):
         for part, chosen in zip(sums, (ends > k, ends <= k), strict=True):
             some = light[chosen].astype(np.float64)
             part[:, k] = some.sum(), some @ some, some.size
     level, spread = _dark_level(*sums[1])
-    open_bins = sums[:, 0].sum(axis=0) > 0.0  # a gate keeps dark counts out, too
+    open_bins = sums[:, 0].sum(axis=0) > 0.0  # a closed gate blocks dark counts, too
     direct, total = (
         float(part[0].sum() - level * part[2, open_bins].sum()) for part in (sums[0], sums.sum(0))
     )
     chance = CHANCE * spread * math.sqrt(sums[0, 2, open_bins].sum())
     if direct > DIRECT_SHARE * max(total, 0.0) + chance:
         raise SceneError(
-            f"{method}: {100 * direct / max(total, direct):.2g} % of the light comes from the lit "
-            f"point itself, along the wall, limit {100 * DIRECT_SHARE:g} %; cut it with "
+            f"{method}: {100 * direct / max(total, direct):.2g} % of the capture is direct light "
+            f"from the lit point itself, limit {100 * DIRECT_SHARE:g} %; remove it with "
             "transient.gated(capture, start=...)"
         )
 
 
 def _dark_level(light: Array, squares: Array, count: Array) -> tuple[float, float]:
-    """Mean and standard deviation of a path's bin in the darkest stretch of time that has light."""
+    """Return mean and standard deviation per path and bin of the darkest time interval.
+
+    Bins without any counts are ignored; a gate may have been closed there.
+    """
     lit = np.flatnonzero(light > 0.0)
     if not lit.size:
         return 0.0, 0.0
@@ -153,19 +164,20 @@ def _dark_level(light: Array, squares: Array, count: Array) -> tuple[float, floa
 
 
 def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Volume:
-    """The volume, or the grid's own, if the time window covers its depths.
+    """Return the volume, by default the grid's own, after checking that the capture covers it.
 
     Raises
     ------
     SamplingError
-        If it lies beyond the window, or farther to the side than the padded grid is wide.
+        If depths lie outside the time window, or voxels beyond 3/4 of the grid's width from its
+        centre.
     SceneError
-        If it is not before the wall.
+        If the volume is not in front of the wall.
     """
     if volume is None:
         volume = grid.volume()
     low, high = float(volume.z[0]), float(volume.z[-1])
-    # a point nearer than the first bin is still seen aslant, from as far as the grid is wide
+    # oblique paths across the whole grid still record points nearer than the first bin
     aslant = float(np.ptp(grid.x) ** 2 + np.ptp(grid.y) ** 2)
     nearest = math.sqrt(max(grid.start**2 - aslant, 0.0)) if grid.start > 0.0 else 0.0
     slack = 1e-6 * grid.pitch
@@ -173,7 +185,8 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
     if low < nearest - slack or high > grid.stop + slack:
         raise SamplingError(
             f"{method}: the volume's depths {low:g} to {high:g} m are not within the "
-            f"{nearest:g} to {grid.stop:g} m that the time window covers; move it or take more bins"
+            f"{nearest:g} to {grid.stop:g} m that the time window covers; change the volume or "
+            "capture more bins"
         )
     for name, own, asked in (("x", grid.x, volume.x), ("y", grid.y, volume.y)):
         width = (own[1] - own[0]) * len(own)
@@ -181,21 +194,21 @@ def reached_volume(grid: ConfocalGrid, volume: Volume | None, method: str) -> Vo
         off = max(abs(asked[0] - middle), abs(asked[-1] - middle))
         if off > 0.75 * width:
             raise SamplingError(
-                f"{method}: the volume reaches {off:g} m from the grid's middle along {name}, "
+                f"{method}: the volume extends {off:g} m from the grid's centre along {name}, "
                 f"limit {0.75 * width:g} m; make it smaller or use backprojection"
             )
     return volume
 
 
 def next_size(count: float) -> int:
-    """Least even length from ``count`` on that transforms fast."""
+    """Return the least even length of at least ``count`` with a fast Fourier transform."""
     from scipy.fft import next_fast_len
 
     return 2 * int(next_fast_len(math.ceil(count / 2)))
 
 
 def waves_kind(dtype: str) -> type:
-    """Complex numbers whose parts are "float32" or "float64"."""
+    """Return the complex type for real and imaginary parts of type "float32" or "float64"."""
     name = one_of("dtype", dtype, ("float32", "float64"))
     return np.complex64 if name == "float32" else np.complex128
 
@@ -203,21 +216,22 @@ def waves_kind(dtype: str) -> type:
 def waves_along(
     own: Array, asked: Array, size: int, kind: type
 ) -> tuple[Array, NDArray[np.complexfloating], NDArray[np.complexfloating]]:
-    """Lateral frequencies of a padded axis, and the matrices to them and back.
+    """Return the lateral frequencies of a padded axis and the matrices of both transforms.
 
     Parameters
     ----------
     own, asked : ndarray
-        (n,) points with samples and (m,) points where the sum of waves is wanted, m.
+        (n,) sampled points and (m,) points at which the sum of waves is required, m.
     size : int
-        Samples of the padded axis, even. Its Nyquist frequency, which has no sign, is left out.
+        Even number of samples of the padded axis. The Nyquist frequency is omitted because its
+        sign is undefined.
     kind : type
-        Of the matrices.
+        Complex type of the matrices.
 
     Returns
     -------
     tuple of ndarray
-        Frequencies (size - 1,), 1/m; (size - 1, n) and (m, size - 1), whose product interpolates.
+        Frequencies (size - 1,), 1/m; forward matrix (size - 1, n); inverse matrix (m, size - 1).
     """
     pitch = own[1] - own[0]
     frequencies = np.arange(-(size // 2) + 1, size // 2) / (size * pitch)

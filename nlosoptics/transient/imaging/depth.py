@@ -1,4 +1,4 @@
-"""Depth maps of pictures and meshes, and how far they are apart."""
+"""Depth maps of images and of meshes, and the error between them."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class DepthMap(Noun):
-    """Distance from the wall of what is seen along z.
+    """Distance from the wall to the surface seen along z.
 
     Parameters
     ----------
     depth : ndarray
-        (ny, nx), m; NaN where nothing is.
+        (ny, nx), m; NaN for cells without a surface.
     confidence : ndarray
-        (ny, nx), brightness at that depth over the brightest of all, 0 to 1.
+        (ny, nx): intensity at that depth relative to the brightest voxel, 0 to 1.
     x, y : ndarray
-        (nx,) and (ny,), m.
+        (nx,) and (ny,): cell centres, world, m.
     threshold : float
-        Confidence below which nothing was taken to be.
+        Confidence below which cells have no surface.
     """
 
     depth: Array
@@ -45,7 +45,7 @@ class DepthMap(Noun):
 
     @property
     def coverage(self) -> float:
-        """Share of the map where something is."""
+        """Fraction of the cells that have a depth."""
         return float(np.mean(np.isfinite(self.depth)))
 
 
@@ -56,17 +56,18 @@ class DepthError(Noun):
     Parameters
     ----------
     mae : float
-        m, over the cells where both maps have a depth.
+        Mean absolute error, m, over the cells in which both maps have a depth.
     threshold : float
-        Of confidence, the one of the least error.
+        Threshold of confidence with the least error.
     coverage : float
-        Share of the true map's cells that are found at this threshold.
+        Fraction of the true map's cells that have a depth at this threshold.
     missed, false : float
-        Shares of the true cells without a found depth, and of found cells without a true one.
+        Fraction of the true cells without a reconstructed depth, and of the reconstructed cells
+        without a true depth.
     median : float
-        Of found minus true, m.
+        Median of reconstructed minus true depth, m.
     curve : ndarray
-        (n, 3), thresholds, their errors, m, and coverages; NaN errors where no cell is left.
+        (n, 3): thresholds, errors, m, and coverages. Errors are NaN if no cell is left.
     """
 
     mae: float
@@ -81,29 +82,49 @@ class DepthError(Noun):
 def depth_map(
     image: VolumeImage, *, threshold: float | None = None, interpolate: bool = True
 ) -> DepthMap:
-    """Depth of the brightest voxel along z.
+    """Return the depth of the brightest voxel along z.
 
     Parameters
     ----------
     image : VolumeImage
+        Image of the hidden scene.
     threshold : float, optional
-        Columns whose peak is below this share of the brightest voxel hold nothing; None: only
-        those without any light.
+        Columns with a peak below this fraction of the brightest voxel have no depth. None: only
+        columns that are 0 have none.
     interpolate : bool
-        Whether the depth is found between the planes, `VolumeImage.peak_depth`, at most half a
-        voxel away, not the voxel's own.
+        Whether to interpolate between planes, see `VolumeImage.peak_depth`. The depth then differs
+        by up to half a voxel from that of the brightest voxel.
+
+    Returns
+    -------
+    DepthMap
 
     Raises
     ------
     SceneError
-        If the picture is dark, holds NaN, or the threshold is not from 0 to 1.
+        If the image is all 0 or not finite, or the threshold is not within 0 to 1.
+
+    See Also
+    --------
+    depth_error : Error of a depth map.
+    true_depths : True depths of meshes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import Volume, VolumeImage, depth_map
+    >>> volume = Volume([0.0, 0.1], [0.0], np.linspace(0.4, 0.8, 9))
+    >>> pulse = np.exp(-(((volume.z - 0.53) / 0.1) ** 2))[:, None, None]
+    >>> image = VolumeImage(intensity=pulse * [1.0, 0.1], volume=volume, method="test")
+    >>> print(depth_map(image, threshold=0.5).depth.round(3))
+    [[0.53  nan]]
     """
     share = 0.0 if threshold is None else in_range("threshold", threshold, 0.0, 1.0)
     values, z = image.intensity, image.volume.z
     brightest = float(values.max())
     if not np.isfinite(values).all() or brightest <= 0.0:
         raise SceneError(
-            f"the brightest voxel is {brightest:g}, must be above 0 and finite, to have a depth"
+            f"the brightest voxel is {brightest:g}, must be above 0 and finite; check the image"
         )
     depth = image.peak_depth() if interpolate else z[values.argmax(axis=0)]
     confidence = np.asarray(image.projection() / brightest, dtype=np.float64)
@@ -124,48 +145,64 @@ def depth_error(
     n_thresholds: int = 100,
     min_coverage: float = 0.5,
 ) -> DepthError:
-    """Mean absolute error of depths at the best threshold of confidence.
+    """Return the mean absolute depth error at the best threshold of confidence.
 
     Parameters
     ----------
     found : DepthMap or VolumeImage
-        A picture's map is `depth_map`.
+        Reconstructed depths; an image is converted by `depth_map`.
     truth : DepthMap or array_like
-        (ny, nx), m, NaN where nothing is.
+        (ny, nx): true depths, m; NaN for cells without a surface.
     n_thresholds : int
-        Shares of the brightest that are tried, evenly from 0 up to 1.
+        Number n of thresholds to try: 0, 1/n, ..., 1 - 1/n.
     min_coverage : float
-        Share of the true cells that a threshold must leave, or the best one keeps a single cell.
+        Least fraction of the true cells that must keep a depth, 0 to 1. Without this limit, the
+        best threshold could keep a single cell.
+
+    Returns
+    -------
+    DepthError
 
     Raises
     ------
     SamplingError
-        If the maps differ in shape or cells, or no threshold leaves enough cells.
+        If the maps differ in shape or cells, or no threshold keeps enough cells.
     SceneError
-        If the true map is empty.
+        If all true depths are NaN.
 
     Notes
     -----
-    The error is taken over the cells where both have a depth; ``missed`` and ``false`` say how many
-    have one alone.
+    The error is averaged over the cells in which both maps have a depth. ``missed`` and ``false``
+    report the cells in which only one of them has.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import Volume, VolumeImage, depth_error
+    >>> volume = Volume([0.0, 0.1], [0.0], np.linspace(0.4, 0.8, 9))
+    >>> pulse = np.exp(-(((volume.z - 0.53) / 0.1) ** 2))[:, None, None]
+    >>> image = VolumeImage(intensity=pulse * [1.0, 0.9], volume=volume, method="test")
+    >>> round(depth_error(image, [[0.55, 0.54]]).mae, 3)
+    0.015
     """
     if isinstance(found, VolumeImage):
         found = depth_map(found)
     true = real_array("true depths", truth.depth if isinstance(truth, DepthMap) else truth)
     if true.shape != found.depth.shape:
         raise SamplingError(
-            f"true depths have shape {true.shape}, must be {found.depth.shape} like those found"
+            f"true depths have shape {true.shape}, must be {found.depth.shape} like the "
+            "reconstructed ones; compute them on the same cells"
         )
     if isinstance(truth, DepthMap):
         off = max(float(np.abs(truth.x - found.x).max()), float(np.abs(truth.y - found.y).max()))
         if off > 1e-6:
             raise SamplingError(
-                f"true depths are of cells up to {off:g} m beside those found; take one grid for "
-                "both"
+                f"cells of the true depths are shifted by up to {off:g} m from the reconstructed "
+                "ones, limit 1e-06 m; use one grid for both"
             )
     there = np.isfinite(true)
     if not there.any():
-        raise SceneError("the true depths are all NaN; there is nothing to be found")
+        raise SceneError("the true depths are all NaN; give at least one finite depth")
     least = in_range("min_coverage", min_coverage, 0.0, 1.0)
     seen = np.isfinite(found.depth)
     both = there & seen
@@ -182,7 +219,7 @@ def depth_error(
     allowed = np.isfinite(curve[:, 1]) & (curve[:, 2] >= least)
     if not allowed.any():
         raise SamplingError(
-            f"at most {curve[0, 2]:.3g} of the true cells have a depth, limit {least:g}; look in a "
+            f"at most {curve[0, 2]:.3g} of the true cells have a depth, limit {least:g}; image a "
             "larger volume or lower min_coverage"
         )
     best = int(np.argmin(np.where(allowed, curve[:, 1], np.inf)))
@@ -201,24 +238,24 @@ def depth_error(
 def true_depths(
     meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], grid: Volume | tuple[ArrayLike, ArrayLike]
 ) -> Array:
-    """Distance along +z from the wall to the first surface, by rays through cell centres.
+    """Return the distance along +z from the wall to the first surface, by rays at cell centres.
 
     Parameters
     ----------
-    meshes : trimesh.Trimesh or several
-        World, m.
-    grid : Volume or (x, y)
-        Whose cells; (nx,) and (ny,), m. A volume's depths limit nothing.
+    meshes : trimesh.Trimesh or iterable of them
+        Surfaces, world, m.
+    grid : Volume or (array_like, array_like)
+        Cells: a volume, or its axes x (nx,) and y (ny,), m. The depths of a volume are ignored.
 
     Returns
     -------
     ndarray
-        (ny, nx), m; NaN where a ray meets no surface.
+        (ny, nx), m; NaN if the ray meets no surface.
 
     Raises
     ------
     SceneError
-        If there is no mesh, or the cells are neither of the two.
+        If there is no mesh, or ``grid`` is neither a volume nor a pair of axes.
     SamplingError
         If an axis has more than one dimension.
     """
@@ -237,20 +274,20 @@ def true_depths(
 def voxelised(
     meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Volume
 ) -> NDArray[np.bool_]:
-    """Which voxels a surface passes through, as rays through their centres see it.
+    """Mark the voxels that a surface passes through, by rays through their centres.
 
     Parameters
     ----------
-    meshes : trimesh.Trimesh or several
-        World, m.
+    meshes : trimesh.Trimesh or iterable of them
+        Surfaces, world, m.
     volume : Volume
-        With at least two voxels along z.
+        Volume with at least two voxels along z.
 
     Returns
     -------
     ndarray of bool
-        (nz, ny, nx). The rays run along each axis that has voxels, so that a surface along one of
-        them is met by those along the others.
+        (nz, ny, nx). Rays run along every axis with at least two voxels, so that surfaces parallel
+        to one axis are found by rays along another.
 
     Raises
     ------
@@ -260,7 +297,7 @@ def voxelised(
         If there is no mesh.
     """
     if len(volume.z) < 2:
-        raise SamplingError("voxels need a depth; give a volume of at least 2 along z")
+        raise SamplingError("the volume has 1 voxel along z, must have at least 2; give more")
     several, axes = _several(meshes), (volume.x, volume.y, volume.z)
     full = np.zeros([len(a) for a in axes], dtype=bool)
     for along in range(3):
@@ -273,7 +310,7 @@ def voxelised(
 def _pierce(
     full: NDArray[np.bool_], mesh: trimesh.Trimesh, axes: tuple[Array, ...], along: int
 ) -> None:
-    """Mark the voxels (across, across, along) in which rays along an axis meet a mesh."""
+    """Mark the voxels of ``full`` (n, m, along) in which rays along an axis meet a mesh."""
     from ...raytrace import all_hits
 
     across = [i for i in range(3) if i != along]
@@ -291,12 +328,14 @@ def _pierce(
 
 
 def _cells(grid: tuple[ArrayLike, ArrayLike]) -> tuple[Array, Array]:
-    """Axes (nx,) and (ny,)."""
+    """Return the axes x (nx,) and y (ny,) of a pair of them."""
     if is_single(grid) or len(grid) != 2:
         raise SceneError("grid is neither a Volume nor (x, y); give one of them")
     x, y = (real_array(f"grid.{n}", v, ndmin=1) for n, v in zip("xy", grid, strict=True))
     if x.ndim != 1 or y.ndim != 1:
-        raise SamplingError(f"grid has axes of shapes {x.shape} and {y.shape}, must be (n,), m")
+        raise SamplingError(
+            f"grid has axes of shapes {x.shape} and {y.shape}, must be (n,); give lists in m"
+        )
     return x, y
 
 

@@ -1,4 +1,4 @@
-"""Frequency-wavenumber migration of confocal captures: a wave run back to its start."""
+"""Frequency-wavenumber (f-k) migration of confocal captures."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ Target = Literal["diffuse", "retroreflective"]
 Precision = Literal["float32", "float64"]
 Amplitude = Literal["root", "light"]
 
-#: Powers of the distance with which the light of a target falls off, confocal.
+#: Exponent of the falloff of a target's confocal intensity with distance.
 FALLOFF: Final = {"diffuse": 4, "retroreflective": 2}
 
-ROWS: Final = 8  # lateral frequencies along y at a time, which bound the memory
-TAPS: Final = 8  # of the gridding kernel, on a grid twice as fine as the window needs
-PER_TAP: Final = 2048  # steps of the kernel's table
-BETA: Final = 2.3 * TAPS  # of exp(beta (sqrt(1 - x^2) - 1)), Barnett et al. 2019
-MARGIN: Final = 1.5  # period along z over the farthest depth; waves that leave it come in again
+ROWS: Final = 8  # lateral frequencies along y per step, to bound the memory
+TAPS: Final = 8  # width of the gridding kernel, in samples of a twofold oversampled grid
+PER_TAP: Final = 2048  # steps of the kernel's table per sample
+BETA: Final = 2.3 * TAPS  # kernel exp(beta (sqrt(1 - x^2) - 1)), Barnett et al. 2019
+MARGIN: Final = 1.5  # period along z over the largest depth; waves beyond the period wrap around
 
 
 def fk_migration(
@@ -48,45 +48,51 @@ def fk_migration(
     dtype: Precision = "float32",
     progress: Progress | None = None,
 ) -> VolumeImage:
-    """Picture of a hidden scene by f-k migration of a confocal capture.
+    """Reconstruct a hidden scene by f-k migration of a confocal capture.
 
     Parameters
     ----------
     capture : TransientCapture
-        Confocal on an even grid [y, x] in z = 0, without outer legs and direct light.
+        Confocal capture on an even grid [y, x] in z = 0, without outer legs and direct light.
     volume : Volume, optional
-        Any even axes within the window of time; None: the grid's points at the bins' depths.
+        Voxels within the depths that the time window covers. None: the grid's points at the depths
+        of the bins.
     target : {"diffuse", "retroreflective"}
-        Whose light falls with the fourth power of the distance or with its square.
+        Falloff of the intensity to undo: the fourth or the second power of the distance.
     amplitude : {"root", "light"}
-        What the wave is: the root of the light times that power [1]_, so that the picture is linear
-        in the capture, or this itself, so that the waves of several objects add up and dim ones
-        are darker in the picture.
+        Wave to migrate. "root": the square root of the falloff-corrected intensity [1]_; the image
+        scales linearly with the capture. "light": the corrected intensity itself; waves of several
+        objects then add linearly, and weak objects appear darker in the image.
     dtype : {"float32", "float64"}
-        Of the waves; of float32 they err by about 1e-6 of the brightest voxel.
+        Precision of the waves; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
 
     Returns
     -------
     VolumeImage
-        The squared modulus of the wave.
+        Squared modulus of the migrated wave.
 
     Raises
     ------
     SamplingError
-        If the capture is not confocal on an even grid, or the volume is outside of what it covers.
+        If the capture is not confocal on an even grid, or the volume exceeds the covered range.
     SceneError
-        If direct light or outer legs are in, or light is below 0.
+        If the capture has direct light, outer legs or negative values.
     MemoryLimitError
-        If the spectrum and the picture would not fit.
+        If spectrum and image exceed the free memory.
+
+    See Also
+    --------
+    lct : Linear reconstruction of the albedo, with regularisation.
+    phasor_image : For captures that are not confocal.
 
     Notes
     -----
-    With w half the path, the image is the sum over kx, ky and kz > 0 of
+    With w half the path, the wave is the sum over kx, ky and kz > 0 of
     ``Psi(kx, ky, f) (kz/f) exp(2 pi i (kx x + ky y + kz z))`` at ``f = sqrt(kx^2 + ky^2 + kz^2)``,
-    Psi the spectrum of the amplitude over x, y and w [1]_. The grid is padded by zeros to twice its
-    width. Psi at the shifted frequencies is gridded [2]_, not interpolated, to 1e-6.
+    with Psi the spectrum of the amplitude over x, y and w [1]_. The grid is zero-padded to twice
+    its width. Psi at the frequencies f is computed by gridding [2]_, to a relative error of 1e-6.
 
     References
     ----------
@@ -94,6 +100,25 @@ def fk_migration(
        migration, ACM Trans. Graph. 38, 116 (2019).
     .. [2] Barnett, Magland, af Klinteberg, A parallel nonuniform fast Fourier transform library,
        SIAM J. Sci. Comput. 41, C479 (2019).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, Volume, fk_migration, wall_grid
+    >>> wall = wall_grid(side=1.0, count=16)
+    >>> path = 2 * np.linalg.norm(wall - (0.1, 0.0, 0.6), axis=-1)  # echo of one point
+    >>> capture = TransientCapture(
+    ...     H=np.stack([path // 0.02 == k for k in range(80)]).astype(float),
+    ...     laser_points=wall,
+    ...     sensor_points=wall,
+    ...     delta_t=0.02,
+    ...     pairing="confocal",
+    ... )
+    >>> volume = Volume.box(centre=(0.0, 0.0, 0.6), size=(0.5, 0.5, 0.3), pitch=0.1)
+    >>> image = fk_migration(capture, volume)
+    >>> z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
+    >>> print(volume.points[z, y, x].round(3) + 0.0)
+    [0.1 0.  0.6]
     """
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
@@ -108,7 +133,7 @@ def fk_migration(
     fits_memory(
         "f-k migration",
         float(room) * np.dtype(kind).itemsize,
-        "give a volume of fewer or wider voxels, or a coarser capture",
+        "give a volume of fewer or larger voxels, or a coarser capture",
     )
     light = capture.H * grid.depths[:, None, None] ** FALLOFF[target]
     wave = np.sqrt(light) if amplitude == "root" else light
@@ -127,7 +152,7 @@ def fk_migration(
 def _migrated(
     wave: Array, grid: ConfocalGrid, volume: Volume, kind: type, progress: Progress | None
 ) -> Waves:
-    """The wave (nz, ny, nx) at w = 0 of one (n_bins, ny, nx) on the wall."""
+    """Return the wave (nz, ny, nx) in the volume at w = 0, from ``wave`` (n_bins, ny, nx)."""
     import scipy.fft
 
     from . import _migration_kernels as kernels
@@ -170,16 +195,17 @@ def _migrated(
 
 
 def _depth_axis(grid: ConfocalGrid, volume: Volume) -> tuple[float, int]:
-    """Pitch, m, and number of the depths that the waves' period along z is cut into."""
+    """Return the pitch, m, and the number of depth samples in one period along z."""
     pitch = float(volume.z[1] - volume.z[0]) if len(volume.z) > 1 else grid.pitch
     return pitch, next_size(MARGIN * grid.stop / pitch)
 
 
 def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, float]:
-    """Spectrum over w (ny, nx, n_f) for the kernel, its grid's size, and the depth it counts from.
+    """Return the oversampled spectrum over w, (ny, nx, n_f), for gridding by the kernel.
 
-    Index m + TAPS is frequency m of the grid; those below 0 and above the Nyquist frequency are
-    the conjugates that a real series has.
+    Index m + TAPS is frequency m of the oversampled grid. Frequencies below 0 and above the
+    Nyquist frequency are the complex conjugates implied by a real series. Also returned are the
+    size of the oversampled grid and the depth at which its phase is 0.
     """
     import scipy.fft
 
@@ -199,21 +225,21 @@ def _gridded(wave: Array, grid: ConfocalGrid, kind: type) -> tuple[Waves, int, f
 
 
 def _bell(x: Array) -> Array:
-    """The gridding kernel, 1 at 0 and none beyond TAPS/2."""
+    """Return the gridding kernel, which is 1 at 0 and 0 beyond TAPS/2."""
     inside = np.clip(1.0 - (2.0 * x / TAPS) ** 2, 0.0, None)
     return np.asarray(np.where(inside > 0.0, np.exp(BETA * (np.sqrt(inside) - 1.0)), 0.0))
 
 
 @lru_cache(maxsize=1)
 def _kernel_table() -> Array:
-    """The kernel from -TAPS/2 to TAPS/2 in steps of 1/PER_TAP, and one value more."""
+    """Return the kernel from -TAPS/2 to TAPS/2 in steps of 1/PER_TAP, and one further value."""
     table = _bell(np.arange(TAPS * PER_TAP + 2) / PER_TAP - 0.5 * TAPS)
     table.flags.writeable = False
     return table
 
 
 def _kernel_transform(frequencies: Array) -> Array:
-    """One over the kernel's Fourier transform, by Gauss-Legendre nodes."""
+    """Return the inverse of the kernel's Fourier transform, by Gauss-Legendre quadrature."""
     nodes, weights = np.polynomial.legendre.leggauss(64)
     x, w = 0.25 * TAPS * (nodes + 1.0), 0.5 * TAPS * weights
     waves = np.cos(2.0 * math.pi * frequencies[:, None] * x)

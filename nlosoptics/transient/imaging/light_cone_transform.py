@@ -1,4 +1,4 @@
-"""The confocal light-cone transform: squares of distances make the capture a convolution."""
+"""Light-cone transform of confocal captures, a convolution in squared distances."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Array = NDArray[np.floating]
 Waves = NDArray[np.complexfloating]
 Penalty = Literal["size", "curvature"]
 
-FINEST: Final = 2  # samples of the squared distance over bins, at most
+FINEST: Final = 2  # largest number of samples of the squared distance per bin
 
 
 def lct(
@@ -40,51 +40,79 @@ def lct(
     dtype: Precision = "float32",
     progress: Progress | None = None,
 ) -> VolumeImage:
-    """Picture of a hidden scene by the light-cone transform of a confocal capture.
+    """Reconstruct a hidden scene by the light-cone transform (LCT) of a confocal capture.
 
     Parameters
     ----------
     capture : TransientCapture
-        Confocal on an even grid [y, x] in z = 0, without outer legs and direct light.
+        Confocal capture on an even grid [y, x] in z = 0, without outer legs and direct light.
     volume : Volume, optional
-        Any even axes within the window of time; None: the grid's points at the bins' depths.
+        Voxels within the depths that the time window covers. None: the grid's points at the depths
+        of the bins.
     target : {"diffuse", "retroreflective"}
-        Whose light falls with the fourth power of the distance or with its square.
+        Falloff of the intensity to undo: the fourth or the second power of the distance.
     snr : float
-        Power of the signal over that of the noise, where the cone's mean power is 1.
+        Ratio of signal to noise power in the Wiener filter, relative to the mean power of the
+        cone's spectrum.
     penalty : {"size", "curvature"}
-        What Wiener's filter holds down: the albedo itself, ``1/snr`` at all frequencies, or its
-        second derivatives, ``q^4/snr`` with q^2 the squared frequency over its mean.
+        Regularisation of the Wiener filter. "size" penalises the albedo, with ``1/snr`` at all
+        frequencies. "curvature" penalises its second derivatives, with ``q^4/snr``, where q^2 is
+        the squared frequency relative to its mean.
     dtype : {"float32", "float64"}
-        Of the waves; of float32 they err by about 1e-6 of the brightest voxel.
+        Precision of the waves; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
 
     Returns
     -------
     VolumeImage
-        Albedo per unit of depth, linear in the capture; what the filter takes below 0 is 0, and
-        ``details["below_zero"]`` says how much that was, over the sum of what is above.
+        Albedo per unit depth, linear in the capture up to clipping. Negative values are set to 0;
+        ``details["below_zero"]`` is their sum relative to the sum of the positive ones.
 
     Raises
     ------
     SamplingError
-        If the capture is not confocal on an even grid, or the volume is outside of what it covers.
+        If the capture is not confocal on an even grid, or the volume exceeds the covered range.
     SceneError
-        If direct light or outer legs are in, or light is below 0.
+        If the capture has direct light, outer legs or negative values.
     MemoryLimitError
-        If the spectrum would not fit.
+        If the spectrum exceeds the free memory.
+
+    See Also
+    --------
+    fk_migration : Wave-based reconstruction without regularisation.
+    backprojection : For any pairing and any grid.
 
     Notes
     -----
-    With v the squared half path and u the squared depth, light times its falloff is the albedo in
-    (x, y, u) convolved with ``delta(x^2 + y^2 - v)`` [1]_. That cone's spectrum over v is a product
-    of one factor in x and one in y, Fresnel integrals over a cell, so it is never sampled.
+    Let v be the squared half path and u the squared depth. The falloff-corrected capture is then
+    the albedo in (x, y, u) convolved with ``delta(x^2 + y^2 - v)`` [1]_. The spectrum of this cone
+    over v is a product of a factor in x and a factor in y. Their means over a cell are Fresnel
+    integrals, so the cone itself is never sampled.
 
     References
     ----------
     .. [1] O'Toole, Lindell, Wetzstein, Confocal non-line-of-sight imaging based on the light-cone
        transform, Nature 555, 338 (2018).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, Volume, lct, wall_grid
+    >>> wall = wall_grid(side=1.0, count=16)
+    >>> path = 2 * np.linalg.norm(wall - (0.1, 0.0, 0.6), axis=-1)  # echo of one point
+    >>> capture = TransientCapture(
+    ...     H=np.stack([path // 0.02 == k for k in range(80)]).astype(float),
+    ...     laser_points=wall,
+    ...     sensor_points=wall,
+    ...     delta_t=0.02,
+    ...     pairing="confocal",
+    ... )
+    >>> volume = Volume.box(centre=(0.0, 0.0, 0.6), size=(0.5, 0.5, 0.3), pitch=0.1)
+    >>> image = lct(capture, volume)
+    >>> z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
+    >>> print(volume.points[z, y, x].round(3) + 0.0)
+    [0.1 0.  0.6]
     """
     begun = time.perf_counter()
     one_of("target", target, FALLOFF)
@@ -95,14 +123,14 @@ def lct(
     volume = reached_volume(grid, volume, "lct")
     squares = _squares(grid, volume)
     reach = sum((next_size(2 * len(a)) // 2 * (a[1] - a[0])) ** 2 for a in (grid.x, grid.y))
-    # a cone that is wider than the padded axis would come in again at its start
+    # a cone longer than the padded axis would wrap around
     size = next_size(max(2 * len(squares), len(squares) + reach / (squares[1] - squares[0])))
     room = (size // 2 + 1) * (len(grid.x) * len(grid.y) + len(volume.x) * len(volume.y))
     room += (size + 4 * len(squares)) * len(grid.x) * len(grid.y) // 2
     fits_memory(
         "the light-cone transform",
         room * np.dtype(kind).itemsize,
-        "gate the capture to the depths wanted, or make it coarser",
+        "gate the capture to the required depths, or make it coarser",
     )
     light = _over_squares(capture.H, grid, squares, FALLOFF[target], kind)
     found = _inverted(light, grid, volume, squares, size, snr, penalty, kind, progress)
@@ -122,9 +150,9 @@ def lct(
 
 
 def _squares(grid: ConfocalGrid, volume: Volume) -> Array:
-    """(n,) evenly spaced middles of cells of squared distance, m^2, over window and volume.
+    """Return the centres (n,) of even cells of squared distance, m^2, over window and volume.
 
-    As fine as the bins at the nearest depth of the volume, within reason.
+    Cells are as fine as the bins at the nearest depth of the volume, with at most `FINEST` per bin.
     """
     low, high = min(max(grid.start, 0.0), float(volume.z[0])) ** 2, grid.stop**2
     wanted = (high - low) / (2.0 * float(volume.z[0]) * grid.pitch)
@@ -133,12 +161,15 @@ def _squares(grid: ConfocalGrid, volume: Volume) -> Array:
 
 
 def _over_squares(H: Array, grid: ConfocalGrid, squares: Array, power: int, kind: type) -> Array:
-    """Light times falloff (n, ny, nx), each bin's shared among the squares that it covers."""
+    """Return the falloff-corrected capture over squared distance, (n, ny, nx).
+
+    Each bin is distributed over the cells that it overlaps.
+    """
     from scipy.sparse import csr_array, diags_array
 
     step = squares[1] - squares[0]
     ends = np.sqrt(np.maximum(np.append(squares - 0.5 * step, squares[-1] + 0.5 * step), 0.0))
-    # light up to each end: whole bins, and a share of the one that the end is in
+    # position of each cell's end in units of bins
     place = np.clip((ends - grid.start) / grid.pitch, 0.0, grid.n_bins)
     cuts = np.union1d(place, np.arange(grid.n_bins + 1))
     middles, shares = 0.5 * (cuts[1:] + cuts[:-1]), np.diff(cuts)
@@ -157,9 +188,10 @@ def _over_squares(H: Array, grid: ConfocalGrid, squares: Array, power: int, kind
 
 
 def _cone(pitch: float, size: int, frequencies: Array) -> Waves:
-    """Spectrum over u of the cone's factor along one axis, (n_f, size - 1) over its frequencies.
+    """Return the cone's spectrum along one lateral axis, (n_f, size - 1).
 
-    The mean of ``exp(-2 pi i f s^2)`` over each cell of width ``pitch``, and its transform.
+    Rows are frequencies f over u, 1/m^2, columns lateral frequencies. It is the transform of
+    ``exp(-2 pi i f s^2)``, averaged over cells of width ``pitch``, m.
     """
     from scipy.special import fresnel
 
@@ -183,7 +215,7 @@ def _inverted(
     kind: type,
     progress: Progress | None,
 ) -> Array:
-    """Wiener's estimate (n, ny, nx) of the albedo over x and y of the volume and squared depth."""
+    """Return the Wiener estimate (n, ny, nx) of the albedo over squared depth, y and x."""
     import scipy.fft
 
     step = squares[1] - squares[0]
@@ -195,7 +227,7 @@ def _inverted(
     along_y = _cone(grid.y[1] - grid.y[0], n_y, frequencies)
     power_x, power_y = np.mean(np.abs(along_x) ** 2, axis=1), np.mean(np.abs(along_y) ** 2, axis=1)
     mean = float(np.mean(power_x * power_y))
-    # lateral and squared-depth frequencies, each over its own Nyquist frequency
+    # squared lateral frequencies, each relative to its Nyquist frequency
     lateral = (kx * 2 * (grid.x[1] - grid.x[0])) ** 2 + (
         (ky[:, None] * 2 * (grid.y[1] - grid.y[0])) ** 2
     )
@@ -206,7 +238,7 @@ def _inverted(
         noise = mean / snr
         weight: Any = noise
         if penalty == "curvature":
-            # three squares whose mean over a band is 1/3 each
+            # each of the three squares has the mean 1/3 over its band, so that q^2 has the mean 1
             weight = noise * (lateral + (2.0 * frequency * step) ** 2) ** 2
             weight = np.maximum(weight, noise * np.finfo(np.float32).eps)
         wiener = (np.conj(cone) / (np.abs(cone) ** 2 + weight)).astype(kind)
@@ -218,9 +250,9 @@ def _inverted(
 
 
 def _over_depths(found: Array, squares: Array, volume: Volume) -> Array:
-    """The albedo over depth: that over squared depth between its samples, times du/dz = 2 z."""
+    """Return the albedo per depth: interpolated over squared depth, times du/dz = 2 z."""
     place = (volume.z**2 - squares[0]) / (squares[1] - squares[0])
-    place = np.clip(place, 0.0, len(squares) - 1.0)  # half a cell beyond the outer middles
+    place = np.clip(place, 0.0, len(squares) - 1.0)  # depths in the outer half of an end cell
     cell = np.minimum(place.astype(np.int64), len(squares) - 2)
     part = (place - cell)[:, None, None].astype(found.dtype)
     between = found[cell] + part * (found[cell + 1] - found[cell])

@@ -1,4 +1,4 @@
-"""Virtual cameras: a capture turned into what a lens in place of the relay wall would see."""
+"""Phasor-field imaging: virtual cameras in place of the relay wall."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
 CAMERAS = ("confocal_time_gated", "transient", "direct_light", "projector_camera")
-#: Bytes of spectra that are held at once; more waves are done one slice after another.
+#: Bytes of spectra that are held at a time; further waves are processed slice by slice.
 SPECTRA = 2**29
 
-#: Paths of a direct sum that cost as much as one number of a plane's transforms.
+#: Number of paths in a direct sum that cost as much time as one element of a plane's transforms.
 PATHS = 8
 
 
@@ -51,78 +51,109 @@ def phasor_image(
     device: str | None = None,
     progress: Progress | None = None,
 ) -> PhasorImage:
-    """See a hidden volume with a virtual camera in place of the relay wall.
+    """Image a hidden volume with a virtual camera in place of the relay wall.
 
-    With the virtual pulse ``K(t) = exp(2 pi i t/wl_mean - t^2/(2 wl_sigma^2))``, l over laser
-    points and s over sensor points, the field at a voxel x is
+    The virtual pulse is ``K(t) = exp(2 pi i t/wl_mean - t^2/(2 wl_sigma^2))``. With sums over laser
+    points l and sensor points s, the field at a voxel x is
 
-    - "confocal_time_gated": ``sum_ls (H_ls * K)(|x-l| + |x-s| + t)``; the pulse and the camera are
-      focused on x, which light reaches at t = 0;
-    - "direct_light": the same at t = 0 and never at another time, so that only light that met the
-      hidden scene once, at x, is in focus;
-    - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l: what a camera focused on x
-      films while a pulse spreads that left l at t = 0;
-    - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``: the pulse is focused on p, which
-      it reaches at t = 0, the camera on every x.
+    - "confocal_time_gated": ``sum_ls (H_ls * K)(|x-l| + |x-s| + t)``. Pulse and camera are focused
+      on x, where the pulse arrives at t = 0.
+    - "direct_light": as "confocal_time_gated" at t = 0 only, so that light reflected once by the
+      hidden scene, at x, is in focus.
+    - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l. A camera focused on x
+      films a pulse that leaves l at t = 0.
+    - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``. The pulse is focused on p, where
+      it arrives at t = 0; the camera is focused on x.
 
     Parameters
     ----------
     capture : TransientCapture
-        Its outer legs, where its times hold them, are taken away with its origins.
+        Capture of the relay wall. Outer legs included in its times are subtracted, which requires
+        its origins.
     volume : Volume
-        Where to look, z > 0.
+        Voxels to image, z > 0.
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
+        Virtual camera, see above.
     wl_mean : float
         Virtual wavelength, m of optical path.
     wl_sigma : float, optional
-        Standard deviation of the pulse, m of optical path; None: wl_mean/sqrt(2).
+        Standard deviation of the pulse, m of optical path. None: wl_mean/sqrt(2).
     times : array_like, optional
-        (n_times,), m of optical path; "transient" needs them, None: t = 0.
+        (n_times,): times t, m of optical path. Required for "transient", excluded for
+        "direct_light". None: t = 0.
     laser : int or tuple of int, optional
-        Index of the laser point from which "transient" light comes, where there are several.
+        Index of the laser point l of "transient"; required if there are several.
     projector_focus : array_like of 3 floats, optional
-        p of "projector_camera", m.
+        Focus p of "projector_camera", world, m.
     aperture : float or array_like of bool, optional
-        Side of a square about the middle of the wall points, m, or which points of a grid to use.
-        None: all. Single points are always used.
+        Side of a square about the centre of the wall points, m, or a mask in the shape of the
+        points. None: all points. A single laser or sensor point is always used.
     aperture_of : {"both", "laser", "sensor"}
-        Which points a square cuts.
+        Points to which ``aperture`` applies.
     weight : {"unit", "inverse"}
-        Of paths: equal, or 1/r for each leg, as in the Rayleigh-Sommerfeld integral.
+        Weight of paths: 1, or 1/r for each leg as in the Rayleigh-Sommerfeld integral.
     tol : float
-        Of K's peak: error of K as a sum of waves. Costs as the square root of its logarithm, twice.
+        Largest error of K as a sum of plane waves, relative to its peak, 1e-14 to 0.1. The number
+        of waves grows at most as log(1/tol).
     method : {"auto", "fft", "direct"}
-        "fft" wants planes with the pitch of the grid of sensors (or of lasers before one sensor),
-        or one a whole multiple of the other; "auto" takes it where it can and where it is faster.
+        "direct" sums over all paths. "fft" requires a volume with the x and y pitch of the sensor
+        grid (with a single sensor: laser grid), or with a whole multiple or fraction of it. "auto"
+        selects "fft" if possible and faster.
     dtype : {"float64", "float32"}
-        Of the transforms; "direct" sums in float64 always.
+        Precision of the transforms; sums of "direct" are always float64.
     device : str, optional
-        None: numba and FFT on the processor; else torch's name of a device, "cuda" or "cpu".
+        torch device, such as "cuda" or "cpu". None: numba and FFT on the CPU.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
 
     Returns
     -------
     PhasorImage
+        Field and intensity on the volume. ``details["sum"]`` is the method used.
 
     Raises
     ------
     SceneError
-        If an argument is wrong or missing for this camera, or origins are needed and missing.
+        If an argument is invalid or missing for this camera, or required origins are missing.
     SamplingError
-        If the bins, the pairs or the grids cannot make this picture.
+        If bins, pairs or grids are unsuitable for this camera or method.
     MemoryLimitError
-        If fields or spectra do not fit.
+        If fields or spectra exceed the free memory.
 
     Warns
     -----
     ValidityWarning
-        Where the pitch, the bins or their window limit the picture; also in ``notes``.
+        If the pitch of the wall points, the bins or their window limit the image; also in
+        ``notes``.
+
+    See Also
+    --------
+    depth_map : Depths of the image.
+    fk_migration, lct, backprojection : Other reconstructions.
 
     Notes
     -----
-    Cameras after Liu et al., Nature 572, 620 (2019), and for the projector Marco et al., ICCV 2021.
-    1/r and cosines along the real paths are not undone.
+    The cameras follow Liu et al., Nature 572, 620 (2019); the projector follows Marco et al., ICCV
+    2021. The factors 1/r and the cosines of the real light paths are not compensated.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.transient import TransientCapture, Volume, phasor_image, wall_grid
+    >>> wall = wall_grid(side=1.0, count=16)
+    >>> path = 2 * np.linalg.norm(wall - (0.1, 0.0, 0.6), axis=-1)  # echo of one point
+    >>> capture = TransientCapture(
+    ...     H=np.stack([path // 0.02 == k for k in range(120)]).astype(float),
+    ...     laser_points=wall,
+    ...     sensor_points=wall,
+    ...     delta_t=0.02,
+    ...     pairing="confocal",
+    ... )
+    >>> volume = Volume.box(centre=(0.0, 0.0, 0.6), size=(0.5, 0.5, 0.3), pitch=0.1)
+    >>> image = phasor_image(capture, volume, wl_mean=0.3)
+    >>> z, y, x = np.unravel_index(image.intensity.argmax(), volume.shape)
+    >>> print(volume.points[z, y, x].round(3) + 0.0)
+    [0.1 0.  0.6]
     """
     started = time.perf_counter()
     one_of("camera", camera, CAMERAS)
@@ -171,15 +202,17 @@ def phasor_image(
 def _times(camera: str, times: Any) -> Array:
     if times is None:
         if camera == "transient":
-            raise SceneError("camera = 'transient' needs times, m of optical path since the laser")
+            raise SceneError(
+                "camera = 'transient' needs times; give m of optical path after the laser point"
+            )
         return np.zeros(1)
     if camera == "direct_light":
         raise SceneError(
-            "camera = 'direct_light' is at t = 0; take 'confocal_time_gated' for times"
+            "camera = 'direct_light' is at t = 0; omit times, or give 'confocal_time_gated'"
         )
     moments = real_array("times", times, ndmin=1)
     if moments.ndim != 1 or not len(moments):
-        raise SamplingError(f"times have shape {moments.shape}, must be (n,), m")
+        raise SamplingError(f"times have shape {moments.shape}, must be (n,); give a list in m")
     for value in moments:
         real("times", value)
     return moments
@@ -188,7 +221,7 @@ def _times(camera: str, times: Any) -> Array:
 def _notes(
     capture: TransientCapture, volume: Volume, setup: Setup, wl_mean: float, sample: Array
 ) -> tuple[str, ...]:
-    """Warn of each limit, and return them."""
+    """Warn of each limit of the sampling that the image exceeds, and return the messages."""
     ways = 2 if setup.legs.twice else 1
     found = [
         validity.grid_note(f"{setup.sides[0]} points", setup.grid, wl_mean, ways),
@@ -205,13 +238,13 @@ def _notes(
 
 
 def _grid(setup: Setup, volume: Volume, wl_mean: float, method: str) -> tuple[Lattice | None, str]:
-    """The lattice for transforms, or None for direct sums, and why."""
+    """Return the lattice for FFT convolutions, or None for direct sums, and the reason."""
     if method == "direct":
-        return None, "asked for"
+        return None, "requested"
     try:
         if setup.legs.paired and not setup.legs.twice:
             raise SamplingError(
-                "pairs of different laser and sensor points are no convolution; take "
+                "pairs with different laser and sensor points have no convolution; give "
                 "method='direct'"
             )
         grid = lattice(setup.grid, volume, wl_mean)
@@ -226,9 +259,9 @@ def _grid(setup: Setup, volume: Volume, wl_mean: float, method: str) -> tuple[La
 
 
 def _slice(setup: Setup, grid: Lattice | None, n_waves: int, dtype: str) -> tuple[int, float]:
-    """Waves that are carried at once, and the bytes that each of them needs."""
+    """Return how many waves are propagated at a time, and the bytes per wave."""
     size = 8 if dtype == "float32" else 16
-    # two threads hold kernels and products of a plane each, beside the wall's transform
+    # besides the wall's transform, two threads each hold kernels and products of a plane
     numbers = max(setup.columns.size, 0 if grid is None else 8 * grid.size)
     return min(n_waves, max(1, int(SPECTRA // (size * numbers)))), float(size * numbers)
 
@@ -262,7 +295,7 @@ def _carry(
     device: str | None,
     progress: Progress | None,
 ) -> ComplexArray:
-    """(t, nz, ny, nx): the field, some waves after others."""
+    """Return the field (t, nz, ny, nx), summed over slices of waves to bound the memory."""
     n_waves = len(band.numbers)
     total: ComplexArray | None = None
     for kept in blocks(n_waves, _slice(setup, grid, n_waves, dtype)[0]):
@@ -288,7 +321,7 @@ def _carry(
 
 
 def _spectra(capture: TransientCapture, setup: Setup, band: Band, dtype: str) -> ComplexArray:
-    """(n, m, points): the camera's spectra, lasers summed where they are focused elsewhere."""
+    """Return the spectra (n, m, points); m = 1 if far legs are known, so that spectra add up."""
     columns, given = setup.columns, setup.given
     light = responses(capture, band, columns.ravel(), given.ravel(), dtype)
     light = light.reshape(len(light), *columns.shape)

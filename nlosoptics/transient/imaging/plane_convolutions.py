@@ -1,9 +1,9 @@
-"""Fields carried from an even grid of wall points to planes, by convolutions.
+"""Propagation of fields from an even grid of wall points to planes, by FFT convolution.
 
-Where the planes' x and y steps are those of the wall, or one a whole multiple of the other, the sum
-of `rayleigh_sommerfeld` over near points is a convolution with ``exp(i k r)``. It is done with
-transforms so long that nothing wraps around: the result is the direct sum's, up to rounding. Where
-wall and planes lie cell over cell, the kernel is even, and a cosine transform of its quarter does.
+If the planes have the pitch of the wall grid, or one pitch is a whole multiple of the other, the
+sum of `rayleigh_sommerfeld` over near points is a convolution with ``exp(i k r)``. Zero padding
+prevents wrap-around, so that the result equals the direct sum up to rounding. If voxels and wall
+points coincide in x and y, the kernel is even and a cosine transform of one quadrant suffices.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from .volume import Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Bytes of transformed planes that one thread holds at once, about a core's cache.
+#: Bytes of transformed planes that one thread holds at a time, about the cache of a core.
 PLANES = 2**21
-#: Numbers to transform below which threads cost more than they bring.
+#: Number of elements to transform below which threads cost more time than they save.
 FEW = 2**18
-#: Share of a wavelength by which points may lie off an even grid.
+#: Largest deviation of points from an even grid, as a fraction of the wavelength.
 UNEVEN = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """How a volume's planes lie over an even grid of wall points, both of them on a finer one.
+    """Common fine grid of the wall points and of the planes of a volume.
 
     Parameters
     ----------
     shape : (int, int)
-        Of the wall (y, x).
+        Number of wall points along y and x.
     flips : tuple of int
-        The wall's axes along which it falls.
+        Axes of the wall grid (0 for y, 1 for x) along which coordinates decrease.
     depth : float
-        z of the wall, m.
+        z of the wall points, m.
     axes : (Axis, Axis)
-        y and x.
+        Relation of wall points and voxels along y and x.
     """
 
     shape: tuple[int, int]
@@ -53,22 +53,22 @@ class Lattice:
     axes: tuple[Axis, Axis]
 
     def walls(self, spectra: ComplexArray) -> ComplexArray:
-        """(n, m, ny, nx), rising along both axes, of spectra (n, m, points)."""
+        """Reshape spectra (n, m, points) to (n, m, ny, nx), with y and x increasing."""
         walls = spectra.reshape(*spectra.shape[:2], *self.shape)
         return np.flip(walls, tuple(axis + 2 for axis in self.flips))
 
     @property
     def size(self) -> int:
-        """Numbers in one plane's transform."""
+        """Number of elements in the transform of one plane."""
         return self.axes[0].size(False) * self.axes[1].size(False)
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a convolution, in steps of ``pitch`` (m).
+    """One axis of a convolution, on a fine grid with steps of ``pitch`` (m).
 
-    ``n`` wall points, ``wall_step`` apart; ``m`` voxels, ``voxel_step`` apart, the first of them
-    ``shift`` after the first wall point.
+    The axis has ``n`` wall points, ``wall_step`` steps apart, and ``m`` voxels, ``voxel_step``
+    steps apart. The first voxel lies ``shift`` steps after the first wall point.
     """
 
     pitch: float
@@ -80,18 +80,18 @@ class Axis:
 
     @property
     def spans(self) -> tuple[int, int]:
-        """Steps that the wall and the voxels take up, ends included."""
+        """Number of fine grid points that wall and voxels span, ends included."""
         return (self.n - 1) * self.wall_step + 1, (self.m - 1) * self.voxel_step + 1
 
     @property
     def can_mirror(self) -> bool:
-        """Whether the kernel is even, and its mirror image no waste."""
+        """Whether the kernel is even and its mirrored transform not much longer than a full one."""
         if abs(self.shift - round(self.shift)) > 1e-9:
             return False
         return self.size(True) <= 1.25 * self.size(False) + 2
 
     def size(self, mirrored: bool) -> int:
-        """A fast length in which nothing wraps around, a multiple of the voxels' steps."""
+        """Return a fast transform length without wrap-around, a multiple of ``voxel_step``."""
         import ducc0
 
         (wall, voxels), unit = self.spans, self.voxel_step
@@ -102,12 +102,12 @@ class Axis:
         return 2 * unit * int(ducc0.fft.good_size(-(-reach // unit)))
 
     def places(self, mirrored: bool) -> NDArray[np.int64]:
-        """(n,): where the wall's points go."""
+        """Return the indices (n,) of the wall points in the padded transform."""
         start = -round(self.shift) if mirrored else 0
         return np.asarray((start + self.wall_step * np.arange(self.n)) % self.size(mirrored))
 
     def steps(self, mirrored: bool) -> Array:
-        """The kernel's coordinates, m: a half where it is even, else in order of the transform."""
+        """Return the kernel's coordinates, m: half of them if even, else in transform order."""
         size = self.size(mirrored)
         if mirrored:
             return self.pitch * np.arange(size // 2 + 1.0)
@@ -116,29 +116,30 @@ class Axis:
 
     @property
     def kept(self) -> slice:
-        """The voxels' places after a whole transform back."""
+        """Elements of the full inverse transform that are voxels."""
         return slice(0, self.spans[1], self.voxel_step)
 
 
 def lattice(points: Array, volume: Volume, wavelength: float) -> Lattice:
-    """The even grid that wall points and a volume's planes share.
+    """Return the common fine grid of wall points and of a volume's planes.
 
     Parameters
     ----------
     points : ndarray
-        (ny, nx, 3), m.
+        (ny, nx, 3): wall points, m.
     volume : Volume
+        Planes parallel to the wall.
     wavelength : float
-        m, of what points may be off by `UNEVEN`.
+        Virtual wavelength, m. Points may deviate from the grid by the fraction `UNEVEN` of it.
 
     Raises
     ------
     SamplingError
-        If there is none, saying what does not fit.
+        If wall points and planes have no common grid; the message states the mismatch.
     """
     if points.ndim != 3:
         raise SamplingError(
-            f"wall points of shape {points.shape[:-1]} are no grid; take method='direct'"
+            f"wall points of shape {points.shape[:-1]} are no grid (ny, nx); give method='direct'"
         )
     lines = (points[:, 0, 1], points[0, :, 0])
     flips = tuple(axis for axis, line in enumerate(lines) if line[-1] < line[0])
@@ -153,7 +154,7 @@ def lattice(points: Array, volume: Volume, wavelength: float) -> Lattice:
     off = float(np.abs(points - even).max())
     if off > limit:
         raise SamplingError(
-            f"wall points lie up to {off:.3g} m off an even grid, limit {limit:.3g} m; take "
+            f"wall points lie up to {off:.3g} m off an even grid, limit {limit:.3g} m; give "
             "method='direct'"
         )
     return Lattice((y.n, x.n), flips, float(points[0, 0, 2]), (y, x))
@@ -167,8 +168,8 @@ def _axis(name: str, wall: Array, voxels: Array, limit: float) -> Axis:
         multiple = round(coarse / fine)
         if abs(coarse - multiple * fine) * max(len(wall), len(voxels)) > limit:
             raise SamplingError(
-                f"volume.{name} steps by {its:.6g} m and the wall's points by {own:.6g} m; give "
-                "one a whole multiple of the other, or take method='direct'"
+                f"volume.{name} steps by {its:.6g} m and the wall's points by {own:.6g} m, must be "
+                "equal or whole multiples; change volume.{name} or give method='direct'"
             )
         pitch = own if own <= its else its
     else:
@@ -187,26 +188,27 @@ def plane_by_plane(
     times: Array,
     advance: Advance,
 ) -> ComplexArray:
-    """The field at each voxel by convolutions of wall and planes.
+    """Return the field at each voxel by FFT convolution from the wall to each plane.
 
     Parameters
     ----------
     grid : Lattice
-        Of ``legs.near``.
+        Common grid of ``legs.near`` and the planes.
     volume, legs, band, spectra, times, advance
-        As in `direct_sum`. ``spectra`` keeps its precision, and with it the field.
+        See `rayleigh_sommerfeld.direct_sum`.
 
     Returns
     -------
     ndarray
-        (t, nz, ny, nx) complex.
+        (t, nz, ny, nx) complex, in the precision of ``spectra``.
     """
     kind = spectra.dtype
     fields = np.zeros((len(times), *volume.shape), dtype=kind)
     walls = grid.walls(spectra)
     mirrored = all(axis.can_mirror for axis in grid.axes)
     room = Room(volume, legs, grid, band, mirrored)
-    # one camera's walls do not change from plane to plane; many lasers' would not fit
+    # with one set of spectra, transform the wall once for all planes; for many lasers the
+    # transforms would take too much memory
     only = room.wall(walls[:, 0]) if walls.shape[1] == 1 else None
     n_planes = max(1, int(PLANES // (len(band.numbers) * room.size * kind.itemsize)))
     work = len(band.numbers) * room.size * len(volume.z) * walls.shape[1]
@@ -241,7 +243,7 @@ def _threaded(carry: Any, parts: list[slice]) -> Iterable[slice]:
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Padded transforms between a wall and planes; ``mirrored`` where kernels are even."""
+    """Padded transforms between a wall and planes; ``mirrored`` uses the symmetry of kernels."""
 
     volume: Volume
     legs: Legs
@@ -251,25 +253,25 @@ class Room:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Lengths of the transforms, (y, x)."""
+        """Lengths of the forward transforms, (y, x)."""
         y, x = self.grid.axes
         return y.size(self.mirrored), x.size(self.mirrored)
 
     @property
     def coarse(self) -> tuple[int, int]:
-        """Lengths of the transforms back, which give every voxel and nothing between."""
+        """Lengths of the inverse transforms, (y, x), which return samples at voxels only."""
         y, x = self.grid.axes
         return self.shape[0] // y.voxel_step, self.shape[1] // x.voxel_step
 
     @property
     def size(self) -> int:
-        """Numbers in one plane's kernel, or in its transform back where that is larger."""
+        """Number of elements in one plane's kernel or inverse transform, whichever is larger."""
         y, x = self.grid.axes
         kernel = len(y.steps(self.mirrored)) * len(x.steps(self.mirrored))
         return max(kernel, self.coarse[0] * self.coarse[1])
 
     def kernels(self, away: Array, kind: np.dtype) -> ComplexArray:
-        """(n, nz, y, x): transforms of exp(i k r), for planes at ``away``."""
+        """Return transforms of exp(i k r), (n, nz, y, x), for planes at distances ``away``, m."""
         import ducc0
 
         from . import _phasor_kernels
@@ -281,7 +283,7 @@ class Room:
         first, step = self.band.wavenumbers[0], self.band.step
         _phasor_kernels.fill_kernels(across, up, away, ways, self.legs.falls, first, step, values)
         if self.mirrored:
-            # an even kernel's transform is a cosine transform of its quarter
+            # the transform of an even kernel is the cosine transform of one quadrant
             real = values.view(values.real.dtype).reshape(*shape, 2)
             ducc0.fft.dct(real, 1, axes=(2, 3), out=real)
         else:
@@ -289,9 +291,10 @@ class Room:
         return values
 
     def wall(self, spectra: ComplexArray) -> ComplexArray:
-        """(n, Y, X): transforms of the wall's spectra (n, y, x), padded.
+        """Return padded transforms (n, Y, X) of the wall's spectra (n, y, x).
 
-        Over the steps between voxels: transforms back are shorter by them, see `coarse`.
+        They are divided by the steps per voxel, because the inverse transforms are shorter by that
+        factor, see `coarse`.
         """
         import ducc0
 
@@ -302,7 +305,10 @@ class Room:
         return np.asarray(ducc0.fft.c2c(padded, axes=(1, 2), out=padded))
 
     def planes(self, products: ComplexArray) -> ComplexArray:
-        """(..., ny, nx) of the transforms' inverse, rows beyond the volume left out on the way."""
+        """Return the voxels (..., ny, nx) of the inverse transform.
+
+        Rows outside the volume are dropped before the transform along x, to save time.
+        """
         import ducc0
 
         up, across = products.ndim - 2, products.ndim - 1
@@ -312,7 +318,7 @@ class Room:
         return np.asarray(kept[..., :columns])
 
     def together(self, wall: ComplexArray, response: ComplexArray) -> ComplexArray:
-        """(nz, ny, nx): all waves summed before one inverse transform a plane."""
+        """Return planes (nz, ny, nx), summing all waves before one inverse transform per plane."""
         from . import _phasor_kernels
 
         products = np.empty((response.shape[1], *self.coarse), dtype=response.dtype)
@@ -328,7 +334,7 @@ class Room:
         times: Array,
         fields: ComplexArray,
     ) -> None:
-        """Add to ``fields`` (t, nz, ny, nx) wave by wave, each with its leg from a far point."""
+        """Add each wave, with the phase of its leg from ``far``, to ``fields`` (t, nz, ny, nx)."""
         from . import _phasor_kernels
 
         volume, waves = self.volume, self.band.wavenumbers

@@ -1,12 +1,12 @@
-"""Fields carried from wall points into a volume: the direct sum, the reference of all others.
+"""Propagation of fields from wall points into a volume by direct summation, the reference method.
 
 The field of a wave with wavenumber k at a voxel x is the Rayleigh-Sommerfeld sum over the wall
 
     F_k(x) = sum_ji s_k[j, i] exp(i k (|x - far_j| + |x - near_i|)),
 
-without the far leg where light was not focused; the sign of the phase looks back in time, from the
-wall to where light came from. Voxel weights are equal (Liu et al., Nature 572, 620 (2019), drop the
-1/r, which changes little over the wall), or 1/r for each leg.
+without the far leg if the illumination is not focused. The sign of the phase propagates back in
+time, from the wall to the origin of the light. Paths have equal weights (Liu et al., Nature 572,
+620 (2019), drop 1/r because it varies little over the wall), or 1/r for each leg.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .volume import Volume
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Pairs of paths and waves in one step of the direct sum.
+#: Number of terms (paths times waves) in one step of the direct sum.
 STEP = 2e8
 
 Advance = Callable[[float], None]
@@ -31,18 +31,18 @@ Advance = Callable[[float], None]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Legs:
-    """The wall points that paths to a voxel start from and end at.
+    """Wall points at both ends of the paths to a voxel.
 
     Parameters
     ----------
     near : ndarray
-        (n, 3), m: each has a spectrum.
+        (n, 3), m: points of the camera, each with a spectrum.
     far : ndarray
-        (m, 3), m; (0, 3) without a second leg.
+        (m, 3), m: points of the focused illumination; (0, 3) if paths have one leg only.
     paired : bool
-        Whether far_i belongs to near_i, and not to all.
+        Whether far point i belongs to near point i only, instead of to all near points.
     falls : bool
-        Whether each leg divides by its length.
+        Whether each leg contributes a factor 1/length.
     """
 
     near: Array
@@ -52,27 +52,30 @@ class Legs:
 
     @property
     def twice(self) -> bool:
-        """Whether both legs are the same."""
+        """Whether both legs of each path are equal."""
         return self.paired and bool(np.allclose(self.near, self.far, rtol=0.0, atol=1e-9))
 
 
 def direct_sum(
     volume: Volume, legs: Legs, band: Band, spectra: ComplexArray, times: Array, advance: Advance
 ) -> ComplexArray:
-    """The field at each voxel by summing every path.
+    """Return the field at each voxel by summing over every path.
 
     Parameters
     ----------
     volume : Volume
+        Voxels at which to compute the field.
     legs : Legs
+        Wall points at both ends of the paths.
     band : Band
-        Its n wavenumbers.
+        Plane waves, n wavenumbers.
     spectra : ndarray
-        (n, m, points) complex, m = 1 unless all far points belong to all near ones.
+        (n, m, points) complex: spectrum of each far and near point, weighted by the pulse. m = 1
+        unless every far point belongs to every near point.
     times : ndarray
-        (t,), m.
-    advance : callable
-        Takes the share done.
+        (t,): times relative to the arrival of the pulse, m of optical path.
+    advance : callable(float)
+        Called with the fraction done.
 
     Returns
     -------

@@ -1,14 +1,15 @@
-"""Virtual light on the relay wall: which wavenumbers it has, and a capture's response to each.
+"""Virtual pulse on the relay wall: its wavenumbers, and a capture's response to each of them.
 
-The virtual pulse is ``K(t) = exp(2 pi i t/wl_mean - t^2/(2 wl_sigma^2))``, t in m of optical path
-(Liu et al., Nature 572, 620 (2019)). What it leaves on the wall is ``(H * K)(t)``, the sum over
-bins of ``H_j K(t - t_j)`` with t_j the bins' middles. Here K is a sum of few plane waves
+The virtual pulse is ``K(t) = exp(2 pi i t/wl_mean - t^2/(2 wl_sigma^2))``, with t in m of optical
+path (Liu et al., Nature 572, 620 (2019)). The resulting field on the wall is ``(H * K)(t)``, the
+sum over bins of ``H_j K(t - t_j)`` with t_j the centres of the bins. K is approximated by a few
+plane waves,
 
     K(t) ~ sum_k w_k exp(i k t),  w_k = (dk/2 pi) sqrt(2 pi) wl_sigma exp(-wl_sigma^2 (k - k0)^2/2),
 
-k over all multiples of dk within a band about ``k0 = 2 pi/wl_mean``. The sum has the period
-2 pi/dk, made so long that no time asked for sees the next period, and the band so wide, that its
-error stays below ``tol`` of K's peak.
+where k are the multiples of dk within a band about ``k0 = 2 pi/wl_mean``. The sum has the period
+2 pi/dk. Period and bandwidth are large enough that the error at all requested times stays below
+``tol`` times the peak of K.
 """
 
 from __future__ import annotations
@@ -27,28 +28,28 @@ from ..capture.capture import TransientCapture
 Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 
-#: Bytes of transformed time that are held at once.
+#: Bytes of transformed time series that are held at a time.
 BLOCK = 2**25
-#: Bins that a pulse's standard deviation has at least.
+#: Least standard deviation of a pulse, in bins.
 SHORTEST = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """The plane waves that make the virtual pulse, and the bins that they act on.
+    """Plane waves that make up the virtual pulse, and the bins that they act on.
 
     Parameters
     ----------
     numbers : ndarray
-        (n,), multiples of ``step`` that are kept.
+        (n,) int64: wavenumbers in multiples of ``step``.
     step : float
-        Between wavenumbers, rad/m of optical path.
+        Spacing of wavenumbers, rad/m of optical path.
     weights : ndarray
-        (n,), w_k.
+        (n,): weights w_k of the plane waves.
     bins : slice
-        Those whose light reaches any time that is asked for.
+        Bins that contribute to any requested time.
     n_times : int
-        Bins of one period, what is beyond ``bins`` being 0.
+        Number of bins in one period; those beyond ``bins`` are 0.
     """
 
     numbers: NDArray[np.int64]
@@ -59,11 +60,11 @@ class Band:
 
     @property
     def wavenumbers(self) -> Array:
-        """(n,), rad/m of optical path."""
+        """Wavenumbers (n,), rad/m of optical path."""
         return self.step * self.numbers
 
     def part(self, kept: slice) -> Band:
-        """The band with some of its waves."""
+        """Return a band with only the waves in a slice."""
         return Band(self.numbers[kept], self.step, self.weights[kept], self.bins, self.n_times)
 
 
@@ -74,18 +75,18 @@ def pulse_band(
     times: tuple[float, float],
     tol: float,
 ) -> Band:
-    """Wavenumbers that stand for the pulse at all times within an interval.
+    """Choose the wavenumbers that represent the pulse at all times within an interval.
 
     Parameters
     ----------
     capture : TransientCapture
-        Its bins.
+        Capture with the bins.
     wl_mean, wl_sigma : float
-        m of optical path.
+        Wavelength and standard deviation of the pulse, m of optical path.
     times : (float, float)
-        First and last time at which the filtered response is wanted, m.
+        First and last time at which the response is required, m of optical path.
     tol : float
-        Of the pulse's peak.
+        Largest error of the pulse, relative to its peak.
 
     Returns
     -------
@@ -94,19 +95,20 @@ def pulse_band(
     Raises
     ------
     SamplingError
-        If no bin's light reaches these times, or the pulse is shorter than a quarter of a bin.
+        If no bin contributes to these times, or ``wl_sigma`` is less than a quarter of a bin.
     MemoryLimitError
-        If the pulse is so long that one response does not fit.
+        If the pulse is so long that one response exceeds the free memory.
     """
     import ducc0
     from scipy.special import erfcinv
 
     if wl_sigma < SHORTEST * capture.delta_t:
         raise SamplingError(
-            f"wl_sigma = {wl_sigma:.4g} m, limit {SHORTEST * capture.delta_t:.4g} m, "
-            f"{SHORTEST:g} bins, in which it would be lost; take a longer pulse, or finer bins"
+            f"wl_sigma = {wl_sigma:.4g} m, limit {SHORTEST * capture.delta_t:.4g} m "
+            f"({SHORTEST:g} bins), is too short for the bins; give a longer pulse, or finer bins"
         )
-    # half of tol for what the band leaves out, a quarter each for late and for repeated light
+    # error budget: half of tol for the limited band, a quarter each for omitted bins and for the
+    # periodic repetition
     half_band = math.sqrt(2.0) * float(erfcinv(0.5 * tol)) / wl_sigma
     reach = wl_sigma * math.sqrt(2.0 * math.log(4.0 / tol))
     width, edges = capture.delta_t, capture.edges
@@ -114,14 +116,14 @@ def pulse_band(
     last = min(capture.n_bins, math.ceil((times[1] + reach - edges[0]) / width))
     if last <= first:
         raise SamplingError(
-            f"the volume is seen at paths of {times[0]:.4g} to {times[1]:.4g} m, and the capture "
-            f"holds {edges[0]:.4g} to {edges[-1]:.4g} m; give another volume, or check t_start"
+            f"the volume has paths of {times[0]:.4g} to {times[1]:.4g} m, outside the capture's "
+            f"{edges[0]:.4g} to {edges[-1]:.4g} m; give another volume, or check t_start"
         )
     period = max(times[1] - edges[first], edges[last] - times[0]) + reach
     fits_memory(
         f"a pulse of wl_sigma = {wl_sigma:.4g} m",
         32.0 * period / width,
-        "take a shorter one",
+        "give a shorter one",
     )
     n_times = int(ducc0.fft.good_size(math.ceil(period / width), True))
     step = 2.0 * math.pi / (n_times * width)
@@ -137,17 +139,20 @@ def pulse_band(
 def responses(
     capture: TransientCapture, band: Band, columns: NDArray[np.intp], legs: Array, dtype: str
 ) -> ComplexArray:
-    """A capture's weighted response to each wave of a band, outer legs taken away by phase.
+    """Return a capture's weighted response to each wave of a band, with known legs subtracted.
 
     Parameters
     ----------
     capture : TransientCapture
+        Capture to transform.
     band : Band
+        Plane waves, n wavenumbers.
     columns : ndarray of int
-        (m,), which of the capture's pairs, counted along ``H.reshape(n_bins, -1)``.
+        (m,): indices of the capture's pairs, columns of ``H.reshape(n_bins, -1)``.
     legs : ndarray
-        (m,), path that the times hold beside the hidden one, m.
+        (m,): path length to subtract from the times of each pair, m.
     dtype : {"float64", "float32"}
+        Precision of the real and imaginary parts.
 
     Returns
     -------
@@ -159,7 +164,7 @@ def responses(
     flat = capture.H.reshape(capture.n_bins, -1)[band.bins]
     kind = np.complex64 if dtype == "float32" else np.complex128
     out = np.empty((len(band.numbers), len(columns)), dtype=kind)
-    # rfft holds half of the circle of frequencies; the other half is its conjugate
+    # the real transform returns half of the frequencies; the others are complex conjugates
     turned = np.mod(band.numbers, band.n_times)
     mirrored = turned > band.n_times // 2
     rows = np.where(mirrored, band.n_times - turned, turned)
@@ -178,6 +183,6 @@ def responses(
 
 
 def blocks(count: int, size: int) -> Iterator[slice]:
-    """Slices of at most ``size`` that cover ``count``."""
+    """Yield slices of at most ``size`` elements that cover ``count`` elements."""
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))

@@ -1,4 +1,4 @@
-"""Where a hidden scene is looked for, and what was seen there."""
+"""Voxel grids and the images reconstructed on them."""
 
 from __future__ import annotations
 
@@ -21,19 +21,29 @@ Array = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class Volume(Noun):
-    """A grid of points along x, y and z: voxel centres, evenly spaced and rising.
+    """Rectangular grid of voxels, given by the coordinates of their centres.
 
     Parameters
     ----------
     x, y, z : array_like
-        (nx,), (ny,) and (nz,), m; one value makes a plane. z is the distance from the wall.
+        (nx,), (ny,) and (nz,): world coordinates, m, evenly spaced and increasing. An axis may
+        have a single value. z is the distance from the wall.
 
     Raises
     ------
     SamplingError
-        If an axis is empty, uneven or falls.
+        If an axis is empty, unevenly spaced or not increasing.
     SceneError
         If a value is not finite.
+
+    Examples
+    --------
+    >>> from nlosoptics.transient import Volume
+    >>> volume = Volume.box(centre=(0.0, 0.0, 1.0), size=(0.4, 0.2, 0.2), pitch=0.1)
+    >>> volume.shape
+    (2, 2, 4)
+    >>> print(volume.x.round(3))
+    [-0.15 -0.05  0.05  0.15]
     """
 
     x: Array
@@ -46,35 +56,51 @@ class Volume(Noun):
 
     @classmethod
     def box(cls, centre: Any, size: Any, pitch: float) -> Volume:
-        """Voxels of one pitch that fill a box.
+        """Return a volume of cubic voxels that fills a box.
 
         Parameters
         ----------
-        centre, size : array_like of 3 floats
-            m; as many voxels as fit best, at least one along each axis.
+        centre : array_like of 3 floats
+            Centre of the box, world, m.
+        size : array_like of 3 floats
+            Extents of the box along x, y and z, m. Each is rounded to a whole number of voxels, at
+            least one.
         pitch : float
-            m.
+            Side of a voxel, m.
+
+        Returns
+        -------
+        Volume
+
+        Raises
+        ------
+        SceneError
+            If an extent is below 0 or ``pitch`` is not above 0.
         """
         middle, pitch = vector("centre", centre), positive("pitch", pitch, unit="m")
         extents = vector("size", size)
         if min(extents) < 0.0:
-            raise SceneError(f"size = {extents} m has an extent below 0")
+            raise SceneError(f"size = {extents} m has an extent below 0; give extents from 0 up")
         counts = [max(1, round(extent / pitch)) for extent in extents]
         axes = [middle[i] + pitch * (np.arange(n) - 0.5 * (n - 1)) for i, n in enumerate(counts)]
         return cls(*axes)
 
     @classmethod
     def before(cls, side: Any, count: int, depths: ArrayLike) -> Volume:
-        """Planes in front of the wall's cells, of `wall_grid`'s pitch, at given distances.
+        """Return a volume with one voxel column in front of each cell of a wall grid.
 
         Parameters
         ----------
         side : float or (float, float)
-            Of the wall, m.
+            Side of the wall, or its extents along x and y, m.
         count : int
-            Cells along each side.
+            Number of cells along each side, as in `wall_grid`.
         depths : array_like
-            (nz,), m.
+            (nz,): distances of the planes from the wall, m.
+
+        Returns
+        -------
+        Volume
         """
         width, height = pair("side", side)
         middles = (np.arange(whole("count", count)) + 0.5) / count - 0.5
@@ -82,20 +108,26 @@ class Volume(Noun):
 
     @classmethod
     def facing(cls, points: ArrayLike, planes: tuple[float, float, float]) -> Volume:
-        """Planes in front of a grid of wall points, a voxel before each.
+        """Return a volume with one voxel column in front of each of a grid of wall points.
 
         Parameters
         ----------
         points : array_like
-            (ny, nx, 3), m, even to a thousandth of their pitch and rising along x and y.
+            (ny, nx, 3): wall points, m, increasing along x and y, and even to 1/1000 of the pitch.
         planes : (float, float, float)
-            First and last distance from the wall and the step, m; the last plane is the last step
-            that does not pass it.
+            Nearest and farthest distance from the wall and the step, m. The first plane is at the
+            nearest distance; the last one does not exceed the farthest.
+
+        Returns
+        -------
+        Volume
 
         Raises
         ------
         SamplingError
-            If the points are no such grid.
+            If the points are not an even grid.
+        SceneError
+            If ``planes`` is not an increasing range above 0.
         """
         x, y = axes_before(points)
         if is_single(planes) or len(planes) != 3:
@@ -105,7 +137,7 @@ class Volume(Noun):
             for name, value in zip(("near", "far", "step"), planes, strict=True)
         )
         if far < near:
-            raise SceneError(f"far = {far:g} m is before near = {near:g} m; change them about")
+            raise SceneError(f"far = {far:g} m is before near = {near:g} m; swap them")
         count = int((far - near) / step * (1 + 1e-12) + 1e-9) + 1
         return cls(x, y, near + step * np.arange(count))
 
@@ -113,37 +145,43 @@ class Volume(Noun):
         """Raise `SceneError` if a plane is in the wall z = 0 or behind it."""
         if self.z[0] <= 0.0:
             raise SceneError(
-                f"volume.z begins at {self.z[0]:g} m, must be above 0, before the wall; give "
-                "planes in the room"
+                f"volume.z begins at {self.z[0]:g} m, must be above 0, in front of the wall; give "
+                "larger depths"
             )
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """(nz, ny, nx)."""
+        """Number of voxels, (nz, ny, nx)."""
         return (len(self.z), len(self.y), len(self.x))
 
     @property
     def points(self) -> Array:
-        """(nz, ny, nx, 3), m."""
+        """Centres of the voxels, (nz, ny, nx, 3), world, m."""
         z, y, x = np.meshgrid(self.z, self.y, self.x, indexing="ij")
         return np.stack([x, y, z], axis=-1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class VolumeImage(Noun, Shown):
-    """Brightness of a hidden scene on a volume.
+    """Image of a hidden scene on the voxels of a volume.
 
     Parameters
     ----------
     intensity : ndarray
-        (nz, ny, nx), non-negative, any unit.
+        (nz, ny, nx): non-negative values; the unit depends on the method.
     volume : Volume
+        Voxels of the image.
     method : str
-        What made it.
+        Name of the reconstruction method.
     seconds : float
-        That it took.
+        Computation time, s.
     details : mapping
-        Parameters and figures of the method.
+        Parameters and results of the method, by name.
+
+    Raises
+    ------
+    SamplingError
+        If ``intensity`` is not shaped like the volume.
     """
 
     intensity: Array
@@ -156,7 +194,7 @@ class VolumeImage(Noun, Shown):
         if self.intensity.shape != self.volume.shape:
             raise SamplingError(
                 f"intensity has shape {self.intensity.shape}, must be {self.volume.shape} like the "
-                "volume"
+                "volume; give one value per voxel"
             )
         object.__setattr__(self, "details", MappingProxyType(dict(self.details)))
 
@@ -171,24 +209,37 @@ class VolumeImage(Noun, Shown):
         return Figures("Volume", figures, alt)
 
     def projection(self, axis: str = "z") -> Array:
-        """Brightest voxel along an axis: (ny, nx) along z, (nz, nx) along y, (nz, ny) along x."""
-        return np.asarray(self.intensity.max(axis="zyx".index(one_of("axis", axis, "zyx"))))
+        """Return the maximum intensity projection along an axis.
 
-    def peak_depth(self) -> Array:
-        """Depth of the brightest voxel along z, found between the planes.
+        Parameters
+        ----------
+        axis : {"x", "y", "z"}
+            Axis along which to take the maximum.
 
         Returns
         -------
         ndarray
-            (ny, nx), m: where a parabola through the logarithm of the intensity at the brightest
-            plane and its two neighbours is highest; the plane itself at the volume's ends and where
-            a neighbour is dark. Every column has one: dim columns are for a threshold to leave out.
+            (ny, nx) for "z", (nz, nx) for "y", (nz, ny) for "x".
+        """
+        return np.asarray(self.intensity.max(axis="zyx".index(one_of("axis", axis, "zyx"))))
+
+    def peak_depth(self) -> Array:
+        """Return the depth of the maximum along z, interpolated between planes.
+
+        Returns
+        -------
+        ndarray
+            (ny, nx), m: vertex of the parabola through the logarithm of the intensity at the
+            brightest plane and its two neighbours. It is the depth of the brightest plane if that
+            is the first or last one, or if a neighbour is 0. Dark columns get a depth, too; use
+            `depth_map` with a threshold to exclude them.
 
         Notes
         -----
-        Exact for one surface under a Gaussian envelope, which is the phasor fields' pulse. Planes
-        one, a half and a quarter of the wavelength apart, a point is found to 0.5, 0.1 and 0.3 % of
-        that distance, by a parabola through the intensity itself to 18, 10 and 3 %.
+        The interpolation is exact for a single surface with a Gaussian envelope in depth, as the
+        pulse of `phasor_image` gives. For planes spaced by 1, 1/2 and 1/4 of the virtual
+        wavelength, the error for a point is 0.5, 0.1 and 0.3 % of the spacing. A parabola through
+        the intensity itself would give 18, 10 and 3 %.
         """
         light, z = self.intensity, self.volume.z
         best = light.argmax(axis=0)
@@ -202,7 +253,7 @@ class VolumeImage(Noun, Shown):
         )
         inside = (best == middle) & (np.minimum(low, high) > 0.0)
         low, top, high = (np.where(inside, values, 1.0) for values in (low, top, high))
-        # both are at least 0 at the brightest plane, so the peak is within half a step
+        # both are at least 0 at the brightest plane, so the vertex is within half a step
         fall, rise = np.log(top / low), np.log(top / high)
         bend = fall + rise
         shift = np.where(bend > 0.0, 0.5 * (fall - rise) / np.where(bend > 0.0, bend, 1.0), 0.0)
@@ -210,7 +261,7 @@ class VolumeImage(Noun, Shown):
 
 
 def axes_before(points: ArrayLike) -> tuple[Array, Array]:
-    """Axes x and y of the voxels before an even grid of wall points (ny, nx, 3), rising."""
+    """Return the axes x (nx,) and y (ny,) of an even, rising grid of wall points (ny, nx, 3)."""
     grid = real_array("wall points", points)
     if grid.ndim != 3 or grid.shape[-1] != 3 or grid.size == 0:
         raise SamplingError(
@@ -228,16 +279,16 @@ def axes_before(points: ArrayLike) -> tuple[Array, Array]:
 def _axis(name: str, values: ArrayLike) -> Array:
     axis = real_array(f"volume.{name}", values, ndmin=1)
     if axis.ndim != 1 or axis.size == 0:
-        raise SamplingError(f"volume.{name} has shape {axis.shape}, must be (n,), m")
+        raise SamplingError(f"volume.{name} has shape {axis.shape}, must be (n,); give a list in m")
     if not np.isfinite(axis).all():
-        raise SceneError(f"volume.{name} has values that are not finite")
+        raise SceneError(f"volume.{name} has values that are not finite; give finite numbers in m")
     steps = np.diff(axis)
-    # four roundings of single precision, in which files and arrays of others come
+    # allow four rounding errors of single precision, because many files store coordinates so
     rounding = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(axis).max())
     if len(steps) and (steps.min() <= 0.0 or np.ptp(steps) > 1e-6 * steps.mean() + rounding):
         raise SamplingError(
-            f"volume.{name} steps by {steps.min():.9g} to {steps.max():.9g} m; give values that "
-            "rise evenly"
+            f"volume.{name} steps by {steps.min():.9g} to {steps.max():.9g} m, must have equal "
+            "steps above 0; give values that rise evenly"
         )
     return axis
 
@@ -248,22 +299,23 @@ Camera = Literal["confocal_time_gated", "transient", "direct_light", "projector_
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class PhasorImage(VolumeImage):
-    """A phasor field on a volume; ``intensity`` is its largest squared modulus over time.
+    """Phasor field on a volume; ``intensity`` is its largest squared modulus over time.
 
     Parameters
     ----------
     field : ndarray
-        (nz, ny, nx) complex, or (n_times, nz, ny, nx) where times were asked for; in the unit of
-        the capture's H.
+        Complex field in the unit of the capture's ``H``: (n_times, nz, ny, nx) if times were
+        given, else (nz, ny, nx).
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
+        Virtual camera, see `phasor_image`.
     wl_mean, wl_sigma : float
-        Of the virtual pulse, m of optical path.
+        Wavelength and standard deviation of the virtual pulse, m of optical path.
     times : ndarray, optional
-        (n_times,), m of optical path.
+        (n_times,): times of ``field``, m of optical path. None: t = 0.
     aperture : float or ndarray of bool, optional
-        What of the wall was used; None: all.
+        Used part of the wall: side of a square, m, or a mask shaped like the points. None: all.
     notes : tuple of str
-        Where the sampling limits the picture; each was warned of as well.
+        Limits of the sampling that the image exceeds, as given in warnings.
     """
 
     field: ComplexArray
@@ -278,4 +330,7 @@ class PhasorImage(VolumeImage):
         super().__post_init__()
         shape = self.volume.shape if self.times is None else (len(self.times), *self.volume.shape)
         if self.field.shape != shape:
-            raise SamplingError(f"field has shape {self.field.shape}, must be {shape}")
+            raise SamplingError(
+                f"field has shape {self.field.shape}, must be {shape}; give one value per voxel "
+                "and time"
+            )

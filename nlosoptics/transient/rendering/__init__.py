@@ -1,1 +1,1 @@
-"""Captures rendered from meshes or scenes."""
+"""Rendering of captures from meshes or scenes."""

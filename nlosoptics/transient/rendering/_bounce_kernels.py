@@ -1,7 +1,7 @@
-"""Light between hidden surfaces, compiled: where it leaves, where it arrives, what is binned.
+"""Compiled steps of random paths between hidden surfaces: sample, extend, connect and bin.
 
 A vertex is a row of VERTEX numbers: point, unit normal, unit vector back along the path, weight,
-length of the path so far, and the triangle, -1 where there is none.
+length of the path so far, and index of the triangle, -1 for none.
 """
 
 from __future__ import annotations
@@ -21,24 +21,25 @@ from ...raytrace.light._surround_kernels import dot, three
 from ._sight_kernels import blocked
 
 VERTEX = 12
-P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
+P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (I as in incidence)
 WEIGHT, LENGTH, TRIANGLE = range(9, 12)
 LEAVE = 4
 DENSITY, SENT, REACH, COSINE = range(4)
-# numbers of a path's draws: those of the vertex that the sensors see, then four a leg
+# numbers of random draws of a path: those for the first vertex, then those for each leg
 DRAWS_SEEN, DRAWS_A_LEG = 4, 4
-DRAW_VIEW = 1000  # beyond all legs
-VIEWS = 8  # sensors whose lobes guide the first leg from a vertex
+DRAW_VIEW = 1000  # draw number of `view`, larger than that of any leg
+VIEWS = 8  # number of sensors whose lobes guide the leg from a first vertex
 
 
 class Surfaces(NamedTuple):
-    """What kernels know of the hidden triangles and, after them, of those of the relay wall.
+    """Data of the hidden triangles and, after them, of the relay wall's triangles, if any.
 
-    ``lobes`` are the materials' rows and ``spans`` (n, 2) those of each triangle; ``triangles``
-    hold a corner and two sides; ``normals`` are units, ``sides`` the side that all sensors are on,
-    or 0; ``shares`` are the summed shares of the hidden area before each triangle. ``rows`` and
-    ``boxes`` are the hidden triangles and the tree over them for shadows; with ``asked`` false
-    shadows are left to the caller.
+    ``lobes`` are the rows of the materials and ``spans`` (n, 2) the range of rows for each
+    triangle. ``triangles`` (n, 9) hold a corner and two sides, m. ``normals`` (n, 3) are unit
+    vectors; ``sides`` (n,) is the side on which all sensors lie, 1 or -1, or 0 for both.
+    ``shares`` is the cumulative fraction of the hidden area before each hidden triangle, ending
+    with 1; ``area`` is the hidden area, m^2. ``rows`` and ``boxes`` are the hidden triangles and
+    their tree for shadows. If ``asked`` is False, the caller tests shadows.
     """
 
     lobes: NDArray[np.float64]
@@ -60,7 +61,7 @@ def _lobes(surfaces, triangle):
 
 @njit(cache=True)
 def _about(n, x, y, z):
-    """Vector (x, y, z) of the frame with n as its third axis."""
+    """Return the vector with components (x, y, z) in a frame with n as its third axis."""
     a, b = tangents(n)
     return (
         x * a[0] + y * b[0] + z * n[0],
@@ -71,14 +72,14 @@ def _about(n, x, y, z):
 
 @njit(cache=True)
 def _cosine_weighted(n, u, v):
-    """Direction of density cos/pi about n."""
+    """Sample a direction with density cos/pi about n."""
     radius, turn = math.sqrt(u), 2.0 * math.pi * v
     return _about(n, radius * math.cos(turn), radius * math.sin(turn), math.sqrt(1.0 - u))
 
 
 @njit(cache=True)
 def _hidden_point(surfaces, u, v):
-    """Point evenly over the hidden surfaces' area, and its triangle."""
+    """Sample a point uniformly over the hidden area; return it and its triangle."""
     shares = surfaces.shares
     k = min(np.searchsorted(shares, u, side="right") - 1, shares.size - 2)
     u = min((u - shares[k]) / (shares[k + 1] - shares[k]), 1.0)
@@ -93,10 +94,10 @@ def _hidden_point(surfaces, u, v):
 
 @njit(cache=True, nogil=True)
 def look(surfaces, sampler, aimed, sensors, first, origins, directions, triangles):
-    """Points that sensors may see: rays from them, or points drawn over the hidden area.
+    """Sample first vertices, as rays from sensors or as points over the hidden area.
 
-    ``triangles`` gets those of the latter, whose points go to ``origins`` and their normals, on the
-    side of the sensors, to ``directions``; and -1 for rays.
+    A point fills ``origins`` with itself, ``directions`` with its normal on the side of the sensors
+    and ``triangles`` with its triangle. A ray fills the first two, and ``triangles`` with -1.
     """
     for i in range(origins.shape[0]):
         ray = first + i
@@ -138,9 +139,10 @@ def seen_from(surfaces, sensors, vertices, factor, distance):
 
 @njit(cache=True, nogil=True)
 def view(sampler, sensors, factor, vertices, views):
-    """Unit vectors (vertices, VIEWS, 3) to sensors that stand for all that see each vertex.
+    """Fill ``views`` (vertices, VIEWS, 3) with unit vectors to a sample of each vertex's sensors.
 
-    They are at even steps of the summed factors (sensors, vertices), from a random one on.
+    Sensors are chosen by systematic sampling: equal steps of the cumulative ``factor``
+    (sensors, vertices), with a random offset.
     """
     for j in range(vertices.shape[0]):
         total = 0.0
@@ -167,7 +169,7 @@ def view(sampler, sensors, factor, vertices, views):
 
 @njit(cache=True)
 def _lobe_direction(lobes, incident, n, u, v, w):
-    """Direction drawn from the lobes."""
+    """Sample a direction from the lobes of a material."""
     a, b = tangents(n)
     x, y, z, _ = sample_material(
         lobes, dot(incident, a), dot(incident, b), dot(incident, n), u, v, w
@@ -177,7 +179,7 @@ def _lobe_direction(lobes, incident, n, u, v, w):
 
 @njit(cache=True)
 def _viewed_density(lobes, views, n, d, cosine):
-    """Density of `leave` from a vertex that sensors see, per solid angle."""
+    """Return the density per solid angle with which `leave` samples d at a first vertex."""
     density = 0.0
     for k in range(VIEWS):
         w = three(views[k], 0)
@@ -187,19 +189,20 @@ def _viewed_density(lobes, views, n, d, cosine):
 
 @njit(cache=True, inline="always")
 def _plain(lobes):
-    """Whether a material is Lambert's."""
+    """Whether a material is purely Lambertian."""
     return lobes.shape[0] == 1 and lobes[0, 0] == LAMBERT
 
 
 @njit(cache=True, nogil=True)
 def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, origins, directions):
-    """Draw where paths go on from vertices: along a lobe, or to a point of the hidden area.
+    """Sample the directions of the next leg, from a lobe or towards a point of the hidden area.
 
-    ``views`` (vertices, VIEWS, 3) are given for vertices that sensors see, else empty. Their lobes
-    wait for the sensor: half of the directions have the density of the cosine, half that of the
-    lobes for the views; all that of the cosine where the surface is Lambert's. ``leaving`` gets the
-    density per solid angle, lobes times cosine (with ``views`` the cosine alone), the distance of
-    the point aimed at or -1, and the cosine.
+    ``views`` (vertices, VIEWS, 3) is given for first vertices and empty otherwise. The lobe of a
+    first vertex is evaluated only in `gather`, where the sensor is known. Half of its directions
+    have the density of the cosine, half that of the lobes for the views; on Lambertian surfaces all
+    have that of the cosine. ``leaving`` is filled with the density per solid angle; lobe times
+    cosine (for first vertices the cosine only); the distance of the point aimed at, or -1; and the
+    cosine.
     """
     seen = views.shape[0] > 0
     for i in range(vertices.shape[0]):
@@ -247,7 +250,10 @@ def leave(surfaces, sampler, first, number, aimed, views, vertices, leaving, ori
 
 @njit(cache=True, nogil=True)
 def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
-    """Fill the vertices at which paths arrive; lobes and aiming share paths by the balance."""
+    """Fill ``new`` with the vertices at which paths arrive.
+
+    Lobes and aiming at the area are combined by the balance heuristic.
+    """
     hidden = surfaces.shares.size - 1
     for i in range(old.shape[0]):
         new[i, TRIANGLE] = -1.0
@@ -261,7 +267,7 @@ def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
         side = 1.0 if cosine > 0.0 else -1.0
         cosine *= side
         if out[REACH] >= 0.0 and abs(r - out[REACH]) > 1e-6 * out[REACH]:
-            continue  # aimed at what something else hides
+            continue  # the point aimed at is occluded
         density = (1.0 - aimed) * out[DENSITY]
         if aimed > 0.0 and k < hidden:
             density += aimed / surfaces.area * r * r / cosine
@@ -277,7 +283,7 @@ def arrive(surfaces, aimed, old, leaving, directions, distance, triangle, new):
 
 @njit(cache=True, nogil=True)
 def connect(surfaces, laser, vertices, value, length):
-    """Weight and length of paths that end at a laser's spot on the wall, cos/r^2 with lobes."""
+    """Connect vertices to a laser's spot; fill weight ``value``, 1/m^2, and path ``length``, m."""
     for i in range(vertices.shape[0]):
         value[i], vertex = 0.0, vertices[i]
         if vertex[TRIANGLE] < 0.0 or vertex[WEIGHT] <= 0.0:
@@ -299,12 +305,12 @@ def connect(surfaces, laser, vertices, value, length):
 
 @njit(cache=True, nogil=True)
 def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, start, rate, bins):
-    """Add the paths by way of vertices that a sensor sees to its bins.
+    """Add all paths to the bins of one sensor.
 
-    Paths ``spread[j]`` to before ``spread[j + 1]`` leave the vertex ``seen[j]``, in the directions
-    ``first`` (paths, 3), and bring ``value`` by ``length`` (paths,); ``factor`` and ``away``
-    (vertices,) are of `seen_from` for this ``sensor``; ``start`` is that of the first bin and
-    ``rate`` the bins per m.
+    Paths ``spread[j]`` to ``spread[j + 1] - 1`` leave the first vertex ``seen[j]`` in directions
+    ``first`` (paths, 3). They have weight ``value`` and length ``length`` (paths,) from the vertex
+    to the laser. ``factor`` and ``away`` (vertices,) are filled by `seen_from` for this ``sensor``.
+    ``start`` is the start of bin 0, m, and ``rate`` the number of bins per m.
     """
     n_bins = bins.size
     for j in range(seen.shape[0]):
@@ -333,10 +339,12 @@ def gather(surfaces, seen, spread, first, factor, sensor, away, value, length, s
 
 @njit(cache=True, nogil=True)
 def gather_pairs(surfaces, paths, rows, starts, rate, table, sensors, found, total, squares):
-    """Add one batch's bins, and their squares, of each pair of laser and sensor.
+    """Add the bins of one batch and their squares, for each pair of laser and sensor.
 
-    ``paths`` are (seen, spread, first) of `gather`; ``rows`` (pairs, 2) are (laser, sensor) of
-    those in ``total`` (orders, pairs, n_bins), and ``starts`` (pairs,) their first bins'.
+    ``paths`` is (seen, spread, first) of `gather`. ``rows`` (pairs, 2) holds the indices (laser,
+    sensor) of the pairs in ``total`` and ``squares`` (orders, pairs, n_bins), and ``starts``
+    (pairs,) the start of bin 0, m. ``table`` is (factor, away) and ``found`` (value, length) for
+    all sensors, lasers and orders.
     """
     factor, away = table
     value, length = found

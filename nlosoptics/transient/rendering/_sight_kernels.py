@@ -1,4 +1,4 @@
-"""Whether a triangle stands between two points, compiled: the tree over a mesh is asked."""
+"""Compiled occlusion test between two points, with a tree of boxes over a mesh."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from numba import njit
 
 from ...raytrace.intersection._triangle_kernels import after
 
-FEW = 24  # triangles that are asked one after another
-EDGE = 1e-12  # of a triangle's sides, so that neighbours leave no gap
-NEAR = 1e-9  # of a connection's length: what its ends lie on is not in between
+FEW = 24  # number of triangles up to which all are tested without the tree
+EDGE = 1e-12  # tolerance in barycentric coordinates, so that adjacent triangles leave no gap
+NEAR = 1e-9  # of the connection's length, to ignore the surfaces on which its ends lie
 
 
 @njit(cache=True, inline="always")
 def _crossed(row, p, d):
-    """Whether the line p + t d, 0 < t < 1, crosses a triangle: Moeller and Trumbore 1997."""
+    """Whether the segment p + t d, 0 < t < 1, crosses a triangle: Moeller and Trumbore 1997."""
     ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
     x, y, z = d[1] * bz - d[2] * by, d[2] * bx - d[0] * bz, d[0] * by - d[1] * bx
     det = ax * x + ay * y + az * z
@@ -34,7 +34,7 @@ def _crossed(row, p, d):
 
 @njit(cache=True, inline="always")
 def _misses(box, p, inverse):
-    """Whether the line p + t d, 0 < t < 1, misses a box; ``inverse`` is 1/d, finite."""
+    """Whether the segment p + t d, 0 < t < 1, misses a box; ``inverse`` is 1/d, finite."""
     low, high = 0.0, 1.0
     for k in range(3):
         a, b = (box[k] - p[k]) * inverse[k], (box[3 + k] - p[k]) * inverse[k]
@@ -49,9 +49,9 @@ def _inverse(x):
 
 @njit(cache=True)
 def blocked(rows, boxes, p, d):
-    """Whether a triangle stands between p and p + d, which may lie on some."""
+    """Whether a triangle lies between p and p + d; both ends may lie on triangles."""
     if rows.shape[0] <= FEW:
-        for m in range(rows.shape[0]):  # noqa: SIM110  (numba has no any of a generator)
+        for m in range(rows.shape[0]):  # noqa: SIM110  (numba has no any() of generators)
             if _crossed(rows[m], p, d):
                 return True
         return False

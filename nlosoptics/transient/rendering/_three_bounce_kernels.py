@@ -1,9 +1,9 @@
-"""Light from a wall point by way of triangles to another wall point, over path, compiled.
+"""Compiled quadrature of three bounces: intensity over path between two wall points.
 
-The path r1 + r2 is nearly linear over a small triangle, and the integrand F too. Light of such a
-triangle up to a path t then has a closed form: below the middle corner's path it is that of the
-triangle which the line of path t cuts off, of area a b A, where a and b are the shares of the two
-sides, times the mean of F at its three corners.
+The path r1 + r2 and the integrand F are nearly linear over a small triangle. The contribution of
+the triangle up to a path t then has a closed form. For t below the path of the corner with the
+middle value, it is the integral over the triangle that the line of equal path t cuts off: its area
+a b A, where a and b are the fractions of the two sides cut off, times the mean of F at its corners.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from ._visibility_kernels import (
     shadow_room,
 )
 
-# columns of what is reported of a pair
+# columns of the report on a pair
 TOTAL, ERROR, LEAVES, PASSES, STATUS = range(5)
 REPORT = 5
 DONE, TOO_MANY, TOO_FINE = 0, 1, 2
-ALL, PART, NOTHING = range(3)  # of a triangle that a point sees
-DEEPEST = 60  # halvings of a triangle
-STEP = 8.0  # by which a pass is stricter than the one before
-# columns of a triangle of the stack: corners, then
+ALL, PART, NOTHING = range(3)  # visibility of a triangle from a point
+DEEPEST = 60  # largest number of successive bisections of a triangle
+STEP = 8.0  # factor by which the error limit falls from pass to pass
+# columns of a triangle on the stack, after nine for its corners
 TAU, F, AREA, DEPTH = 9, 12, 15, 16
 COLUMNS = 17
 
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _node(x, y, z, pair, lobes, begin, end):
-    """Path r1 + r2 and integrand, 1/m^4, at a point; with r1, r2 and the half vector's cosine.
+    """Return path r1 + r2, integrand in 1/m^4, r1, r2 and the half vector's cosine at a point.
 
-    ``pair`` is the laser point, the sensor point, and the heights of both over the triangle.
+    ``pair`` holds x and y of laser and sensor point, and their heights above the triangle, m.
     """
     ax, ay, bx, by, h1, h2 = pair
     dx, dy, ex, ey = ax - x, ay - y, bx - x, by - y
@@ -64,7 +64,7 @@ def _node(x, y, z, pair, lobes, begin, end):
 
 @njit(cache=True, error_model="numpy")
 def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
-    """Add a triangle's light to bins 1 to n - 2; the first and last hold what is outside."""
+    """Add a triangle's contribution to the bins; the first and last bin collect paths outside."""
     if t1 < t0:
         t0, t1, f0, f1 = t1, t0, f1, f0
     if t2 < t1:
@@ -77,7 +77,7 @@ def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
     if i == j:
         bins[i] += whole
         return
-    # shares of the sides per path, from the first corner on and from the last one back
+    # fraction of each side per path, from the corner of least path and from that of greatest
     per = 1.0 / (t2 - t0)
     low, high = 1.0 / (t1 - t0), 1.0 / (t2 - t1)
     rise = (low * (f1 - f0) + per * (f2 - f0)) / 3.0
@@ -86,7 +86,7 @@ def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
     before = 0.0
     for k in range(i, j):
         t = start + k * delta
-        # an edge may be a corner's path, up to rounding, of a side that has no span of its own
+        # a bin edge can equal a corner's path up to rounding, where ``low`` or ``high`` is infinite
         if t <= t0:
             now = 0.0
         elif t >= t2:
@@ -104,7 +104,7 @@ def spread(t0, t1, t2, f0, f1, f2, area, start, delta, bins):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _bin(t, start, delta, last):
-    """Which of the bins, of which the first and last are open, a path falls in."""
+    """Return the bin of a path; bins 0 and ``last`` collect paths outside the window."""
     where = (t - start) / delta
     if where < 0.0:
         return 0
@@ -115,10 +115,11 @@ def _bin(t, start, delta, last):
 
 @njit(cache=True, error_model="numpy")
 def _may_hide(light, tilt, turn, sharp, limit):
-    """Whether a part may hold more than ``limit`` where a narrow lobe peaks.
+    """Whether a part may contribute more than ``limit`` where a narrow lobe peaks.
 
-    ``tilt`` is the half vector's in the middle, where there is ``light``, ``turn`` the most that it
-    changes by. Lobes fall no faster than ``exp(-tan^2/sharp^2)``.
+    ``light`` is the contribution estimated from the centroid, where the half vector has the angle
+    ``tilt`` to the normal. ``turn`` bounds the change of this angle over the part. Lobes fall no
+    faster than ``exp(-tan^2/sharp^2)``, with ``sharp`` the lobe's alpha.
     """
     least = max(tilt - turn, 0.0)
     if limit == math.inf:
@@ -137,12 +138,13 @@ def _square(s, i, j):
 
 @njit(cache=True, error_model="numpy")
 def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, stack):
-    """Add the light of one triangle, halved until no part errs by ``limit``; return the parts.
+    """Add one triangle to the bins, bisected until parts err by at most ``limit``; count the parts.
 
-    A part errs by what its middle says that its corners do not: of F, and of the path where that
-    can move light into another bin. Both then go into the part, so that it errs by the next order.
-    ``sharp`` is the narrowest lobe's alpha. Without a limit (infinity) parts are only made small
-    against their distance, and against that lobe.
+    The error of a part is estimated from the difference between its centroid and the mean of its
+    corners: of F, and of the path if that can move light to another bin. Both differences then
+    correct the part, so that its remaining error is of the next order. ``sharp`` is the alpha of
+    the narrowest lobe. An infinite limit only makes parts small compared with their distance and
+    with that lobe.
     """
     last = bins.size - 1
     leaves, top = 0, 1
@@ -168,7 +170,7 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
         split = False
         if depth < DEEPEST:
             size = math.sqrt(longest)
-            # two thirds of the longest side is the most that a corner is from the middle
+            # no corner is farther from the centroid than two thirds of the longest side
             away = 0.67 * size
             if size > max(nearest, min(r1, r2) - away):
                 split = True
@@ -221,12 +223,12 @@ def _piece(piece, pair, lobes, begin, end, sharp, limit, start, delta, bins, sta
 
 @njit(cache=True, error_model="numpy")
 def _seen(mesh, clear, p, q, outlined, known, known_is_q, room, pieces):
-    """Triangles, as parts that both points see from one side; return parts and their number.
+    """Cut the triangles to the pieces that p and q both see on one side; return them and count.
 
-    ``outlined`` is of p and of q; ``known`` is what one of the points, q or p, sees: of each
-    triangle all, nothing or a part, and where its polygons begin and end among those kept.
-
-    Rows of ``pieces`` are three corners, the area, both points' heights and the triangle's number.
+    ``outlined`` holds the outlines seen from p and from q. ``known`` is the kept visibility from
+    one of the points, q if ``known_is_q``: ALL, NOTHING or PART for each triangle, the range of its
+    polygons, and the polygons. Rows of ``pieces`` are three corners, area, heights of both points
+    above the triangle, and index of the triangle. The count is OVERFLOW if there are too many.
     """
     polygons, sizes, shadows = room
     how, ends, kept, kept_sizes = known
@@ -283,10 +285,11 @@ def _seen(mesh, clear, p, q, outlined, known, known_is_q, room, pieces):
 
 @threaded(error_model="numpy")
 def sights(mesh, clear, points, out, ends, kept, kept_sizes):
-    """Fill ``out`` (points, triangles) with how much of each triangle a point sees.
+    """Fill ``out`` (points, triangles) with ALL, PART or NOTHING for each point and triangle.
 
-    ``ends`` (points, triangles + 1) then has at t + 1 in how many polygons it sees a part. With
-    room for polygons they are kept there, where ``ends``, by then summed up, says.
+    With an empty ``kept``, ``ends`` (points, triangles + 1) gets at t + 1 the number of visible
+    polygons of a partly visible triangle t. In a second call, with ``ends`` summed cumulatively by
+    the caller, the polygons are stored in ``kept`` from ``ends[t]`` on.
     """
     rows = mesh[0]
     for i in prange(points.shape[0]):
@@ -316,12 +319,12 @@ def sights(mesh, clear, points, out, ends, kept, kept_sizes):
                 out[i, t] = NOTHING
             elif left != 1 or not _is_whole(polygons[0], sizes[0]):
                 out[i, t] = PART
-                ends[i, t + 1] = max(left, 0)  # not where there are too many
+                ends[i, t + 1] = max(left, 0)  # OVERFLOW counts as none
 
 
 @njit(cache=True, error_model="numpy")
 def _whole(polygons, sizes):
-    """Set the first polygon to all of a triangle."""
+    """Set the first polygon to the whole triangle."""
     polygons[0, 0], polygons[0, 1], polygons[0, 2] = 0.0, 0.0, 1.0
     polygons[0, 3], polygons[0, 4], polygons[0, 5] = 0.0, 0.0, 1.0
     sizes[0] = 3
@@ -329,14 +332,17 @@ def _whole(polygons, sizes):
 
 @njit(cache=True, error_model="numpy")
 def _is_whole(polygon, size):
-    """Whether nothing was cut off a triangle."""
+    """Whether a polygon is the whole triangle."""
     first = polygon[0] == 0.0 and polygon[1] == 0.0 and polygon[2] == 1.0
     return size == 3 and first and polygon[3] == 0.0 and polygon[4] == 0.0 and polygon[5] == 1.0
 
 
 @njit(cache=True, error_model="numpy")
 def _pass(pieces, count, p, q, lobes, spans, sharp, limit, most, start, delta, bins, stack):
-    """Fill the bins; return the number of parts, beyond ``most`` where it was given up."""
+    """Fill the bins by one pass over all pieces; return the number of parts.
+
+    The pass is abandoned as soon as the number exceeds ``most``.
+    """
     bins[:] = 0.0
     leaves = 0
     for i in range(count):
@@ -363,7 +369,10 @@ def _pass(pieces, count, p, q, lobes, spans, sharp, limit, most, start, delta, b
 
 @njit(cache=True, error_model="numpy")
 def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, stack, report):
-    """One laser point and one sensor point, by ever stricter passes until two agree to ``tol``."""
+    """Integrate one pair of points, by passes with falling error limit until two agree to ``tol``.
+
+    Fills ``bins`` and ``report``; ``before`` and ``stack`` are working arrays.
+    """
     lobes, spans, sharp = world
     report[STATUS], report[ERROR] = DONE, 0.0
     leaves = _pass(
@@ -378,7 +387,7 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
         within = total - bins[0] - bins[bins.size - 1]
         before[:] = bins
         fewer = leaves
-        # what falls outside the window need not be known better than what falls within
+        # errors are relative to the contribution within the window, unless it is negligible
         scale = within if within > 1e-6 * total else total
         leaves = _pass(
             pieces,
@@ -404,7 +413,7 @@ def _pair(pieces, count, p, q, world, tol, most, start, delta, bins, before, sta
             change += abs(bins[k] - before[k])
         report[TOTAL], report[ERROR] = bins.sum(), change
         report[LEAVES], report[PASSES] = leaves, number + 1
-        # passes that are nearly the same agree without a reason
+        # passes with almost equal parts agree trivially, so require 1.5 times as many parts
         if change <= tol * scale and leaves >= 1.5 * fewer:
             return
         strict /= STEP
@@ -430,11 +439,11 @@ def three_bounces(
 ):
     """Fill ``out`` (pairs, bins + 2) with G of each pair and ``report`` (pairs, REPORT).
 
-    Block i of the pairs is from ``blocks[i]`` to ``blocks[i + 1]``; the bins before and after the
-    window are first and last. Row ``sight[i]`` of ``known`` is what the laser point sees, which
-    need not be asked again if its last says so; the sensor point's shadows come first where
-    ``turned[i]``. Pairs share no sum, so that threads
-    change no bit.
+    The first and last of the bins collect paths outside the window. Block i consists of the pairs
+    ``blocks[i]`` to ``blocks[i + 1] - 1``. Row ``sight[i]`` of ``known`` is the visibility from the
+    laser point of pair i; the last element of ``known`` tells whether this is complete. If
+    ``turned[i]``, shadows of the sensor point are cut out first. Each pair is summed by one thread,
+    so that results do not depend on the number of threads.
     """
     for block in prange(blocks.size - 1):
         room = (

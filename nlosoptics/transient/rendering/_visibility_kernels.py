@@ -1,11 +1,13 @@
-"""What part of a triangle is seen from a point, compiled and exact: cut along outlines, then asked.
+"""Compiled visibility of triangles from a point, exact up to rounding.
 
-Seen from a point, what hides a surface ends at outlines alone: at sides of triangles without a
-neighbour, or whose one neighbour faces the point and the other does not. A triangle is cut into
-convex polygons along the outlines before it and along lines where others pass through it. Each
-polygon is then seen whole or not at all, which one ray tells. Points of a triangle with corner o
-and sides a, b are written (u, v) with x = o + u a + v b, in which lines stay lines. Rows of
-``polygons`` hold up to `CORNERS` points (u, v); ``sizes`` their numbers.
+Seen from a point, shadows are bounded by outlines: sides of triangles without a neighbour, and
+sides between a triangle that faces the point and one that does not. A triangle is cut into convex
+polygons along the shadows of the outlines in front of it and along its intersections with other
+triangles. Each polygon is then either entirely visible or entirely hidden, which one ray decides.
+
+Points of a triangle with corner o and sides a, b are written (u, v) with x = o + u a + v b. In
+these coordinates straight lines remain straight. Rows of ``polygons`` hold up to `CORNERS` points
+(u, v); ``sizes`` holds their numbers.
 """
 
 from __future__ import annotations
@@ -18,18 +20,18 @@ from numba import njit
 from ...raytrace.intersection._triangle_kernels import after
 from ._sight_kernels import blocked
 
-CORNERS = 16  # most corners of a polygon; it is parted before it would have more
-PIECES = 4096  # most polygons of one triangle
-OVERFLOW = -1
-ROUNDING = 1e-12  # in (u, v), and of the scene's extent for heights
-# neighbours of a side of a triangle: a triangle that goes around the other way, as it should, has
-# its number n >= 0, one that goes around the same way FLIPPED - n, and there may be none
+CORNERS = 16  # largest number of corners of a polygon; larger ones are split in two
+PIECES = 4096  # largest number of polygons of one triangle
+OVERFLOW = -1  # returned instead of a number of polygons if there are too many
+ROUNDING = 1e-12  # tolerance in (u, v), and for heights relative to the scene's extent
+# codes of the neighbour across a side: its index n >= 0 if both triangles are oriented alike,
+# FLIPPED - n if they are oriented oppositely, ALONE if there is none
 ALONE, FLIPPED = -1, -2
 
 
 @njit(cache=True, error_model="numpy")
 def frame(row):
-    """Normal (not a unit), and the vectors that give u and v of a point in the plane."""
+    """Return the unnormalised normal, and the vectors whose products with x - o are u and v."""
     ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
     n = (ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
     s = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
@@ -48,10 +50,11 @@ def _corner(row, i):
 
 @njit(cache=True, error_model="numpy")
 def outline(mesh, p, outlined):
-    """Throw all outlines, seen from a point, onto the triangles behind them.
+    """Project all outlines seen from a point onto the triangles behind them.
 
-    Returns ``outlined`` filled: by triangle the first of its lines, -1 for none; by line the next
-    of the same triangle; lines (u, v, u, v); room to work in.
+    Fills and returns ``outlined``, which stores the lines of each triangle as a linked list: first
+    line of each triangle, -1 for none; next line of the same triangle for each line; lines
+    (u, v, u, v); working arrays. The arrays of lines are replaced by longer ones if needed.
     """
     rows, _, _, mates, _, _ = mesh
     heads, links, lines, work = outlined
@@ -66,7 +69,7 @@ def outline(mesh, p, outlined):
     for t in range(rows.shape[0]):
         for k in range(3):
             mate = mates[t, k]
-            # of two neighbours the first has the side that both share
+            # a side that two triangles share is handled with the one of lower index
             if mate >= 0:
                 drawn = t < mate and faces[t] != faces[mate]
             elif mate <= FLIPPED:
@@ -83,10 +86,11 @@ def outline(mesh, p, outlined):
 
 @njit(cache=True, error_model="numpy")
 def _sector(p, a, b, planes):
-    """Planes (unit normal, offset) of what a segment hides from a point: a part of a plane.
+    """Fill ``planes`` (4, 4) with unit normal and offset of the region that a segment hides.
 
-    That plane, then three where inside is n.x - offset > 0: through the point and either end, and
-    through the segment. False where it is seen end on, and hides nothing.
+    The region is a part of the plane through the point and the segment, the first of the planes.
+    The other three bound it, with n.x - offset > 0 inside: through the point and either end, and
+    through the segment. Returns False if the segment is seen end-on and hides nothing.
     """
     ax, ay, az = a[0] - p[0], a[1] - p[1], a[2] - p[2]
     bx, by, bz = b[0] - p[0], b[1] - p[1], b[2] - p[2]
@@ -98,7 +102,7 @@ def _sector(p, a, b, planes):
     planes[0, 0], planes[0, 1], planes[0, 2] = x, y, z
     planes[0, 3] = x * p[0] + y * p[1] + z * p[2]
     for i in range(1, 4):
-        # along the plane, across the ray to an end, or across the segment
+        # normals lie in the plane, perpendicular to the ray to either end and to the segment
         if i == 1:
             ex, ey, ez = ax, ay, az
         elif i == 2:
@@ -115,7 +119,7 @@ def _sector(p, a, b, planes):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _box_outside(box, planes, slack):
-    """Whether a box meets no point of a sector."""
+    """Whether a box lies entirely outside the region of `_sector`."""
     for k in range(4):
         x, y, z = planes[k, 0], planes[k, 1], planes[k, 2]
         most = x * (box[3] if x > 0.0 else box[0]) + y * (box[4] if y > 0.0 else box[1])
@@ -132,7 +136,7 @@ def _box_outside(box, planes, slack):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _aside(row, planes, slack):
-    """Whether a triangle meets no point of a sector."""
+    """Whether a triangle lies entirely outside the region of `_sector`."""
     for k in range(4):
         x, y, z = planes[k, 0], planes[k, 1], planes[k, 2]
         o = x * row[0] + y * row[1] + z * row[2] - planes[k, 3]
@@ -145,7 +149,7 @@ def _aside(row, planes, slack):
 
 @njit(cache=True, error_model="numpy")
 def _throw(mesh, p, a, b, sector, heads, links, lines, count):
-    """Add a segment's shadow to the lines of each triangle that it crosses."""
+    """Add the shadow of a segment to the lines of each triangle that it crosses."""
     rows, boxes, reach, _, _, _ = mesh
     first_leaf = boxes.shape[0] // 2
     slack = ROUNDING * reach
@@ -172,7 +176,7 @@ def _throw(mesh, p, a, b, sector, heads, links, lines, count):
 
 @njit(cache=True, error_model="numpy")
 def _longer(links, lines):
-    """The same with twice the room."""
+    """Return copies of both arrays with twice the length."""
     more, longer = np.empty(2 * links.size, dtype=np.int64), np.empty((2 * links.size, 4))
     more[: links.size], longer[: links.size] = links, lines
     return more, longer
@@ -180,7 +184,7 @@ def _longer(links, lines):
 
 @njit(cache=True, error_model="numpy")
 def _cast(a, b, row, p, slack, line):
-    """Fill ``line`` with a segment's shadow on a triangle's plane; False where it has none."""
+    """Fill ``line`` with a segment's shadow on a triangle's plane; return False if it has none."""
     n, to_u, to_v = frame(row)
     f = 1.0 / math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     height = f * (n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) + n[2] * (p[2] - row[2]))
@@ -188,7 +192,7 @@ def _cast(a, b, row, p, slack, line):
         f, height = -f, -height
     first = f * (n[0] * (a[0] - row[0]) + n[1] * (a[1] - row[1]) + n[2] * (a[2] - row[2]))
     last = f * (n[0] * (b[0] - row[0]) + n[1] * (b[1] - row[1]) + n[2] * (b[2] - row[2]))
-    top = height * (1.0 - 1e-9)  # what is level with the point throws its shadow to infinity
+    top = height * (1.0 - 1e-9)  # at the height of the point the shadow would be at infinity
     if max(first, last) <= slack or min(first, last) >= top:
         return False
     for end in range(2):
@@ -208,7 +212,7 @@ def _cast(a, b, row, p, slack, line):
 
 @njit(cache=True, error_model="numpy")
 def _enters(line):
-    """Whether a segment (u, v, u, v) has a length within the triangle."""
+    """Whether the part of a segment (u, v, u, v) inside the triangle is longer than rounding."""
     u, v, du, dv = line[0], line[1], line[2] - line[0], line[3] - line[1]
     low, high = 0.0, 1.0
     for k in range(3):
@@ -225,14 +229,14 @@ def _enters(line):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _left_of(ax, ay, bx, by, x, y):
-    """Distance of (x, y) to the left of the line from a to b."""
+    """Return the signed distance of (x, y) from the line a to b, positive on its left."""
     ex, ey = bx - ax, by - ay
     return (ex * (y - ay) - ey * (x - ax)) / math.sqrt(ex * ex + ey * ey)
 
 
 @njit(cache=True, error_model="numpy")
 def _crosses(polygon, size, line):
-    """Whether a segment has a length within a convex polygon, counter-clockwise."""
+    """Whether the part of a segment inside a counter-clockwise convex polygon exceeds rounding."""
     low, high = 0.0, 1.0
     length = math.hypot(line[2] - line[0], line[3] - line[1])
     for i in range(size):
@@ -251,7 +255,10 @@ def _crosses(polygon, size, line):
 
 @njit(cache=True, error_model="numpy")
 def _put(cells, sizes, at, count, corners, size):
-    """Store a convex polygon, in two if it has too many corners; the new number or OVERFLOW."""
+    """Store a convex polygon, split in two if it has too many corners.
+
+    Returns the new number of polygons or OVERFLOW.
+    """
     kept = min(size, CORNERS)
     if max(at + 1, count + size - kept) > sizes.size:
         return OVERFLOW
@@ -259,7 +266,7 @@ def _put(cells, sizes, at, count, corners, size):
         cells[at, 2 * i], cells[at, 2 * i + 1] = corners[i, 0], corners[i, 1]
     sizes[at] = kept
     count = max(count, at + 1)
-    if size > kept:  # by one: the first corner and the last two
+    if size > kept:  # one corner too many: split off the triangle of the first and last two
         for i, k in enumerate((0, size - 2, size - 1)):
             cells[count, 2 * i], cells[count, 2 * i + 1] = corners[k, 0], corners[k, 1]
         sizes[count] = 3
@@ -269,7 +276,7 @@ def _put(cells, sizes, at, count, corners, size):
 
 @njit(cache=True, error_model="numpy")
 def _distinct(corners, count):
-    """Drop corners that repeat the one before, around the polygon; return how many are left."""
+    """Remove corners equal to the one before, cyclically; return the number that remains."""
     kept = 0
     for i in range(count):
         x, y = corners[i, 0], corners[i, 1]
@@ -287,7 +294,7 @@ def _distinct(corners, count):
 
 @njit(cache=True, error_model="numpy")
 def _area(corners, size):
-    """Twice the area of a convex polygon, counter-clockwise."""
+    """Return twice the area of a counter-clockwise convex polygon."""
     twice = 0.0
     for i in range(1, size - 1):
         ux, uy = corners[i, 0] - corners[0, 0], corners[i, 1] - corners[0, 1]
@@ -298,7 +305,10 @@ def _area(corners, size):
 
 @njit(cache=True, error_model="numpy")
 def _part(cells, sizes, at, count, line, sides):
-    """Part a polygon in two by a line, if both have an area; the new number or OVERFLOW."""
+    """Split a polygon in two along a line, if both parts have an area.
+
+    Returns the new number of polygons or OVERFLOW.
+    """
     left, right = sides
     cell, size = cells[at], sizes[at]
     n_left = n_right = 0
@@ -329,8 +339,8 @@ def _part(cells, sizes, at, count, line, sides):
 
 @njit(cache=True, error_model="numpy")
 def _cut(cells, sizes, count, line, sides):
-    """Part all polygons that a segment crosses; the new number or OVERFLOW."""
-    for k in range(count):  # none if there was no room before
+    """Split all polygons that a segment crosses; return the new number of polygons or OVERFLOW."""
+    for k in range(count):  # does nothing if count is OVERFLOW
         if _crosses(cells[k], sizes[k], line):
             count = _part(cells, sizes, k, count, line, sides)
             if count == OVERFLOW:
@@ -340,7 +350,7 @@ def _cut(cells, sizes, count, line, sides):
 
 @njit(cache=True, error_model="numpy")
 def _hidden(mesh, t, p, cell, size):
-    """Whether something stands before a polygon's middle."""
+    """Whether a triangle lies between p and the mean of a polygon's corners."""
     row = mesh[0][t]
     u = v = 0.0
     for i in range(size):
@@ -356,17 +366,31 @@ def _hidden(mesh, t, p, cell, size):
 
 @njit(cache=True, error_model="numpy")
 def see(mesh, t, p, outlined, polygons, sizes, count, room):
-    """Leave of a triangle's polygons what a point sees; return their number or OVERFLOW.
+    """Reduce the polygons of a triangle to the parts that a point sees.
 
     Parameters
     ----------
     mesh : tuple
-        `surfaces.Mesh`.
+        Data of the triangles, `surfaces.Mesh`.
     t : int
+        Index of the triangle.
     p : ndarray
-        (3,), m.
+        (3,): point, m.
     outlined : tuple
-        By `outline`, for the same point.
+        Result of `outline` for the same point.
+    polygons : ndarray
+        (n, 2 CORNERS): polygons, replaced by their visible parts.
+    sizes : ndarray
+        (n,): numbers of corners, replaced as well.
+    count : int
+        Number of polygons.
+    room : tuple
+        Working arrays of `shadow_room`.
+
+    Returns
+    -------
+    int
+        New number of polygons, or OVERFLOW.
     """
     cells, cell_sizes, more, more_sizes, sides = room
     _, _, _, _, crossed, cuts = mesh
@@ -388,7 +412,7 @@ def see(mesh, t, p, outlined, polygons, sizes, count, room):
             if not _hidden(mesh, t, p, cells[k], cell_sizes[k]):
                 cells[seen], cell_sizes[seen] = cells[k], cell_sizes[k]
                 seen += 1
-        if seen == n_cells:  # what hides nothing leaves no cut
+        if seen == n_cells:  # entirely visible: keep the uncut polygon
             cells[0], cell_sizes[0] = polygons[m], sizes[m]
             seen = 1
         if new + seen > more_sizes.size:
@@ -403,7 +427,7 @@ def see(mesh, t, p, outlined, polygons, sizes, count, room):
 
 @njit(cache=True, error_model="numpy")
 def shadow_room():
-    """Arrays that `see` works in."""
+    """Return the working arrays of `see`."""
     return (
         np.empty((PIECES, 2 * CORNERS)),
         np.empty(PIECES, dtype=np.int64),
@@ -415,7 +439,7 @@ def shadow_room():
 
 @njit(cache=True, error_model="numpy")
 def outline_room(mesh):
-    """Arrays that `outline` fills."""
+    """Return the arrays that `outline` fills."""
     n = mesh[0].shape[0]
     work = np.empty(n, dtype=np.bool_), np.empty((4, 4))
     return (
@@ -428,10 +452,10 @@ def outline_room(mesh):
 
 @njit(cache=True, error_model="numpy")
 def crossings(rows, boxes, reach, ends, cuts):
-    """Fill ``cuts`` with the lines (u, v, u, v) where others pass through or stand on a triangle.
+    """Fill ``cuts`` with the lines (u, v, u, v) in which other triangles meet each triangle.
 
-    Without room for them, ``ends`` (n + 1) gets at t + 1 how many triangle t has; with room it says
-    where those of each begin and end.
+    With an empty ``cuts``, ``ends`` (n + 1,) gets at t + 1 the number of lines of triangle t. In a
+    second call, with ``ends`` summed cumulatively by the caller, lines are stored from ``ends[t]``.
     """
     first_leaf = boxes.shape[0] // 2
     line, heights = np.empty(4), np.empty(3)
@@ -463,7 +487,7 @@ def crossings(rows, boxes, reach, ends, cuts):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _apart(row, box, slack):
-    """Whether a triangle's box does not meet another box."""
+    """Whether a triangle's bounding box is disjoint from another box."""
     for k in range(3):
         o, a, b = row[k], row[k] + row[3 + k], row[k] + row[6 + k]
         if min(o, a, b) > box[3 + k] + slack or max(o, a, b) < box[k] - slack:
@@ -473,7 +497,7 @@ def _apart(row, box, slack):
 
 @njit(cache=True, error_model="numpy")
 def _through(other, row, n, slack, to_u, to_v, heights, line):
-    """Fill ``line`` with what a triangle has in common with another's plane, if it is a line."""
+    """Fill ``line`` with the intersection of ``other`` and a triangle's plane, if it is a line."""
     level = 0
     for i in range(3):
         x = _corner(other, i)
@@ -502,7 +526,7 @@ def _through(other, row, n, slack, to_u, to_v, heights, line):
 
 @njit(cache=True, error_model="numpy")
 def clear_sides(rows, reach):
-    """Whether nothing stands above (column 0) and below (1) the plane of each triangle."""
+    """Return whether the space above (column 0) and below (1) each triangle's plane is empty."""
     n = rows.shape[0]
     clear = np.ones((n, 2), dtype=np.bool_)
     for t in range(n):

@@ -1,4 +1,4 @@
-"""Batches of paths between points of the relay wall by way of several hidden surfaces."""
+"""Batches of random paths between points of the relay wall, over several hidden surfaces."""
 
 from __future__ import annotations
 
@@ -16,33 +16,35 @@ from . import _bounce_kernels as kernels
 from .surfaces import BounceSurfaces
 
 Array = NDArray[np.float64]
-STREAM: Final = 1 << 33  # of the random generator; each batch has one of its own after it
-ROWS: Final = 1 << 20  # vertices times wall points at a time
-SLICE: Final = 1 << 11  # rows that a task of several threads has at least
+STREAM: Final = 1 << 33  # stream of the random generator; batch i uses stream STREAM + i
+ROWS: Final = 1 << 20  # largest number of vertices times wall points at a time
+SLICE: Final = 1 << 11  # least number of rows per task on several threads
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Job:
-    """What every batch needs; light is followed from ``sensors`` to ``lasers``.
+    """Data shared by all batches; paths are traced backwards, from ``sensors`` to ``lasers``.
 
     Parameters
     ----------
     around : BounceSurfaces
+        Surfaces that paths can meet.
     lasers, sensors : ndarray
-        (n, 3), m; where paths end and where they begin.
+        (n, 3): points at which paths end and start, m.
     rows : ndarray of int64
-        (pairs, 2), (laser, sensor), sorted by laser.
+        (pairs, 2): indices (laser, sensor), sorted by laser.
     orders : tuple of int
-        Rising.
+        Numbers of reflections, increasing.
     starts : ndarray
-        (pairs,), m, where the first bin of each begins.
+        (pairs,): start of bin 0, m of optical path.
     rate : float
         Bins per m.
     n_bins, seed : int
+        Number of bins, and seed of the random numbers.
     n_seen, n_each : int
-        Vertices that sensors see in a batch, and paths that go on from each.
+        Number of first vertices in a batch, and mean number of paths that continue from each.
     aimed : (float, float)
-        Shares drawn over the surfaces' area: of vertices seen, and of those after.
+        Fractions of first and of further vertices that are sampled over the surfaces' area.
     """
 
     around: BounceSurfaces
@@ -61,20 +63,21 @@ class Job:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Paths:
-    """A batch's paths up to where they are joined to lasers.
+    """Paths of a batch, before their connection to lasers.
 
     Parameters
     ----------
     seen : ndarray
-        (vertices, VERTEX), what sensors see.
+        (vertices, VERTEX): first vertices.
     spread : ndarray of int64
-        (vertices + 1,); paths ``spread[j]`` to before ``spread[j + 1]`` leave vertex j.
+        (vertices + 1,): paths ``spread[j]`` to ``spread[j + 1] - 1`` leave vertex j.
     first : ndarray
-        (paths, 3), the directions in which they do.
+        (paths, 3): unit vectors in which paths leave their first vertex.
     table : (ndarray, ndarray)
-        (sensors, vertices), factors, 1/m^2, and distances, m.
+        (sensors, vertices) each: factors cos cos/r^2 between sensors and first vertices, 1/m^2,
+        and their distances, m.
     ends : list of ndarray
-        (paths, VERTEX), last vertices, by order.
+        (paths, VERTEX) for each order: last vertices.
     """
 
     seen: Array
@@ -85,10 +88,10 @@ class Paths:
 
 
 def add_batch(job: Job, number: int, total: Array, squares: Array) -> int:
-    """Add a batch's bins, and their squares, to arrays (orders, pairs, n_bins); count its paths."""
+    """Add a batch's bins and their squares to arrays (orders, pairs, n_bins); return its paths."""
     sampler = _sampler(job, number)
     paths = _walked(job, sampler, *_seen(job, sampler))
-    # lasers by as many as keep the found paths within memory
+    # process as many lasers at a time as the memory for their connections allows
     step = max(1, 4 * ROWS // (len(paths.first) * len(job.orders)))
     for start in range(0, len(job.lasers), step):
         found = _joined(job, paths.ends, job.lasers[start : start + step])
@@ -99,13 +102,13 @@ def add_batch(job: Job, number: int, total: Array, squares: Array) -> int:
 
 
 def _sampler(job: Job, number: int) -> tuple[Any, ...]:
-    """Numbers of a batch, scrambled on its own."""
+    """Return the Sobol sampler of a batch, with its own scrambling."""
     columns, shifts = scrambled_sobol(job.seed, STREAM + number, 1)
     return np.uint64(job.seed), np.ascontiguousarray(columns), np.ascontiguousarray(shifts)
 
 
 def openness(job: Job) -> tuple[float, float]:
-    """Shares of rays from sensors, and of those from what they meet, that meet nothing further."""
+    """Return the fractions of rays that leave the scene, from sensors and from first vertices."""
     sampler = _sampler(job, -1)
     seen = _points(job, sampler)
     hit = seen[:, kernels.TRIANGLE] >= 0.0
@@ -120,7 +123,7 @@ def openness(job: Job) -> tuple[float, float]:
 
 
 def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
-    """Vertices that sensors see, and the table of factors and distances (sensors, vertices)."""
+    """Return first vertices, and their factors and distances to all sensors."""
     seen = _points(job, sampler)
     shape = (len(job.sensors), len(seen))
     factor, distance = np.empty(shape), np.empty(shape)
@@ -132,7 +135,7 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
     on_threads(work, len(job.sensors), len(seen))
     if not job.around.kernel.asked:
         _shade(job, points, factor)
-    # of rays from all sensors, and of points over the area
+    # density of vertices per area: rays from all sensors, plus samples over the area
     density = (1.0 - job.aimed[0]) / np.pi * factor.mean(axis=0)
     both = job.around.kernel.sides[seen[:, kernels.TRIANGLE].astype(np.int64)] == 0
     density += job.aimed[0] / job.around.kernel.area * np.where(both, 0.5, 1.0)
@@ -144,22 +147,22 @@ def _seen(job: Job, sampler: Any) -> tuple[Array, tuple[Array, Array]]:
 
 
 def _spread(job: Job, seen: Array, factor: Array) -> NDArray[np.int64]:
-    """Where each vertex's paths begin, and their number.
+    """Return the ranges (vertices + 1,) of paths that leave each first vertex.
 
-    Few vertices are near a sensor, and bring it much: as many paths leave each as the root of its
-    mean square weight at all sensors asks for.
+    The few vertices near a sensor contribute most to it. The number of paths from a vertex
+    therefore grows with the root mean square of its weight at all sensors.
     """
     weight = seen[:, kernels.WEIGHT] * np.sqrt(np.einsum("cj,cj->j", factor, factor))
     if not weight.any():
         return np.zeros(len(seen) + 1, dtype=np.int64)
-    # one each, and the rest by weight
+    # one path each, and the remaining ones by weight
     rest = len(seen) * (job.n_each - 1) * (weight / weight.sum())
     counts = np.where(weight > 0.0, 1 + rest.astype(np.int64), 0)
     return np.append(0, np.cumsum(counts))
 
 
 def _shade(job: Job, points: Array, factor: Array) -> None:
-    """Set factors (sensors, vertices) to 0 where something stands in between."""
+    """Set factors (sensors, vertices) to 0 where a surface occludes."""
     step = max(1, ROWS // len(points))
     for start in range(0, len(job.sensors), step):
         part = factor[start : start + step]
@@ -170,14 +173,14 @@ def _shade(job: Job, points: Array, factor: Array) -> None:
 
 
 def _points(job: Job, sampler: Any) -> Array:
-    """Vertices that sensors may see."""
+    """Sample first vertices, by rays from sensors or over the surfaces' area."""
     n, kernel = job.n_seen, job.around.kernel
     origins, directions = np.empty((n, 3)), np.empty((n, 3))
     triangle = np.empty(n, dtype=np.int64)
     kernels.look(kernel, sampler, job.aimed[0], job.sensors, 0, origins, directions, triangle)
     rays = np.flatnonzero(triangle < 0)
     distance, met = job.around.first_hits(origins[rays], directions[rays])
-    met = np.where(met < kernel.shares.size - 1, met, -1)  # the wall is not seen from the wall
+    met = np.where(met < kernel.shares.size - 1, met, -1)  # only hidden triangles, not the wall
     hit = met >= 0
     triangle[rays] = met
     origins[rays[hit]] += distance[hit, None] * directions[rays[hit]]
@@ -192,7 +195,7 @@ def _points(job: Job, sampler: Any) -> Array:
 
 
 def _walked(job: Job, sampler: Any, seen: Array, table: tuple[Array, Array]) -> Paths:
-    """Follow paths on from the vertices that sensors see."""
+    """Continue paths from the first vertices, and collect their vertices of each order."""
     spread = _spread(job, seen, table[0])
     counts = np.diff(spread)
     vertices = np.repeat(seen, counts, axis=0)
@@ -216,7 +219,7 @@ def _walked(job: Job, sampler: Any, seen: Array, table: tuple[Array, Array]) -> 
 def _leg(
     job: Job, sampler: Any, number: int, views: Array, vertices: Array, leaving: Array
 ) -> tuple[Array, Array]:
-    """Vertices to which paths go on, and the directions."""
+    """Extend paths by one leg; return the new vertices and the directions (paths, 3) to them."""
     kernel, aimed = job.around.kernel, job.aimed[1]
     origins, directions = np.zeros((len(vertices), 3)), np.zeros((len(vertices), 3))
 
@@ -259,7 +262,7 @@ def _leg(
 
 
 def _joined(job: Job, ends: list[Array], lasers: Array) -> tuple[Array, Array]:
-    """Weights and lengths (lasers, orders, paths) of paths that end at lasers' spots."""
+    """Connect paths to lasers; return weights and lengths (lasers, orders, paths)."""
     n = len(ends[0])
     value, length = np.empty((2, len(lasers), len(ends), n))
     for order, vertices in enumerate(ends):
@@ -290,7 +293,7 @@ def _gather(
     total: Array,
     squares: Array,
 ) -> None:
-    """Bin the paths of the pairs ``span``, whose lasers begin with the one at ``start``."""
+    """Add the paths of the pairs ``span`` to the bins; ``found`` begins at laser ``start``."""
     rows, starts = job.rows[span] - np.array([start, 0]), job.starts[span]
     into, again = total[:, span], squares[:, span]
     walked = (paths.seen, paths.spread, paths.first)
@@ -313,7 +316,7 @@ def _gather(
 
 
 def on_threads(work: Callable[[slice], None], count: int, weight: int) -> None:
-    """Call ``work`` for slices of ``count`` rows, on all cores where they have much to do."""
+    """Call ``work`` for slices of ``count`` rows, on several threads if there is enough work."""
     pieces = max(1, min(count, count * weight // SLICE, 16))
     ends = [count * k // pieces for k in range(pieces + 1)]
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]

@@ -1,4 +1,4 @@
-"""Light that meets hidden surfaces twice or more before it comes back to the wall: Monte Carlo."""
+"""Monte Carlo rendering of paths with two or more reflections between those at the wall."""
 
 from __future__ import annotations
 
@@ -21,27 +21,28 @@ if TYPE_CHECKING:
     from .batches import Job
 
 Array = NDArray[np.float64]
-LEAST: Final = 8  # batches, whose spread is the standard error
-WORK: Final = 6e11  # units of a nanosecond or so, ten minutes of a core, unless told otherwise
+LEAST: Final = 8  # least number of batches, whose spread gives the standard error
+WORK: Final = 6e11  # default budget in units of about 1 ns: ten minutes of a core
 MOST: Final = 1 << 27
-PILOT: Final = 1 << 12  # paths that tell how open a scene is
+PILOT: Final = 1 << 12  # paths to estimate the fraction that leaves the scene
 MOST_ORDER: Final = 32
 MOST_RAYS: Final = 1 << 40
 
 
 class MultipleBounces(NamedTuple):
-    """What `multiple_bounces` found.
+    """Intensity by number of reflections, and its standard error.
 
     Parameters
     ----------
     by_bounce, standard_error : dict of int to ndarray
-        From the number of reflections to (n_bins, *laser_shape, *sensor_shape), confocal
-        (n_bins, *shape): irradiance per watt that leaves the laser's spot, 1/m^2, over each bin.
+        Irradiance per watt that leaves the laser's spot, 1/m^2, integrated over each bin, by number
+        of reflections; (n_bins, *laser_shape, *sensor_shape), confocal (n_bins, *shape).
     details : dict
-        ``"paths"`` drawn, ``"batches"``, ``"reached"``: by number of reflections the largest
-        relative L1 error expected of a sensor that light reaches, infinite where it reaches none
-        within the bins, and ``"stopped"``: "tol", "paths" where those ran out before, or "dark"
-        where some number of reflections brought no light into the bins, and the others ``tol``.
+        ``"paths"`` and ``"batches"``: their numbers. ``"reached"``: by number of reflections, the
+        largest expected relative L1 error among pairs with a contribution; infinite if there are
+        none. ``"stopped"``: "tol" if all errors are below ``tol``; "paths" if the paths were used
+        up first; "dark" if some number of reflections contributes nothing and the others reached
+        ``tol``.
     """
 
     by_bounce: dict[int, Array]
@@ -66,66 +67,69 @@ def multiple_bounces(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> MultipleBounces:
-    """Light that comes back to the wall after several reflections, by Monte Carlo.
+    """Compute the light that returns to the wall after four or more reflections, by Monte Carlo.
 
     Parameters
     ----------
     surfaces : HiddenSurfaces
-        In front of the wall z = 0, world, m.
-    laser_points, sensor_points : array_like, (..., 3)
-        On the wall, m.
+        Hidden triangles in front of the wall z = 0, world, m.
+    laser_points, sensor_points : array_like
+        (*laser_shape, 3) and (*sensor_shape, 3): points on the wall, m.
     pairing : {"all", "confocal"}
-        Each laser point at each sensor point, or each at its own.
+        "all": every laser point with every sensor point. "confocal": laser point i with sensor
+        point i only.
     wall_albedo : float
-        Of the Lambertian wall, 0 to 1, where light meets it on the way: that at the laser's spot
-        is left out, as in `three_bounces`.
+        Albedo of the Lambertian wall, 0 to 1, for reflections between hidden surfaces. The albedo
+        at the laser's spot is not applied, as in `three_bounces`.
     wall_size : float or (float, float), optional
-        Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
-        object, wall, object, wall. None: the wall reflects at laser points alone.
+        Sides of a wall about the origin, m, that also reflects between hidden surfaces, as in wall,
+        object, wall, object, wall. None: the wall reflects at laser points only.
     starts : float or array_like
-        Where the first bin begins, m of optical path between the wall's points; one for all, or
-        one for each pair.
+        Start of bin 0, m of optical path between the wall points: one value, or (pairs,).
     delta_t : float
-        Width of a bin, m.
+        Width of a bin, m of optical path.
     n_bins : int
+        Number of bins.
     orders : iterable of int
-        Numbers of reflections, 4 to 32, those on the wall at the laser's spot and at the sensor's
-        point included.
+        Numbers of reflections to compute, 4 to 32, including the two at laser and sensor point.
     tol : float, optional
-        Wanted relative L1 error of every pair of points in every order, 1e-5 to 1.
+        Relative L1 error to reach for every pair of points and every order, 1e-5 to 1. None: draw
+        all ``n_rays`` paths.
     n_rays : int, optional
-        Paths to draw, at most; with ``tol=None`` as many. By default what takes some ten minutes of
-        a core, by the numbers of points and orders.
+        Largest number of paths. None: as many as take about ten minutes on one core for this number
+        of points and orders.
     seed : int
-        0 to 2^64 - 1. The same seed gives the same bits on any number of threads.
+        Seed of the random numbers, 0 to 2^64 - 1. Results are identical for any number of threads.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
 
     Returns
     -------
     MultipleBounces
-        Its ``details`` tell whether ``tol`` was reached or the paths ran out.
+        Intensity and standard error; ``details`` tells whether ``tol`` was reached.
 
     Raises
     ------
     SceneError
-        If an option is out of range, a surface is behind the wall or a smooth mirror, or points
-        are off the wall.
+        If an option is out of range, or points are off the wall.
     SamplingError
-        If shapes do not fit.
+        If shapes are inconsistent.
     MemoryLimitError
-        If the bins would not fit in memory.
+        If the bins exceed the free memory.
 
     Notes
     -----
-    The wall's spot has the radiance 1/pi per watt and area. Vertices are drawn where the
-    sensors see the scene, as rays of all of them; the density of each vertex is that of all sensors
-    together, and every vertex is joined to every sensor (balance heuristic, Veach 1997, ch. 9).
-    From each several paths go on along the lobes, and their vertices are joined to every laser
-    point. Where rays leave the scene, a share of both is drawn over the surfaces' area instead.
-    Batches have Sobol points scrambled on their own; their spread gives the standard error. What is
-    more often lit than seen trades places, as light can be followed either way. Where both are many
-    or are pairs, lasers close to a surface are the noisier ones: their spots are not aimed at.
+    The laser's spot has radiance 1/pi per watt and area. The first vertices are sampled by rays
+    from all sensors. The density of a vertex is the mean over all sensors, and each vertex is
+    connected to every sensor (balance heuristic, Veach 1997, ch. 9). Several paths continue from
+    each vertex along the lobes of the material; all their vertices are connected to every laser
+    point. If many rays leave the scene, a fraction of both kinds of vertices is sampled over the
+    area of the surfaces instead. Each batch has its own scrambled Sobol points; the spread between
+    batches gives the standard error.
+
+    If there are more laser than sensor points, both are swapped, which reciprocity allows. If both
+    are numerous or confocal, laser points close to a surface have the largest noise, because
+    sampling does not favour directions to them.
     """
     chosen = _orders(orders)
     if tol is not None:
@@ -139,7 +143,7 @@ def multiple_bounces(
     fits_memory(
         f"{len(chosen)} orders of {len(rows)} pairs of points in {count} bins",
         32.0 * len(chosen) * len(rows) * count,
-        "take fewer points, bins or orders",
+        "give fewer points, bins or orders",
     )
     budget = _affordable(len(chosen), min(len(lasers), len(sensors)), len(rows))
     if n_rays is not None:
@@ -181,9 +185,9 @@ def _job(
     budget: int,
     seed: int,
 ) -> tuple[Job, NDArray[np.int64]]:
-    """What batches need, and the order that brings its pairs back to the caller's.
+    """Return the data shared by all batches, and the order that restores the caller's pairs.
 
-    ``turned`` follows light from the lasers to the sensors.
+    With ``turned``, laser and sensor points are swapped, so that paths start at the lasers.
     """
     from .batches import Job
 
@@ -213,7 +217,7 @@ def _job(
 def _run(
     job: Job, tol: float | None, budget: int, progress: Progress | None
 ) -> tuple[Array, Array, int, int, list[float]]:
-    """Sums of bins and of their squares, the numbers of batches and paths, the errors reached."""
+    """Return sums over batches of bins and squared bins, numbers of batches and paths, errors."""
     from .batches import add_batch
 
     total = np.zeros((len(job.orders), len(job.rows), job.n_bins))
@@ -232,32 +236,33 @@ def _run(
         worst = max((error for error in reached if error < math.inf), default=0.0)
         if done >= most or (tol is not None and worst <= tol):
             return total, squares, done, paths, reached
-        # what the square root law asks for, a little more, at most four times what is done
+        # errors fall as 1/sqrt(batches): predict the number with 5 % reserve, at most fourfold
         wanted = math.ceil(1.05 * done * min(4.0, (worst / tol) ** 2)) if tol is not None else most
         goal = min(most, max(done + 1, wanted))
 
 
 def _variance(total: Array, squares: Array, n: int) -> Array:
-    """Square of the standard error of means of ``n`` batches, with Student's factor.
+    """Return the squared standard error of the mean of ``n`` batches.
 
-    As of `raytrace.trace`: deviations measured in it have unit variance.
+    It has n - 3 instead of n - 1 in the denominator. Deviations over standard errors follow
+    Student's t distribution with n - 1 degrees of freedom and thus have unit variance.
     """
-    # rounding can take the difference below 0 where all batches are alike
+    # rounding can make the difference negative if all batches are equal
     spread = np.maximum(squares - total * total / n, 0.0)
     return np.asarray(spread / (n * (n - 3.0)))
 
 
 def _stopped(reached: list[float], tol: float | None) -> str:
-    """Why no more paths were drawn."""
+    """Return the reason to stop: "tol", "paths" or "dark", see `MultipleBounces`."""
     if tol is None or any(tol < error < math.inf for error in reached):
         return "paths"
     return "dark" if math.inf in reached else "tol"
 
 
 def _l1(total: Array, squares: Array, n: int) -> float:
-    """Largest relative L1 error expected of a lit pair, infinite where none is.
+    """Return the largest expected relative L1 error of a lit pair, infinite if none is lit.
 
-    A Gaussian's mean size is sqrt(2/pi) sigma.
+    The mean absolute value of a Gaussian deviate is sqrt(2/pi) sigma.
     """
     light = total.sum(axis=1) / n
     errors = np.sqrt(_variance(total, squares, n)).sum(axis=1)
@@ -268,15 +273,15 @@ def _l1(total: Array, squares: Array, n: int) -> float:
 
 
 def _affordable(n_orders: int, n_lasers: int, n_pairs: int) -> int:
-    """Paths that are worth `WORK`, by what legs, connections and bins were measured to take."""
+    """Return the number of paths that cost `WORK`, from measured costs of legs and connections."""
     each = 1000.0 + 150.0 * n_lasers + 2.0 * n_pairs
     return int(min(max(WORK / (n_orders * each), 1 << 16), MOST))
 
 
 def _sizes(n_sensors: int, budget: int) -> tuple[int, int]:
-    """Vertices that sensors see in a batch, and paths from each.
+    """Return the number of first vertices in a batch, and of paths from each of them.
 
-    A vertex costs a ray for each sensor; as many paths as cost about that go on from it.
+    A vertex costs one shadow ray per sensor. The paths that continue from it cost about the same.
     """
     n_each = min(max(1, n_sensors // 16), 64)
     n_seen = min(max(64, (1 << 20) // n_sensors), 1 << 14)
@@ -286,7 +291,10 @@ def _sizes(n_sensors: int, budget: int) -> tuple[int, int]:
 
 
 def _aimed(job: Job) -> tuple[float, float]:
-    """Shares drawn over the surfaces' area: as many as rays would miss, three quarters at most."""
+    """Return the fractions of first and further vertices to sample over the surfaces' area.
+
+    They equal the fractions of rays that leave the scene, up to 3/4; small ones are set to 0.
+    """
     from .batches import openness
 
     seen, between = openness(dataclasses.replace(job, n_seen=PILOT, n_each=1))
@@ -300,7 +308,7 @@ def _share(missed: float) -> float:
 def _orders(orders: Iterable[int]) -> tuple[int, ...]:
     chosen = sorted({whole("orders", number, 4, MOST_ORDER) for number in orders})
     if not chosen:
-        raise SceneError("orders are empty; give such as (4, 5)")
+        raise SceneError("orders are empty; give numbers of reflections such as (4, 5)")
     return tuple(chosen)
 
 
@@ -308,15 +316,15 @@ def _starts(values: ArrayLike, n_pairs: int) -> Array:
     starts = np.asarray(values, dtype=np.float64)
     if starts.size not in (1, n_pairs):
         raise SamplingError(
-            f"starts has {starts.size} values; give one, or {n_pairs}, one of each pair"
+            f"starts has {starts.size} values, must have 1 or {n_pairs}; give one per pair"
         )
     if not np.isfinite(starts).all():
-        raise SceneError("starts have values that are not finite")
+        raise SceneError("starts have values that are not finite; give finite numbers in m")
     return np.ascontiguousarray(np.broadcast_to(starts.ravel(), n_pairs))
 
 
 def _rows(pairing: str, n_lasers: int, n_sensors: int) -> NDArray[np.int64]:
-    """Pairs (n, 2) of laser and sensor in the order of the result."""
+    """Return the pairs (n, 2) of laser and sensor index in the order of the result."""
     if pairing == "confocal":
         return np.stack([np.arange(n_lasers), np.arange(n_lasers)], axis=1)
     return np.stack(np.divmod(np.arange(n_lasers * n_sensors), n_sensors), axis=1)

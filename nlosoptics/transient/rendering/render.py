@@ -1,4 +1,4 @@
-"""The front door of rendered captures: `render`."""
+"""Rendering of captures from meshes: checks, and the assembly of all bounces."""
 
 from __future__ import annotations
 
@@ -30,37 +30,37 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class _Setting:
-    """Pairs of wall points, as checked, and what a pair's light is multiplied by."""
+    """Checked wall points, and the factor from G to the requested quantity for each pair."""
 
     laser_points: Array
     sensor_points: Array
     pairing: Pairing
-    lasers: Array  # (pairs, 3)
+    lasers: Array  # (pairs, 3), m
     sensors: Array
-    legs: Array  # (pairs,), m of path outside the hidden scene that the times hold
-    factors: Array  # (pairs,), what is measured over G without the wall's albedo
+    legs: Array  # (pairs,), outer legs included in the times, m
+    factors: Array  # (pairs,), requested quantity over G without the wall's albedo
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Of the axes behind the bins."""
+        """Shape of the capture behind its time axis."""
         lasers, sensors = self.laser_points.shape[:-1], self.sensor_points.shape[:-1]
         return pair_shape(self.pairing, lasers, sensors)
 
     def bins(self, values: Array) -> Array:
-        """(pairs, n_bins) of G as (n_bins, *shape) of what is measured."""
+        """Convert G (pairs, n_bins) to the requested quantity (n_bins, *shape)."""
         scaled = np.ascontiguousarray((values * self.factors[:, None]).T)
         return scaled.reshape(len(scaled), *self.shape)
 
     def each(self, values: Array) -> Array:
-        """(pairs,) of G as (*shape) of what is measured."""
+        """Convert values of G (pairs,) to the requested quantity (*shape)."""
         return np.asarray(values * self.factors).reshape(self.shape)
 
     def scaled(self, values: Array) -> Array:
-        """(n_bins, *shape) of G as what is measured."""
+        """Convert G (n_bins, *shape) to the requested quantity."""
         return values * self.factors.reshape(self.shape)
 
     def told(self, three: ThreeBounces | None) -> dict[str, Any]:
-        """What a capture's details say of three bounces, where they were wanted."""
+        """Return the details of three bounces for a capture; empty if they were not computed."""
         if three is None:
             return {}
         return {
@@ -96,78 +96,107 @@ def render(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TransientCapture:
-    """Time-resolved light at points of a Lambertian relay wall, by way of hidden meshes.
+    """Render the time-resolved intensity at a Lambertian relay wall, scattered by hidden meshes.
 
     Parameters
     ----------
     surfaces : iterable of (trimesh.Trimesh, Material)
-        Hidden meshes, world, m, and how they scatter: both sides of every triangle alike. They
-        stand in front of the wall z = 0, which they may touch.
+        Hidden meshes, world, m, and their materials. Both sides of a triangle scatter alike.
+        Meshes lie in front of the wall z = 0 and may touch it.
     laser_points, sensor_points : array_like
-        (*laser_shape, 3) and (*sensor_shape, 3), m, on the wall z = 0. One point may be (3,).
+        (*laser_shape, 3) and (*sensor_shape, 3): points on the wall z = 0, m. A single point may
+        have shape (3,).
     pairing : {"all", "confocal"}
-        Each laser point seen at each sensor point, or each at its own.
+        "all": every laser point with every sensor point. "confocal": laser point i with sensor
+        point i only.
     wall_albedo : float
-        Of the relay wall, 0 to 1.
+        Albedo of the relay wall, above 0 to 1.
     t_start, delta_t : float
-        Where the first bin begins and how wide a bin is, m of optical path.
+        Start of bin 0 and width of a bin, m of optical path.
     n_bins : int
+        Number of bins.
     min_bounces, max_bounces : int
-        Fewest and most reflections of a path, the wall's two included, 3 to 32. Above 3, light of
-        fewer is left out: further seeds need not repeat three bounces, which draw nothing at
-        random.
+        Least and greatest number of reflections of a path, 3 to 32, including the two at the wall.
+        ``min_bounces`` above 3 omits shorter paths, for example to average several seeds without
+        recomputing the deterministic three bounces.
     quantity : {"irradiance", "radiance", "radiosity"}
-        At the sensor points: irradiance, W/m^2; radiance, W/(m^2 sr), which is the wall's albedo
-        over pi times that; radiosity, the albedo times that. Of a pulse that brings 1 J (or 1 W)
-        to the wall.
+        Quantity at the sensor points, per W of laser power on the wall (time-integrated: per J of
+        pulse energy): irradiance E in W/m^2, radiance ``wall_albedo E/pi`` in W/(m^2 sr), or
+        radiosity ``wall_albedo E`` in W/m^2.
     keep_laser_cosine : bool
-        Whether the laser is a point source of 1 W/sr that lights 1 m^2 of the wall, so that all is
-        multiplied by cos/d^2 of the leg from ``laser_origin`` to the laser point, 1/m^2.
+        Whether the source is a point at ``laser_origin`` of 1 W/sr that illuminates 1 m^2 of the
+        wall. All values are then multiplied by cos/d^2 of the leg from laser to wall, 1/m^2.
     outer_legs : bool
-        Whether times hold the legs from ``laser_origin`` to the wall and from the wall to
+        Whether times include the legs from ``laser_origin`` to the wall and from the wall to
         ``sensor_origin``.
     laser_origin, sensor_origin : (float, float, float), optional
-        m; needed by the two options before.
+        Positions of laser and sensor, world, m; required by the two options above.
     tol, tol_multiple : float
-        Relative error, L1 over the bins of each pair of points: of three bounces, and of each
-        number of bounces beyond, where it is the expected one.
+        Relative L1 error over the bins of each pair of points: ``tol`` for three bounces,
+        ``tol_multiple`` (expected error) for each higher number of bounces.
     n_rays : int, optional
-        Most paths of more than three bounces to draw; by default what takes some ten minutes of
-        a core.
+        Largest number of random paths with more than three bounces. None: as many as take about
+        ten minutes on one core.
     wall_size : float or (float, float), optional
-        Sides of the wall about the origin, m, where light may be reflected on the way, as in wall,
-        object, wall, object, wall. None: the wall reflects at laser and sensor points alone.
+        Sides of a wall about the origin, m, that also reflects between hidden surfaces, as in wall,
+        object, wall, object, wall. None: the wall reflects at laser and sensor points only.
     seed : int
-        Of what is drawn at random: nothing, for three bounces. The same seed gives the same bits on
-        any number of threads.
+        Seed of the random paths, 0 to 2^64 - 1. Results are identical for any number of threads.
+        Three bounces use no random numbers.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
 
     Returns
     -------
     TransientCapture
-        With ``by_bounce`` and ``standard_error``, which is 0 for three bounces. ``details`` has of
-        three bounces, where they are wanted, in arrays of the pairs' shape, ``"error_estimate"``
-        (summed over the bins, what the last two passes differ by), ``"before"`` and ``"after"``
-        (light outside the bins) and ``"parts"`` (of the surface), and ``"shadows"``, whether they
-        were looked for. Of more bounces, ``"multiple_bounces"`` has the number of paths, the errors
-        reached, and what ended them: "tol", "paths" where those ran out before, or "dark" where
-        some number of reflections brought no light into the bins.
+        Capture with ``by_bounce`` and ``standard_error`` (0 for three bounces). For three bounces,
+        ``details`` has arrays shaped like the pairs: ``"error_estimate"`` (difference of the last
+        two passes, summed over bins), ``"before"`` and ``"after"`` (intensity outside the bins) and
+        ``"parts"`` (parts of the surface), and the flag ``"shadows"`` (whether shadows were
+        searched). For more bounces, ``"multiple_bounces"`` has the number of paths, the errors
+        reached and the reason to stop: "tol"; "paths" if the paths were used up first; or "dark" if
+        some number of bounces contributes nothing to the bins.
 
     Raises
     ------
     SceneError
-        If a surface, a point or an option is wrong, or no light comes back.
+        If a surface, a point or an option is invalid, or no light returns to the wall.
     SamplingError
-        If all light misses the bins, or ``tol`` is out of reach.
+        If all light arrives outside the bins, or ``tol`` cannot be reached.
     MemoryLimitError
-        If the bins do not fit.
+        If the bins exceed the free memory.
+
+    See Also
+    --------
+    render_scene : Render a scene file.
+    Detector : Photon counts of a capture.
 
     Notes
     -----
-    The wall takes part at the laser and at the sensor point, and between where ``wall_size`` says
-    so: it stands in nobody's way, and three bounces are wall, hidden surface, wall. Those are found
-    by quadrature, more by Monte Carlo (`multiple_bounces`).
+    The wall never occludes. Three bounces (wall, hidden surface, wall) are integrated by adaptive
+    quadrature, more bounces by Monte Carlo.
+
+    Examples
+    --------
+    >>> import trimesh
+    >>> from nlosoptics.scene import Lambert
+    >>> from nlosoptics.transient import render, wall_grid
+    >>> corners = [[-0.1, -0.1, 0.5], [0.1, -0.1, 0.5], [0.1, 0.1, 0.5], [-0.1, 0.1, 0.5]]
+    >>> plate = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]])
+    >>> capture = render(
+    ...     [(plate, Lambert(0.8))],
+    ...     laser_points=(0.0, 0.0, 0.0),
+    ...     sensor_points=wall_grid(side=0.4, count=2),
+    ...     t_start=0.95,
+    ...     delta_t=0.05,
+    ...     n_bins=8,
+    ...     max_bounces=3,
+    ... )
+    >>> capture.H.shape
+    (8, 2, 2)
+    >>> print(capture.H.sum(axis=0).round(4))
+    [[0.0407 0.0407]
+     [0.0407 0.0407]]
     """
     start = time.perf_counter()
     bin_0 = real("t_start", t_start)
@@ -251,7 +280,7 @@ def _setting(
     keep_laser_cosine: bool,
     outer_legs: bool,
 ) -> _Setting:
-    """Check the wall points and pair them."""
+    """Check the wall points, form their pairs, and compute outer legs and factors."""
     lights = points_on_wall("laser_points", laser_points)
     seen = points_on_wall("sensor_points", sensor_points)
     pair_shape(pairing, lights.shape[:-1], seen.shape[:-1])
@@ -272,11 +301,14 @@ def _setting(
 
 
 def _distance(name: str, origin: Vector | None, points: Array, option: str) -> Array:
-    """From a device to wall points, m."""
+    """Return the distances from a laser or sensor to wall points, m."""
     if origin is None:
-        raise SceneError(f"{option} needs {name}; give where it stands, (x, y, z) in m")
+        raise SceneError(f"{option} = True needs {name}; give its position (x, y, z) in m")
     if not origin[2] > 0.0:
-        raise SceneError(f"{name}[z] = {origin[2]:g} m is out of range, must be above 0")
+        raise SceneError(
+            f"{name}[z] = {origin[2]:g} m is out of range, must be above 0; move it in front of "
+            "the wall"
+        )
     lines = points - np.asarray(origin)
     return np.asarray(np.sqrt((lines * lines).sum(axis=-1)))
 
@@ -287,24 +319,24 @@ def _check_light(
     bounces: tuple[int, int],
     span: tuple[float, float],
 ) -> None:
-    """Raise where no light comes back, or none within the bins."""
-    held = "" if not setting.legs.any() else " (times hold the outer legs)"
+    """Raise if no light returns to the wall, or none within the bins."""
+    held = "" if not setting.legs.any() else " (times include the outer legs)"
     if three is None:
         raise SamplingError(
             f"no light of {bounces[0]} to {bounces[1]} bounces arrives in the bins, which hold "
-            f"paths from {span[0]:g} to {span[1]:g} m; change t_start or n_bins, draw more n_rays, "
-            f"or give the light a second surface, as by wall_size{held}"
+            f"paths from {span[0]:g} to {span[1]:g} m{held}; change t_start or n_bins, raise "
+            "n_rays, or add a second surface, for example by wall_size"
         )
     if three.G.any():
         return
     early, late = bool(three.before.any()), bool(three.after.any())
     if not (early or late):
         raise SceneError(
-            "no light comes back: every triangle is hidden or seen edge-on from the wall points, "
-            "or has a material of albedo 0; turn or move the surfaces"
+            "no light returns: every triangle is hidden or seen edge-on from the wall points, or "
+            "has a material of albedo 0; rotate or move the surfaces"
         )
     when = "before and after" if early and late else "before" if early else "after"
     raise SamplingError(
-        f"all light arrives {when} the bins, which hold paths from {span[0]:g} to {span[1]:g} m; "
-        f"change t_start or n_bins{held}"
+        f"all light arrives {when} the bins, which hold paths from {span[0]:g} to {span[1]:g} m"
+        f"{held}; change t_start or n_bins"
     )

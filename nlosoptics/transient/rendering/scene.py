@@ -1,4 +1,4 @@
-"""Captures of scene files: `render_scene`."""
+"""Rendering of captures from scene files."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Cells across a picture before it is cut out.
+#: Largest number of cells across an image that is converted to triangles.
 PICTURE_CELLS = 64
-#: Largest share of a picture's light in greys, from a tenth to nine tenths of white.
+#: Largest fraction of an image's total reflectance in grey pixels, 0.1 to 0.9.
 MOST_GREY = 0.1
 
 
@@ -33,41 +33,68 @@ def render_scene(
     progress: Progress | None = None,
     **options: Any,
 ) -> TransientCapture:
-    """Time-resolved light that a scene sends back to its relay wall, by `render`.
+    """Render the time-resolved capture of a scene.
 
-    The laser spot is a point, of 1 W (or 1 J of a pulse) on the wall; laser and camera give the
-    ends of the outer legs. From five reflections on, all of the wall takes part in between. A
-    picture becomes what of it is white, cut out of its plane over at most 64 cells across, and
-    faces both ways. Occluders are black surfaces.
+    The laser spot is a point with 1 W (or a pulse of 1 J) on the wall. Laser and camera positions
+    are the ends of the outer legs. With five or more bounces, the whole wall also reflects between
+    hidden surfaces. A hidden image is converted to a mesh of its white area, on at most 64 cells
+    across, that scatters on both sides. Occluders are black surfaces.
 
     Parameters
     ----------
     scene : Scene
-        With ``transient``, a flat Lambertian wall and a mesh or a black-and-white picture.
+        Scene with ``transient``, a flat Lambertian wall, and a mesh or a black-and-white image.
     tol : float
-        Relative error of three bounces, L1 over the bins of each pair of points.
+        Relative L1 error of three bounces over the bins of each pair of points.
     seed : int
+        Seed of the random paths with more than three bounces, 0 to 2^64 - 1.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
     **options
-        Of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``, ``tol_multiple``,
-        ``min_bounces``, ``n_rays``. The scene says the rest.
+        Options of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``, ``tol_multiple``,
+        ``min_bounces``, ``n_rays``. All others follow from the scene.
 
     Returns
     -------
     TransientCapture
-        With the scene's ``wl_mean``, ``near``, ``far`` and ``step`` in ``details["picture"]``.
+        Capture with the scene's imaging options ``wl_mean``, ``near``, ``far`` and ``step`` in
+        ``details["picture"]``.
 
     Raises
     ------
     SceneError
-        If the scene has no ``transient``, a wall or a picture that this cannot render, or see
-        `render`.
+        If the scene has no ``transient``, its wall or image is unsuitable, or `render` raises.
+    SamplingError, MemoryLimitError
+        If `render` raises them.
+
+    See Also
+    --------
+    render : Render a capture from meshes.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics import scene
+    >>> from nlosoptics.transient import render_scene
+    >>> place, aim = (-0.5, 0.0, 0.25), (0.0, 0.0, 0.0)
+    >>> room = scene.Scene(
+    ...     laser=scene.Laser(
+    ...         wavelength=532e-9, power=0.1, beam_diameter=3e-3, position=place, aim=aim
+    ...     ),
+    ...     wall=scene.FlatWall(),
+    ...     wall_material=scene.Lambert(0.8),
+    ...     hidden=scene.PlanarObject(np.ones((8, 8)), 0.4, position=(0.0, 0.0, 1.0)),
+    ...     camera=scene.Camera(position=place, aim=aim, focal_length=0.05, stop_diameter=0.025),
+    ...     transient=scene.TransientScan(side=1.0, count=3, t_start=1.9, delta_t=0.05, n_bins=20),
+    ... )
+    >>> capture = render_scene(room)
+    >>> capture.H.shape
+    (20, 3, 3)
     """
     scan = scene.transient
     if scan is None:
         raise SceneError(
-            "the scene has no [transient]; add it with side, count, delta_t and n_bins"
+            "the scene has no [transient]; add the table with side, count, delta_t and n_bins"
         )
     albedo = _wall_albedo(scene, scan)
     surfaces = [(_hidden_mesh(scene.hidden), scene.hidden.material)]
@@ -98,10 +125,10 @@ def render_scene(
 
 
 def _wall_albedo(scene: Scene, scan: TransientScan) -> float:
-    """Albedo of a wall that `render` can take."""
+    """Return the albedo of a flat Lambertian wall; raise if the wall is of another kind."""
     if not scene.wall.is_flat:
         raise SceneError(
-            f"wall.shape is {type(scene.wall).__name__}, light over time is taken off flat walls; "
+            f"wall.shape is {type(scene.wall).__name__}, must be flat for time-resolved captures; "
             'give shape = "flat"'
         )
     if scene.wall.size is not None:
@@ -116,20 +143,20 @@ def _wall_albedo(scene: Scene, scan: TransientScan) -> float:
         material = material.parts[0]
     if not isinstance(material, Lambert):
         raise SceneError(
-            f"wall.material is {type(material).__name__}, light over time is taken off Lambertian "
-            'walls; give lobe = "lambert" and its albedo'
+            f"wall.material is {type(material).__name__}, must be Lambertian for time-resolved "
+            'captures; give lobe = "lambert" and its albedo'
         )
     return float(material.rho)
 
 
 def _wall_between(scene: Scene, scan: TransientScan) -> tuple[float, float] | None:
-    """Sides of the wall where light may meet it between its first and its last reflection, m."""
+    """Return the sides of the wall that reflects between hidden surfaces, m, or None."""
     if scan.max_bounces < 5:
         return None
     if scene.wall.size is None:
         raise SceneError(
-            f"wall.size is missing, with transient.max_bounces = {scan.max_bounces} all of the "
-            "wall takes part; give its size"
+            f"wall.size is missing, with transient.max_bounces = {scan.max_bounces} the whole wall "
+            "reflects; give its size in m"
         )
     return scene.wall.size
 
@@ -139,12 +166,21 @@ def _hidden_mesh(hidden: MeshObject | PlanarObject) -> trimesh.Trimesh:
 
 
 def cut_out(picture: PlanarObject) -> trimesh.Trimesh:
-    """Triangles of the white of a picture, m, world.
+    """Return a mesh of the white area of a hidden image, world, m.
+
+    Parameters
+    ----------
+    picture : PlanarObject
+        Black-and-white image with its position and size.
+
+    Returns
+    -------
+    trimesh.Trimesh
 
     Raises
     ------
     SceneError
-        If more than a tenth of its light is in greys, or it has no white.
+        If more than 10 % of its reflectance is in grey pixels, or none is white.
     """
     import trimesh
 
@@ -152,16 +188,16 @@ def cut_out(picture: PlanarObject) -> trimesh.Trimesh:
     grey = float(bright[(bright > 0.1) & (bright < 0.9)].sum())
     if grey > MOST_GREY * float(bright.sum()):
         raise SceneError(
-            f"hidden.image has {100 * grey / float(bright.sum()):.3g} % of its light in greys, "
-            f"limit {100 * MOST_GREY:g} %: light over time is taken off what is black or white; "
-            "give such a picture, or hidden.mesh"
+            f"hidden.image has {100 * grey / float(bright.sum()):.3g} % of its reflectance in grey "
+            f"pixels, limit {100 * MOST_GREY:g} % for time-resolved captures; give a "
+            "black-and-white image, or hidden.mesh"
         )
     edges = [np.linspace(0, n, min(n, PICTURE_CELLS) + 1).round().astype(int) for n in bright.shape]
     sums = np.add.reduceat(np.add.reduceat(bright, edges[0][:-1], 0), edges[1][:-1], 1)
     areas = np.multiply.outer(np.diff(edges[0]), np.diff(edges[1]))
     boxes = _rectangles(2.0 * sums >= areas)
     if not boxes:
-        raise SceneError("hidden.image has no white in it; give a picture of something")
+        raise SceneError("hidden.image has no white area; give an image with bright pixels")
     right, up, _ = picture.axes
     width, height = picture.size
     across = (edges[1] / bright.shape[1] - 0.5) * width
@@ -177,7 +213,7 @@ def cut_out(picture: PlanarObject) -> trimesh.Trimesh:
 
 
 def _rectangles(white: Any) -> list[tuple[int, int, int, int]]:
-    """Few rectangles that cover the white cells once: (top, below, left, beyond)."""
+    """Cover the white cells once by few rectangles (first row, end row, first, end column)."""
     left_over = white.copy()
     boxes = []
     for i, j in np.argwhere(white):

@@ -1,4 +1,4 @@
-"""Hidden meshes with their materials, joined and checked before light is sent to them."""
+"""Hidden meshes with their materials: checks, joining, and data for the kernels."""
 
 from __future__ import annotations
 
@@ -21,23 +21,24 @@ if TYPE_CHECKING:
     from ._bounce_kernels import Surfaces
 
 Array = NDArray[np.float64]
-GAP: Final = 1e-9  # of the scene's extent: what paths leave is not met nearer than this
-ASKED: Final = 4096  # triangles up to which kernels look for shadows by themselves
+GAP: Final = 1e-9  # of the scene's extent: nearer hits are the surface that a path leaves
+ASKED: Final = 4096  # largest number of triangles for which kernels test shadows themselves
 
 
 @dataclass(frozen=True, eq=False)
 class BounceSurfaces:
-    """Meshes that light can meet and what kernels know of them.
+    """Meshes that paths can meet, and their data for the kernels.
 
     Parameters
     ----------
     hidden : trimesh.Trimesh
-        All hidden triangles, which alone can stand in the way.
+        All hidden triangles; only they occlude.
     met : trimesh.Trimesh
-        The same and, after them, those of a relay wall that reflects on the way.
+        Hidden triangles, followed by those of a relay wall that reflects between them, if any.
     kernel : Surfaces
+        Data of the triangles for the kernels.
     gap : float
-        Hits nearer than this are passed over, m.
+        Hits nearer than this are ignored, m.
     """
 
     hidden: trimesh.Trimesh
@@ -46,12 +47,12 @@ class BounceSurfaces:
     gap: float
 
     def first_hits(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.int32]]:
-        """Distance and triangle, -1 for none, where rays (n, 3) first end."""
+        """Return distance, m, and triangle of the first hit of rays (n, 3); -1 for no hit."""
         hits = intersect_mesh(self.met, origins, directions, min_distance=self.gap)
         return hits.distance, hits.triangle
 
     def clear(self, value: Array, starts: Array, ends: Array) -> None:
-        """Set values (n,) to 0 where hidden surfaces stand between points (n, 3)."""
+        """Set values (n,) to 0 if a hidden surface lies between start and end, (n, 3) each."""
         rows = np.flatnonzero(value > 0.0)
         if len(rows):
             value[rows[occluded(self.hidden, starts[rows], ends[rows])]] = 0.0
@@ -63,9 +64,18 @@ def bounce_surfaces(
     wall_albedo: float,
     wall_size: tuple[float, float] | None,
 ) -> BounceSurfaces:
-    """Join hidden surfaces and a wall of ``wall_size`` (x, y), m, or None, about the origin.
+    """Join hidden surfaces and a relay wall for paths of several bounces.
 
-    ``wall_points`` (n, 3), m, are those that see the surfaces.
+    Parameters
+    ----------
+    surfaces : HiddenSurfaces
+        Hidden triangles, world, m.
+    wall_points : ndarray
+        (n, 3): sensor points on the wall, from which paths start, m.
+    wall_albedo : float
+        Albedo of the wall.
+    wall_size : (float, float) or None
+        Sides of a reflecting wall about the origin, m; None for no wall.
     """
     from ...raytrace.intersection.triangles import Facets
     from ._bounce_kernels import Surfaces
@@ -102,8 +112,8 @@ def bounce_surfaces(
 
 
 def _sides(corners: Array, normals: Array, points: Array) -> NDArray[np.int64]:
-    """Side of each triangle's plane on which all points are: 1, -1, or 0 where there are both."""
-    # the points' box will do: its corners are on the side that all points are on, or on both
+    """Return the side of each triangle's plane on which all points lie: 1, -1, or 0 for both."""
+    # testing the bounding box of the points is enough: at worst it reports both sides
     low, high = points.min(axis=0), points.max(axis=0)
     box = np.array([[x, y, 0.0] for x in (low[0], high[0]) for y in (low[1], high[1])])
     heights = np.einsum("tk,bk->tb", normals, box) - (normals * corners[:, 0]).sum(axis=1)[:, None]
@@ -119,12 +129,13 @@ def _mesh(corners: Array) -> trimesh.Trimesh:
 
 
 Index = NDArray[np.int64]
-#: Triangles, tree of boxes, extent in m, neighbours, and where the lines begin that cross each.
+#: Triangles (n, 9), tree of boxes, extent in m, neighbours (n, 3), start of each triangle's
+#: intersection lines (n + 1,), and these lines (u, v, u, v).
 Mesh = tuple[Array, Array, float, Index, Index, Array]
 
 
 def occluders(surfaces: HiddenSurfaces) -> tuple[Mesh, Index]:
-    """Return the mesh for `_visibility_kernels.see`, and its triangles' numbers in the mesh."""
+    """Return the data for `_visibility_kernels.see`, and the index in the mesh of its triangles."""
     from ...raytrace.intersection.triangles import Facets
     from ._visibility_kernels import crossings
 
@@ -142,17 +153,17 @@ def occluders(surfaces: HiddenSurfaces) -> tuple[Mesh, Index]:
 
 
 def neighbours(corners: Array) -> Index:
-    """Return the triangle beyond each side of each triangle, as `_visibility_kernels` numbers them.
+    """Return the neighbour of each triangle across each side, coded as in `_visibility_kernels`.
 
     Parameters
     ----------
     corners : ndarray
-        (n, 3, 3), m; corners that are equal are one.
+        (n, 3, 3), m; corners with equal coordinates are taken as one.
 
     Returns
     -------
     ndarray of int64
-        (n, 3), of the sides from each corner to the next.
+        (n, 3): neighbour across the side from each corner to the next, or `ALONE`.
     """
     from ._visibility_kernels import ALONE, FLIPPED
 
@@ -165,7 +176,7 @@ def neighbours(corners: Array) -> Index:
     order = np.argsort(side.reshape(-1), kind="stable")
     pairs = order[count[side.reshape(-1)[order]] == 2].reshape(-1, 2)
     found = np.full(first.size, ALONE, dtype=np.int64)
-    around = first[pairs[:, 0]] != first[pairs[:, 1]]  # each goes along it the other way
+    around = first[pairs[:, 0]] != first[pairs[:, 1]]  # consistent orientation: opposite ways
     for here, there in (pairs.T, pairs.T[::-1]):
         found[here] = np.where(around, there // 3, FLIPPED - there // 3)
     return found.reshape(-1, 3)
@@ -178,13 +189,13 @@ class HiddenSurfaces:
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        All triangles, m, in the order of the meshes.
+        All triangles, world, m, in the order of the meshes.
     lobes : ndarray
-        (k, 4), the lobes of all materials.
+        (k, 4): lobes of all materials.
     spans : ndarray of int64
-        (n, 2), the rows of ``lobes`` of each triangle, from the first to before the last.
+        (n, 2): range of rows in ``lobes`` for each triangle; the end is exclusive.
     alphas : ndarray
-        (n,), of the narrowest lobe of each triangle, rad; 1 of wide ones.
+        (n,): alpha of the narrowest lobe of each triangle, rad; 1 for wide lobes.
     """
 
     mesh: trimesh.Trimesh
@@ -194,23 +205,27 @@ class HiddenSurfaces:
 
     @property
     def corners(self) -> Array:
-        """(n, 3, 3), m."""
+        """Corners of the triangles, (n, 3, 3), m."""
         return np.array(self.mesh.vertices[self.mesh.faces], dtype=np.float64)
 
 
 def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> HiddenSurfaces:
-    """Join hidden meshes and check that light can reach them.
+    """Check and join hidden meshes.
 
     Parameters
     ----------
     surfaces : iterable of (trimesh.Trimesh, Material)
-        World, m. In front of the relay wall z = 0, which they may touch.
+        Meshes, world, m, with their materials, in front of the relay wall z = 0. They may touch it.
+
+    Returns
+    -------
+    HiddenSurfaces
 
     Raises
     ------
     SceneError
-        If there is none, a mesh has vertices that are not finite, triangles without area or behind
-        the wall, or a material is a mirror of zero slope.
+        If there is no mesh; if a mesh has vertices that are not finite, or triangles without area,
+        behind the wall or in it; or if a material is a mirror of zero slope.
     """
     import trimesh
 
@@ -239,7 +254,8 @@ def _pairs(surfaces: Any) -> list[tuple[Any, Any]]:
         pairs = [(mesh, material) for mesh, material in surfaces]
     except (TypeError, ValueError):
         raise SceneError(
-            f"surfaces = {type(surfaces).__name__} are not pairs; give a list of (mesh, material)"
+            f"surfaces of type {type(surfaces).__name__} are not pairs; give a list of (mesh, "
+            "material)"
         ) from None
     if not pairs:
         raise SceneError("surfaces are empty; give at least one (mesh, material)")
@@ -247,7 +263,7 @@ def _pairs(surfaces: Any) -> list[tuple[Any, Any]]:
 
 
 def _checked(number: int, mesh: Any) -> Array:
-    """Vertices of a mesh that light can be sent to."""
+    """Return the vertices of a mesh after checking them."""
     import trimesh
 
     name = f"surfaces[{number}]"
@@ -259,7 +275,7 @@ def _checked(number: int, mesh: Any) -> Array:
     if len(bad):
         raise SceneError(
             f"{name} has NaN or infinite vertices in {len(bad)} triangles, first in faces[{bad[0]}]"
-            "; mend the mesh"
+            "; repair the mesh"
         )
     extent = float(np.abs(corners).max())
     low = corners[..., 2].min(axis=1)
@@ -294,14 +310,14 @@ def _lobes(number: int, material: Any) -> Array:
     mirror = np.isin(rows[:, 0], (BECKMANN, GGX)) & (rows[:, 2] == 0.0) & (rows[:, 1] > 0.0)
     if mirror.any():
         raise SceneError(
-            f"surfaces[{number}] is a mirror of slope_rms = 0, whose light has no density over the "
-            "surface; give it a slope from 1e-3 rad"
+            f"surfaces[{number}] is a mirror of slope_rms = 0, must be above 0, because a mirror "
+            "has no reflectance density; give a slope_rms of 1e-3 rad or more"
         )
     return rows
 
 
 def _narrowest(rows: Array) -> float:
-    """Least alpha of a lobe that reflects, at most 1, which is wide."""
+    """Return the least alpha of the reflecting lobes, at most 1, which counts as wide."""
     alphas = [1.0]
     for kind, strength, slope, _ in rows:
         if kind > OREN_NAYAR_FULL and strength > 0.0 and slope > 0.0:

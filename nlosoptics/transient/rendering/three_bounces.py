@@ -1,4 +1,4 @@
-"""Light by three reflections, wall, hidden surface, wall, by quadrature that adapts itself."""
+"""Three bounces (wall, hidden surface, wall) by adaptive quadrature over the hidden triangles."""
 
 from __future__ import annotations
 
@@ -16,34 +16,35 @@ from .surfaces import HiddenSurfaces, Mesh, occluders
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: Triangles up to which it is asked beforehand whether any stands before another's plane.
+#: Largest number of triangles for which free half-spaces are searched first, at quadratic cost.
 ASKED = 8000
-#: Parts of the surface at which one pair of points is given up.
+#: Largest number of parts of the surface for one pair of points.
 MOST_PARTS = 20_000_000
-#: Blocks of pairs that threads share, and most pairs at a time.
+#: Number of blocks of pairs that threads share, and largest number of pairs at a time.
 BLOCKS, MOST_PAIRS = 64, 1 << 16
-#: Most triangles times points of which it is kept whether one sees the other, and most polygons
-#: of triangles that a point sees in part, which take a quarter of a KiB each.
+#: Largest tables of visibility that are kept: triangles times points, and polygons of partly
+#: visible triangles, which take 256 bytes each.
 MOST_SIGHTS, MOST_KEPT = 1 << 26, 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
 class ThreeBounces:
-    """Impulse responses of pairs of wall points, and how they were found.
+    """Impulse responses of pairs of wall points, with error estimates.
 
     Parameters
     ----------
     G : ndarray
-        (pairs, n_bins), 1/m^2, without the wall's albedo.
+        (pairs, n_bins): impulse response, integrated over each bin, without the wall's albedo,
+        1/m^2.
     before, after : ndarray
-        (pairs,), 1/m^2, of paths shorter and longer than the bins.
+        (pairs,): contribution of paths shorter and longer than the bins, 1/m^2.
     error : ndarray
-        (pairs,), 1/m^2, summed over bins: by how much the last two passes differ.
+        (pairs,): difference of the last two passes, summed over bins, 1/m^2.
     parts : ndarray of int64
-        (pairs,), parts of the surface in the last pass.
+        (pairs,): number of parts of the surface in the last pass.
     shadows : bool
-        Whether they were looked for: not where no triangle can stand before another's plane, which
-        is told of up to `ASKED` triangles.
+        Whether shadows were searched. They are skipped if no triangle lies in front of another
+        one's plane, which is tested for up to `ASKED` triangles.
     """
 
     G: Array
@@ -65,22 +66,24 @@ def three_bounces(
     tol: float,
     progress: Progress | None = None,
 ) -> ThreeBounces:
-    """Integrate over the hidden surfaces for pairs of points on the wall z = 0.
+    """Compute the impulse responses of three bounces for pairs of points on the wall z = 0.
 
     Parameters
     ----------
     surfaces : HiddenSurfaces
+        Hidden triangles in front of the wall, world, m.
     lasers, sensors : ndarray
-        (pairs, 3), m, z = 0.
+        (pairs, 3): points on the wall, m, z = 0.
     starts : ndarray
-        (pairs,), m of r1 + r2, where bin 0 begins.
+        (pairs,): start of bin 0, m of the path r1 + r2.
     delta_t : float
-        m.
+        Width of a bin, m of optical path.
     n_bins : int
+        Number of bins.
     tol : float
         Relative L1 error over the bins of each pair.
     progress : callable(str, float), optional
-        Told what is being done and the fraction done.
+        Called with a line of text and the fraction done.
 
     Returns
     -------
@@ -93,16 +96,17 @@ def three_bounces(
     SamplingError
         If a pair does not reach ``tol``.
     MemoryLimitError
-        If the bins do not fit.
+        If the bins exceed the free memory.
 
     Notes
     -----
-    ``G = (1/pi) Int cos_l cos_h1 f cos_h2 cos_c / (r1^2 r2^2) V dA``, with f the hidden material's
-    bidirectional reflectance; physics as in O'Toole et al., Nature 555, 338 (2018), with all
-    cosines. Shadows are cut out as polygons, so that V leaves no error. What is left is halved
-    until no part errs by a limit, by its middle against its corners; path and integrand are taken
-    as linear over a part, with the means of quadratic ones, and spread over the bins in closed
-    form. The limit falls until two passes agree. Nothing is drawn at random.
+    ``G = (1/pi) Int cos_l cos_h1 f cos_h2 cos_c / (r1^2 r2^2) V dA``, with f the bidirectional
+    reflectance of the hidden material and V the visibility; physics as in O'Toole et al., Nature
+    555, 338 (2018), with all cosines. Shadows are cut out as exact polygons. The visible parts are
+    bisected until the error of each part, judged from its centroid against its corners, is below a
+    limit. Path and integrand are linear over a part, with the means of quadratic interpolation, and
+    are distributed over the bins in closed form. The limit is reduced until two passes agree. No
+    random numbers are used.
     """
     from . import _three_bounce_kernels as kernels
     from . import _visibility_kernels
@@ -111,7 +115,7 @@ def three_bounces(
     fits_memory(
         f"{count} responses of {n_bins} bins",
         40.0 * count * (n_bins + 2),  # with the copies that become a capture
-        "take fewer points or bins",
+        "give fewer points or bins",
     )
     mesh, names = occluders(surfaces)
     rows, reach = mesh[0], mesh[2]
@@ -123,12 +127,12 @@ def three_bounces(
     world = (surfaces.lobes, surfaces.spans[names], surfaces.alphas[names])
     out, report = np.empty((count, n_bins + 2)), np.empty((count, kernels.REPORT))
     lasers, sensors, lights, sight, turned = _shared(lasers, sensors)
-    # what a point sees is kept where others see by it, and need not be asked again
+    # the visibility from a point is kept if several pairs share the point
     shared = 2 * len(lights) <= count and len(lights) * n_triangles <= MOST_SIGHTS
     if not shared:
         lights, sight = lights[:1], np.zeros_like(sight)
     known = _sights(mesh, clear, lights, shared and not clear.all())
-    # few at first, so that what is out of reach is told soon
+    # few pairs at first, so that an unreachable tol is reported early
     first, step = 0, 64
     while first < count:
         part = slice(first, min(first + step, count))
@@ -165,12 +169,18 @@ def three_bounces(
 
 
 def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, NDArray[np.bool_]]:
-    """Pairs with the fewer different points first, those points, and which of them each pair has.
+    """Order each pair so that the side with fewer different points comes first.
 
-    G is the same both ways. The last array says for each pair whether its second point's shadows
-    are cut out first. The endpoint that more pairs share goes first, or the lower one if both are
-    shared equally. Swapping source and sensor then performs identical arithmetic, so reciprocity
-    holds bit for bit.
+    G is symmetric, so laser and sensor points may be swapped.
+
+    Returns
+    -------
+    tuple
+        First and second points of the pairs, (pairs, 3), m; the different first points; their index
+        for each pair, (pairs,); and for each pair whether the shadows of its second point are cut
+        out first. The endpoint that more pairs share goes first, or the one that sorts lower if
+        both are shared equally. Swapping laser and sensor then performs identical arithmetic, so
+        reciprocity holds bit for bit.
     """
     points, places = np.unique(np.concatenate([lasers, sensors]), axis=0, return_inverse=True)
     first, second = places.reshape(2, -1)
@@ -184,9 +194,14 @@ def _shared(lasers: Array, sensors: Array) -> tuple[Array, Array, Array, Index, 
 
 
 def _sights(mesh: Mesh, clear: NDArray[np.bool_], lights: Array, ask: bool) -> Any:
-    """What each of ``lights`` sees of each triangle, and the polygons of what it sees in part.
+    """Compute which triangles each point of ``lights`` sees, and the visible polygons of each.
 
-    Last whether that is all that need be known of these points.
+    Returns
+    -------
+    tuple
+        `known` of `_three_bounce_kernels.three_bounces`: visibility (points, triangles), polygon
+        ranges (points, triangles + 1), polygons, their numbers of corners, and whether the table is
+        complete, so that no shadows of these points need be computed again.
     """
     from . import _three_bounce_kernels as kernels
     from ._visibility_kernels import CORNERS
@@ -200,7 +215,7 @@ def _sights(mesh: Mesh, clear: NDArray[np.bool_], lights: Array, ask: bool) -> A
         world = mesh, clear, lights, known, ends
         kernels.sights(*world, kept, sizes)
         total = int(ends.sum(dtype=np.int64))
-        # in part, yet in no polygon: there were too many, which the pairs shall tell
+        # partly visible without polygons means too many of them; the pairs report the error
         told = total <= MOST_KEPT and not ((known == kernels.PART) & (ends[:, 1:] == 0)).any()
         if told and total:
             ends = np.cumsum(ends.ravel(), dtype=np.int32).reshape(ends.shape)
@@ -226,17 +241,17 @@ def _check_done(report: Array, lasers: Array, sensors: Array, tol: float) -> Non
     )
     if status[i] == kernels.TOO_FINE:
         raise SamplingError(
-            f"{where}: shadows cut one triangle into more than {PIECES} parts; split large "
-            "triangles that stand behind many small ones"
+            f"{where}: shadows cut one triangle into more than {PIECES} parts, the limit; split "
+            "large triangles that lie behind many small ones"
         )
     raise SamplingError(
-        f"{where}: three bounces need more than {MOST_PARTS} parts of the surface for tol = "
-        f"{tol:g}; ask for a larger tol or wider bins"
+        f"{where}: three bounces need more than {MOST_PARTS} parts of the surface, the limit, for "
+        f"tol = {tol:g}; give a larger tol or wider bins"
     )
 
 
 def _check_apart(corners: Array, points: Array, reach: float) -> None:
-    """Raise where a wall point lies on a triangle: the light there has no bound."""
+    """Raise `SceneError` if a wall point lies on a triangle, where the intensity is unbounded."""
     touching = corners[corners[..., 2].min(axis=1) <= 1e-9 * reach]
     if not len(touching):
         return
@@ -251,6 +266,6 @@ def _check_apart(corners: Array, points: Array, reach: float) -> None:
         if distance.min() <= 1e-9 * reach:
             x, y = points[distance.argmin()]
             raise SceneError(
-                f"the wall point ({x:g}, {y:g}) m lies on a hidden surface, where light has no "
-                "bound; move the point or the surface"
+                f"the wall point ({x:g}, {y:g}) m lies on a hidden surface, where the intensity is "
+                "unbounded; move the point or the surface"
             )

@@ -544,20 +544,26 @@ def test_table_of_transforms():
         (lambda: psf.Aperture.ellipse(1, math.nan), "b = nan is not finite"),
         (lambda: psf.Aperture.ellipse(1, 1, obscuration=1.0), "obscuration = 1 is out of range"),
         (lambda: psf.Aperture.polygon([(0, 0), (1, 0)]), r"shape \(2, 2\); give 3 to 1000"),
-        (lambda: psf.Aperture.polygon([(0, 0), (1, 0), (2, 0)]), "in a line"),
-        (lambda: psf.Aperture.polygon([(0, 0), (1, 0), (1, 0), (0, 1)]), "twice in a row"),
-        (lambda: psf.Aperture.polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), "sides from corner 0"),
-        (lambda: psf.Aperture.polygon([(0, 0), (2, 0), (1, 0), (1, 1)]), "sides from corner"),
+        (lambda: psf.Aperture.polygon([(0, 0), (1, 0), (2, 0)]), "on a line"),
+        (lambda: psf.Aperture.polygon([(0, 0), (1, 0), (1, 0), (0, 1)]), "is repeated"),
+        (lambda: psf.Aperture.polygon([(0, 0), (1, 1), (1, 0), (0, 1)]), "start at corners 0 and"),
+        (
+            lambda: psf.Aperture.polygon([(0, 0), (2, 0), (1, 0), (1, 1)]),
+            "the sides that start at corners",
+        ),
         (
             lambda: psf.Aperture.polygon([(0, 0), (2, 0), (2, 2), (1, 0), (0, 2)]),
-            "sides from corner 0 and from corner 2 meet",
+            "the sides that start at corners 0 and 2 meet",
         ),
         (lambda: psf.Aperture.polygon([(0, 0), (np.nan, 0), (1, 1)]), r"vertices\[1\] = \[nan"),
         (lambda: psf.Aperture.polygon("round"), "not numbers"),
-        (lambda: psf.Aperture.polygon(HOOK, obscuration=0.2), "does not see every side"),
+        (
+            lambda: psf.Aperture.polygon(HOOK, obscuration=0.2),
+            "every side visible from its centroid",
+        ),
         (lambda: psf.Aperture.regular(2, 1.0), "sides = 2 is out of range"),
         (lambda: psf.Aperture.hexagons(1, 1.0, -0.1), "gap = -0.1 m is out of range"),
-        (lambda: psf.Aperture.hexagons(0, 1.0, central=False), "leaves none"),
+        (lambda: psf.Aperture.hexagons(0, 1.0, central=False), "leaves no segment"),
         (lambda: psf.Aperture.discs([]), "give at least one"),
         (lambda: psf.Aperture.discs([((0, 0), 1), ((3, 0), 1)]), "no area in common"),
         (lambda: psf.Aperture.discs([((0, 0), 1), ((2, 0), 1)]), "no area in common"),
@@ -573,8 +579,11 @@ def test_table_of_transforms():
         ),
         (lambda: psf.Aperture.discs([((0, math.inf), 1)]), r"centre\[1\] = inf is not finite"),
         (lambda: psf.Aperture.round(1.0, vanes=4, vane_width=1.5), "meet 1.061 m from the axis"),
-        (lambda: psf.Aperture.round(1.0, vanes=1, vane_width=0.1), "hangs in the air"),
-        (lambda: psf.Aperture.round(1.0, vane_width=0.1), "without vanes"),
+        (
+            lambda: psf.Aperture.round(1.0, vanes=1, vane_width=0.1),
+            "vanes = 1 with obscuration = 0",
+        ),
+        (lambda: psf.Aperture.round(1.0, vane_width=0.1), "with vanes = 0"),
         (lambda: psf.Aperture.round(1.0, angle=math.nan), "angle = nan is not finite"),
         (
             lambda: psf.Aperture.union(psf.Aperture.round(1.0), APERTURES["box"]),
@@ -587,8 +596,8 @@ def test_table_of_transforms():
             ),
             "overlap",
         ),
-        (lambda: psf.Aperture.union(), "union of no apertures"),
-        (lambda: psf.Aperture.union(APERTURES["box"], "box"), "union of a str"),
+        (lambda: psf.Aperture.union(), "union got no apertures"),
+        (lambda: psf.Aperture.union(APERTURES["box"], "box"), "union got a str"),
     ],
 )
 def test_bad_outlines_are_refused(make, message):
@@ -607,17 +616,17 @@ def test_cells_may_touch():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"nodes": "polar"}, "'polar' know the round pupil alone"),
+        ({"nodes": "polar"}, "'polar' cannot follow an aperture"),
         ({"nodes": "cells", "aperture": None, "pupil_radius": 1e-3}, "without an aperture"),
         ({"aperture": None}, "pupil_radius is missing"),
-        ({"obscuration": 0.3}, "beside an aperture"),
+        ({"obscuration": 0.3}, "with an aperture, limit 0"),
         ({"pistons": [1.0, 2.0]}, r"pistons have shape \(2,\); give \(1,\)"),
         ({"pistons": [math.nan]}, r"pistons\[0\] = nan"),
         ({"tilts": [1.0]}, r"tilts have shape \(1,\); give \(1, 2\)"),
-        ({"aperture": None, "pupil_radius": 1e-3, "pistons": [0.0]}, "without an aperture"),
+        ({"aperture": None, "pupil_radius": 1e-3, "pistons": [0.0]}, "need an aperture"),
         ({"aberration": lambda u, v: np.log(u)}, r"aberration\(u, v\) = nan at u = -"),
-        ({"aberration": lambda u, v: np.zeros(3)}, "no real number for each"),
-        ({"amplitude": lambda u, v: np.exp(1j * u)}, "no real number for each: they are complex"),
+        ({"aberration": lambda u, v: np.zeros(3)}, "does not return one real number"),
+        ({"amplitude": lambda u, v: np.exp(1j * u)}, "nodes: the values are complex"),
         ({"amplitude": lambda u, v: -1.0}, "is below 0"),
         ({"nodes": "grid", "samples": (4, 5)}, "a grid is square"),
         ({"samples": (0, 5)}, "n_s = 0 is out of range"),
@@ -648,7 +657,7 @@ def test_wavefronts_that_do_not_fit_their_aperture_are_refused():
     with pytest.raises(SceneError, match="the aperture's 3 patches need"):
         replace(wave, aperture=psf.Aperture.regular(6, 1e-3))
     polar = psf.Wavefront.from_zernike({}, pupil_radius=1e-3, **SYSTEM)
-    with pytest.raises(SceneError, match="which does not follow it"):
+    with pytest.raises(SceneError, match="'polar' cannot follow an aperture"):
         replace(polar, aperture=APERTURES["box"])
 
 
@@ -659,7 +668,7 @@ def test_transforms_that_need_another_layout_say_so():
             psf.point_spread(wave, method=method)
     with pytest.raises(SamplingError, match="needs a polar wavefront"):
         psf.point_spread(wave, method="airy")
-    with pytest.raises(SamplingError, match="energy of a cells wavefront"):
+    with pytest.raises(SamplingError, match="encircled energy needs a polar wavefront"):
         psf.encircled_energy(wave, 1e-6)
     with pytest.raises(SamplingError, match="unobscured polar wavefront"):
         psf.mtf(wave, 1e4)

@@ -97,18 +97,18 @@ def test_sign_turns_the_wave(tmp_path):
 @pytest.mark.parametrize(
     ("text", "options", "message"),
     [
-        ("4,1\n", {"unit": "m", "sign": "excess"}, "does not say its ordering"),
-        ("4,1\n", {"ordering": "noll", "sign": "excess"}, "does not say its unit"),
-        ("4,1\n", {"ordering": "noll", "unit": "m"}, "does not say its sign"),
+        ("4,1\n", {"unit": "m", "sign": "excess"}, "does not state its ordering"),
+        ("4,1\n", {"ordering": "noll", "sign": "excess"}, "does not state its unit"),
+        ("4,1\n", {"ordering": "noll", "unit": "m"}, "does not state its sign"),
         ("# unit: nm\n4,1\n", {"ordering": "noll", "unit": "m"}, "unit is nm in the file, m was"),
-        ("# unit: nm\n# unit: m\n4,1\n", {}, "line 2: unit = m after nm"),
+        ("# unit: nm\n# unit: m\n4,1\n", {}, "line 2: unit = m, nm before"),
         ("# unit: parsec\n4,1\n", {"ordering": "noll"}, "unit = 'parsec' is unknown"),
-        ("4,1\n4,2\n", {}, "line 2: index 4 stands in line 1 too"),
-        ("4,1,5\n", {}, "line 1: '4,1,5' is no index and coefficient"),
-        ("4,nan\n", {}, "line 1: '4,nan' is no index"),
-        ("# ordering: noll\n", {}, "holds no coefficient"),
+        ("4,1\n4,2\n", {}, "line 2: index 4 is also in line 1"),
+        ("4,1,5\n", {}, "line 1: '4,1,5' is not an index and a number"),
+        ("4,nan\n", {}, "line 1: '4,nan' is not an index"),
+        ("# ordering: noll\n", {}, "has no coefficients"),
         ("0,1\n", {"ordering": "noll", "unit": "m", "sign": "excess"}, "line 1: noll index = 0"),
-        ("4,1\n", {"ordering": "noll", "unit": "waves", "sign": "excess"}, "of no said length"),
+        ("4,1\n", {"ordering": "noll", "unit": "waves", "sign": "excess"}, "gives no wavelength"),
         ("# wavelength: green\n4,1\n", {}, None),
         (
             "# wavelength: 5e-7\n4,1\n",
@@ -122,7 +122,7 @@ def test_what_is_refused(tmp_path, text, options, message):
     path.write_text(text)
     if message is None:
         options = {"ordering": "noll", "unit": "m", "sign": "excess"}
-        message = "wavelength = green is none"
+        message = "wavelength = green is no wavelength in m"
     with pytest.raises(SceneError, match=message):
         psf.read_zernikes(path, **options)
 

@@ -94,7 +94,7 @@ def test_rough_walls_are_their_exact_mean_within_the_error():
 
 def test_what_is_refused():
     mean = smooth()
-    with pytest.raises(SceneError, match="1 patterns tell no error"):
+    with pytest.raises(SceneError, match="needs at least 2 patterns, got 1"):
         psf.metric_estimate(psf.centroid, [mean])
     with pytest.raises(SceneError, match="differ in pitch"):
         psf.metric_estimate(psf.centroid, [mean, replace(mean, pitch=2 * mean.pitch)])

@@ -295,7 +295,7 @@ def test_geometry_is_the_limit_of_short_ways():
     assert np.array_equal(straight, pictures["geometric", 0.05])
     near = pictures["fresnel", 1e-4]
     turn = sample.LARGEST_TURN
-    with pytest.raises(SamplingError, match="limit 0.1 for geometry") as refusal:
+    with pytest.raises(SamplingError, match="limit 0.1 rad for propagation='geometric'") as refusal:
         psf.sample_point_spread(
             wave, roughness, propagation="geometric", effective_distance=20.0, **kwargs
         )

@@ -271,7 +271,7 @@ def test_both_parts_can_be_drawn(autocorrelation):
         ({"tol": 0.0}, SceneError, "tol = 0"),
         ({"tol": 1e-6}, SamplingError, "limit tol = 1e-06"),
         ({"pitch": UNIT}, SamplingError, "Nyquist"),
-        ({"effective_distance": 40.0}, SamplingError, "for geometry"),
+        ({"effective_distance": 40.0}, SamplingError, "for propagation='geometric'"),
     ],
 )
 def test_refuses(changes, kind, message):

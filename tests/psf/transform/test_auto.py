@@ -113,10 +113,10 @@ def test_rough_walls_fill_in_their_part():
     assert mean.regime.rayleigh_parameter == approx(1.0)
     assert mean.rayleigh_parameter == mean.regime.rayleigh_parameter
     assert mean.regime.coherent_fraction == approx(math.exp(-1))
-    assert "63.2 % of the light, s = 1 rad; core: airy is the cheapest" in mean.reason
+    assert "63.2 % of the energy, s = 1 rad; core: airy is the cheapest" in mean.reason
     one = psf.sample_point_spread(zernike_wave(), rough, effective_distance=0.5, seed=1, **kwargs)
     assert one.regime == mean.regime
-    assert one.reason.startswith("fresnel was asked for")
+    assert one.reason.startswith("fresnel was requested")
 
 
 # the reason
@@ -126,7 +126,7 @@ def test_rough_walls_fill_in_their_part():
 def test_a_named_method_was_asked_for(method):
     kwargs = {"pitch": UNIT / 4, "shape": 32}
     assert psf.point_spread(zernike_wave(), method=method, **kwargs).reason == (
-        f"{method} was asked for"
+        f"{method} was requested"
     )
 
 
@@ -138,9 +138,9 @@ def test_reasons_name_what_was_left_out():
     assert "quadrature would take about" in points.reason
     bent = psf.point_spread(defocus(3.0), pitch=5 * UNIT, shape=11, pixel_integrated=True)
     assert "airy ruled out: the wave is not flat" in bent.reason
-    assert "geometric ruled out: 3 waves are few for rays, limit 20" in bent.reason
+    assert "geometric ruled out: 3 waves are too few, limit 20" in bent.reason
     many = psf.point_spread(defocus(30.0), pitch=40 * UNIT, shape=9, pixel_integrated=True)
-    assert "rays err by 0.05 or more on pixels of 40 lambda N" in many.reason
+    assert "geometric ruled out: error of at least 0.05 on pixels of 40 lambda N" in many.reason
     for spread in (flat, points, bent, many):
         assert "\n" not in spread.reason
 
@@ -152,7 +152,7 @@ def test_rays_that_are_tried_and_fall_short_are_named():
     # above what rays err by at least, below what they do
     spread = psf.point_spread(wave, tol=0.9 * rays.error_estimate, **kwargs)
     assert spread.method != "geometric"
-    assert f"geometric ran first and reached {rays.error_estimate:.2g}" in spread.reason
+    assert f"geometric ran first, with an error of {rays.error_estimate:.2g}" in spread.reason
     assert psf.point_spread(wave, tol=1.1 * rays.error_estimate, **kwargs).method == "geometric"
 
 
@@ -190,7 +190,7 @@ def test_absurd_costs_are_refused_before_anything_runs(monkeypatch):
     message = str(refusal.value)
     assert "of 300 waves" in message
     assert "limit max_seconds = 1;" in message
-    assert "a tol well above 0.033, at which rays do" in message
+    assert "a tol well above 0.033, so that geometric rays suffice" in message
     assert "\n" not in message
     enough = float(message.split("use max_seconds = ")[1].split(",")[0])
     assert enough > 1
@@ -212,7 +212,7 @@ def test_what_cannot_reach_tol_is_not_run(monkeypatch):
     kwargs = {"pitch": 20 * UNIT, "pixel_integrated": True, "shape": 9}
     spread = psf.point_spread(shaded(defocus(20.0)), tol=1e-8, **kwargs)
     assert run == ["quadrature"]
-    assert "fft ruled out: its rim errs by about" in spread.reason
+    assert "fft ruled out: error of its rim about" in spread.reason
 
 
 def test_few_waves_on_wide_pixels_are_sent_to_what_takes_them():
@@ -229,7 +229,7 @@ def test_coarse_nodes_are_refused_unrun_and_said():
     """The series of noise does not fall off: its nodes cannot hold it."""
     wave = zernike_wave()
     noise = np.random.default_rng(1).normal(0, 0.1 * WAVELENGTH, wave.u.shape)
-    with pytest.raises(SamplingError, match=r"quadrature: its nodes miss .* pupil nodes \(now 24"):
+    with pytest.raises(SamplingError, match=r"error of .* for its nodes; .* pupil nodes \(now 24"):
         psf.point_spread(replace(wave, aberration=noise), pitch=UNIT / 4, shape=1501)
 
 

@@ -240,7 +240,7 @@ def test_nodes_in_a_line_are_refused():
     u = np.linspace(-RADIUS, RADIUS, 100)
     wave = scattered_wave({}, random_nodes(100))
     line = replace(wave, u=u, v=0 * u)
-    with pytest.raises(SamplingError, match="lie in a few lines"):
+    with pytest.raises(SamplingError, match="lie on a few lines"):
         psf.point_spread(line, pitch=UNIT / 4, shape=32)
 
 

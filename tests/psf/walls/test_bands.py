@@ -88,8 +88,8 @@ def test_one_line_is_the_point_spread():
 @pytest.mark.parametrize(
     ("lines", "weights", "message"),
     [
-        ([], None, "do not fit"),
-        ([5e-7, 6e-7], [1.0], "do not fit"),
+        ([], None, "give both of shape"),
+        ([5e-7, 6e-7], [1.0], "give both of shape"),
         ([5e-7, 6e-7], [1.0, -1.0], "weights"),
         ([5e-7, 6e-7], [0.0, 0.0], "weights"),
         ([5e-7, math.nan], None, "wavelength"),

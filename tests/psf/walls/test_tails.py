@@ -92,7 +92,7 @@ def test_refuses():
         with_tail(narrow, 11)
     with pytest.raises(SamplingError, match="unit-sum"):
         with_tail(spread({}, 2, 21, normalisation="ideal-peak"), 31)
-    with pytest.raises(MemoryLimitError, match="smaller side"):
+    with pytest.raises(MemoryLimitError, match="larger tol, or an image of fewer pixels"):
         with_tail(narrow, 10**8)
     rough = psf.mean_point_spread(
         psf.Wavefront.from_zernike({}, **SYSTEM),

@@ -84,7 +84,7 @@ def test_incommensurate_pitch_names_the_nearest():
 @pytest.mark.parametrize("normalisation", ["unit-sum", "flux"])
 def test_energy_needs_nyquist_or_pixels(nodes, normalisation):
     wave = zernike_wave(nodes=nodes, samples=64)
-    with pytest.raises(SamplingError, match=r"wider than Nyquist's.*pixel_integrated=True"):
+    with pytest.raises(SamplingError, match=r"wider than the Nyquist pitch.*pixel_integrated=True"):
         psf.point_spread(wave, pitch=UNIT, shape=17, normalisation=normalisation)
     points = psf.point_spread(wave, method="mdft", pitch=UNIT, shape=17, normalisation="ideal-peak")
     assert points.intensity.max() == approx(1.0)
@@ -103,7 +103,7 @@ def test_layouts_that_do_not_fit():
         psf.point_spread(grid, method="quadrature")
     with pytest.raises(SamplingError, match="nodes='polar', or use method='mdft'"):
         psf.point_spread(grid, method="airy")
-    with pytest.raises(SamplingError, match="use method='mdft' for pixel_integrated"):
+    with pytest.raises(SamplingError, match="use method='mdft' with pixel_integrated"):
         psf.point_spread(grid, method="fft", pitch=UNIT, shape=9, pixel_integrated=True)
     polar = zernike_wave()
     scattered = replace(

@@ -167,7 +167,7 @@ WRONG = {
     "image and mesh": (
         'size = "0.7 m"\n',
         'mesh = "x.stl"\n',
-        ("hidden.mesh stands beside hidden.image", "limit is one", "remove"),
+        ("hidden.mesh and hidden.image are both given", "limit is one", "remove"),
     ),
     "negative size": (
         'size = "0.7 m"\n',
@@ -232,7 +232,7 @@ WRONG = {
     "laser position twice": (
         'distance = "1.2 m"',
         'position = ["1 m", "0 m", "1 m"]\ndistance = "1.2 m"',
-        ("laser.distance stands beside laser.position", "give position, or"),
+        ("laser.distance and laser.position are both given", "give position, or"),
     ),
     "camera looking away": (
         'file = "camera_wu2024.toml"',
@@ -247,7 +247,7 @@ WRONG = {
     "both focal length and field of view": (
         'file = "camera_wu2024.toml"',
         'file = "camera_wu2024.toml"\nfocal_length = "50 mm"\nfield_of_view = "40 deg"',
-        ("camera.field_of_view stands beside camera.focal_length", "remove"),
+        ("camera.field_of_view and camera.focal_length are both given", "remove"),
     ),
     "no stop": (
         'file = "camera_wu2024.toml"',
@@ -374,11 +374,11 @@ CASES = (
         ),
         "broken TOML names its line": (
             (('power = "5 mW"', 'power "5 mW"'),),
-            ("not TOML", "line 9", "mend"),
+            ("not TOML", "line 9", "correct that line"),
         ),
         "image that is not there": (
             (("F.png", "Q.png"),),
-            ("hidden.image", "there is no file", "Q.png", "give the path of a picture"),
+            ("hidden.image", "there is no file", "Q.png", "give the path of an image"),
         ),
         "one occluder is still one of several": (
             (("[camera]", OCCLUDER.replace("[[occluder]]", "[occluder]") + "[camera]"),),
@@ -442,14 +442,14 @@ def test_camera_file_that_names_itself(folder: Path) -> None:
 def test_image_that_is_no_image(folder: Path) -> None:
     (folder.parent / "objects" / "F.png").write_text("a letter")
     line = message(folder, ("F.png", "F.png"))
-    expect(line, "hidden.image", "F.png is not a picture", "give PNG")
+    expect(line, "hidden.image", "F.png is not an image", "give PNG")
 
 
 def test_image_cut_short(folder: Path) -> None:
     picture = folder.parent / "objects" / "F.png"
     picture.write_bytes(picture.read_bytes()[:300])
     line = message(folder, ("F.png", "F.png"))
-    expect(line, "hidden.image", "F.png is not a picture", "give PNG")
+    expect(line, "hidden.image", "F.png is not an image", "give PNG")
 
 
 def test_object_mesh_behind_the_wall(folder: Path) -> None:
@@ -466,7 +466,7 @@ MESHES = {
     "not a mesh": (b"\x00\x01 nothing", ("holds no triangles", "give a surface mesh")),
     "points only": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", ("holds no triangles", "give a surface mesh")),
     "a line": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", ("has no area", "give a surface mesh")),
-    "NaN": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ("NaN or infinite", "mend the mesh")),
+    "NaN": (b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", ("NaN or infinite", "repair the mesh")),
     "vertex out of range": (b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", ("is not a mesh", "give STL, OBJ")),
     "beside the origin": (
         b"v 1 1 0\nv 2 1 0\nv 1 2 0\nf 1 2 3\n",

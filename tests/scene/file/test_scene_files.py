@@ -41,8 +41,8 @@ from nlosoptics.scene.file.scene_file import scene_files, scene_schema
 FOLDER = Path(__file__).parents[3] / "examples" / "scenes"
 SCENES = sorted(path for path in FOLDER.glob("*.toml") if not path.name.startswith("camera"))
 NAMES = [path.stem for path in SCENES]
-#: Of images; light over time has other distances.
-WU = [path for path in SCENES if not path.name.startswith("transient")]
+#: Scenes with the geometry of Wu 2024; light over time and the lead scene have other distances.
+WU = [path for path in SCENES if not path.name.startswith(("transient", "corner"))]
 
 
 @pytest.fixture
@@ -515,7 +515,7 @@ def test_transient_table_round_trips(flat: Scene, tmp_path: Path) -> None:
         ({"n_bins": 1.5}, "transient.n_bins = 1.5 is not a whole number"),
         ({"scan": "raster"}, "must be one of single, confocal, exhaustive"),
         ({"max_bounces": 2}, "transient.max_bounces = 2"),
-        ({"near": 1.0}, "transient.far is missing beside transient.near"),
+        ({"near": 1.0}, "transient.far is missing although transient.near is given"),
         ({"near": 1.0, "far": 0.5, "step": 0.1}, "transient.far = 0.5 m is out of range"),
     ],
 )

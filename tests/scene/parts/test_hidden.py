@@ -158,7 +158,7 @@ def test_paths_outlive_a_change_of_folder(examples: Path, tmp_path: Path, monkey
 @pytest.mark.parametrize(
     ("raw", "message"),
     [
-        (np.zeros((2, 2, 3)), r"hidden.image has shape \(2, 2, 3\); give a grey picture"),
+        (np.zeros((2, 2, 3)), r"hidden.image has shape \(2, 2, 3\); give a greyscale image"),
         (np.zeros((0, 2)), r"hidden.image has shape \(0, 2\)"),
         (np.array([[0.0, np.nan]]), "hidden.image holds NaN or infinity; give finite"),
         (np.array([[0.0, 1.5]]), "hidden.image spans 0 to 1.5, must be within 0 to 1; rescale"),
@@ -181,7 +181,7 @@ def test_bad_arrays(raw, message: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"no picture", b"\x89PNG\r\n\x1a\n", b"\x93NUMPY\x01"])
 def test_bad_picture_files(name: str, content: bytes, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(SceneError, match=rf"hidden.image: .*{name} is not a picture .*; give PNG"):
+    with pytest.raises(SceneError, match=rf"hidden.image: .*{name} is not an image .*; give PNG"):
         _ = planar(tmp_path / name).reflectance
 
 
@@ -191,7 +191,7 @@ def test_bad_npy_files(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"holds several arrays; give a \.npy file of one"):
         _ = planar(tmp_path / "p.npy").reflectance
     np.save(tmp_path / "o.npy", np.array([[{}]]), allow_pickle=True)
-    with pytest.raises(SceneError, match="is not a picture"):
+    with pytest.raises(SceneError, match="is not an image"):
         _ = planar(tmp_path / "o.npy").reflectance
 
 
@@ -212,7 +212,7 @@ def test_bad_npy_files(tmp_path: Path) -> None:
             lambda: MeshObject("x.stl", position=PLACE, material=0.8),
             "hidden.material = 0.8 is a float; give a Material, such as Lambert",
         ),
-        (lambda: planar([[1, 0], [1]]), "hidden.image has rows of unlike length; give a grey"),
+        (lambda: planar([[1, 0], [1]]), "hidden.image has rows of unequal length; give a grey"),
         (lambda: planar(size=math.nan), r"hidden.size\[x\] = nan is not finite"),
         (lambda: planar(position=(0, 0, -1)), "hidden.position has z = -1 m, behind the wall"),
         (lambda: planar(position=(0, 0)), "hidden.position has 2 components; give three"),

@@ -317,14 +317,14 @@ def test_sum_is_the_sum() -> None:
             lambda: Ward(0.5, 0.1, variant="2010"),
             "variant = '2010' is unknown, must be one of 1992, duer, bounded",
         ),
-        (lambda: SumMaterial(Lambert(0.7), Ward(0.4, 0.5)), "add to 1.1, limit 1; lower one"),
+        (lambda: SumMaterial(Lambert(0.7), Ward(0.4, 0.5)), "add up to 1.1, limit 1; lower one"),
         (
             lambda: SumMaterial(Lambert(0.7), SpecularMicrofacet(0.4, 0.5)),
-            "add to 1.1, limit 1; lower one",
+            "add up to 1.1, limit 1; lower one",
         ),
         (lambda: SumMaterial(), "SumMaterial got .*; give at least one material"),
         (lambda: SumMaterial(0.5), "SumMaterial got .*; give at least one material"),
-        (lambda: SumMaterial(Lambert(0.7), Lambert(0.4)), "add to 1.1, limit 1; lower one"),
+        (lambda: SumMaterial(Lambert(0.7), Lambert(0.4)), "add up to 1.1, limit 1; lower one"),
         (lambda: Lambert(0.5).albedo(2.0), "theta = .* is out of range, must be 0 to pi/2"),
     ],
 )

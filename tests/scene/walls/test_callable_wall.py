@@ -108,8 +108,8 @@ def test_rays_meet_it_as_the_compiled_wall(wall, size):
 def test_functions_that_break_their_word_are_named():
     good = bump(1e-6)
     for changes, message in (
-        ({"max_height": 1e-9}, "wall.max_height = 1e-09 is passed by"),
-        ({"max_curvature": 1e-5}, "wall.max_curvature = 1e-05 is passed by"),
+        ({"max_height": 1e-9}, "wall.max_height = 1e-09 is exceeded by"),
+        ({"max_curvature": 1e-5}, "wall.max_curvature = 1e-05 is exceeded by"),
         ({"height": lambda x, y: np.zeros(3)}, r"wall.height returned shape \(3,\)"),
         ({"height": lambda x, y: np.nan}, "wall.height returned NaN"),
         ({"gradient": lambda x, y: (x, y, x)}, "wall.gradient returned 3 values"),
@@ -127,5 +127,5 @@ def test_what_needs_compiled_heights_refuses_it(tmp_path):
     with pytest.raises(SceneError, match="SumWall cannot add a CallableWall"):
         SumWall(bump(1e-6), WavyWall(1e-6, 0.1))
     scene = replace(Scene.load(EXAMPLES / "letter_flat.toml"), wall=replace(bump(1e-6), size=0.3))
-    with pytest.raises(SceneError, match="CallableWall has no form in a scene file"):
+    with pytest.raises(SceneError, match="CallableWall cannot be written in a scene file"):
         scene.save(tmp_path / "scene.toml")

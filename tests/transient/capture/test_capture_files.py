@@ -242,10 +242,10 @@ NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
     ("changes", "kind", "words"),
     [
         ({"delta_t": 4e-12}, SceneError, r"delta_t = 4e-12 .*bin_width = 0.00119917"),
-        ({"delta_t": 16.0}, SceneError, r"delta_t = 16 is too long .*16 ps would be 0.0047"),
+        ({"delta_t": 16.0}, SceneError, r"delta_t = 16 is too long .*give bin_width = 0.0047"),
         ({"delta_t": EMPTY}, SceneError, "does not say delta_t; give bin_width"),
         ({"delta_t": -0.1}, SceneError, "delta_t = -0.1 m is out of range"),
-        ({"t_start": 6e-9}, SceneError, r"t_start = 6e-09 beside bins .*would be 1.79875"),
+        ({"t_start": 6e-9}, SceneError, r"t_start = 6e-09 is too short .*give t_start = 1.79875"),
         ({"t_start": None}, SceneError, "does not say t_start; give t_start"),
         ({"t_start": np.nan}, SceneError, "t_start = nan is not finite"),
         ({"t_accounts_first_and_last_bounces": EMPTY}, SceneError, "give outer_legs"),
@@ -265,7 +265,7 @@ NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
         ({"t_accounts_first_and_last_bounces": np.ones(0)}, SceneError, "give outer_legs"),
         ({"H_format": np.nan}, SceneError, "H_format = nan is not finite"),
         ({"H_format": "T_Si"}, SceneError, "H_format = .* is not a number"),
-        ({"H": None}, SceneError, "no known capture; known are y-tal"),
+        ({"H": None}, SceneError, "no known layout; give a file of y-tal"),
     ],
 )
 def test_bad_files_say_so_in_one_line(tmp_path, changes, kind, words):
@@ -302,7 +302,7 @@ def test_files_that_are_no_captures(tmp_path):
 
 def test_names_that_lead_nowhere_or_to_no_array(tmp_path):
     for name, item, words in (
-        ("broken", h5py.SoftLink("/none"), "broken HDF5 file .sensor_xyz leads nowhere"),
+        ("broken", h5py.SoftLink("/none"), "broken HDF5 file .the link sensor_xyz has no target"),
         ("typed", np.dtype("f8"), "has sensor_xyz, which is no array"),
     ):
         made().save(tmp_path / name)

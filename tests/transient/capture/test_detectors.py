@@ -147,10 +147,10 @@ def test_draws_have_their_own_addresses(on_threads):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ({"jitter": 5e-11}, r"jitter = 5e-11 .*as seconds it would be 0.0149896"),
+        ({"jitter": 5e-11}, r"jitter = 5e-11 .*if it is in seconds, give 0.0149896"),
         ({"tail": 1e-10, "tail_share": 0.1}, "tail = 1e-10 is too short"),
-        ({"tail": 0.1}, "is no tail"),
-        ({"tail_share": 0.1}, "is no tail"),
+        ({"tail": 0.1}, "is incomplete; give both"),
+        ({"tail_share": 0.1}, "is incomplete; give both"),
         ({"efficiency": 1.1}, "detector.efficiency = 1.1 is out of range"),
         ({"dark_counts": -1}, "detector.dark_counts"),
         ({"photons": 0}, "detector.photons"),

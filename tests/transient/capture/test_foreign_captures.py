@@ -244,13 +244,13 @@ def test_phasor_field_2020(tmp_path, version):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"ts": 0.0048}, "ts = 0.0048 is no bin in s"),
+        ({"ts": 0.0048}, "ts = 0.0048 is no bin width in s"),
         ({"ts": None}, "give bin_width"),
         ({"SPAD_index": np.array([[3, 1]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": np.array([[np.nan, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": np.array([[1.5, 1.0]])}, "is no point of the 3 x 2 grid"),
         ({"SPAD_index": None}, "no laser points; give laser_point"),
-        ({"sampling_spacing": None}, "rect_data stands without width"),
+        ({"sampling_spacing": None}, "rect_data needs width"),
     ],
 )
 def test_bad_phasor_field_2020(tmp_path, changes, words):
@@ -307,10 +307,10 @@ def test_bad_lct(tmp_path):
     with pytest.raises(SceneError, match="width = None"):
         TransientCapture.load(path, **given)
     path, _ = lct(tmp_path, rect_data=np.ones((4, 3, 6)))
-    with pytest.raises(SceneError, match="no square wall"):
+    with pytest.raises(SceneError, match="not a square wall"):
         TransientCapture.load(path, **given)
     savemat(path, {"volume": np.ones(3)})
-    with pytest.raises(SceneError, match="holds volume, which is no known capture"):
+    with pytest.raises(SceneError, match="holds volume, which is no known layout"):
         TransientCapture.load(path)
 
 

@@ -158,7 +158,7 @@ def test_outer_legs_are_taken_away_path_by_path(pairing):
                 capture(outer_legs=True, laser_origin=(0, 0, 0), sensor_origin=(0, 0, 0))
             ),
             SamplingError,
-            "take more bins",
+            "give a capture with more bins",
         ),
     ],
 )

@@ -61,7 +61,7 @@ def test_confocal_pairs():
         ({"sensor_normals": np.zeros(3)}, SamplingError, "sensor_normals"),
         ({"H": [[1.0, 2.0], [1.0]]}, SamplingError, "H has rows of several lengths"),
         ({"laser_points": [[0, 0, 0], [1]]}, SamplingError, "laser_points have rows of several"),
-        ({"laser_points": "centre"}, SceneError, "laser_points of type <U6 are no real numbers"),
+        ({"laser_points": "centre"}, SceneError, "laser_points of type <U6 are not real numbers"),
         ({"laser_points": (1j, 0, 0)}, SceneError, "laser_points of type complex128"),
     ],
 )
@@ -90,7 +90,7 @@ def test_bad_volumes():
         Volume([0.0], [np.inf], [1.0])
     with pytest.raises(SamplingError, match="like the volume"):
         VolumeImage(intensity=np.zeros((1, 1)), volume=Volume([0.0], [0.0], [1.0]), method="none")
-    with pytest.raises(SceneError, match=r"volume\.x of type <U1 are no real numbers"):
+    with pytest.raises(SceneError, match=r"volume\.x of type <U1 are not real numbers"):
         Volume("x", [0.0], [1.0])
     with pytest.raises(SamplingError, match="depths have rows of several lengths"):
         Volume.before(1.0, 4, [[1.0], [1.0, 2.0]])

@@ -438,7 +438,7 @@ def test_what_backprojection_refuses():
         backprojection(light, width=0.02)
     with pytest.raises(SceneError, match=r"volume\.z begins at 0 m, must be above 0"):
         backprojection(light, Volume([0.0], [0.0], [0.0, 1.0]), falloff="matched")
-    with pytest.raises(SamplingError, match="tell no volume"):
+    with pytest.raises(SamplingError, match="define no default volume"):
         backprojection(replace(light, sensor_origin=(0, 0, 1), laser_origin=(0, 0, 1),
                                outer_legs=True))  # fmt: skip
     with pytest.raises(SceneError, match="snr"):

@@ -149,13 +149,13 @@ def test_walls_along_the_view_are_voxels_too():
         (lambda: depth_map(picture(SLOPE * np.nan)), SceneError, "finite"),
         (lambda: depth_error(picture(SLOPE), SLOPE.T), SamplingError, r"\(6, 5\)"),
         (lambda: depth_error(picture(SLOPE), SLOPE * np.nan), SceneError, "all NaN"),
-        (lambda: depth_error(picture(SLOPE), "near"), SceneError, "no real numbers"),
+        (lambda: depth_error(picture(SLOPE), "near"), SceneError, "not real numbers"),
         (
             lambda: depth_error(
                 picture(SLOPE), replace(depth_map(picture(SLOPE)), x=VOLUME.x + 0.1)
             ),
             SamplingError,
-            "0.1 m beside",
+            "shifted by up to 0.1 m",
         ),
         (
             lambda: depth_error(

@@ -226,7 +226,7 @@ def test_apertures_are_squares_and_masks():
     within = [(np.abs(p[..., :2]) <= 0.3).all(axis=-1) for p in (LASERS, wall_grid(1.0, 6))]
     few = noise_capture(LASERS, H=capture.H * within[0][:, :, None, None] * within[1])
     assert relative(cut.field, quiet(few, volume, wl_mean=0.3, **focused).field) < 1e-11
-    with pytest.raises(SamplingError, match="leaves none of 36 wall points"):
+    with pytest.raises(SamplingError, match="contains none of 36 wall points"):
         quiet(SINGLE, volume, wl_mean=0.3, aperture=0.1)
     with pytest.raises(SamplingError, match="must be \\(6, 6\\)"):
         quiet(capture, volume, wl_mean=0.3, aperture=np.ones((5, 5), dtype=bool))
@@ -350,7 +350,7 @@ def test_coarse_sampling_is_warned_of():
     [
         (SINGLE, {"camera": "pinhole"}, SceneError, "camera = 'pinhole' is unknown"),
         (SINGLE, {"camera": "transient"}, SceneError, "needs times"),
-        (SINGLE, {"times": "now"}, SceneError, "times of type <U3 are no real numbers"),
+        (SINGLE, {"times": "now"}, SceneError, "times of type <U3 are not real numbers"),
         (SINGLE, {"times": [[0.0], [0.0, 0.1]]}, SamplingError, "times have rows of several"),
         (SINGLE, {"aperture": [[True], [True, False]]}, SamplingError, "rows of several lengths"),
         (SINGLE, {"camera": "direct_light", "times": [0.1]}, SceneError, "is at t = 0"),
@@ -367,11 +367,11 @@ def test_coarse_sampling_is_warned_of():
             SINGLE,
             {"aperture": np.eye(6, dtype=bool), "aperture_of": "laser"},
             SamplingError,
-            "cut no points",
+            "applies to none of the points",
         ),
         (SINGLE, {"wl_sigma": 1e-9}, SamplingError, "wl_sigma = 1e-09 m, limit 0.005 m"),
         (SINGLE, {"wl_sigma": 1e12}, MemoryLimitError, "a pulse of wl_sigma"),
-        (SINGLE, {"device": "no such"}, SceneError, "device = 'no such' is not there"),
+        (SINGLE, {"device": "no such"}, SceneError, "device = 'no such' is not available"),
     ],
 )
 def test_errors_say_what_is_wrong(capture, options, kind, message):

@@ -135,7 +135,7 @@ def test_occluders_take_light_and_give_none():
         ({"wall_material": Lambert(0.0)}, "wall_albedo = 0"),
         (
             {"hidden": PlanarObject(0.5 * LETTER, 0.8, position=(0, 0, 1))},
-            "100 % of its light in grey",
+            "100 % of its reflectance in grey",
         ),
     ],
 )

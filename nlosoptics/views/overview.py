@@ -1,0 +1,62 @@
+"""One figure that shows a whole run: room, wave aberration, PSF, image and reconstruction."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from ..limits import object_scale
+from .canvas import new_axes
+from .maps import image, point_spread, reconstruction, wavefront
+from .sketch import room_from_above
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from ..runs.results import Result
+
+
+def overview(result: Result) -> tuple[Axes, ...]:
+    """Draw the results of a run in one figure, in the order of the light.
+
+    Parameters
+    ----------
+    result : Result
+        Result of `simulate`, with or without a reconstruction.
+
+    Returns
+    -------
+    tuple of Axes
+        Two rows. The upper row shows the room from above, the wave aberration and the point spread
+        function; the lower row the camera image and, where there is one, the reconstruction
+        without and with the ground truth.
+
+    Raises
+    ------
+    MissingExtraError
+        If matplotlib is not installed.
+
+    See Also
+    --------
+    scene_sketch, wavefront, point_spread, image, reconstruction : The single pictures.
+    """
+    axes = new_axes(6, width=16.5, height=9.6, columns=3)
+    figure: Any = axes[0].get_figure(root=True)
+    figure.get_layout_engine().set(w_pad=0.15, h_pad=0.1)
+    scale = object_scale(result.scene)
+    room_from_above(result.scene, axes[0])
+    axes[0].legend(fontsize="small", loc="best")
+    wavefront(result.wavefront, axes=axes[1])
+    point_spread(result.point_spread, scale="linear", axes=axes[2])
+    image(result.image, object_scale=scale, axes=axes[3])
+    if result.reconstruction is None:
+        for spare in axes[4:]:
+            spare.remove()
+        return axes[:4]
+    brightest = float(result.image.ideal.max())
+    truth: Any = result.image.ideal / brightest if brightest > 0 else None
+    drawn = axes[5:3:-1] if truth is not None else axes[4:5]
+    reconstruction(result.reconstruction, truth, pitch=scale * result.image.pitch, axes=drawn)
+    if truth is None:
+        axes[5].remove()
+        return axes[:5]
+    return axes
