@@ -1,19 +1,19 @@
-"""nlosoptics: the optics of seeing around corners.
+"""nlosoptics: optics of non-line-of-sight imaging, seeing around corners.
 
-A laser lights a rough relay wall, light scatters to a hidden object and back, and an ordinary
+A laser illuminates a rough relay wall, light scatters to a hidden object and back, and an ordinary
 camera looks at the wall. The subpackages follow the light:
 
-- `scene`: laser, wall, hidden object, camera, materials, the scene file.
-- `raytrace`: rays and their intersections.
+- `scene`: laser, wall, hidden object, camera, materials, scene files.
+- `raytrace`: ray tracing and intersections.
 - `psf`: exit pupil, wave aberration, point spread functions, metrics.
-- `imaging`: radiance, photons, camera noise, the forward model.
-- `limits`: what an image can tell, before any fit.
-- `inverse`: reconstructions, in torch.
-- `transient`: time-resolved captures and their pictures.
-- `views`: pictures.
-- `report`: a page about a run.
+- `imaging`: radiometry, photons, camera noise, the image model.
+- `limits`: what can be recovered from an image, before any fit.
+- `inverse`: reconstruction of the hidden object, in torch.
+- `transient`: time-resolved captures and their reconstruction.
+- `views`: plots and 3-D views.
+- `report`: HTML report of a run.
 
-`plan` says what a scene needs, `simulate` runs exactly that.
+`plan` predicts the stages that a scene needs, with time and error; `simulate` runs them.
 """
 
 import lazy_loader as _lazy

@@ -1,4 +1,4 @@
-"""Checks shared by every constructor: value, limit, place and remedy in one line."""
+"""Argument checks, whose messages give value, limit, place and remedy, and run budgets."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ Vector = tuple[float, float, float]
 
 T = TypeVar("T")
 R = TypeVar("R")
-#: Share of the free memory that may be taken where nobody says.
+#: Default memory limit as a fraction of the free memory.
 SHARE = 0.75
-#: Seconds for which a reading of the free memory holds; each costs as much as a small transform.
+#: Seconds for which the free memory is cached; reading it takes as long as a small transform.
 FRESH = 0.25
 
 
@@ -71,23 +71,23 @@ def positive(name: str, value: Any, *, unit: str = "", remedy: str = "") -> floa
 
 
 def whole(name: str, value: Any, low: int = 1, high: int | None = None) -> int:
-    """Return ``value`` as an int from ``low`` to ``high``; booleans and fractions are refused."""
-    # an int may hold more digits than a float
+    """Return ``value`` as an int from ``low`` to ``high``; reject booleans and fractions."""
+    # integers may have more digits than a float
     if not isinstance(value, Integral) and not real(name, value).is_integer():
-        raise SceneError(f"{name} = {value!r} is not a whole number")
+        raise SceneError(f"{name} = {value!r} is not a whole number; give an integer")
     if isinstance(value, bool):
-        raise SceneError(f"{name} = {value!r} is not a whole number")
+        raise SceneError(f"{name} = {value!r} is not a whole number; give an integer")
     number = int(value)
     if number < low or (high is not None and number > high):
         limit = f"at least {low}" if high is None else f"from {low} to {high}"
-        # Python refuses to write out ints of thousands of digits
+        # Python does not convert ints of thousands of digits to text
         shown = number if number.bit_length() < 128 else f"an int of {number.bit_length()} bits"
         raise SceneError(f"{name} = {shown} is out of range, must be {limit}")
     return number
 
 
 def one_of(name: str, value: Any, choices: Iterable[str]) -> str:
-    """Return ``value`` when it is among ``choices``."""
+    """Return ``value`` if it is one of ``choices``, otherwise raise `SceneError`."""
     choices = tuple(choices)
     if value not in choices:
         raise SceneError(f"{name} = {value!r} is unknown, must be one of {', '.join(choices)}")
@@ -100,38 +100,42 @@ def path_of(name: str, value: Any) -> Path:
         path = Path(value)
         if "\0" not in str(path):
             return path
-    raise SceneError(f"{name} = {value!r} is no path of a file or folder; give a str or a Path")
+    raise SceneError(f"{name} = {value!r} is not the path of a file or folder; give a str or Path")
 
 
 def vector(name: str, value: Any) -> Vector:
-    """Return three finite floats."""
+    """Return ``value`` as three finite floats."""
     if is_single(value) or not (isinstance(value, Sequence) or hasattr(value, "__array__")):
         raise SceneError(f"{name} = {value!r} is not a vector; give three numbers in m")
     if len(value) != 3:
-        raise SceneError(f"{name} has {len(value)} components; give three, x, y and z in m")
+        raise SceneError(
+            f"{name} has {counted(len(value), 'component')}; give three, x, y and z in m"
+        )
     x, y, z = (real(f"{name}[{axis}]", v) for axis, v in zip("xyz", value, strict=True))
     return (x, y, z)
 
 
 def is_single(value: Any) -> bool:
-    """Whether ``value`` is one number, be it of Python or of numpy."""
+    """Return whether ``value`` is a single number, of Python or numpy."""
     return isinstance(value, Real) or getattr(value, "ndim", None) == 0
 
 
 def pair(name: str, value: Any, *, unit: str = "m") -> tuple[float, float]:
-    """Return (x, y) extents above zero; one number stands for both."""
+    """Return (x, y) extents above zero; a single number is used for both."""
     if is_single(value):
         value = (value, value)
     if not isinstance(value, Sequence) and not hasattr(value, "__array__"):
         raise SceneError(f"{name} = {value!r} is not a size; give one number or two")
     if len(value) != 2:
-        raise SceneError(f"{name} has {len(value)} components; give one number or (x, y)")
+        raise SceneError(
+            f"{name} has {counted(len(value), 'component')}; give one number or (x, y)"
+        )
     x, y = (positive(f"{name}[{axis}]", v, unit=unit) for axis, v in zip("xy", value, strict=True))
     return (x, y)
 
 
 def available_memory() -> float:
-    """Bytes that can still be allocated; infinity where the system does not say."""
+    """Return the free memory, bytes; infinity if the system does not report it."""
     return _memory_at(int(time.monotonic() / FRESH))
 
 
@@ -155,9 +159,9 @@ class Budget:
     Parameters
     ----------
     memory : float
-        Bytes.
+        Memory limit, bytes.
     seconds : float
-        Of one core.
+        Limit of the predicted run time on one core, s.
     """
 
     memory: float
@@ -169,7 +173,7 @@ _budget: ContextVar[Budget | None] = ContextVar("budget", default=None)
 
 @contextmanager
 def within(budget: Budget) -> Iterator[None]:
-    """Hold what is done to a budget, in this thread and in what `carried` takes to others."""
+    """Apply a budget within a block, in this thread and in functions wrapped by `carried`."""
     token = _budget.set(budget)
     try:
         yield
@@ -178,7 +182,7 @@ def within(budget: Budget) -> Iterator[None]:
 
 
 def carried(function: Callable[[T], R]) -> Callable[[T], R]:
-    """The function held to the present budget in whichever thread it runs."""
+    """Wrap a function so that the current budget also applies in another thread."""
     budget = _budget.get()
     if budget is None:
         return function
@@ -191,19 +195,33 @@ def carried(function: Callable[[T], R]) -> Callable[[T], R]:
 
 
 def memory_limit() -> float:
-    """Bytes that may be taken: the present budget's, or else `SHARE` of what is free."""
+    """Return the current memory limit, bytes; without a budget, `SHARE` of the free memory."""
     budget = _budget.get()
     return SHARE * available_memory() if budget is None else budget.memory
 
 
 def seconds_limit(without: float) -> float:
-    """Seconds that may be taken: the present budget's, or ``without`` one."""
+    """Return the current time limit, s; ``without`` if there is no budget."""
     budget = _budget.get()
     return without if budget is None else budget.seconds
 
 
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """Return a count with its noun, such as "1 pair" or "2 pairs".
+
+    Parameters
+    ----------
+    count : int
+    noun : str
+        In the singular.
+    plural : str, optional
+        Where it is not the singular with an s, such as "axes".
+    """
+    return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
+
+
 def fits_memory(what: str, n_bytes: float, remedy: str) -> None:
-    """Raise `MemoryLimitError` before an allocation that the budget or the machine cannot hold."""
+    """Raise `MemoryLimitError` before an allocation that exceeds the memory limit."""
     limit = memory_limit()
     if n_bytes > limit:
         raise MemoryLimitError(

@@ -1,8 +1,8 @@
-"""How fast this machine is, measured once and kept, for predictions of run time.
+"""Speed of this machine, measured once and cached, for predictions of run time.
 
-The constants of `psf.transform.costs` and of the plan are seconds on one core of the machine that
-they were fitted on. Which transform runs is chosen by them as they are, so that a scene gives the
-same bits everywhere; what a plan tells is scaled by how long three probes take here.
+The constants in `psf.transform.costs` and in the plan are seconds on one core of a reference
+machine. Transforms are selected by the unscaled constants, so that results do not depend on the
+machine. The times that a plan reports are scaled by three probes measured on this machine.
 """
 
 from __future__ import annotations
@@ -21,28 +21,29 @@ from . import __version__
 from ._whole_files import write_whole
 from .errors import SceneError
 
-#: Seconds of the probes on the machine of the fits.
+#: Run time of the probes on the reference machine, s.
 REFERENCE: Final = {"calls": 1.7e-3, "arrays": 7.6e-3, "transforms": 2.3e-3}
-#: Within which a measured factor is believed; beyond, something else took the processor.
+#: Plausible range of a factor; outside it another process disturbed the measurement.
 BELIEVED: Final = (0.1, 10.0)
 REPEATS: Final = 5
 
 
 def seconds(calls: float = 0.0, arrays: float = 0.0, transforms: float = 0.0) -> float:
-    """Seconds here of what takes so many on the machine of the fits.
+    """Convert seconds on the reference machine to seconds on this machine.
 
     Parameters
     ----------
     calls : float
-        Of Python and small arrays.
+        Time spent in Python and on small arrays, s.
     arrays : float
-        Of long loops over arrays.
+        Time spent in long loops over arrays, s.
     transforms : float
-        Of Fourier transforms and the kernels beside them.
+        Time spent in Fourier transforms and their kernels, s.
 
     Returns
     -------
     float
+        Predicted total on this machine, s.
     """
     here = factors()
     return calls * here["calls"] + arrays * here["arrays"] + transforms * here["transforms"]
@@ -50,9 +51,10 @@ def seconds(calls: float = 0.0, arrays: float = 0.0, transforms: float = 0.0) ->
 
 @lru_cache(maxsize=1)
 def factors() -> dict[str, float]:
-    """How many times longer than on the machine of the fits each kind of work takes here.
+    """Return run time on this machine over that on the reference machine for each kind of work.
 
-    Measured at the first need, some 0.1 s, and kept in a file; 1 where no file can be kept.
+    The factors are measured on first use, in about 0.1 s, and saved to a file. If no file can be
+    written, all factors are 1.
     """
     path = kept_at()
     try:
@@ -70,13 +72,13 @@ def factors() -> dict[str, float]:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole({path: json.dumps(measured).encode()})
     except (OSError, SceneError):
-        # another process would measure something else, and plan something else
+        # without a file each process would measure, and so predict, different times
         return dict.fromkeys(REFERENCE, 1.0)
     return measured
 
 
 def kept_at() -> Path:
-    """File of the factors, beside the compiled kernels, of this version on this processor."""
+    """Path of the saved factors, next to the compiled kernels, for this version and processor."""
     folder = os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).parent / "__pycache__"
     processor = platform.processor() + platform.machine() + str(os.cpu_count())
     try:
@@ -89,8 +91,8 @@ def kept_at() -> Path:
 
 
 def _least(probe: Callable[[], object]) -> float:
-    """Least seconds of the processor that a probe takes."""
-    probe()  # whatever its first call loads
+    """Return the least processor time of several runs of a probe, s."""
+    probe()  # the first call may load modules
     found = []
     for _ in range(REPEATS):
         start = time.thread_time()
@@ -100,7 +102,7 @@ def _least(probe: Callable[[], object]) -> float:
 
 
 def _probes() -> dict[str, Callable[[], object]]:
-    """A few milliseconds of each kind of work."""
+    """Return one probe of a few milliseconds for each kind of work."""
     import ducc0
     import numpy as np
 

@@ -1,7 +1,7 @@
-"""HTML: text that is escaped once, tables, and what nouns show in a notebook.
+"""HTML: escaping in one place, tables, and the notebook representation of result objects.
 
-There it is a small picture beside a table of figures. Colours and backgrounds are the notebook's
-own, light or dark; pictures bring their white paper.
+In a notebook an object is shown as a small picture next to a table of figures. Text uses the
+notebook's colours, light or dark; pictures have a white background.
 """
 
 from __future__ import annotations
@@ -15,38 +15,40 @@ from typing import Any, NamedTuple
 
 from .errors import NlosError
 
-#: The registry of pictures. It stands above all nouns, so that it is looked up by name, when a card
-#: is shown and not before: the only look from a lower part of the package into a higher one.
+#: Module that draws the pictures. It depends on all result classes, so it is imported by name and
+#: only when a card is shown. This is the only reference from a lower layer to a higher one.
 CARDS = f"{__package__}.views.cards"
 VOID = ("img", "source", "meta", "br")
-HEIGHT = 330  # pixels of a picture
-MOST_BYTES = 40_000  # of a picture, beyond which it is given a palette
-COLOURS = 96  # of that
+HEIGHT = 330  # height of a picture, pixels
+MOST_BYTES = 40_000  # size of a PNG above which it is reduced to a palette
+COLOURS = 96  # colours of the palette
 CELL = "text-align:left;vertical-align:top"
 CAPTION = "caption-side:top;text-align:left;color:inherit;font-weight:bold"
 
 
 class Html(str):
-    """Text that is HTML already; `tag` escapes every other."""
+    """Text that is valid HTML; `tag` escapes all other text."""
 
     __slots__ = ()
 
 
 def tag(name: str, *children: object, **attributes: object) -> Html:
-    """Element of HTML.
+    """Build an HTML element.
 
     Parameters
     ----------
     name : str
+        Name of the element, for example ``"p"``.
     *children : object
-        Its contents: `Html` as it is, None for nothing, all else as escaped text.
+        Contents: `Html` is inserted unchanged, None is skipped, anything else becomes escaped text.
     **attributes : object
-        ``class_`` stands for ``class``, ``aria_label`` for ``aria-label``; True for a bare one,
-        None for none.
+        Attributes, with ``class_`` for ``class`` and ``aria_label`` for ``aria-label``. True gives
+        an attribute without value; None leaves it out.
 
     Returns
     -------
     Html
+        The element.
     """
     opened = name
     for key, value in attributes.items():
@@ -57,7 +59,7 @@ def tag(name: str, *children: object, **attributes: object) -> Html:
 
 
 def joined(children: Iterable[object]) -> Html:
-    """Pieces one after the other, escaped where they are text."""
+    """Concatenate pieces; text is escaped, `Html` is not."""
     return Html(
         "".join(
             child if isinstance(child, Html) else html.escape(str(child))
@@ -68,12 +70,12 @@ def joined(children: Iterable[object]) -> Html:
 
 
 def png(data: bytes) -> str:
-    """A PNG as an address that holds it."""
+    """Return a PNG as a data URL."""
     return f"data:image/png;base64,{base64.b64encode(data).decode()}"
 
 
 class Column(NamedTuple):
-    """Head of a table's column; ``kind`` is "number" where figures stand under one another."""
+    """Head of a table column; ``kind`` is "number" for aligned numbers."""
 
     head: str
     kind: str | None = None
@@ -86,17 +88,18 @@ def table(
     *,
     styled: bool = False,
 ) -> Html:
-    """A table, the first cell of each row its head.
+    """Build a table in which the first cell of each row is the row's head.
 
     Parameters
     ----------
     caption : str
+        Caption above the table.
     columns : sequence of Column
-        Without any head, the table has no line of heads.
+        Columns. If all heads are empty, the table has no head row.
     rows : iterable of sequence
-        As many cells as columns, as the contents of `tag`.
+        Rows with one cell per column; cells are contents for `tag`.
     styled : bool
-        Whether elements bring their style, as where there is no style sheet.
+        Whether to add inline styles, for pages without a style sheet.
     """
     cell = CELL if styled else None
     heads = [
@@ -122,16 +125,16 @@ def table(
 
 
 class Figures(NamedTuple):
-    """Title, table and picture text of a noun's notebook card.
+    """Texts of an object's notebook card.
 
     Parameters
     ----------
     title : str
-        What it is.
+        Title, for example ``"Speckle image"``.
     rows : mapping of str to str
         Names and values of the table.
     alt : str
-        What the picture beside it shows, in words.
+        Description of the picture.
     """
 
     title: str
@@ -140,7 +143,7 @@ class Figures(NamedTuple):
 
 
 class Shown:
-    """Base of nouns that show themselves in notebooks: figures here, the picture by `CARDS`."""
+    """Base of classes with a notebook card: they provide the texts, `CARDS` the picture."""
 
     def _figures(self) -> Figures:
         raise NotImplementedError
@@ -150,7 +153,7 @@ class Shown:
 
 
 def card(noun: Shown) -> Html:
-    """Picture and figures of a noun; as text where it cannot be drawn, as without matplotlib."""
+    """Return an object's picture and figures; text only if drawing fails, as without matplotlib."""
     title, rows, alt = noun._figures()
     try:
         source = png(_picture(importlib.import_module(CARDS).axes(noun)))
@@ -168,7 +171,7 @@ def card(noun: Shown) -> Html:
 
 
 def _picture(axes: Any) -> bytes:
-    """The figure of axes as a small PNG."""
+    """Render the figure of some axes as a small PNG."""
     from PIL import Image
 
     first = axes if hasattr(axes, "get_figure") else next(iter(axes))

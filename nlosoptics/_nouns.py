@@ -1,4 +1,4 @@
-"""Values that travel: they pickle and copy by their fields, and stay read-only."""
+"""Base class of result objects: pickling and copying by fields, with read-only contents."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .errors import SceneError
 
 
 class Noun:
-    """Base of frozen dataclasses that hold arrays, mappings or what is computed once and kept.
+    """Base of frozen dataclasses with arrays, mappings or cached properties.
 
-    A pickle and a deep copy hold the fields alone: what a property keeps is computed again where it
-    is asked for. numpy forgets that an array was read-only, pickle knows no read-only mapping:
-    both are read-only again in what comes back. The constructor's checks are not repeated.
+    Pickles and deep copies contain only the fields; cached properties are computed again when
+    needed. Pickling loses numpy's read-only flag and does not support read-only mappings, so both
+    are restored on loading. The constructor's checks are not repeated.
     """
 
     def __getstate__(self) -> dict[str, Any]:
@@ -31,7 +31,7 @@ class Noun:
         return self
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        # by the fields and not by __getstate__, which packs them for a file and may refuse some
+        # not via __getstate__: a subclass may prepare its state for a file or reject values there
         copied = object.__new__(type(self))
         memo[id(self)] = copied
         Noun.__setstate__(copied, deepcopy(field_values(self), memo))
@@ -39,15 +39,16 @@ class Noun:
 
 
 def check_pickles(name: str, value: Any) -> None:
-    """Refuse a function that pickle cannot name, such as a lambda.
+    """Check that a function can be pickled, unlike for example a lambda.
 
     Raises
     ------
     SceneError
+        If it cannot be pickled.
     """
     try:
         pickle.dumps(value)
-    # objects raise what they like
+    # __reduce__ of an object may raise any exception
     except Exception as error:
         raise SceneError(
             f"{name} = {value!r} cannot be pickled ({type(error).__name__}); define it at the top "
@@ -56,12 +57,12 @@ def check_pickles(name: str, value: Any) -> None:
 
 
 def field_values(noun: Any) -> dict[str, Any]:
-    """Fields of a dataclass by their names, read-only mappings as what `Noun` closes again."""
+    """Return the fields of a dataclass by name; read-only mappings become `_Sealed` dicts."""
     return {field.name: _opened(getattr(noun, field.name)) for field in fields(noun)}
 
 
 class _Sealed(dict[Any, Any]):
-    """Entries of a read-only mapping on their way."""
+    """Entries of a read-only mapping while it is pickled or copied."""
 
 
 def _opened(value: Any) -> Any:
@@ -75,7 +76,7 @@ def _opened(value: Any) -> Any:
 
 
 def _closed(value: Any) -> Any:
-    # numpy is not imported for this: only its arrays have such flags
+    # avoids importing numpy; of the types concerned only its arrays have flags.writeable
     flags: Any = getattr(value, "flags", None)
     if getattr(flags, "writeable", False):
         flags.writeable = False

@@ -2,5 +2,5 @@
 
 from collections.abc import Callable
 
-# What is being done, and the share of the whole that is done, 0 to 1.
+# Arguments: text that names the current step, and the completed fraction of the whole, 0 to 1.
 Progress = Callable[[str, float], object]

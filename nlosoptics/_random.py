@@ -1,4 +1,4 @@
-"""Random draws that depend on their address alone, never on threads or call order."""
+"""Counter-based random numbers, independent of the number of threads and the order of calls."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ MOST_SEED = 2**64 - 1
 
 
 def checked_seed(seed: int) -> int:
-    """Return ``seed`` as an int of 64 bits, the key of the generator, or raise `SceneError`."""
+    """Return ``seed`` as an integer from 0 to 2^64 - 1, or raise `SceneError`."""
     return whole("seed", seed, 0, MOST_SEED)
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Counter-based generator (Philox) of one stage.
+    """Return a counter-based random generator (Philox) for one stage of a computation.
 
     Parameters
     ----------
     seed : int
-        The user's seed, 0 to 2^64 - 1.
+        Seed given by the user, 0 to 2^64 - 1.
     stream : int
-        Number of the stage that draws; different stages never share numbers.
+        Number of the stage. Different stages get independent streams.
     """
     key = np.array([checked_seed(seed), stream], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key))
@@ -60,7 +60,10 @@ SOBOL_DIMENSIONS = len(_JOE_KUO) + 1
 
 @cache
 def sobol_columns() -> NDArray[np.uint32]:
-    """Generating columns of the Sobol sequence, (SOBOL_DIMENSIONS, 32), first digit highest."""
+    """Return the generating columns of the Sobol sequence, (SOBOL_DIMENSIONS, 32).
+
+    The first digit is the most significant bit.
+    """
     columns = np.empty((SOBOL_DIMENSIONS, 32), dtype=np.uint32)
     columns[0] = 1 << np.arange(31, -1, -1, dtype=np.uint32)
     for row, (degree, polynomial, first) in zip(columns[1:], _JOE_KUO, strict=True):
@@ -79,17 +82,18 @@ def sobol_columns() -> NDArray[np.uint32]:
 def scrambled_sobol(
     seed: int, stream: int, groups: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-    """Columns (groups, SOBOL_DIMENSIONS, 32) and shifts (groups, SOBOL_DIMENSIONS) of Sobol points.
+    """Return generating columns and digital shifts of independently scrambled Sobol sequences.
 
-    Each group is scrambled on its own by a random lower triangular matrix over the digits and a
-    random shift, which leaves every point uniform and has the variance of Owen's scrambling
-    (Matousek, J. Complexity 14, 527, 1998).
+    Each group is scrambled by a random lower triangular matrix over the digits and a random shift.
+    Every point is then uniformly distributed, and the variance equals that of Owen's scrambling
+    (Matousek, J. Complexity 14, 527, 1998). The columns have the shape
+    (groups, SOBOL_DIMENSIONS, 32), the shifts (groups, SOBOL_DIMENSIONS).
     """
     from .kernels import random
 
     draw = generator(seed, stream)
     shape = (groups, SOBOL_DIMENSIONS)
-    # digit d goes to itself and to any of the lower ones
+    # each digit keeps itself and is added to random lower digits
     unit = np.uint32(1) << np.arange(32, dtype=np.uint32)
     matrices = draw.integers(0, 2**32, size=(*shape, 32), dtype=np.uint32) & (unit - 1) | unit
     scrambled = np.empty((*shape, 32), dtype=np.uint32)
@@ -98,18 +102,19 @@ def scrambled_sobol(
 
 
 def philox(counters: NDArray[np.uint32], seed: int) -> NDArray[np.uint32]:
-    """Four random words for each address: Philox4x32-10 [1]_ for arrays of counters.
+    """Return four random 32-bit words for each counter, by Philox4x32-10 [1]_.
 
     Parameters
     ----------
     counters : ndarray of uint32, (..., 4)
-        Addresses.
+        Counters, which address the draws.
     seed : int
-        Key, 0 to 2^64 - 1.
+        Key of the generator, 0 to 2^64 - 1.
 
     Returns
     -------
     ndarray of uint32, (..., 4)
+        Random words.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all."""
+"""Atomic writing of files and folders: complete or not at all."""
 
 from __future__ import annotations
 
@@ -11,12 +11,17 @@ from pathlib import Path
 
 from .errors import SceneError
 
-#: What a folder holds, and which of its files are the package's own.
+#: Record of an output folder; it lists the files that nlosoptics wrote.
 RECORD = "result.json"
 
 
 def write_whole(contents: Mapping[Path, bytes]) -> None:
-    """Write files beside their places and, once all are written, rename them; old ones go.
+    """Write temporary files and rename them once all are complete; existing files are replaced.
+
+    Parameters
+    ----------
+    contents : mapping of Path to bytes
+        Contents by file path.
 
     Raises
     ------
@@ -43,11 +48,12 @@ def write_whole(contents: Mapping[Path, bytes]) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse an output folder that could not be written, or whose contents are not ours.
+    """Check that an output folder can be written and has no files of other origin.
 
     Raises
     ------
     SceneError
+        If it cannot be written, or contains a file that nlosoptics did not write.
     """
     if folder.exists():
         if not folder.is_dir():
@@ -59,7 +65,8 @@ def check_folder(folder: Path) -> None:
             ours = set()
         if found - ours:
             raise SceneError(
-                f"{folder} holds {min(found - ours)}, which nlosoptics did not write; name another"
+                f"{folder} holds {min(found - ours)}, which nlosoptics did not write; name another "
+                "folder"
             )
     parent = folder.absolute().parent
     if not parent.is_dir():
@@ -70,7 +77,7 @@ def check_folder(folder: Path) -> None:
 
 @contextmanager
 def whole_folder(target: Path) -> Iterator[Path]:
-    """Yield a folder that takes the place of ``target`` once the block has ended well."""
+    """Yield a temporary folder that replaces ``target`` if the block ends without an error."""
     target = target.absolute()
     with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as beside:
         new, old = Path(beside) / "new", Path(beside) / "old"

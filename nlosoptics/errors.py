@@ -1,43 +1,44 @@
-"""The kinds of error that nlosoptics raises.
+"""Exceptions and warnings of nlosoptics.
 
-Every message names the value, the limit, the place and the remedy, in one line. Each kind
-also derives from the builtin that fits, so that either can be caught:
+Each message states in one line the value, the limit, the place and the remedy. Each class also
+derives from a suitable builtin exception, so that either can be caught:
 
-- `SceneError`: a scene, a scene file or an argument that describes hardware is wrong.
-- `SamplingError`: a grid is too coarse, too narrow or does not fit the transform.
-- `CausticError`: a pupil point is reached by several rays or by none; W is undefined.
-- `NotWaveGradeError`: a surface is known too roughly for interference.
-- `MemoryLimitError`: an array would not fit; raised before it is allocated.
+- `SceneError`: a scene, a scene file or an argument is invalid.
+- `SamplingError`: a grid is too coarse or too small, or does not fit the transform.
+- `CausticError`: several rays or none reach a pupil point, so that W is undefined.
+- `NotWaveGradeError`: a surface is not known accurately enough for interference.
+- `MemoryLimitError`: an array would not fit in memory; raised before it is allocated.
 - `MissingExtraError`: an optional dependency is not installed.
 
-`ValidityWarning` is no error: a result is made from samples that are too coarse or too few for it.
+Two warnings are not errors. `ValidityWarning` marks a result from samples that are too coarse or
+too few. `PerformanceWarning` marks a computation that takes much longer than an equivalent one.
 """
 
 from __future__ import annotations
 
 
 class NlosError(Exception):
-    """Base of every error that nlosoptics raises on purpose."""
+    """Base class of all errors that nlosoptics raises deliberately."""
 
 
 class SceneError(NlosError, ValueError):
-    """A description of the scene is wrong."""
+    """A scene, a scene file or an argument is invalid."""
 
 
 class SamplingError(NlosError, ValueError):
-    """Samples are too few, or do not fit the transform that was asked for."""
+    """A sampling grid is too coarse or too small, or does not fit the requested transform."""
 
 
 class CausticError(NlosError, ArithmeticError):
-    """The wave aberration has several values, or none, at a pupil point."""
+    """The wave aberration is undefined: several rays or none reach a pupil point."""
 
 
 class NotWaveGradeError(NlosError, ValueError):
-    """A surface is not known to a fraction of the wavelength."""
+    """A surface is not known accurately enough, to a fraction of the wavelength."""
 
 
 class MemoryLimitError(NlosError, MemoryError):
-    """An array would need more memory than there is."""
+    """An array would exceed the memory limit."""
 
 
 class MissingExtraError(NlosError, ImportError):
@@ -45,4 +46,8 @@ class MissingExtraError(NlosError, ImportError):
 
 
 class ValidityWarning(UserWarning):
-    """A result is limited by the samples that it is made from."""
+    """The samples limit the accuracy of a result."""
+
+
+class PerformanceWarning(UserWarning):
+    """A computation takes much longer than one with slightly different input would."""

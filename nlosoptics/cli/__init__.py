@@ -1,7 +1,7 @@
-"""The command line: parse, call, write.
+"""Command line: parses arguments, calls the library and writes the results.
 
-Exit codes: 0 done, 1 failed, 2 bad input. An error is one line on stderr, without a traceback
-unless ``--debug`` asks for it. A run's output folder appears whole or not at all.
+Exit codes: 0 done, 1 failed, 2 bad input. An error is printed as one line on stderr; ``--debug``
+adds the traceback. A failed run leaves no partial output folder.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
-from . import (  # their commands, in the order of the help
+from . import (  # imported to register their commands, in the order of the help
     captures,  # noqa: F401
     forward,  # noqa: F401
     pictures,  # noqa: F401
@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Words after the program's name; those of this process by default.
+        Arguments after the program's name; by default those of this process.
     """
     try:
         words = tuple(sys.argv[1:] if arguments is None else arguments)

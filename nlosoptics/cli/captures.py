@@ -1,4 +1,4 @@
-"""Commands of time-resolved light: transient and phasor."""
+"""Commands transient and phasor, for time-resolved captures."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .._whole_files import whole_folder
+from ..errors import SceneError
 from ..runs.record import arrays, now, peak_memory, scene_hash, versions
 from .shell import (
     Debug,
@@ -32,34 +33,69 @@ if TYPE_CHECKING:
 
 PICOSECOND = 299792458e-12  # m of optical path
 
+#: Options of `phasor` that stand for what a capture lacks, with their values, by argument.
+OPTIONS = {
+    "format": "--format",
+    "side": "--side (whole side of the square scanned, m)",
+    "pairing": "--pairing confocal or --laser-point 'x, y, z' (m)",
+    "laser_point": "--laser-point 'x, y, z' (m)",
+    "bin_width": "--bin-width (m of optical path)",
+    "t_start": "--t-start (where bin 0 begins, m of optical path)",
+    "outer_legs": "--outer-legs or --no-outer-legs (whether times hold the legs from the laser to "
+    "the wall and on to the sensor)",
+    "gate_start": "--gate-start (m of optical path; earlier bins become 0, 0 keeps all)",
+    "wl_mean": "--wl-mean (virtual wavelength, m)",
+    "near": "--near (first plane, m from the wall)",
+    "far": "--far (last plane, m)",
+    "step": "--step (between planes, m)",
+}
+
 
 @app.command("transient")
 def transient_command(
     scene_file: SceneFile,
-    out: Annotated[Path | None, typer.Option(help="HDF5 file; ./<scene's name>.hdf5.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="HDF5 file to write; ./<scene's name>.hdf5 by default."),
+    ] = None,
     tol: Annotated[
-        float, typer.Option(help="Relative error of three reflections, L1 of each histogram.")
+        float,
+        typer.Option(
+            help="Relative error of light with three reflections (L1 norm of each histogram)."
+        ),
     ] = 1e-3,
-    tol_multiple: Annotated[float, typer.Option(help="The same of more reflections.")] = 1e-2,
+    tol_multiple: Annotated[
+        float,
+        typer.Option(help="Relative error of light with four or more reflections (L1 norm)."),
+    ] = 1e-2,
     seed: Seed = 0,
     quantity: Annotated[
-        str, typer.Option(help="irradiance, radiance or radiosity at the wall.")
+        str, typer.Option(help="Quantity at the wall: irradiance, radiance or radiosity.")
     ] = "irradiance",
     photons: Annotated[
         float | None,
-        typer.Option(help="Photons of the whole capture: counts of a detector are written."),
+        typer.Option(
+            help="Expected photons of the whole capture. If given, the file holds the counts of a "
+            "detector instead of the light."
+        ),
     ] = None,
-    jitter_ps: Annotated[float, typer.Option(help="Of the detector, one sigma, ps.")] = 0.0,
-    dark_counts: Annotated[float, typer.Option(help="Of the detector, in each bin.")] = 0.0,
-    compression: Annotated[int, typer.Option(min=0, max=9, help="Of the file, gzip.")] = 1,
+    jitter_ps: Annotated[
+        float, typer.Option(help="Timing jitter of the detector, standard deviation, ps.")
+    ] = 0.0,
+    dark_counts: Annotated[
+        float, typer.Option(help="Expected dark counts of the detector per bin and point.")
+    ] = 0.0,
+    compression: Annotated[
+        int, typer.Option(min=0, max=9, help="gzip compression level of the file.")
+    ] = 1,
     debug: Debug = False,
 ) -> None:
-    """Render the light of a scene over time, off its wall, into an HDF5 file that y-tal reads."""
+    """Render the time-resolved light at a scene's wall to an HDF5 file, readable by y-tal."""
     with errors_told(debug):
         start = time.perf_counter()
         if photons is None and (jitter_ps or dark_counts):
             raise typer.BadParameter(
-                "is missing beside --jitter-ps or --dark-counts", param_hint="--photons"
+                "is missing, but --jitter-ps and --dark-counts need it", param_hint="--photons"
             )
         path = Path(f"{scene_file.stem}.hdf5") if out is None else out
         from .. import transient
@@ -102,46 +138,88 @@ def transient_command(
 def phasor_command(
     context: typer.Context,
     capture_file: Annotated[
-        Path, typer.Argument(metavar="CAPTURE", help="HDF5 or .mat of a capture.")
+        Path, typer.Argument(metavar="CAPTURE", help="Capture file: HDF5 or .mat.")
     ],
     out: Annotated[
         Path | None, typer.Option(help="Output folder; ./<capture's name> by default.")
     ] = None,
     camera: Annotated[
-        str, typer.Option(help="confocal_time_gated or direct_light.")
+        str, typer.Option(help="Virtual camera: confocal_time_gated or direct_light.")
     ] = "confocal_time_gated",
     wl_mean: Annotated[
-        float | None, typer.Option(help="Virtual wavelength, m; the file's by default.")
+        float | None, typer.Option(help="Virtual wavelength, m; by default from the file.")
     ] = None,
     wl_sigma: Annotated[
-        float | None, typer.Option(help="Of the pulse, m; wl-mean/sqrt(2) by default.")
+        float | None,
+        typer.Option(help="Width (sigma) of the virtual pulse, m; wl-mean/sqrt(2) by default."),
     ] = None,
-    near: Annotated[float | None, typer.Option(help="First plane, m from the wall.")] = None,
-    far: Annotated[float | None, typer.Option(help="Last plane, m.")] = None,
-    step: Annotated[float | None, typer.Option(help="Between planes, m.")] = None,
+    near: Annotated[
+        float | None,
+        typer.Option(
+            help="Distance of the first plane from the wall, m; by default from the file."
+        ),
+    ] = None,
+    far: Annotated[
+        float | None,
+        typer.Option(help="Distance of the last plane from the wall, m; by default from the file."),
+    ] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(help="Distance between planes, m; by default from the file."),
+    ] = None,
     aperture: Annotated[
-        float | None, typer.Option(help="Side of the square of the wall to use, m; all.")
+        float | None,
+        typer.Option(help="Side of the central square of wall points to use, m; all by default."),
     ] = None,
     layout: Annotated[
-        str | None, typer.Option("--format", help="Layout of the file, where it is in doubt.")
+        str | None,
+        typer.Option(
+            "--format",
+            help="Layout of the file, if its contents leave it open: tal, znlos, dirac, "
+            "phasor_field_2019, phasor_field_2020 or lct.",
+        ),
     ] = None,
     bin_width: Annotated[
-        float | None, typer.Option(help="m of optical path, where the file does not say it.")
+        float | None,
+        typer.Option(help="Width of a time bin, m of optical path, if the file does not state it."),
     ] = None,
-    t_start: Annotated[float | None, typer.Option(help="m, likewise.")] = None,
-    side: Annotated[float | None, typer.Option(help="Of the wall, m, likewise.")] = None,
-    pairing: Annotated[str | None, typer.Option(help="all or confocal, likewise.")] = None,
-    laser_point: Annotated[str, typer.Option(help="'x, y, z' in m, likewise.")] = "",
+    t_start: Annotated[
+        float | None,
+        typer.Option(help="Start of bin 0, m of optical path, if the file does not state it."),
+    ] = None,
+    side: Annotated[
+        float | None,
+        typer.Option(help="Side of the scanned wall square, m, if the file does not state it."),
+    ] = None,
+    pairing: Annotated[
+        str | None,
+        typer.Option(
+            help="Pairs of laser and sensor points, all or confocal, if the file does not state it."
+        ),
+    ] = None,
+    laser_point: Annotated[
+        str,
+        typer.Option(
+            help="Position of the only laser point, 'x, y, z' in m, if the file does not state it."
+        ),
+    ] = "",
     outer_legs: Annotated[
         bool | None,
-        typer.Option("--outer-legs/--no-outer-legs", help="Whether times hold them, likewise."),
+        typer.Option(
+            "--outer-legs/--no-outer-legs",
+            help="Whether times include the paths from laser to wall and from wall to sensor, if "
+            "the file does not state it.",
+        ),
     ] = None,
     gate_start: Annotated[
-        float | None, typer.Option(help="m; bins that begin before it become 0.")
+        float | None,
+        typer.Option(
+            help="Start of the gate, m of optical path: earlier bins, with direct light, become 0."
+        ),
     ] = None,
     debug: Debug = False,
 ) -> None:
-    """Reconstruct the hidden scene of a capture with a virtual camera of phasor fields."""
+    """Image the hidden scene of a time-resolved capture with a virtual phasor-field camera."""
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(capture_file.stem) if out is None else out
@@ -149,23 +227,24 @@ def phasor_command(
 
         check_target(folder)
         require("matplotlib", "views")
-        capture = transient.TransientCapture.load(
+        picture = {"wl_mean": wl_mean, "near": near, "far": far, "step": step}
+        capture, wanted = _loaded(
             capture_file,
+            picture,
             format=layout,
             bin_width=bin_width,
             t_start=t_start,
             side=side,
-            pairing=pairing,  # type: ignore[arg-type]  # checked there
+            pairing=pairing,
             laser_point=numbers("--laser-point", laser_point) or None,
             outer_legs=outer_legs,
             gate_start=gate_start,
         )
-        wanted = _picture(capture, {"wl_mean": wl_mean, "near": near, "far": far, "step": step})
         volume = transient.Volume.facing(
             _grid(capture), (wanted["near"], wanted["far"], wanted["step"])
         )
         with progress_bar(width=32) as progress, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # they are in the image's notes
+            warnings.simplefilter("ignore")  # the image's notes repeat the warnings
             image = transient.phasor_image(
                 capture,
                 volume,
@@ -189,29 +268,54 @@ def phasor_command(
 
 
 def _grid(capture: TransientCapture) -> Any:
-    """Points before which the picture is taken: the sensors', or the lasers' before one sensor."""
+    """Grid of wall points that the volume faces: the sensors, or the lasers for a single sensor."""
     sensors, lasers = capture.sensor_points, capture.laser_points
-    # files may lay one point as a grid
+    # some files store a single point as a grid
     alone = sensors.ndim < 3 or (sensors.size == 3 and lasers.ndim == 3)
     return lasers if alone else sensors
 
 
-def _picture(capture: TransientCapture, given: dict[str, float | None]) -> dict[str, float]:
-    """Wavelength and planes: what is given, else what the capture's scene wants."""
-    held = capture.details.get("picture")
+def _loaded(
+    path: Path, picture: dict[str, float | None], **given: Any
+) -> tuple[TransientCapture, dict[str, float]]:
+    """Capture of a file, with the wavelength and planes of its picture.
+
+    Parameters
+    ----------
+    path : Path
+    picture : dict
+        Options of the picture, None where the capture's scene decides.
+    **given
+        Arguments of `TransientCapture.load`.
+
+    Raises
+    ------
+    SceneError
+        If options are missing; it names all of them.
+    """
+    from ..transient import TransientCapture
+    from ..transient.capture.formats import LackingFileError
+
+    missing: list[str] = []
+    try:
+        capture = TransientCapture.load(path, **given)
+        details = capture.details
+    except LackingFileError as error:
+        details = error.details
+        for lack in error.lacks:
+            kind = f" {error.layout} ({lack.why})" if lack.argument == "format" else ""
+            missing.append(OPTIONS[lack.argument] + kind)
+    held = details.get("picture")
     wanted = dict(held) if isinstance(held, dict) else {}
-    wanted |= {name: value for name, value in given.items() if value is not None}
-    for name in given:
-        if name not in wanted:
-            option = f"--{name.replace('_', '-')}"
-            raise typer.BadParameter(
-                "is missing, and the capture does not say it", param_hint=option
-            )
-    return wanted
+    wanted |= {name: value for name, value in picture.items() if value is not None}
+    missing += [OPTIONS[name] for name in picture if name not in wanted]
+    if missing:
+        raise SceneError(f"{path} does not give all that a picture needs; add {', '.join(missing)}")
+    return capture, wanted
 
 
 def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[str, Any]:
-    """Machine-readable account of a picture: the contents of result.json."""
+    """Contents of ``result.json`` for an image of a capture."""
     import hashlib
 
     import numpy as np
@@ -247,7 +351,7 @@ def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[s
 
 
 def _write_picture(image: PhasorImage, folder: Path) -> None:
-    """Write the volume with its axes, and its views from the wall and from the side."""
+    """Write the volume with its axes, and pictures of it from the wall, from above and the side."""
     import numpy as np
 
     from .. import views

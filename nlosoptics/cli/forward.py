@@ -1,4 +1,4 @@
-"""Commands that simulate: plan, run and schema."""
+"""Commands plan, run and schema."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .._checks import counted
 from .._whole_files import whole_folder
 from .shell import (
     MOST_SECONDS,
@@ -42,7 +43,7 @@ def plan_command(
     max_seconds: MaxSeconds = MOST_SECONDS,
     debug: Debug = False,
 ) -> None:
-    """Say what a run computes, what it skips and why, with predicted seconds and error."""
+    """Show which stages a run computes or skips, why, and the predicted time and error."""
     with errors_told(debug):
         from ..runs.plan import plan
 
@@ -64,13 +65,16 @@ def run_command(
     ] = None,
     size: Size = None,
     reconstruct: Annotated[
-        bool, typer.Option("--reconstruct/--no-reconstruct", help="Reconstruct the hidden object.")
+        bool,
+        typer.Option(
+            "--reconstruct/--no-reconstruct", help="Also reconstruct the object; needs torch."
+        ),
     ] = True,
     memory: Memory = None,
     max_seconds: MaxSeconds = MOST_SECONDS,
     debug: Debug = False,
 ) -> None:
-    """Simulate a scene file; write figures, arrays and pictures into one folder."""
+    """Simulate a scene, and write key figures, arrays and pictures to a folder."""
     with errors_told(debug):
         start = time.perf_counter()
         folder = Path(scene_file.stem) if out is None else out
@@ -101,7 +105,7 @@ def run_command(
 
 @app.command("schema")
 def schema_command(debug: Debug = False) -> None:
-    """Print the JSON schema of scene files, for editors."""
+    """Print the JSON schema of scene files, for completion and checks in editors."""
     with errors_told(debug):
         from ..scene.file.scene_file import scene_schema
 
@@ -109,7 +113,7 @@ def schema_command(debug: Debug = False) -> None:
 
 
 def _write_pictures(result: Result, folder: Path) -> None:
-    """Write the pictures: one that shows all, and one PNG each."""
+    """Write an overview picture and one PNG for each part of the result."""
     from .. import limits, views
 
     scale = limits.object_scale(result.scene)
@@ -146,7 +150,8 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
     if f["field_nodes"] > 1:
         error = f["errors"]["field of point spreads"]
         table.add_row(
-            "field", f"{f['field_nodes']} points in {f['field_modes']} modes, error {error:.1e}"
+            "field",
+            f"{f['field_nodes']} points in {counted(f['field_modes'], 'mode')}, error {error:.1e}",
         )
     table.add_row(
         "electrons per pixel",

@@ -1,4 +1,4 @@
-"""Commands that look: view."""
+"""Command view."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     from ..scene import Scene
 
 SUFFIXES = (".png", ".html", ".glb")
-MOST_RAYS = 1 << 17  # that are traced to find paths of a rare kind
+MOST_RAYS = 1 << 17  # limit of the rays traced in search of rare paths
 
 
 class Colour(StrEnum):
-    """What the paths' colours stand for."""
+    """Quantity that colours the paths."""
 
     bounces = "bounces"
     path_length = "path_length"
@@ -44,34 +44,44 @@ def view_command(
     scene_file: SceneFile,
     out: Annotated[
         Path | None,
-        typer.Option(help="File: .png, .html to turn in a browser, or .glb; a window by default."),
+        typer.Option(
+            help="File to write: .png, .html (rotatable in a browser) or .glb. Without it, a "
+            "window opens."
+        ),
     ] = None,
     paths: Annotated[
-        int, typer.Option(min=0, max=100_000, help="Light paths to draw; 0 for the room alone.")
+        int,
+        typer.Option(min=0, max=100_000, help="Number of light paths; 0 draws the scene alone."),
     ] = 500,
     bounces: Annotated[
-        int | None, typer.Option(min=1, max=64, help="Only paths of so many reflections.")
+        int | None,
+        typer.Option(min=1, max=64, help="Draw only paths with this number of reflections."),
     ] = None,
     colour: Annotated[
         Colour,
-        typer.Option(help="aberration draws the wave from the object's reference point."),
+        typer.Option(
+            help="Quantity that colours the paths. aberration draws the rays from the object's "
+            "reference point to the pupil, coloured by their wave aberration."
+        ),
     ] = Colour.bounces,
     seed: Seed = 0,
     debug: Debug = False,
 ) -> None:
-    """Show a scene and the light's paths through it in 3-D, in a window or a file."""
+    """Show a scene and its light paths in 3-D, in a window or a file."""
     with errors_told(debug):
         start = time.perf_counter()
         if out is not None:
             if out.suffix.lower() not in SUFFIXES:
                 raise typer.BadParameter(
-                    f"{out} is none of {', '.join(SUFFIXES)}", param_hint="--out"
+                    f"{out} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; give "
+                    "one of these",
+                    param_hint="--out",
                 )
             check_file(out)
         require("pyvista", "views")
         from .. import views
 
-        # some systems want windows in the main thread; a trial for a file waits on nothing
+        # some systems require windows in the main thread; the render test runs beside loading
         plotter = views.window() if out is None else None
         with ThreadPoolExecutor(1) as beside:
             trial = beside.submit(_try_to_render, out)
@@ -101,7 +111,7 @@ def view_command(
 
 
 def _try_to_render(out: Path | None) -> None:
-    """Raise where a PNG is wanted and nothing can be rendered."""
+    """Raise if a PNG is requested but this machine cannot render."""
     from .. import views
 
     if out is not None and out.suffix.lower() == ".png":
@@ -116,7 +126,7 @@ def _drawn(
     seed: int,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Paths to draw, with the wave that colours them where it is asked for."""
+    """Return the paths to draw, and for ``Colour.aberration`` the wave that colours them."""
     from ..errors import SceneError
     from ..raytrace import pupil_rays, trace
 
@@ -136,14 +146,14 @@ def _drawn(
             seed=seed,
             progress=progress,
         )
-        # those kept have been detected
+        # only detected paths are kept
         kept = int((found.n_bounces == bounces).sum()) if bounces else len(found.weight)
         if kept >= count or (kept and rays >= MOST_RAYS):
             return {"paths": found}
         if rays >= MOST_RAYS:
             kind = "" if bounces is None else f" with --bounces {bounces}"
             raise SceneError(
-                f"no light path{kind} reaches the camera, of {rays} rays; --paths 0 draws the room "
+                f"none of {rays} traced rays reaches the camera{kind}; --paths 0 draws the scene "
                 "alone"
             )
         rays = min(8 * rays, MOST_RAYS)

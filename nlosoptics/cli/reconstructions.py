@@ -1,4 +1,4 @@
-"""Commands that invert: feasibility, reconstruct and train."""
+"""Commands feasibility, reconstruct and train."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from .._checks import counted
 from .shell import (
     FAILED,
     Debug,
@@ -32,11 +33,13 @@ from .shell import (
 def feasibility_command(
     scene_file: SceneFile,
     size: Size = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Also write a picture: .png or .pdf.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Also draw the report to this file: .png or .pdf.")
+    ] = None,
     debug: Debug = False,
 ) -> None:
-    """Say before any fit what an image can tell: light, noise, modulation, modes, the wave."""
+    """Predict what can be recovered from the scene's image: light, noise, modulation, modes."""
     with errors_told(debug):
         from ..limits import feasibility
 
@@ -57,30 +60,44 @@ def feasibility_command(
 def reconstruct_command(
     context: typer.Context,
     images: Annotated[
-        list[Path], typer.Argument(metavar="IMAGE...", help="Pictures: PNG, TIFF or .npy, grey.")
+        list[Path],
+        typer.Argument(metavar="IMAGE...", help="Camera images: greyscale PNG, TIFF or .npy."),
     ],
     scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML).")],
-    dark: Annotated[Path | None, typer.Option(help="Dark frame of the same exposure.")] = None,
-    flat: Annotated[Path | None, typer.Option(help="Flat field, of an even light.")] = None,
+    dark: Annotated[
+        Path | None, typer.Option(help="Dark frame, taken with the same exposure.")
+    ] = None,
+    flat: Annotated[
+        Path | None, typer.Option(help="Flat field: image of uniform illumination.")
+    ] = None,
     full: Annotated[
-        float | None, typer.Option(help="Count at which a pixel is full; the type's by default.")
+        float | None,
+        typer.Option(
+            help="Count at which a pixel saturates; by default the largest of the file's type."
+        ),
     ] = None,
     method: Annotated[
         str,
         typer.Option(
-            help="With the point spread known: tv, wiener, inverse_filter, richardson_lucy, "
-            "deep_image_prior, phase_retrieval; by a trained network: cnn; wall and object "
-            "together: staged, evidence, wu2024."
+            help="With known point spread: tv, wiener, inverse_filter, richardson_lucy, "
+            "deep_image_prior, phase_retrieval. With a trained network: cnn. Fitting the wall's "
+            "wave too: staged, evidence, wu2024."
         ),
     ] = "tv",
     network: Annotated[
-        Path | None, typer.Option(help="File of the network for cnn, by nlosoptics train.")
+        Path | None,
+        typer.Option(help="File of the trained network for cnn, written by nlosoptics train."),
     ] = None,
     iterations: Annotated[
-        int | None, typer.Option(min=1, help="At most so many; as the method needs by default.")
+        int | None,
+        typer.Option(min=1, help="Maximum number of iterations; by default the method's own."),
     ] = None,
     defocus: Annotated[
-        str, typer.Option(help="Known extra focus of each picture, waves rms: '0, 0.5'.")
+        str,
+        typer.Option(
+            help="Known additional defocus of each image, waves rms, for example '0, 0.5'. Only "
+            "for staged, evidence and wu2024."
+        ),
     ] = "",
     tol: Tol = 1e-3,
     seed: Seed = 0,
@@ -88,13 +105,17 @@ def reconstruct_command(
     out: Annotated[
         Path | None, typer.Option(help="Output folder; ./<first image's name> by default.")
     ] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the kept state.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print result.json.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Resume from the state saved in the output folder.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the contents of result.json.")
+    ] = False,
     debug: Debug = False,
 ) -> None:
-    """Reconstruct the hidden object from a camera's pictures; Ctrl-C keeps the best so far.
+    """Reconstruct the hidden object from camera images.
 
-    Exit code 1 where it was interrupted: --resume goes on.
+    Ctrl-C ends the fit, writes the best object so far and exits with code 1; --resume continues.
     """
     with errors_told(debug):
         require("torch", "inverse")
@@ -142,21 +163,33 @@ def reconstruct_command(
 @app.command("train")
 def train_command(
     scene_file: SceneFile,
-    out: Annotated[Path, typer.Option(help="File of the network.")] = Path("cnn.safetensors"),
-    pairs: Annotated[int, typer.Option(min=2, help="Images to learn from.")] = 2000,
-    epochs: Annotated[int, typer.Option(min=1, help="Times that each is shown.")] = 20,
-    waves: Annotated[float, typer.Option(help="Largest rms of a wall's aberration, waves.")] = 0.5,
+    out: Annotated[Path, typer.Option(help="File to write the network to (safetensors).")] = Path(
+        "cnn.safetensors"
+    ),
+    pairs: Annotated[
+        int, typer.Option(min=2, help="Number of simulated pairs of image and object.")
+    ] = 2000,
+    epochs: Annotated[int, typer.Option(min=1, help="Passes over all training pairs.")] = 20,
+    waves: Annotated[
+        float, typer.Option(help="Largest rms aberration of the random walls, waves.")
+    ] = 0.5,
     frame: Annotated[
-        int | None, typer.Option(help="Pixels a side of a region of interest, object and all.")
+        int | None,
+        typer.Option(
+            help="Side of a central square region of the image, pixels; the object is scaled down "
+            "with it. By default the whole image."
+        ),
     ] = None,
-    base: Annotated[int, typer.Option(help="Channels of the network: 8, 16 or 32.")] = 16,
+    base: Annotated[
+        int, typer.Option(help="Channels of the network at full resolution: 8, 16 or 32.")
+    ] = 16,
     seed: Seed = 0,
     size: Size = None,
     debug: Debug = False,
 ) -> None:
-    """Train a network on simulated images of random objects by random walls.
+    """Train the network of method cnn on simulated images of random objects and walls.
 
-    Ctrl-C keeps the best network so far, with exit code 1.
+    Ctrl-C ends the training, writes the best network so far and exits with code 1.
     """
     with errors_told(debug):
         require("torch", "inverse")
@@ -165,7 +198,7 @@ def train_command(
         check_file(out)
         from .. import inverse
 
-        inverse.CnnBaseline(base=base)  # refuses what it cannot be before pairs are made
+        inverse.CnnBaseline(base=base)  # checks the option before the pairs are simulated
         with progress_bar() as progress:
             made = inverse.training_pairs(
                 scene,
@@ -184,9 +217,10 @@ def train_command(
             )
             training.network.save(out)
         error = training.history["validation"].min()
+        held, epochs = max(1, round(0.1 * pairs)), len(training.history["validation"])
         typer.echo(
-            f"{out}: mean squared error {error:.4f} on {max(1, round(0.1 * pairs))} pairs that it "
-            f"was not shown, {len(training.history['validation'])} epochs, {training.seconds:.0f} s"
+            f"{out}: mean squared error {error:.4f} on {counted(held, 'validation pair')}, "
+            f"{counted(epochs, 'epoch')}, {training.seconds:.0f} s"
         )
         if training.interrupted:
             typer.echo(f"nlosoptics: interrupted; the best network so far is in {out}", err=True)
@@ -201,7 +235,9 @@ def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
 
     f = report["figures"]
     table = Table("figure", "value", box=box.SIMPLE_HEAD)
-    told = f"{f['method']}: {f['reconstruction_status']} after {f['iterations']} iterations"
+    told = (
+        f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"
+    )
     table.add_row("reconstruction", told)
     if f["method"] == "phase_retrieval":
         table.add_row("agreement of halves", f"{f['reconstruction_score']:.4g}")

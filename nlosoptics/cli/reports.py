@@ -1,4 +1,4 @@
-"""The command that shows a run: report."""
+"""Command report."""
 
 from __future__ import annotations
 
@@ -17,24 +17,26 @@ from .shell import Debug, app, check_file, errors_told, progress_bar
 def report_command(
     folder: Annotated[
         Path,
-        typer.Argument(metavar="RESULT_DIR", help="What run, reconstruct or phasor wrote."),
+        typer.Argument(metavar="RESULT_DIR", help="Folder written by run, reconstruct or phasor."),
     ],
     out: Annotated[
-        Path | None, typer.Option(help=f"HTML file; RESULT_DIR/{PAGE} by default.")
+        Path | None, typer.Option(help=f"HTML file to write; RESULT_DIR/{PAGE} by default.")
     ] = None,
     three_d: Annotated[
-        bool, typer.Option("--3d/--no-3d", help="Show the scene in three dimensions.")
+        bool, typer.Option("--3d/--no-3d", help="Include a 3-D view that can be rotated.")
     ] = True,
     debug: Debug = False,
 ) -> None:
-    """Make one HTML page about a run: all in one file, for screens and paper."""
+    """Write a self-contained HTML report of a run, for screen and print."""
     with errors_told(debug):
         from .. import report
 
         file = folder / PAGE if out is None else out
         if file.suffix.lower() not in (".html", ".htm"):
-            raise typer.BadParameter(f"{file} does not end in .html", param_hint="--out")
-        report.Folder.read(folder)  # refused before a place for the page is looked for
+            raise typer.BadParameter(
+                f"{file} does not end in .html; give a name that does", param_hint="--out"
+            )
+        report.Folder.read(folder)  # check the input before the output path
         check_file(file)
         with progress_bar() as progress:
             progress("report", 0.0)
@@ -47,7 +49,7 @@ def report_command(
 
 
 def _owning(folder: Path, name: str) -> bytes:
-    """The folder's record with one more file of its own, so that a later run may replace it."""
+    """Return the folder's record with one more file listed, so that a later run may replace it."""
     record = json.loads((folder / "result.json").read_bytes())
     record["files"] = sorted({*record["files"], name})
     return (json.dumps(record, indent=2, allow_nan=False) + "\n").encode()

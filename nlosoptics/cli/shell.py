@@ -1,4 +1,4 @@
-"""What every command shares: exit codes, one-line errors, progress, folders written whole."""
+"""Parts shared by all commands: options, exit codes, one-line errors, progress, output checks."""
 
 from __future__ import annotations
 
@@ -21,15 +21,17 @@ if TYPE_CHECKING:
     from ..scene import Scene
 
 DONE, FAILED, BAD_INPUT = 0, 1, 2
-MOST_SEED = 2**64 - 1  # that of _random, which would load numpy
-MOST_SECONDS = 900.0  # that of runs.plan, which would load numpy too
+# copies of the values in _random and runs.plan, which would import numpy
+MOST_SEED = 2**64 - 1
+MOST_SECONDS = 900.0
 
-# typer has no public name for it: click's own class in old versions, its copy in new ones
+# typer exports no name for UsageError: old versions use click's class, new ones a copy
 _UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
     name="nlosoptics",
-    help="The optics of seeing around corners: what a camera sees by way of a relay wall.",
+    help="Optics of non-line-of-sight imaging: simulate and reconstruct what a camera sees via a "
+    "relay wall.",
     add_completion=False,
     pretty_exceptions_enable=False,
 )
@@ -38,27 +40,35 @@ SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="Scene file (TO
 Tol = Annotated[
     float,
     typer.Option(
-        help="Wanted error of the point spread, 1e-12 to 0.1 of its peak. The image's own error is "
-        "fixed: 1e-3 of the wall's diffuse light."
+        help="Wanted error of the point spread, 1e-12 to 0.1 of its peak. The error of the wall's "
+        "diffuse light in the image is fixed at 1e-3."
     ),
 ]
 Size = Annotated[
     int | None,
-    typer.Option(help="Image pixels along x, over the same field; the scene's own by default."),
+    typer.Option(
+        help="Image pixels along x for the same field of view; by default those of the scene."
+    ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 Memory = Annotated[
     float | None,
-    typer.Option(min=1e-3, help="GiB that the run may take; 3/4 of what is free by default."),
+    typer.Option(min=1e-3, help="Memory limit of the run, GiB; 3/4 of the free memory by default."),
 ]
 MaxSeconds = Annotated[
-    float, typer.Option(min=1e-3, help="Predicted seconds beyond which nothing is started.")
+    float,
+    typer.Option(min=1e-3, help="Do not start a run whose predicted time exceeds this, s."),
 ]
-Seed = Annotated[int, typer.Option(min=0, max=MOST_SEED, help="Of all random draws.")]
+Seed = Annotated[
+    int,
+    typer.Option(
+        min=0, max=MOST_SEED, help="Seed of all random numbers; the same seed repeats the result."
+    ),
+]
 
 
 def load(path: Path, size: int | None) -> Scene:
-    """Scene of a file, over so many pixels if said."""
+    """Load a scene file, and resize its image to ``size`` pixels along x if given."""
     from ..scene import Scene
 
     scene = Scene.load(path)
@@ -66,12 +76,12 @@ def load(path: Path, size: int | None) -> Scene:
 
 
 def in_bytes(memory: float | None) -> float | None:
-    """GiB as bytes."""
+    """Convert GiB to bytes."""
     return None if memory is None else memory * 2**30
 
 
 def require(package: str, extra: str, otherwise: str = "") -> None:
-    """Raise `MissingExtraError` before any work that would end at a missing package."""
+    """Raise `MissingExtraError` if a package is not installed, before any work is done."""
     if importlib.util.find_spec(package) is None:
         raise MissingExtraError(
             f"{package} is not installed; run pip install 'nlosoptics[{extra}]'{otherwise}"
@@ -80,7 +90,7 @@ def require(package: str, extra: str, otherwise: str = "") -> None:
 
 @contextmanager
 def errors_told(debug: bool) -> Iterator[None]:
-    """Turn an exception into one line on stderr and an exit code."""
+    """Convert an exception to one line on stderr and an exit code."""
     try:
         yield
     except (Exception, KeyboardInterrupt) as error:
@@ -109,23 +119,23 @@ def tell(error: BaseException) -> int:
 
 
 def typed(context: typer.Context) -> str:
-    """The command line as it was typed, for the records of a run."""
+    """Return the command line as typed, for the record of a run."""
     return shlex.join(["nlosoptics", *(context.obj or ())])
 
 
 def numbers(option: str, text: str) -> tuple[float, ...]:
-    """Numbers of a list with commas; none where it is empty."""
+    """Parse a comma-separated list of numbers; an empty text gives an empty tuple."""
     try:
         return tuple(float(part) for part in text.split(",")) if text.strip() else ()
     except ValueError:
         raise typer.BadParameter(
-            f"{text!r} is no list of numbers, such as '0, 0.5'", param_hint=option
+            f"{text!r} is not a list of numbers; give for example '0, 0.5'", param_hint=option
         ) from None
 
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Let the first Ctrl-C be asked for; a second one interrupts at once."""
+    """Yield a function that tells if Ctrl-C was pressed; a second Ctrl-C interrupts at once."""
     asked = False
 
     def ask(signum: int, frame: object) -> None:
@@ -143,7 +153,7 @@ def interruptible() -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def progress_bar(width: int = 17) -> Iterator[Callable[[str, float], None]]:
-    """Bar on stderr that names the stage at work; silent where stderr is no terminal."""
+    """Show a progress bar with the current stage on stderr, unless stderr is not a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -157,19 +167,19 @@ def progress_bar(width: int = 17) -> Iterator[Callable[[str, float], None]]:
 
 
 def check_file(path: Path) -> None:
-    """Refuse a file that could not be written in the end."""
+    """Raise `typer.BadParameter` if the output file could not be written."""
     parent = path.absolute().parent
     for wrong, what in (
         (path.is_dir(), "is a folder; name a file"),
         (not parent.is_dir(), f"is in {parent}, which is no folder; create it first"),
-        (not os.access(parent, os.W_OK), f"is in {parent}, which cannot be written"),
+        (not os.access(parent, os.W_OK), f"is in {parent}, which cannot be written; use another"),
     ):
         if wrong:
             raise typer.BadParameter(f"{path} {what}", param_hint="--out")
 
 
 def check_target(folder: Path) -> None:
-    """Refuse an output folder that could not be written, or whose contents are not ours."""
+    """Raise `typer.BadParameter` for an output folder that is not writable or has foreign files."""
     try:
         check_folder(folder)
     except SceneError as error:

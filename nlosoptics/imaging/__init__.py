@@ -1,4 +1,4 @@
-"""Object and point spread to electrons: fields, chief rays, radiance chain, camera noise."""
+"""Image formation: from object and point spread to the electrons that the camera reads."""
 
 from .camera_files import CameraImage, camera_image, read_camera_file
 from .forward_model import ForwardModel

@@ -1,4 +1,4 @@
-"""Pictures that a camera took: files to values, dark frame, flat field, full pixels."""
+"""Reading camera images: file formats, dark frame, flat field, saturated pixels."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import positive, whole
+from .._checks import counted, positive, whole
 from .._nouns import Noun
 from ..errors import SamplingError, SceneError
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Share of full or dead pixels beyond which a picture is refused.
+#: Largest fraction of saturated or dead pixels in a usable image.
 MOST_MASKED = 0.5
-#: A flat field's pixel below this part of its mean is dead.
+#: A pixel whose flat field is below this fraction of the mean is dead.
 DEAD = 0.05
 FORMATS = "grey PNG or TIFF of 8 or 16 bits, or .npy"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CameraImage(Noun):
-    """A picture that a camera took, ready for a solver.
+    """Camera image corrected for dark frame and flat field, ready for a solver.
 
     Parameters
     ----------
     values : ndarray, (ny, nx) float64
-        Counts above the dark frame, over the flat field; row 0 on top in the file, which is how
-        image arrays stand here too. Masked pixels hold the mean of the others.
+        Counts minus dark frame, divided by the flat field. Row 0 is the file's top row, which
+        matches the package's image arrays. Masked pixels hold the mean of the others.
     masked : ndarray of bool, (ny, nx)
-        Pixels that do not count: full, or dead by the flat field.
+        Pixels to ignore: saturated, or dead according to the flat field.
     saturated_fraction : float
-        Share of the pixels that are full.
+        Fraction of saturated pixels.
     """
 
     values: Array
@@ -48,31 +48,48 @@ class CameraImage(Noun):
         self.masked.flags.writeable = False
 
     def noise(self, sigma: float) -> float | Array:
-        """Noise for a solver: ``sigma``, infinite at masked pixels if there are any."""
+        """Return the noise argument for a solver, infinite at masked pixels.
+
+        Parameters
+        ----------
+        sigma : float
+            Rms noise of the other pixels, counts.
+
+        Returns
+        -------
+        float or ndarray, (ny, nx)
+            ``sigma`` itself if no pixel is masked.
+        """
         if not self.masked.any():
             return sigma
         return np.where(self.masked, np.inf, sigma)
 
 
 def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
-    """Read the counts of one picture file.
+    """Read the counts of one image file.
 
     Parameters
     ----------
     path : str or Path
-        Grey PNG or TIFF of 8 or 16 bits, or a ``.npy`` file of one (ny, nx) array.
+        Greyscale PNG or TIFF of 8 or 16 bits, or a ``.npy`` file with one (ny, nx) array.
 
     Returns
     -------
     counts : ndarray, (ny, nx) float64
-        As stored, row 0 on top.
+        Counts as stored, row 0 at the top.
     full : float or None
-        Largest count of the file's type, at which a pixel is full; None for types without one.
+        Largest count of unsigned 8 or 16-bit data, taken as the saturation level; None for
+        other types.
 
     Raises
     ------
     SceneError
-        If the file is missing, is no grey picture, is empty, or holds values that are not finite.
+        If the file is missing, is not a greyscale image, is empty, or has values that are not
+        finite.
+
+    See Also
+    --------
+    camera_image : Read, average and correct images.
     """
     path = Path(path)
     if not path.is_file():
@@ -81,7 +98,7 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
         raw = np.load(path, allow_pickle=False) if path.suffix == ".npy" else _decoded(path)
     except SceneError:
         raise
-    # Pillow's decoders raise SyntaxError, and its guard against bombs an Exception of its own
+    # Pillow's decoders raise SyntaxError, and its decompression-bomb check its own Exception
     except Exception as error:
         raise SceneError(
             f"{path} is not a picture ({type(error).__name__}); give {FORMATS}"
@@ -95,8 +112,8 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
     n_bad = int(np.count_nonzero(~np.isfinite(counts)))
     if n_bad:
         raise SceneError(
-            f"{path} has {n_bad} of {counts.size} values that are not finite; replace bad pixels "
-            "by their neighbours"
+            f"{path}: {n_bad} of {counts.size} values are not finite; replace bad pixels by their "
+            "neighbours"
         )
     short = raw.dtype.kind == "u" and raw.dtype.itemsize <= 2
     return counts, float(np.iinfo(raw.dtype).max) if short else None
@@ -108,7 +125,7 @@ def _decoded(path: Path) -> NDArray[Any]:
     with Image.open(path) as picture:
         frames = getattr(picture, "n_frames", 1)
         if frames > 1:
-            raise SceneError(f"{path} holds {frames} pictures, must be one; save it alone")
+            raise SceneError(f"{path} holds {frames} pictures, must be one; save one per file")
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
             raise SceneError(
                 f"{path} is in colour (mode {picture.mode}); save the laser's channel as grey"
@@ -128,31 +145,51 @@ def camera_image(
     flat: str | Path | None = None,
     full: float | None = None,
 ) -> CameraImage:
-    """Picture of one scene from one file, or from several exposures of it, which are averaged.
+    """Read a camera image from one file, or the average of several exposures of the same scene.
 
     Parameters
     ----------
     paths : path or sequence of paths
+        Image files: greyscale PNG or TIFF of 8 or 16 bits, or ``.npy``.
     shape : (int, int), optional
-        Rows and columns wanted; a picture of a whole multiple of them is summed over square groups.
+        Rows and columns of the result. Files with an integer multiple of both are binned in square
+        groups; by default pixels are not binned.
     dark : path, optional
-        A picture of the same exposure without light, subtracted from all, the flat field too.
+        Dark frame: an image of the same exposure without light. It is subtracted from the images
+        and from the flat field.
     flat : path, optional
-        A picture of an even light, by which the others are divided.
+        Flat field: an image of uniform illumination. The images are divided by it.
     full : float, optional
-        Count at which a pixel is full; by default the largest of the file's type.
+        Count at which a pixel is saturated. By default the largest value of unsigned 8 or 16-bit
+        data; other types then have no saturated pixels.
 
     Returns
     -------
     CameraImage
+        Corrected image with the mask of saturated and dead pixels.
 
     Raises
     ------
     SceneError
-        If a file cannot be read, all pixels read the same, no light is left above the dark frame,
-        more than half of the pixels are full, or ``full`` is beyond what a file can hold.
+        If a file cannot be read, all pixels have the same value, the image is not brighter than
+        the dark frame, more than half of the pixels are saturated or dead, or ``full`` exceeds the
+        range of a file's type.
     SamplingError
-        If sizes differ.
+        If image sizes differ, or ``shape`` does not divide them.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> import numpy as np
+    >>> from nlosoptics.imaging import camera_image
+    >>> with TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "exposure.npy"
+    ...     np.save(file, np.arange(16, dtype=np.uint16).reshape(4, 4))
+    ...     image = camera_image(file, shape=(2, 2))
+    >>> image.values
+    array([[10., 18.],
+           [42., 50.]])
     """
     files = [paths] if isinstance(paths, (str, Path)) else list(paths)
     if not files:
@@ -165,7 +202,8 @@ def camera_image(
         counts, largest = read_camera_file(path)
         if float(counts.min()) == float(counts.max()):
             raise SceneError(
-                f"{path} reads {counts.flat[0]:g} in every pixel; open the shutter, or check file"
+                f"{path} reads {counts.flat[0]:g} in every pixel; open the shutter, or check the "
+                "file"
             )
         if total is None or saturated is None:
             total, saturated = np.zeros(counts.shape), np.zeros(counts.shape, dtype=bool)
@@ -174,7 +212,7 @@ def camera_image(
         if limit is not None and largest is not None and limit > largest:
             raise SceneError(
                 f"full = {limit:g} counts, {path} holds up to {largest:g}: no pixel could be full; "
-                "give the count at which the camera's pixels are"
+                "give the count at which the camera saturates"
             )
         if limit is not None:
             saturated |= counts >= limit
@@ -186,7 +224,7 @@ def camera_image(
 
 def _whole_shape(shape: tuple[int, int]) -> tuple[int, int]:
     if len(shape) != 2:
-        raise SamplingError(f"shape has {len(shape)} counts; give (rows, columns)")
+        raise SamplingError(f"shape has {counted(len(shape), 'count')}; give (rows, columns)")
     rows, columns = (whole(f"shape[{i}]", count) for i, count in enumerate(shape))
     return rows, columns
 
@@ -194,7 +232,7 @@ def _whole_shape(shape: tuple[int, int]) -> tuple[int, int]:
 def _corrected(
     counts: Array, path: str | Path, dark: str | Path | None, flat: str | Path | None
 ) -> tuple[Array, Mask]:
-    """Counts without the dark frame over the flat field, and the pixels that this cannot mend."""
+    """Subtract the dark frame and divide by the flat field; also return the mask of dead pixels."""
     still = np.zeros(counts.shape)
     if dark is not None:
         still = read_camera_file(dark)[0]
@@ -202,8 +240,8 @@ def _corrected(
     values, dead = counts - still, np.zeros(counts.shape, dtype=bool)
     if dark is not None and not float(values.mean()) > 0.0:
         raise SceneError(
-            f"{path} is no brighter than the dark frame {dark} (mean {values.mean():.3g} counts "
-            "above it): no photons; expose longer or check which file is which"
+            f"{path} is not brighter than the dark frame {dark}: mean {values.mean():.3g} counts "
+            "above it, must be positive; expose longer, or check that the files are not swapped"
         )
     if flat is None:
         return values, dead
@@ -214,7 +252,7 @@ def _corrected(
     if not mean > 0.0:
         raise SceneError(
             f"{flat}: the flat field has no light above the dark frame (mean {mean:.3g} counts); "
-            "take it of an even light"
+            "record it under uniform illumination"
         )
     dead = even < DEAD * mean
     return values / np.where(dead, mean, even) * mean, dead
@@ -223,7 +261,7 @@ def _corrected(
 def _grouped(
     path: str | Path, values: Array, saturated: Mask, dead: Mask, shape: tuple[int, int] | None
 ) -> tuple[Array, Mask, Mask]:
-    """Sums over square groups of pixels; a group with a bad pixel is bad."""
+    """Sum over square groups of pixels; a group with a saturated or dead pixel is marked so."""
     if shape is None or values.shape == tuple(shape):
         return values, saturated, dead
     groups = {n // m if n % m == 0 else 0 for n, m in zip(values.shape, shape, strict=True)}
@@ -246,19 +284,19 @@ def _checked(path: str | Path, values: Array, saturated: Mask, dead: Mask) -> Ca
     share = float(saturated.mean())
     if share > MOST_MASKED:
         raise SceneError(
-            f"{path} has {100 * share:.3g} % of its pixels full, limit {100 * MOST_MASKED:g} %; "
+            f"{path}: {100 * share:.3g} % of the pixels are full, limit {100 * MOST_MASKED:g} %; "
             "expose shorter"
         )
     masked = saturated | dead
     if float(masked.mean()) > MOST_MASKED:
         raise SceneError(
-            f"{path} has {100 * masked.mean():.3g} % of its pixels full or dead by the flat field, "
-            f"limit {100 * MOST_MASKED:g} %; take another flat field"
+            f"{path}: {100 * masked.mean():.3g} % of the pixels are full, or dead in the flat "
+            f"field, limit {100 * MOST_MASKED:g} %; record another flat field"
         )
     good = values[~masked]
     if not float(good.max()) > 0.0:
         raise SceneError(
-            f"{path} has no pixel above 0 counts: no photons; expose longer or check the dark frame"
+            f"{path} has no pixel above 0 counts; expose longer, or check the dark frame"
         )
     if float(good.min()) == float(good.max()):
         raise SceneError(f"{path} reads {good[0]:g} in every good pixel; check the file")

@@ -1,4 +1,4 @@
-"""The detector: speckle, photon noise, dark current, readout and the converter."""
+"""Detector model: speckle, photon noise, dark current, readout noise and digitisation."""
 
 from __future__ import annotations
 
@@ -15,32 +15,33 @@ from ..scene import Camera
 Array = NDArray[np.float64]
 
 SPECKLE, PHOTONS, READOUT, BRIGHT_PHOTONS = 201, 202, 203, 204  # streams of the random generator
-BRIGHT = 1e15  # electrons above which counts are drawn as normal: skewed by less than 1e-7
+BRIGHT = 1e15  # mean electrons above which counts are drawn from a normal law (skewness < 1e-7)
 
 
 def speckles_per_pixel(pixel: float, wavelength: float, f_number: float) -> float:
-    """Number M of speckles that a square pixel averages, for a round pupil.
+    """Number M of speckles averaged by a square pixel behind a circular pupil.
 
     Parameters
     ----------
     pixel : float
-        Side, m.
+        Side of the pixel, m.
     wavelength : float
-        m.
+        Wavelength, m.
     f_number : float
         Working F-number.
 
     Returns
     -------
     float
-        At least 1; the contrast of integrated, polarised speckle is 1/sqrt(M).
+        M, at least 1. Integrated polarised speckle has the contrast 1/sqrt(M).
 
     Notes
     -----
-    1/M is the mean of |mu|^2 over pairs of points of the pixel [1]_, mu = 2 J1(v)/v,
-    v = pi r/(wavelength f_number). The mean over directions is a closed form, so that one integral
-    over the separation is left: with s = r/pixel, the integral of (1 - s cos)(1 - s sin) over the
-    quarter turn (for s > 1, the part of it in which both are positive).
+    1/M is the mean of |mu|^2 over all pairs of points in the pixel [1]_, with mu = 2 J1(v)/v and
+    v = pi r/(wavelength f_number) at separation r. The average over directions has a closed form,
+    so that a single integral over the separation s = r/pixel remains. The directional weight is
+    the integral of (1 - s cos)(1 - s sin) over a quarter turn; for s > 1 only angles at which both
+    factors are positive count.
 
     References
     ----------
@@ -51,7 +52,7 @@ def speckles_per_pixel(pixel: float, wavelength: float, f_number: float) -> floa
     nodes, weights = np.polynomial.legendre.leggauss(16)
     total = 0.0
     for low, high in ((0.0, 1.0), (1.0, math.sqrt(2.0))):
-        # |mu|^2 oscillates once per wavelength*f_number; its tail falls as the cube
+        # |mu|^2 oscillates with period wavelength*f_number, and its tail falls as r^-3
         panels = np.unique(
             np.concatenate(
                 [
@@ -77,23 +78,24 @@ def _quarter_turn(s: Array) -> Array:
 
 
 def noise_variance(camera: Camera, light: Array, dark: float, freedom: float | None) -> Array:
-    """Expected variance of image pixels, electrons^2, while no pixel is full.
+    """Expected noise variance of image pixels, electrons^2, if no pixel is saturated.
 
     Parameters
     ----------
     camera : Camera
-    light : ndarray
+        Camera, for readout noise, full well, bit depth and binning.
+    light : ndarray, any shape
         Expected photoelectrons.
     dark : float
         Expected dark electrons of an image pixel.
     freedom : float or None
-        Degrees of freedom of the speckle, 1/contrast^2; None for none.
+        Degrees of freedom of the speckle, 1/contrast^2; None for no speckle.
 
     Returns
     -------
     ndarray
-        Photon and dark noise, speckle, and binning^2 times that of the readout (read_noise^2) and
-        of the converter (step^2/12).
+        Sum of shot noise (light and dark current), speckle, and binning^2 times the variances of
+        the readout (read_noise^2) and of the digitisation (step^2/12).
     """
     step = camera.full_well / 2**camera.bit_depth
     native = camera.binning**2
@@ -104,9 +106,9 @@ def noise_variance(camera: Camera, light: Array, dark: float, freedom: float | N
 
 
 def _counts(mean: Array, seed: int) -> Array:
-    """Numbers of electrons that are drawn for their means: Poisson's, whatever the mean."""
+    """Draw Poisson-distributed electron counts for any mean."""
     found = generator(seed, PHOTONS).poisson(np.minimum(mean, BRIGHT)).astype(np.float64)
-    if (mean > BRIGHT).any():  # whole numbers of this size are no longer told apart
+    if (mean > BRIGHT).any():  # numpy cannot draw Poisson counts beyond int64
         normal = generator(seed, BRIGHT_PHOTONS).standard_normal(mean.shape)
         found = np.where(mean > BRIGHT, mean + np.sqrt(mean) * normal, found)
     return found
@@ -115,34 +117,36 @@ def _counts(mean: Array, seed: int) -> Array:
 def read_out(
     camera: Camera, light: Array, dark: float, *, freedom: float | None = None, seed: int = 0
 ) -> tuple[Array, float]:
-    """One exposure of the detector.
+    """Simulate one exposure of the detector with all noise.
 
     Parameters
     ----------
     camera : Camera
+        Camera, for full well, bit depth, readout noise and binning.
     light : ndarray, (ny, nx)
-        Expected photoelectrons of every image pixel.
+        Expected photoelectrons of each image pixel.
     dark : float
         Expected dark electrons of an image pixel.
     freedom : float or None
-        Degrees of freedom of the speckle; None for light that shows none.
+        Degrees of freedom of the speckle, 1/contrast^2; None for no speckle.
     seed : int
+        Seed of the random numbers.
 
     Returns
     -------
     electrons : ndarray, (ny, nx)
-        Multiples of the converter's step, its offset taken off, so that dark pixels can read
-        below zero.
+        Reading in electrons, a multiple of the converter's step. The converter's offset is
+        subtracted, so that dark pixels can have negative values.
     saturated : float
-        Share of image pixels that are full.
+        Fraction of saturated image pixels.
 
     Notes
     -----
-    Speckle multiplies the light by a gamma variate of mean 1 and variance 1/freedom, drawn for
-    each image pixel on its own: pixels smaller than a speckle are in truth correlated. Light
-    counts as even over the native pixels of one image pixel, so all of them fill up together.
-    Every native pixel is read and converted alone and the values are added: the step applies to
-    each, and so do the errors, binning^2 times in variance.
+    Speckle multiplies the light by a gamma variate of mean 1 and variance 1/freedom, drawn
+    independently for each image pixel. The correlation between pixels smaller than a speckle is
+    neglected. Light is taken as uniform over the native pixels of an image pixel, so that they
+    saturate together. Each native pixel is read out and digitised separately before the values
+    are summed, so that readout and digitisation variances add binning^2 times.
     """
     if freedom is not None:
         light = light * generator(seed, SPECKLE).gamma(freedom, 1.0 / freedom, light.shape)
@@ -152,7 +156,7 @@ def read_out(
     full = charge >= capacity
     charge = np.minimum(charge, capacity)
     step = camera.full_well / 2**camera.bit_depth
-    # of the native converters' errors, all but the last rounding
+    # readout noise, and digitisation errors of all native pixels but one; rounding adds the last
     spread = math.sqrt(native * camera.read_noise**2 + (native - 1) * step**2 / 12)
     charge += spread * generator(seed, READOUT).standard_normal(light.shape)
     levels = native * (2**camera.bit_depth - 1)

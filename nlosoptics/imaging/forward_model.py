@@ -1,4 +1,4 @@
-"""The linear image model: an object convolved with one point spread, or with a field of them."""
+"""Linear image model: an object convolved with one point spread, or with a field of them."""
 
 from __future__ import annotations
 
@@ -21,55 +21,62 @@ Boundary = Literal["padded", "circular"]
 
 @dataclass(frozen=True, eq=False)
 class ForwardModel(Noun):
-    """Convolution of an object image with a point spread function, and its adjoint.
+    """Convolution of an object with a point spread function, and its adjoint.
 
-    Object and image live on the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``;
-    of a field, ``kernel`` is that at j, a sum of modes with weights that belong to the object.
+    Object and image share the same pixels: ``image[i] = sum_j kernel[centre + i - j] object[j]``.
+    For a field, ``kernel`` is the point spread at object pixel j, expressed as a weighted sum of
+    modes.
 
     Parameters
     ----------
     point_spread : PointSpread, PointSpreadField or array_like
-        The kernel, (ky, kx), energy per pixel, its centre at ``[ky//2, kx//2]``; a `PointSpread`
-        also gives its ``pitch``. It is used as it is, without renormalisation. A field takes one
-        convolution for each of its modes.
+        Kernel, (ky, kx), energy per pixel, centred at ``[ky//2, kx//2]``. It is not renormalised.
+        A field costs one convolution per mode.
     shape : (int, int)
-        Rows and columns of object and image.
+        Rows H and columns W of object and image.
     boundary : {"padded", "circular"}
-        What lies around the object: nothing (light that leaves the frame is lost), or its own
-        periodic copies.
+        Surroundings of the object: dark (light that leaves the frame is lost), or periodic copies.
     at : (array_like, array_like), optional
-        For a field: where on the picture each pixel looks, across and up, -1 to 1, each of the
-        model's shape. By default the frame is the picture, row 0 at its lower edge.
+        For a field: picture coordinates (across, up) at which each pixel looks, each (H, W), -1 to
+        1 over the picture. By default the frame is the picture, row 0 at its lower edge.
 
     Attributes
     ----------
-    kernel : ndarray
-        (ky, kx) float64, or the modes (K, ky, kx) of a field; read-only.
-    weights : ndarray or None
-        (K, H, W) of a field's modes, read-only.
+    kernel : ndarray, (ky, kx) or (K, ky, kx)
+        Kernel, or the K modes of a field; float64, read-only.
+    weights : ndarray, (K, H, W), or None
+        Weights of a field's modes, read-only; None for a single kernel.
     pitch : float or None
         Pixel pitch of the point spread, m; None for a plain array.
     grid : (int, int)
-        Rows and columns of the FFT grid; object and image are its first ``shape`` samples.
-    transfer : ndarray
-        ``rfft2`` of the kernel, or of each mode, on ``grid``, origin at sample [0, 0], complex128,
-        read-only.
+        Rows and columns of the FFT grid. Object and image occupy its first H x W samples.
+    transfer : ndarray, (rows, columns//2 + 1) or (K, rows, columns//2 + 1)
+        ``rfft2`` of the kernel, or of each mode, on ``grid``, with the centre at sample [0, 0];
+        complex128, read-only.
 
     Raises
     ------
     SamplingError
-        If the kernel is not a finite image with energy, or is larger than a circular frame.
+        If the kernel is not finite, is zero everywhere, or is larger than a circular frame.
     SceneError
         If ``shape``, ``boundary`` or the pitch is out of range.
     MemoryLimitError
-        If the FFT grid would not fit memory.
+        If the FFT grid would not fit in memory.
 
     Notes
     -----
-    A padded grid holds the frame and the kernel's longer arm, not the sum of both sizes: what
-    wraps around lands outside the frame and is cut off. Kernel samples that cannot reach from
-    one edge of the frame to the other are left out. scipy's transforms run on one thread, so the
-    result has the same bits everywhere.
+    A padded grid needs the frame plus only the kernel's longer arm, because light that wraps around
+    lands outside the frame and is cropped. Kernel samples farther from the centre than the frame is
+    wide are dropped. scipy's transforms run on one thread, so that results do not depend on the
+    number of threads.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.imaging import ForwardModel
+    >>> model = ForwardModel(np.array([[0.25, 0.5, 0.25]]), shape=(1, 4))
+    >>> model.forward(np.array([[0.0, 1.0, 0.0, 0.0]])).round(6)
+    array([[0.25, 0.5 , 0.25, 0.  ]])
     """
 
     point_spread: InitVar[Any]
@@ -90,7 +97,9 @@ class ForwardModel(Noun):
             modes = [_finite_kernel(mode) for mode in point_spread.modes]
         else:
             if at is not None:
-                raise SamplingError("at is given, and the point spread is no field; leave it out")
+                raise SamplingError(
+                    "at is given, but the point spread is not a field; leave at out"
+                )
             weights = None
             modes = [_finite_kernel(getattr(point_spread, "intensity", point_spread))]
         kernel = modes[0]
@@ -130,17 +139,17 @@ class ForwardModel(Noun):
             object.__setattr__(self, name, value)
 
     def forward(self, object_image: ArrayLike) -> Array:
-        """Image of an object.
+        """Compute the image of an object.
 
         Parameters
         ----------
-        object_image : array_like
-            (..., H, W), with (H, W) the model's shape; any unit.
+        object_image : array_like, (..., H, W)
+            Object, any unit; (H, W) is the model's shape.
 
         Returns
         -------
-        ndarray
-            (..., H, W) float64, the object's unit times the kernel's.
+        ndarray, (..., H, W)
+            Image, float64, in the object's unit times the kernel's.
         """
         picture = self._checked("object_image", object_image)
         if self.weights is None:
@@ -150,17 +159,17 @@ class ForwardModel(Noun):
         return self._frame(spectrum)
 
     def adjoint(self, image: ArrayLike) -> Array:
-        """Transpose of `forward`: correlation of an image with the kernel.
+        """Apply the transpose of `forward`: correlate an image with the kernel.
 
         Parameters
         ----------
-        image : array_like
-            (..., H, W), with (H, W) the model's shape.
+        image : array_like, (..., H, W)
+            Image; (H, W) is the model's shape.
 
         Returns
         -------
-        ndarray
-            (..., H, W) float64.
+        ndarray, (..., H, W)
+            Correlation, float64.
         """
         picture = self._checked("image", image)
         if self.weights is None:
@@ -179,8 +188,8 @@ class ForwardModel(Noun):
             )
         if not np.isfinite(picture).all():
             raise SamplingError(
-                f"{name} has {np.count_nonzero(~np.isfinite(picture))} values that are not "
-                "finite; replace them before the transform spreads them over the image"
+                f"{name} has {np.count_nonzero(~np.isfinite(picture))} of {picture.size} values "
+                "that are not finite; replace them first"
             )
         return picture
 
@@ -195,7 +204,7 @@ class ForwardModel(Noun):
 
 
 def padded_grid(kernel: tuple[int, ...], shape: tuple[int, int]) -> tuple[int, int]:
-    """FFT grid of a frame and the longer arms of a kernel, which wrap around beyond the frame."""
+    """Return the FFT grid that holds a frame and the kernel's longer arm along each axis."""
     arms = (_longer_arm(k, n) for k, n in zip(kernel, shape, strict=True))
     rows, columns = (
         int(fft.next_fast_len(n + arm, real=True)) for n, arm in zip(shape, arms, strict=True)
@@ -209,7 +218,7 @@ def _weights(
     at: tuple[ArrayLike, ArrayLike] | None,
 ) -> Array:
     if at is None:
-        # pixel centres of a frame that is the picture
+        # pixel centres in the picture's coordinates, which run from -1 to 1
         rows, columns = ((2 * np.arange(n) + 1) / n - 1 for n in shape)
         return point_spreads.at(columns[None, :], rows[:, None])
     across, up = (np.asarray(v, dtype=np.float64) for v in at)
@@ -237,12 +246,13 @@ def _finite_kernel(kernel: Any) -> Array:
         ) from None
     if values.ndim != 2 or values.size == 0:
         raise SamplingError(
-            f"kernel has shape {values.shape}, must be (ky, kx) with at least one pixel"
+            f"kernel has shape {values.shape}, must be (ky, kx) with at least one pixel; give a "
+            "PointSpread or such an array"
         )
     if not np.isfinite(values).all():
         raise SamplingError(
-            f"kernel has {np.count_nonzero(~np.isfinite(values))} values that are not finite; "
-            "compute the point spread again on a grid that holds it"
+            f"kernel has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that are "
+            "not finite; compute the point spread again on a grid that holds it"
         )
     if not values.any():
         raise SamplingError("kernel is zero everywhere; give a point spread that carries energy")
@@ -255,7 +265,7 @@ def _longer_arm(kernel_length: int, frame_length: int) -> int:
 
 
 def _on_grid(kernel: Array, shape: tuple[int, int], grid: tuple[int, int]) -> Array:
-    """Kernel with its centre at [0, 0] of the FFT grid, its arms wrapped around."""
+    """Place the kernel on the FFT grid with its centre at [0, 0] and its arms wrapped around."""
     wrapped = np.zeros(grid)
     offsets = [np.arange(k) - k // 2 for k in kernel.shape]
     kept = [np.abs(o) < n for o, n in zip(offsets, shape, strict=True)]

@@ -1,9 +1,9 @@
-"""Where the detector's pixels look: chief rays by way of the relay wall, and picture averages.
+"""Chief rays from the detector via the relay wall to the object, and averages over pixels.
 
-A chief ray leaves the detector at (x, y), passes the centre of the lens along (-x, -y, d) in the
-camera's frame and is mirrored by the wall, so an object point that it meets is imaged at (x, y).
-One mirror turns handedness: an image array drawn with row 0 on top shows the hidden picture
-upright and mirror-reversed when the camera stands upright.
+A chief ray starts at the detector point (x, y), passes through the centre of the lens along
+(-x, -y, d) in the camera's frame and is mirrored by the wall. An object point on this ray is imaged
+at (x, y). One reflection reverses handedness: an image array drawn with row 0 on top shows the
+hidden picture upright and mirror-reversed if the camera is upright.
 """
 
 from __future__ import annotations
@@ -22,20 +22,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ChiefRays:
-    """Chief rays followed backward from the detector to the wall and off it.
+    """Chief rays traced backward from the detector to the wall and on toward the object.
 
     Parameters
     ----------
     directions : ndarray, (..., 3)
-        Unit, world, away from the lens.
+        Unit vectors away from the lens, world frame.
     cos_axis : ndarray, (...)
-        Cosine of the angle to the optical axis.
+        Cosines of the angles to the optical axis.
     distance : ndarray, (...)
-        From the lens to the wall, m; NaN where the ray misses the wall.
+        Distances from lens to wall, m; NaN where a ray misses the wall.
     points, normals : ndarray, (..., 3)
-        On the wall or, just beyond its edge, on its continuation; world, m; NaN where missed.
+        Points on the wall, m, and unit normals, world frame. Just beyond the wall's edge they lie
+        on its continuation; NaN where a ray misses.
     reflected : ndarray, (..., 3)
-        Unit directions from the wall toward the object, world; NaN where missed.
+        Unit vectors from the wall toward the object, world frame; NaN where a ray misses.
     """
 
     directions: Array
@@ -47,7 +48,7 @@ class ChiefRays:
 
 
 def pixel_centres(camera: Camera) -> tuple[Array, Array]:
-    """Detector coordinates x (nx,) and y (ny,) of the pixel centres, m."""
+    """Return detector coordinates x (nx,) and y (ny,) of the pixel centres, m."""
     y, x = (
         (np.arange(n, dtype=np.float64) - (n - 1) / 2) * camera.image_pitch for n in camera.shape
     )
@@ -55,24 +56,25 @@ def pixel_centres(camera: Camera) -> tuple[Array, Array]:
 
 
 def pixel_edges(camera: Camera) -> tuple[Array, Array]:
-    """Detector coordinates x (nx + 1,) and y (ny + 1,) of the pixel edges, m."""
+    """Return detector coordinates x (nx + 1,) and y (ny + 1,) of the pixel edges, m."""
     y, x = ((np.arange(n + 1, dtype=np.float64) - n / 2) * camera.image_pitch for n in camera.shape)
     return x, y
 
 
 def chief_rays(scene: Scene, x: Array, y: Array) -> ChiefRays:
-    """Chief rays of the detector grid with columns at ``x`` and rows at ``y``.
+    """Trace the chief rays of the detector grid with columns at ``x`` and rows at ``y``.
 
     Parameters
     ----------
     scene : Scene
+        Scene with camera and wall.
     x, y : ndarray, (nx,) and (ny,)
         Detector coordinates, m.
 
     Returns
     -------
     ChiefRays
-        Arrays of shape (ny, nx) or (ny, nx, 3).
+        Rays with arrays of shape (ny, nx) or (ny, nx, 3).
     """
     distance = scene.image_distance
     e1, e2, axis = scene.camera.frame
@@ -92,7 +94,7 @@ def chief_rays(scene: Scene, x: Array, y: Array) -> ChiefRays:
 
 
 def _with_margin(scene: Scene) -> Wall:
-    """The wall, continued past its edges by more than the lens's footprint on it."""
+    """Return the wall extended beyond its edges by more than the lens's footprint on it."""
     wall = scene.wall
     if wall.size is None:
         return wall
@@ -103,16 +105,17 @@ def _with_margin(scene: Scene) -> Wall:
             return SumWall(*wall.terms, size=size)
         if "size" in getattr(wall, "__dataclass_fields__", {}):
             return replace(wall, size=size)  # type: ignore[type-var]
-    except SceneError:  # a cap that ends near its equator has no continuation
+    except SceneError:  # a spherical cap close to a hemisphere cannot be extended
         pass
     return wall
 
 
 def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:
-    """Share of each pixel's cone of light that the wall's edges and the field stop let pass.
+    """Fraction of each pixel's light cone that the wall's edges and the field stop transmit.
 
-    The lens's footprint on the wall is taken as the affine image of the lens's disc on the
-    tangent plane: exact at one edge or two opposite ones, a product at the corners.
+    The lens's footprint on the wall is approximated by an affine image of the lens disc on the
+    tangent plane. This is exact at one edge or two opposite edges; at corners the fractions are
+    multiplied.
     """
     camera = scene.camera
     seen = np.isfinite(rays.distance)
@@ -122,7 +125,7 @@ def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:
     if scene.wall.size is None:
         return visible
     d, n = rays.directions[seen], rays.normals[seen]
-    # at this part of the way from the lens to the point in focus, the cone has shrunk as much
+    # the cone shrinks linearly from the lens to the point in focus
     part = rays.distance[seen] * rays.cos_axis[seen] / scene.focus_distance
     scale = camera.stop_diameter / 2 * np.abs(1.0 - part) / (d * n).sum(axis=-1)
     for i, half in enumerate((scene.wall.size[0] / 2, scene.wall.size[1] / 2)):
@@ -137,30 +140,32 @@ def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:
 
 
 def _disc_part(chord: Array) -> Array:
-    """Share of the unit disc on the near side of a chord at that signed distance."""
+    """Fraction of the unit disc's area below a chord at a signed distance from the centre."""
     c = np.clip(chord, -1.0, 1.0)
     return np.asarray(1.0 - (np.arccos(c) - c * np.sqrt(1.0 - c * c)) / np.pi)
 
 
 def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, Array]:
-    """Where mirrored chief rays meet the front of the picture's plane.
+    """Intersections of mirrored chief rays with the front of the picture's plane.
 
     Parameters
     ----------
     hidden : PlanarObject
+        Object with the picture.
     rays : ChiefRays
+        Chief rays.
 
     Returns
     -------
     column, row : ndarray, (...)
-        In texels: texel (i, j) spans rows i to i + 1 and columns j to j + 1, row 0 on top; NaN
-        where a ray does not meet the plane's front.
+        Coordinates in texels: texel (i, j) spans rows i to i + 1 and columns j to j + 1, with row 0
+        on top. NaN where a ray does not meet the front of the plane.
     """
     right, up, normal = hidden.axes
     toward = np.array(hidden.position) - rays.points
     facing = (rays.reflected * normal).sum(axis=-1)
     height = (toward * normal).sum(axis=-1)
-    # a NaN of a missed wall compares false
+    # comparisons with NaN, from rays that miss the wall, are false
     meets = (facing < 0.0) & (height < 0.0)
     t = np.full(facing.shape, np.nan)
     np.divide(height, facing, out=t, where=meets)
@@ -172,7 +177,7 @@ def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, A
 
 
 def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:
-    """World points (n, 3), m, at texel coordinates (n,) of a picture."""
+    """Return world points (n, 3), m, for texel coordinates (n,) of a picture."""
     right, up, _ = hidden.axes
     rows, columns = hidden.reflectance.shape
     across = (column / columns - 0.5) * hidden.size[0]
@@ -181,27 +186,27 @@ def picture_points(hidden: PlanarObject, column: Array, row: Array) -> Array:
 
 
 def area_average(picture: Array, column: Array, row: Array) -> Array:
-    """Mean of a picture of square texels over quadrilateral footprints.
+    """Average a picture of square texels over quadrilateral footprints.
 
     Parameters
     ----------
     picture : ndarray, (rows, columns)
-        Zero outside.
+        Picture; taken as zero outside.
     column, row : ndarray, (ny + 1, nx + 1)
         Texel coordinates of the footprints' corners; NaN where undefined.
 
     Returns
     -------
     ndarray, (ny, nx)
-        Zero for footprints with an undefined corner.
+        Mean over each footprint; zero if a corner is undefined.
 
     Notes
     -----
-    Green's theorem: with F(x, y) the picture summed along a row up to x, the integral over a
-    footprint is that of F dy along its outline. Cut at the texels' borders, F is linear on every
-    piece, so the midpoint rule is exact, for texels larger and smaller than footprints alike.
-    Neighbours share their outlines, so no light is lost or counted twice. A footprint that is
-    folded over or has no area is sampled at its centre.
+    By Green's theorem the integral over a footprint is the integral of F dy along its outline,
+    where F(x, y) is the picture integrated along the row up to x. Between texel borders F is
+    linear, so that the midpoint rule is exact for texels of any size. Neighbouring footprints
+    share their outlines, so that no light is lost or counted twice. A footprint that is folded or
+    has no area is sampled at its centre.
     """
     ny, nx = column.shape[0] - 1, column.shape[1] - 1
     result = np.zeros((ny, nx))
@@ -237,7 +242,7 @@ def area_average(picture: Array, column: Array, row: Array) -> Array:
 
 
 def _touches(c: Array, count: int) -> NDArray[np.bool_]:
-    """Whether footprints overlap 0 to ``count`` along one coordinate."""
+    """Mask of the footprints that overlap the range 0 to ``count`` along one coordinate."""
     corners = (c[:-1, :-1], c[1:, :-1], c[:-1, 1:], c[1:, 1:])
     low = np.minimum(np.minimum(*corners[:2]), np.minimum(*corners[2:]))
     high = np.maximum(np.maximum(*corners[:2]), np.maximum(*corners[2:]))
@@ -258,13 +263,13 @@ def _turn(x: Array, y: Array) -> Array:
 def _outline_integral(
     summed: Array, x0: Array, y0: Array, x1: Array, y1: Array
 ) -> tuple[Array, Array]:
-    """Integrals of F dy and of x dy along straight segments, of the segments' shape."""
+    """Integrals of F dy and x dy along straight segments, arrays of the segments' shape."""
     rows, columns = summed.shape[0], summed.shape[1] - 1
     shape = x0.shape
     x0, y0, dx, dy = (a.ravel() for a in (x0, y0, x1 - x0, y1 - y0))
     counts = _crossings(x0, dx, columns)[1] + _crossings(y0, dy, rows)[1]
     total = np.zeros(x0.size)
-    order = np.argsort(-counts, kind="stable")  # segments of like length share a table
+    order = np.argsort(-counts, kind="stable")  # group segments with similar numbers of cuts
     start = 0
     while start < order.size:
         stop = start + max(1, 2**20 // (int(counts[order[start]]) + 2))  # bounds the memory
@@ -284,14 +289,14 @@ def _outline_integral(
 
 
 def _crossings(start: Array, change: Array, count: int) -> tuple[Array, NDArray[np.intp]]:
-    """First texel border 0..count that each segment crosses, and how many."""
+    """First texel border (0 to count) that each segment crosses, and the number of crossings."""
     low = np.clip(np.ceil(np.minimum(start, start + change)), 0, count + 1)
     high = np.clip(np.floor(np.maximum(start, start + change)), -1, count)
     return low, np.maximum(high - low + 1, 0).astype(np.intp)
 
 
 def _cuts(x0: Array, dx: Array, y0: Array, dy: Array, rows: int, columns: int) -> Array:
-    """Sorted parameters 0..1 at which segments cross texel borders, padded with 1."""
+    """Sorted parameters (0 to 1) at which segments cross texel borders, padded with 1."""
     tables = [np.zeros((x0.size, 1)), np.ones((x0.size, 1))]
     for start, change, count in ((x0, dx, columns), (y0, dy, rows)):
         low, number = _crossings(start, change, count)

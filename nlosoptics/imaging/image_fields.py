@@ -1,4 +1,4 @@
-"""The coarsest field of point spreads that an image needs."""
+"""Choice of the coarsest field of point spreads that is accurate enough for an image."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .forward_model import ForwardModel
 
 Array = NDArray[np.float64]
 
-#: Nodes along each side of the picture, tried in turn.
+#: Nodes along each side of the picture, tried in order.
 COUNTS = (1, 2, 4, 6, 9, 13, 19, 27)
-#: Share of the tolerance within which two grids are enough.
+#: Two grids suffice if their images agree within this fraction of the tolerance.
 SURE = 0.1
-#: Image pixels along the longer side of the picture, at most, by which fields are compared.
+#: Largest number of pixels along the picture's longer side when fields are compared.
 WIDEST = 512
 
 
@@ -34,37 +34,37 @@ def image_field(
     most_nodes: int = COUNTS[-1],
     progress: Progress | None = None,
 ) -> tuple[PointSpreadField, float]:
-    """Point spreads over the hidden picture at as many nodes as its image needs.
+    """Compute point spreads at as many points of the hidden picture as its image needs.
 
     Parameters
     ----------
     scene : Scene or SceneOptics
-        With a `PlanarObject`.
+        Scene whose hidden object is a `PlanarObject`.
     tol : float
-        Wanted rms error of the picture's image, relative to its rms; also the wanted error of
-        every point spread, max |dI|/max I.
+        Tolerance for the rms error of the picture's image relative to its rms, and for the error
+        of each point spread, max |dI|/max I.
     most_nodes : int
-        Along each side of the picture, at most; 4 or more, for three grids of nodes.
+        Largest number of nodes along each side of the picture, at least 4.
     progress : callable(str, float), optional
-        Told "field" and the fraction done of the nodes that may be needed.
+        Called with "field" and the completed fraction of the nodes that may be needed.
 
     Returns
     -------
     field : PointSpreadField
-        On the finest of three grids of nodes whose images agree within ``tol``, or of two that
-        agree within a tenth of it.
+        Field on the finest grid of nodes that was computed. Grids are refined until the images of
+        three successive grids agree within ``tol``, or of two within a tenth of it.
     error : float
-        By how much they differ, rms over rms: the error of the coarser ones.
+        Difference between these images, rms over rms. It estimates the error of the coarser grids.
 
     Raises
     ------
     SceneError
-        If an option is out of range or the object is a mesh.
+        If an option is out of range, or the object is a mesh.
     SamplingError
-        If no grid within ``most_nodes`` agrees with the two before, or the next one would pass the
-        seconds of a run's budget.
+        If the images still differ at ``most_nodes``, or the next grid would exceed the time limit
+        of the run.
     NlosError
-        As of `psf.point_spread_field`.
+        If a point spread cannot be computed; see `psf.point_spread_field`.
     """
     in_range("tol", tol, 1e-9, 0.1)
     optics = optics_of(scene)
@@ -74,7 +74,7 @@ def image_field(
     before: Array | None = None
     errors = [math.inf, math.inf]
     start, limit = time.perf_counter(), seconds_limit(math.inf)
-    taken, nodes = 0.0, 1  # s, of so many nodes, the field before
+    taken, nodes = 0.0, 1  # time in s and number of nodes of the previous grid
     for step, count in enumerate(counts):
         base, share = step / len(counts), 1 / len(counts)
         begun = time.perf_counter()
@@ -94,7 +94,7 @@ def image_field(
         image = ForwardModel(field, shape=picture.shape).forward(picture)
         if before is not None:
             errors = [errors[1], rms_difference(before, image)]
-            # two grids may agree by chance, where their nodes see the same part of a wave
+            # two grids may agree by chance, if their nodes see similar parts of a wave
             if max(errors) <= tol:
                 return field, max(errors)
             if errors[1] <= SURE * tol:
@@ -107,11 +107,21 @@ def image_field(
 
 
 def expected_counts(error: float, swing: float, tol: float) -> list[int]:
-    """Nodes a side of the fields that `image_field` computes until their images agree."""
+    """Predict the grids that `image_field` computes until their images agree, nodes per side.
+
+    Parameters
+    ----------
+    error : float
+        Estimated image error with a single point spread, rms over rms.
+    swing : float
+        Estimated change of the waves over the picture, rad.
+    tol : float
+        Tolerance of the image, rms over rms.
+    """
     bend = 0.4 * max(1.0, swing / 2)
     before = math.inf
     for i, n in enumerate(COUNTS[:-1]):
-        # two grids differ by the error of the coarser one
+        # the difference of two grids is the error of the coarser one
         off = error * min(1.0, bend / n) ** (n - 1)
         if off <= SURE * tol or max(before, off) <= tol:
             return list(COUNTS[: i + 2])
@@ -120,9 +130,10 @@ def expected_counts(error: float, swing: float, tol: float) -> list[int]:
 
 
 def picture_frame(scene: Scene) -> Array:
-    """The picture in image pixels of the camera, as a flat wall shows it; row 0 at its lower edge.
+    """Resample the picture to the camera's image pixels, as seen in a flat wall.
 
-    At most `WIDEST` pixels a side; white where the picture is black.
+    Row 0 is the picture's lower edge. The frame has at most `WIDEST` pixels per side. An entirely
+    black picture is replaced by a white one.
     """
     hidden, camera = scene.hidden, scene.camera
     if not isinstance(hidden, PlanarObject):
@@ -139,5 +150,5 @@ def picture_frame(scene: Scene) -> Array:
 
 
 def rms_difference(found: Array, exact: Array) -> float:
-    """Root mean square of the difference over that of the second."""
+    """Return the rms of ``found - exact`` divided by the rms of ``exact``."""
     return float(np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2)))

@@ -1,4 +1,4 @@
-"""From a scene and a point spread function to the electrons that a camera reads."""
+"""Formation of the camera image, in electrons, from a scene and its point spread function."""
 
 from __future__ import annotations
 
@@ -51,46 +51,48 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-BYTES_PER_PIXEL = 450  # at the peak, measured on a curved wall
-ROUNDING = 1e-9  # of a point spread's peak: what the filter over pixels leaves below zero
+BYTES_PER_PIXEL = 450  # peak memory, measured with a curved wall
+ROUNDING = 1e-9  # tolerated negative values relative to the peak, from the pixel filter
 MESH_SAMPLES = 2  # chief rays along each side of a pixel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpeckleImage(Noun, Shown):
-    """What the camera records, and what it is made of; arrays (ny, nx), read-only.
+    """Camera image with its components and noise; all arrays are read-only.
 
-    Rows run along the camera's e2 and columns along e1, row 0 at the lowest y of the detector;
-    drawn with row 0 on top the image stands as the camera shows it.
+    Rows run along the camera's e2 axis and columns along e1. Row 0 is at the lowest y of the
+    detector; drawn with row 0 on top, the image appears as the camera shows it.
 
     Parameters
     ----------
-    electrons : ndarray
-        Reading of every image pixel, electrons, with all noise.
-    expected : ndarray
-        ``signal + background``, electrons: what many exposures average to while no pixel is full.
-    signal : ndarray
-        Expected electrons of the object's image by the wall's mirror-like lobes, blurred by the
-        point spread; zero where the wall has no such lobe.
-    ideal : ndarray
+    electrons : ndarray, (ny, nx)
+        Reading of each image pixel with all noise, electrons.
+    expected : ndarray, (ny, nx)
+        ``signal + background``, electrons: the mean of many exposures if no pixel saturates.
+    signal : ndarray, (ny, nx)
+        Expected electrons of the object's image formed by the wall's mirror-like lobes, blurred by
+        the point spread; zero without such a lobe.
+    ideal : ndarray, (ny, nx)
         ``signal`` before the blur: the ground truth in the image frame.
-    background : ndarray
+    background : ndarray, (ny, nx)
         Expected electrons of the wall's diffuse light, the laser spot, glare and dark current.
-    noise_sigma : ndarray
-        Expected rms noise, electrons: photons, speckle, dark current, readout, converter.
+    noise_sigma : ndarray, (ny, nx)
+        Expected rms noise of photons, speckle, dark current, readout and digitisation, electrons.
     saturated_fraction : float
-        Share of image pixels that are full.
+        Fraction of saturated image pixels.
     pitch : float
-        Image pixel, m.
+        Pitch of the image pixels, m.
     exposure : float
-        s.
+        Exposure time, s.
     speckle_contrast : float
-        rms over mean of the speckle that an image pixel averages, 0 without speckle.
+        Speckle contrast (rms over mean) of an image pixel; 0 without speckle.
     seed : int
-    ledger : mapping
-        Expected electrons in total: ``ideal``; of that, ``signal`` on the detector,
-        ``beyond_window`` outside the point spread's window and ``beyond_detector`` blurred past
-        the edges; and ``diffuse``, ``spot``, ``glare``, ``dark``, which make the background.
+        Seed of the noise.
+    ledger : mapping of str to float
+        Expected electrons summed over the detector. ``ideal`` is the sum of ``signal`` (on the
+        detector), ``beyond_window`` (outside the point spread's window) and ``beyond_detector``
+        (blurred past the edges). ``diffuse``, ``spot``, ``glare`` and ``dark`` form the
+        background.
     """
 
     electrons: Array
@@ -122,7 +124,7 @@ class SpeckleImage(Noun, Shown):
             "exposure": f"{1e3 * self.exposure:.3g} ms, seed {self.seed}",
             "image": f"{nx} x {ny} pixels of {1e6 * self.pitch:.3g} µm",
         }
-        alt = f"What the camera reads, {nx} x {ny} pixels, brighter where there are more electrons"
+        alt = f"Camera image, {nx} x {ny} pixels, brighter where there are more electrons"
         return Figures("Speckle image", figures, alt)
 
 
@@ -135,47 +137,63 @@ def form_image(
     seed: int = 0,
     shadows: Shadows | None = None,
 ) -> SpeckleImage:
-    """Image of the hidden object as one exposure of the camera.
+    """Form the image of the hidden object in one exposure of the camera.
 
     Parameters
     ----------
     scene : Scene
+        Scene to image.
     point_spread : PointSpread or PointSpreadField
-        Energy per pixel (``"unit-sum"``) at the pitch of the camera's image pixels; of a field,
-        that of every point of the picture.
+        Point spread in energy per pixel (``"unit-sum"``), at the pitch of the camera's image
+        pixels; a field gives it for every point of the picture.
     object_image : array_like, (rows, columns), optional
-        Picture 0 to 1 in place of the planar object's own, row 0 on top, at the same size.
+        Reflectances 0 to 1 that replace the planar object's own picture, row 0 on top. The
+        object's size is unchanged.
     exposure : float, optional
-        s, in place of the camera's.
+        Exposure time, s; by default the camera's.
     seed : int, default 0
-        Of all noise; the same seed gives the same bits.
+        Seed of the noise. The same seed gives bit-identical results.
     shadows : Shadows, optional
-        What `cast_shadows` found of this scene, lest it be done again; without it they are cast
-        when there are occluders.
+        Result of `cast_shadows` for this scene; computed if omitted and there are occluders.
 
     Returns
     -------
     SpeckleImage
+        Reading of the camera with its components.
 
     Raises
     ------
     SamplingError
-        If the point spread's pitch or normalisation does not fit, or it is negative somewhere.
+        If the point spread's pitch or normalisation does not fit, or it has negative values.
     SceneError
-        If the beam misses the wall, grazes it or is cut by an occluder, laser, camera or object are
-        behind the wall, or an argument is out of range.
+        If the laser beam misses the wall, meets it at grazing incidence or is cut by an occluder,
+        if laser, camera or object are behind the wall, or if an argument is out of range.
     MemoryLimitError
         If the image would not fit in memory.
 
+    See Also
+    --------
+    nlosoptics.psf.scene_point_spread : Compute the point spread.
+    cast_shadows : Compute the effect of occluders.
+
     Notes
     -----
-    Every pixel holds the exact mean of the picture over its footprint, along chief rays by way of
-    the wall, times the radiance of a white object at the pixel's centre and the mirror-like
-    reflectance, which is taken as smooth. The point spread sums to the energy inside its window;
-    what it spreads beyond is lost here and stands in the ledger. Object parts outside the
-    detector's field cast no blur into it. The beam that a smooth lobe reflects is not followed.
-    Occluders dim what they hide by the shares of `Shadows`; the point spread is that of a free
-    pupil.
+    Each pixel receives the mean of the picture over its footprint, found by chief rays via the
+    wall. It is multiplied by the radiance of a white object at the pixel's centre and by the
+    mirror-like reflectance, both taken as smooth. The point spread sums to the energy inside its
+    window; the rest is lost and listed in the ledger. Parts of the object outside the detector's
+    field of view contribute no blur. The beam reflected by a perfectly smooth lobe is not traced.
+    Occluders dim the light by the fractions in `Shadows`; the point spread remains that of an
+    unobstructed pupil.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, imaging, psf
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(32)
+    >>> spread = psf.scene_point_spread(scene, tol=1e-2).point_spread
+    >>> image = imaging.form_image(scene, spread, seed=0)
+    >>> image.electrons.shape, image.saturated_fraction
+    ((32, 32), 0.0)
     """
     seed = checked_seed(seed)
     camera = scene.camera
@@ -193,7 +211,7 @@ def form_image(
     if shadows is not None:
         ideal *= shadows.image
     model, kept = _blur(scene, point_spread, rays, ideal)
-    # the transform leaves rounding errors of either sign where no light is
+    # the FFT leaves rounding errors of either sign in dark regions
     signal = np.maximum(model.forward(ideal), 0.0)
     patches = object_patches(scene.hidden)
     diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
@@ -240,22 +258,31 @@ def diffuse_background(
     *,
     exposure: float | None = None,
 ) -> Array:
-    """Expected electrons of the wall's diffuse light alone.
+    """Compute the expected electrons of the wall's diffuse light alone.
 
-    Its shape hardly depends on what the picture shows, so that of a white object stands for it
-    where the picture is unknown.
+    The shape of this light hardly depends on the picture. If the picture is unknown, the shape for
+    a white object is a good approximation.
 
     Parameters
     ----------
     scene : Scene
+        Scene to image.
     object_image : array_like, (rows, columns), optional
-        Picture 0 to 1 in place of the planar object's own, row 0 on top.
+        Reflectances 0 to 1 that replace the planar object's own picture, row 0 on top.
     exposure : float, optional
-        s, in place of the camera's.
+        Exposure time, s; by default the camera's.
 
     Returns
     -------
     ndarray, (ny, nx)
+        Electrons per image pixel.
+
+    Raises
+    ------
+    SceneError
+        If the laser beam misses the wall or is cut by an occluder, or an argument is out of range.
+    MemoryLimitError
+        If the image would not fit in memory.
     """
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     if object_image is not None:
@@ -270,19 +297,19 @@ def diffuse_background(
 
 
 def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
-    """The shadows given, if they fit, or those of the occluders; None where there are none."""
+    """Return checked or newly computed shadows; None without occluders."""
     if given is None:
         return cast_shadows(scene) if scene.occluders else None
     if given.image.shape != scene.camera.shape:
         raise SceneError(
             f"shadows are of {given.image.shape} pixels, the camera has {scene.camera.shape}; give "
-            "those that cast_shadows found of this scene"
+            "the result of cast_shadows for this scene"
         )
     return given
 
 
 def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, Array]:
-    """Laser spot, chief rays, share of the wall seen, and electrons per radiance."""
+    """Return laser spot, chief rays, visible fraction of the wall, and electrons per radiance."""
     ny, nx = scene.camera.shape
     fits_memory(
         f"an image of {nx} x {ny} pixels (camera.pixels, camera.binning)",
@@ -300,12 +327,15 @@ def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, A
 def _blur(
     scene: Scene, point_spread: PointSpread | PointSpreadField, rays: ChiefRays, ideal: Array
 ) -> tuple[ForwardModel, float]:
-    """The image model, and the share of the ideal image that its windows hold."""
+    """Return the image model and the fraction of the ideal image's light in its PSF windows."""
     shape = scene.camera.shape
     if not isinstance(point_spread, PointSpreadField):
         return ForwardModel(point_spread, shape=shape), float(point_spread.intensity.sum())
     if not isinstance(scene.hidden, PlanarObject):
-        raise SceneError("point_spread is a field over a picture, and scene.hidden is a mesh")
+        raise SceneError(
+            "point_spread is a field over a picture, but scene.hidden is a mesh; give one "
+            "PointSpread"
+        )
     rows, columns = scene.hidden.reflectance.shape
     column, row = picture_coordinates(scene.hidden, rays)
     # pixels that miss the picture's plane carry no light to blur
@@ -327,19 +357,19 @@ def _check_pitch(point_spread: PointSpread | PointSpreadField, pitch: float) -> 
 def _check_energy(point_spread: PointSpread) -> None:
     if point_spread.normalisation != "unit-sum":
         raise SamplingError(
-            f"point_spread.normalisation = {point_spread.normalisation!r}, an image needs energy "
-            "per pixel; compute it with normalisation='unit-sum'"
+            f"point_spread.normalisation = {point_spread.normalisation!r}, must be 'unit-sum' "
+            "(energy per pixel); compute it with normalisation='unit-sum'"
         )
     lowest, highest = float(point_spread.intensity.min()), float(point_spread.intensity.max())
     if lowest < -ROUNDING * highest:
         raise SamplingError(
-            f"point_spread is negative, down to {lowest:g} with a peak of {highest:g}; give energy "
-            "per pixel, at least 0"
+            f"point_spread is negative, down to {lowest:g} with a peak of {highest:g}; "
+            "give energy per pixel, at least 0"
         )
     total = float(point_spread.intensity.sum())
     if total > 1.01:
         raise SamplingError(
-            f"point_spread sums to {total:g}, limit 1: its peak falls between samples; "
+            f"point_spread sums to {total:g}, limit 1: point samples are too coarse for its peak; "
             "compute it with pixel_integrated=True"
         )
 
@@ -357,7 +387,7 @@ def _with_picture(scene: Scene, object_image: ArrayLike) -> Scene:
 
 
 def _speckle_freedom(scene: Scene) -> float | None:
-    """Squared inverse contrast of an image pixel's speckle, two polarisations included."""
+    """Degrees of freedom 1/contrast^2 of an image pixel's speckle, with two polarisations."""
     patterns = scene.laser.independent_patterns
     if patterns is None:
         return None
@@ -369,7 +399,7 @@ def _speckle_freedom(scene: Scene) -> float | None:
 def _mirrored_radiance(
     scene: Scene, spot: LaserSpot, rays: ChiefRays, seen: NDArray[np.bool_]
 ) -> Array:
-    """Mean radiance over each pixel of the object seen in the wall, W/(m^2 sr)."""
+    """Mean radiance over each pixel of the object mirrored by the wall, W/(m^2 sr)."""
     result = np.zeros(seen.shape)
     reflectance = scene.wall_material.specular_reflectance
     if reflectance == 0.0:
@@ -390,7 +420,7 @@ def _mirrored_radiance(
 def _mesh_radiance(
     scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, seen: NDArray[np.bool_]
 ) -> Array:
-    """Mean over each pixel of the mesh's radiance, by a few chief rays per pixel."""
+    """Mean radiance of the mesh over each pixel, from a few chief rays per pixel."""
     x, y = pixel_centres(scene.camera)
     steps = (np.arange(MESH_SAMPLES) - (MESH_SAMPLES - 1) / 2) / MESH_SAMPLES
     total = np.zeros(seen.shape)

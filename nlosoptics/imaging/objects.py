@@ -1,4 +1,4 @@
-"""The hidden object as a source: patches for its diffuse light, and views of a mesh."""
+"""The hidden object as a light source: patches, sample points, and visible parts of a mesh."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ MAX_PATCHES = 4096
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Patches:
-    """A surface cut into small pieces.
+    """Small patches that represent a surface.
 
     Parameters
     ----------
     points, normals : ndarray, (n, 3)
-        World, m; unit, toward the lit front.
+        Positions, m, and unit normals toward the lit front, world frame.
     areas : ndarray, (n,)
-        Area times relative reflectance, m^2.
+        Patch areas times relative reflectance, m^2.
     """
 
     points: Array
@@ -39,19 +39,19 @@ class Patches:
 
 
 def object_patches(hidden: PlanarObject | MeshObject) -> Patches:
-    """Cut the hidden object into patches that stand for it as seen from the wall.
+    """Represent the hidden object by patches, for its diffuse illumination of the wall.
 
-    A picture gets about 50 patches per (its width/its distance) along a side, each placed at its
-    centre of reflectance, which leaves an error of order (patch/distance)^2: below 1e-3 of the
-    light. Dark patches are left out. A mesh gives its triangles, cut or sampled evenly; parts that
-    hide one another are not told apart.
+    A picture gets about 50 size/distance patches along each side, at least 8 and at most 64. Each
+    is placed at its centre of reflectance, which leaves an error of order (patch/distance)^2, below
+    1e-3 of the light. Dark patches are dropped. The triangles of a mesh are subdivided or sampled
+    by area; parts of a mesh that hide one another are not detected.
     """
     if isinstance(hidden, MeshObject):
         return _mesh_patches(hidden.surface)
     picture = hidden.reflectance
     right, up, normal = hidden.axes
     drop = (hidden.size[0] * abs(right[2]) + hidden.size[1] * abs(up[2])) / 2
-    nearest = hidden.position[2] - drop  # above 0, as PlanarObject sees to
+    nearest = hidden.position[2] - drop  # positive, guaranteed by PlanarObject
     edges: list[NDArray[np.intp]] = []
     for texels, extent in zip(picture.shape, hidden.size[::-1], strict=True):
         count = min(max(math.ceil(50 * extent / nearest), 8), 64)
@@ -108,11 +108,11 @@ def _barycentric(n: int) -> Array:
 
 
 def object_samples(hidden: PlanarObject | MeshObject, count: int) -> Patches:
-    """Stand for the hidden object by points of equal shares of its reflecting area.
+    """Represent the hidden object by points of equal reflecting area.
 
-    Points of an additive recurrence, whose share of any part of the object errs by the power -3/4
-    or so of their number: unlike rows of patches, they have no edge that a shadow's can fall in
-    with.
+    The points follow an additive recurrence (low-discrepancy sequence). The fraction of points in
+    any part of the object has an error of about count^(-3/4). Unlike a grid of patches, the points
+    have no rows that could line up with a shadow's edge.
     """
     if isinstance(hidden, MeshObject):
         u, v, w = _even(count, 3)
@@ -139,14 +139,14 @@ def object_samples(hidden: PlanarObject | MeshObject, count: int) -> Patches:
 
 
 def _even(count: int, axes: int) -> Array:
-    """Points of the unit square or cube by the recurrence of the root of x^(axes+1) = x + 1."""
+    """Low-discrepancy points of the unit square or cube (R sequence, root of x^(d+1) = x + 1)."""
     root = {2: 1.3247179572447460, 3: 1.2207440846057596}[axes]
     steps = root ** -np.arange(1.0, axes + 1)
     return np.asarray((0.5 + steps[:, None] * np.arange(1, count + 1)) % 1.0)
 
 
 def _quantiles(weights: Array, share: Array) -> tuple[NDArray[np.intp], Array]:
-    """Cells (n,) of rows of weights (n, k) up to which lie given shares, and the parts of those."""
+    """Invert the cumulative weights (n, k) at given shares (n,): cells (n,) and parts of them."""
     summed = np.cumsum(weights, axis=1)
     wanted = share * summed[:, -1]
     cell = np.minimum((summed <= wanted[:, None]).sum(axis=1), weights.shape[1] - 1)
@@ -158,26 +158,27 @@ def _quantiles(weights: Array, share: Array) -> tuple[NDArray[np.intp], Array]:
 def mesh_hits(
     mesh: trimesh.Trimesh, source: Array, origins: Array, directions: Array
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """First triangles that rays meet, on sides that the source lights.
+    """First intersections of rays with a mesh, restricted to points that the source lights.
 
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        World frame.
+        Mesh, world frame.
     source : ndarray, (3,)
-        The laser's spot, m.
+        Position of the laser spot, m.
     origins, directions : ndarray, (n, 3)
-        m; unit.
+        Origins of the rays, m, and unit directions.
 
     Returns
     -------
     points, normals : ndarray, (n, 3)
-        Zero where nothing lit is met.
+        Intersections, m, and unit normals; zero where ``lit`` is False.
     lit : ndarray of bool, (n,)
+        Whether the ray meets a lit point from the front.
 
     Notes
     -----
-    A point is lit when its triangle faces the source and no other part of the mesh stands between.
+    A point is lit if its triangle faces the source and no other part of the mesh is in between.
     """
     hits = intersect_mesh(mesh, origins, directions)
     met = np.nonzero(hits.hit)[0]

@@ -1,8 +1,8 @@
-"""The radiance chain: laser power to electrons, over the wall, the object and the wall again.
+"""Radiometry from laser power to electrons, over three reflections: wall, object, wall.
 
-Three reflections: the wall's spot scatters the laser (radiant intensity P f_r cos_o), the object
-scatters that (radiance f_o E_o times the picture), and the wall passes it to the camera, its
-mirror-like lobes as an image and its diffuse lobes as a background.
+The laser spot on the wall has the radiant intensity P f_r cos_o. The object, lit by it, has the
+radiance f_o E_o times its picture. The wall reflects this light to the camera: its mirror-like
+lobes form an image, its diffuse lobes a background.
 """
 
 from __future__ import annotations
@@ -26,43 +26,43 @@ from .objects import Patches
 
 Array = NDArray[np.float64]
 
-GRAZING = math.radians(89.0)  # incidence beyond which a spot is a smear
-NODES = 24  # of a Chebyshev interpolation along each side of the detector
-NODES_HEIGHT = 3  # of one over the wall's height
-GROUP = 0.08  # rad across which the light's direction counts as one, on a curved wall
-PAIRS = 400_000  # of wall point and object patch held in memory at a time
+GRAZING = math.radians(89.0)  # largest angle of incidence of the laser beam
+NODES = 24  # nodes of the Chebyshev interpolation along each side of the detector
+NODES_HEIGHT = 3  # nodes of the interpolation over the wall's height
+GROUP = 0.08  # rad; on a curved wall, object patches within this angle share one direction
+PAIRS = 400_000  # pairs of wall point and object patch held in memory at a time
 
 
 def photon_rate(power: float, wavelength: float) -> float:
-    """Photons per second of a beam, P lambda/(h c).
+    """Photon rate of a beam, P lambda/(h c).
 
     Parameters
     ----------
     power : float
-        W.
+        Power, W.
     wavelength : float
-        In vacuum, m.
+        Vacuum wavelength, m.
 
     Returns
     -------
     float
-        1/s.
+        Photons per second, 1/s.
     """
     positive("wavelength", wavelength, unit="m")
     return in_range("power", power, 0.0, unit="W") * wavelength / (constants.h * constants.c)
 
 
 def electrons_per_joule(scene: Scene) -> float:
-    """Photoelectrons per joule of laser light that falls on the detector."""
+    """Photoelectrons per joule of laser light on the detector."""
     return photon_rate(1.0, scene.laser.wavelength) * scene.camera.quantum_efficiency
 
 
 def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Array:
     """Electrons of an image pixel per radiance toward the lens, electrons m^2 sr/W.
 
-    Irradiance of the detector E = pi L T cos^4/(4 N^2) times area, exposure and electrons per
-    joule. The working F-number N goes by the sine of the cone beyond F/1, so that E never exceeds
-    pi L T.
+    The irradiance of the detector, E = pi L T cos^4/(4 N^2), is multiplied by pixel area, exposure
+    and electrons per joule. For lenses faster than F/1 the working F-number N is defined by the
+    sine of the cone's half angle, so that E never exceeds pi L T.
     """
     camera = scene.camera
     f_number = working_f_number(camera.stop_diameter / 2, scene.image_distance)
@@ -72,16 +72,16 @@ def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Ar
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LaserSpot:
-    """Where the beam meets the wall.
+    """Laser spot on the wall.
 
     Parameters
     ----------
     point, normal : ndarray, (3,)
-        On the wall, world, m; unit, toward the room.
+        Centre of the spot, m, and the wall's unit normal there, toward the room; world frame.
     incident : ndarray, (3,)
-        Unit vector from the spot to the laser.
+        Unit vector from the spot to the laser, world frame.
     area : float
-        Lit area of the wall, m^2.
+        Illuminated area of the wall, m^2.
     """
 
     point: Array
@@ -91,13 +91,13 @@ class LaserSpot:
 
 
 def laser_spot(scene: Scene) -> LaserSpot:
-    """The laser's spot: where its axis meets the wall, not only the plane that it is aimed at.
+    """Find the laser spot: the intersection of the beam's axis with the wall surface itself.
 
     Raises
     ------
     SceneError
-        If the beam misses the wall or passes its edge, or grazes it so that the spot is no point
-        as seen from the object.
+        If the beam misses the wall or crosses its edge, or if the spot at grazing incidence is too
+        long to be treated as a point source.
     """
     laser = scene.laser
     beam = np.subtract(laser.aim, laser.position)
@@ -117,7 +117,7 @@ def laser_spot(scene: Scene) -> LaserSpot:
 def _check_footprint(
     scene: Scene, point: Array, normal: Array, incident: Array, cosine: float
 ) -> None:
-    """Refuse a spot drawn out by grazing incidence, or cut off by the wall's edge."""
+    """Raise for a spot that is stretched by grazing incidence or cut by the wall's edge."""
     width = scene.laser.beam_diameter
     remedy = "raise laser.position or make laser.beam_diameter smaller"
     if cosine < math.cos(GRAZING):
@@ -135,7 +135,7 @@ def _check_footprint(
     if scene.wall.size is None:
         return
     for i, name in enumerate("xy"):
-        # extent of the disc across the beam, thrown along the beam onto the tangent plane
+        # extent of the beam's cross-section projected along the beam onto the tangent plane
         axis = np.eye(3)[i] - normal * (incident[i] / cosine)
         reach = abs(float(point[i])) + width / 2 * math.sqrt(float((axis * axis).sum()))
         if reach > scene.wall.size[i] / 2:
@@ -146,10 +146,10 @@ def _check_footprint(
 
 
 def radiant_intensity(scene: Scene, spot: LaserSpot, toward: Array) -> Array:
-    """Radiant intensity of the spot along unit vectors ``toward`` (..., 3), W/sr.
+    """Radiant intensity P f_r cos_o of the spot along unit vectors ``toward`` (..., 3), W/sr.
 
-    P f_r cos_o with every lobe of the wall but perfectly smooth ones, whose reflected beam is not
-    followed.
+    All lobes of the wall contribute except perfectly smooth ones, whose reflected beam is not
+    traced.
     """
     cosine = np.maximum((toward * spot.normal).sum(axis=-1), 0.0)
     reflectance = scene.wall_material.evaluate(spot.incident, toward, spot.normal)
@@ -161,8 +161,8 @@ def spot_irradiance(
 ) -> tuple[Array, Array]:
     """Irradiance on surfaces at ``points``, W/m^2, and the unit vectors from them to the spot.
 
-    E = I cos'/r^2, zero on back sides. The spot counts as a point: at a distance r this errs by
-    (beam diameter/4 r)^2 or so.
+    E = I cos'/r^2, zero on back sides. The spot is treated as a point source, with a relative error
+    of about (beam diameter/4 r)^2 at distance r.
     """
     toward = spot.point - points
     square = (toward * toward).sum(axis=-1)
@@ -174,18 +174,18 @@ def spot_irradiance(
 def object_radiance(
     scene: Scene, spot: LaserSpot, points: Array, normals: Array, toward: Array
 ) -> Array:
-    """Radiance of a white object at ``points`` along unit vectors ``toward``, W/(m^2 sr).
+    """Radiance L = f_o E of a white object at ``points`` along unit vectors ``toward``, W/(m^2 sr).
 
-    L = f_o E, zero seen from behind.
+    It is zero on the back side.
     """
     irradiance, incident = spot_irradiance(scene, spot, points, normals)
     return scene.hidden.material.evaluate(incident, toward, normals) * irradiance
 
 
 def spot_power_through_lens(scene: Scene, spot: LaserSpot) -> float:
-    """Power of the spot's direct light that leaves the lens toward the detector, W.
+    """Power of the spot's direct light that the lens transmits to the detector, W.
 
-    I A_lens cos/r^2 T; zero when the field stop hides the spot.
+    It is I A_lens cos/r^2 T, or zero if the field stop blocks the spot.
     """
     camera = scene.camera
     toward = np.array(camera.position) - spot.point
@@ -203,30 +203,33 @@ def spot_power_through_lens(scene: Scene, spot: LaserSpot) -> float:
 def background_radiance(
     scene: Scene, spot: LaserSpot, patches: Patches, rays: ChiefRays, seen: NDArray[np.bool_]
 ) -> Array:
-    """Radiance of the wall's diffuse lobes toward the lens, lit by the object, W/(m^2 sr).
+    """Radiance toward the lens of the wall's diffuse lobes, lit by the object, W/(m^2 sr).
 
     Parameters
     ----------
     scene : Scene
+        Scene with wall, object material and camera.
     spot : LaserSpot
+        Laser spot on the wall.
     patches : Patches
-        The object, as points with areas.
+        Patches of the object.
     rays : ChiefRays
-        Of the pixel centres, (ny, nx).
+        Chief rays of the pixel centres, (ny, nx).
     seen : ndarray of bool, (ny, nx)
         Pixels that look at the wall; the others get zero.
 
     Returns
     -------
     ndarray, (ny, nx)
+        Radiance.
 
     Notes
     -----
-    L = sum over patches of f_r L_o cos cos' dA/r^2, to better than 1e-3. On a flat wall it is
-    evaluated on Chebyshev nodes of the detector and interpolated. A curved wall may turn its
-    normal within few pixels; what stays smooth there is the light that arrives, as a vector field
-    over the detector and the height. That is interpolated, for the object in groups of some
-    degrees, and each pixel applies its own normal and lobes.
+    L = sum over patches of f_r L_o cos cos' dA/r^2, with an error below 1e-3. For a flat wall it is
+    evaluated at Chebyshev nodes of the detector and interpolated. On a curved wall the normal may
+    change within a few pixels, but the incident light varies smoothly. Therefore the vector
+    irradiance is interpolated over detector and wall height, separately for groups of patches a
+    few degrees wide, and each pixel applies its own normal and lobes.
     """
     diffuse = scene.wall_material.diffuse
     result = np.zeros(seen.shape)
@@ -248,7 +251,7 @@ def background_radiance(
     def interpolated(values: Array) -> Array:
         total = np.zeros(inside.shape)
         for k in range(shape[2]):
-            # einsum's own loops: BLAS could round otherwise on another number of threads
+            # einsum without BLAS, whose rounding can depend on the number of threads
             plane = np.einsum("kl,jl->kj", values.reshape(shape)[..., k], on_x)
             total += np.einsum("ik,kj->ij", on_y, plane) * on_height[..., k]
         return total
@@ -270,7 +273,7 @@ def background_radiance(
 
 
 class Nodes:
-    """Points on chief rays at given heights; those on rays that rise are left out."""
+    """Points on chief rays at given heights z; rays that lead away from the wall are left out."""
 
     def __init__(self, scene: Scene, x: Array, y: Array, height: Array) -> None:
         e1, e2, axis = scene.camera.frame
@@ -287,7 +290,7 @@ class Nodes:
 def arrivals(
     scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Blocks of nodes with unit vectors to all patches and the irradiance across those."""
+    """Yield blocks of nodes, unit vectors to all patches, and irradiances at normal incidence."""
     step = max(1, PAIRS // len(patches.areas))
     for start in range(0, len(nodes.used), step):
         block = slice(start, start + step)
@@ -302,7 +305,7 @@ def arrivals(
 def _flat_radiance(
     scene: Scene, spot: LaserSpot, patches: Patches, diffuse: Material, nodes: Nodes
 ) -> Array:
-    """Radiance of a flat wall at nodes; zero, as toward the horizon, on rays that rise."""
+    """Radiance of a flat wall at nodes; zero, its limit at the horizon, for rays that miss it."""
     result = np.zeros(nodes.count)
     for block, toward, light in arrivals(scene, spot, patches, nodes):
         lobe = diffuse.evaluate(toward, -nodes.directions[block][:, None], (0.0, 0.0, 1.0))
@@ -312,7 +315,7 @@ def _flat_radiance(
 
 
 def background_work(scene: Scene, patches: Patches) -> tuple[float, int]:
-    """How many pairs of node and patch, and groups of patches, `background_radiance` takes."""
+    """Return the numbers of node-patch pairs and of patch groups in `background_radiance`."""
     diffuse = scene.wall_material.diffuse
     if diffuse is None or not len(patches.areas):
         return 0.0, 0
@@ -323,12 +326,12 @@ def background_work(scene: Scene, patches: Patches) -> tuple[float, int]:
 
 
 def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
-    """Number of the group of neighbours that every patch belongs to."""
+    """Assign each patch to a group of neighbouring patches."""
     cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
     if (diffuse.lobe_table()[:, 0] == LAMBERT).all():
-        cell = math.inf  # the lobe does not depend on where the light comes from
+        cell = math.inf  # Lambertian: the direction of incidence does not matter
     else:
-        # gloss varies over half its slope
+        # a glossy lobe varies over angles of half its slope
         glossy = diffuse.lobe_table()
         slopes = glossy[glossy[:, 0] >= BECKMANN, 2]
         cell *= min(1.0, 0.5 * float(slopes.min(initial=1.0)))
@@ -355,7 +358,7 @@ def _grouped_flux(
 
 
 class _Chebyshev:
-    """Chebyshev interpolation over the range of some values; one node if they are all equal."""
+    """Chebyshev interpolation over the range of given values; one node if they are all equal."""
 
     def __init__(self, values: Array, count: int) -> None:
         low, high = float(values.min()), float(values.max())
@@ -368,7 +371,7 @@ class _Chebyshev:
         self._from_nodes[0] /= 2.0
 
     def basis(self, values: Array) -> Array:
-        """Weights of the nodes at ``values``, shape (..., count)."""
+        """Return the interpolation weights of the nodes at ``values``, shape (..., count)."""
         if self._half == 0.0:
             return np.ones((*values.shape, 1))
         u = np.clip((values - self._middle) / self._half, -1.0, 1.0)

@@ -1,8 +1,8 @@
-"""What occluders hide: shares of each pixel's light that reach it past black bodies.
+"""Shadows of black occluders: fractions of each pixel's light that is not blocked.
 
-A path to a pixel's image runs from the laser's spot to the object, to the wall and through the
-lens; the diffuse background takes the same legs by any point of the object. Each leg is one line
-of sight.
+Light of the image travels from the laser spot to the object, to the wall and through the lens. The
+diffuse background follows the same three legs via all points of the object. Each leg is tested as
+a line of sight.
 """
 
 from __future__ import annotations
@@ -37,29 +37,28 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-SIDE = 4  # sample paths along each side of a pixel, each to a point of the lens of its own
-SAMPLES = 1024  # points of the object that light the wall
+SIDE = 4  # sample paths along each side of a pixel, each through its own point of the lens
+SAMPLES = 1024  # points that represent the object as a source
 NODES = 65  # pixels along each side of the detector at which the wall's light is summed
-TURN = math.pi * (3.0 - math.sqrt(5.0))  # golden angle: even points on a disc
-RIM = 16  # rays around the laser beam
-SHADOW_BYTES = 450  # of memory per pixel, measured
+TURN = math.pi * (3.0 - math.sqrt(5.0))  # golden angle, for evenly spread points on a disc
+RIM = 16  # rays along the edge of the laser beam
+SHADOW_BYTES = 450  # measured memory per pixel
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shadows(Noun):
-    """What occluders leave of the light; arrays (ny, nx), read-only, 1 where they hide nothing.
+    """Fractions of light that occluders transmit; read-only arrays, 1 without any shadow.
 
     Parameters
     ----------
-    image : ndarray
-        Share of each pixel's paths spot - object - wall - lens that are free, over its area and
-        the lens.
-    view : ndarray
-        Share of each pixel's paths wall - lens that are free.
-    veil : ndarray
-        Share of the object's diffuse light that reaches the wall where each pixel looks.
+    image : ndarray, (ny, nx)
+        Unblocked fraction of the paths spot - object - wall - lens, over pixel area and lens.
+    view : ndarray, (ny, nx)
+        Unblocked fraction of the paths wall - lens, over pixel area and lens.
+    veil : ndarray, (ny, nx)
+        Fraction of the object's diffuse light that reaches the wall point seen by each pixel.
     spot : float
-        Share of the lens that the laser's spot lights straight.
+        Fraction of the lens that receives direct light from the laser spot.
     """
 
     image: Array
@@ -73,32 +72,34 @@ class Shadows(Noun):
 
 
 def cast_shadows(scene: Scene) -> Shadows:
-    """Test every leg of the light of an image against the scene's occluders.
+    """Compute the fractions of light that the scene's occluders let through.
 
     Parameters
     ----------
     scene : Scene
+        Scene with occluders; without any, all fractions are 1.
 
     Returns
     -------
     Shadows
+        Fractions for image, view of the wall, diffuse light and direct light.
 
     Raises
     ------
     SceneError
-        If the laser's beam misses the wall, or an occluder cuts it before that.
+        If the laser beam misses the wall, or an occluder cuts it.
     MemoryLimitError
         If the paths of all pixels would not fit in memory.
 
     Notes
     -----
-    ``image`` and ``view`` are shares of 16 paths, each with its own place in the pixel and on the
-    lens, so pixels in a shadow's edge err by some hundredths. Paths through a lens point cross the
-    wall's tangent plane on the way to the point in focus, and meet the object where the chief ray
-    does. ``veil`` sums over 1024 points of the object at 65 by 65 pixels and is bilinear in
-    between: good to some thousandths, and to some hundredths at the edge of a shadow that an
-    occluder close to the wall casts on it. The spot counts as a point, and its image is evenly
-    dimmed.
+    ``image`` and ``view`` are fractions of 16 paths per pixel, each through its own point of the
+    pixel and of the lens, so that their error at shadow edges is some hundredths. A path through a
+    lens point crosses the wall's tangent plane on the way to the point in focus, and meets the
+    object where the chief ray does. ``veil`` is summed over 1024 object points at 65 x 65 pixels
+    and interpolated bilinearly. Its error is some thousandths, or some hundredths at the edge of a
+    shadow on the wall from an occluder close to it. The spot is treated as a point, and its image
+    is dimmed uniformly.
     """
     ny, nx = scene.camera.shape
     fits_memory(
@@ -126,13 +127,13 @@ def cast_shadows(scene: Scene) -> Shadows:
 
 
 def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
-    """Refuse an occluder in the laser's beam, on its axis or at its rim."""
+    """Raise if an occluder cuts the laser beam, on its axis or at its edge."""
     laser = np.array(scene.laser.position)
     across = np.linalg.svd(spot.incident[None])[2][1:]
     angles = 2 * math.pi * np.arange(RIM) / RIM
     rim = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
     offsets = np.concatenate([np.zeros((1, 3)), scene.laser.beam_diameter / 2 * rim])
-    # where each ray meets the tangent plane of the spot
+    # intersection of each ray with the tangent plane at the spot
     cosine = float((spot.incident * spot.normal).sum())
     ends = spot.point + offsets - np.outer(offsets @ spot.normal / cosine, spot.incident)
     cut = occluded(mesh, laser + offsets, ends)
@@ -144,7 +145,7 @@ def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
 
 
 def _lens_points(scene: Scene) -> Array:
-    """Even points on the lens about its centre, world axes, m, (SIDE^2, 3)."""
+    """Evenly spread points on the lens relative to its centre, world axes, m, (SIDE^2, 3)."""
     k = np.arange(SIDE**2)
     radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / SIDE**2)
     disc = np.stack([radius * np.cos(TURN * k), radius * np.sin(TURN * k)], axis=1)
@@ -154,7 +155,7 @@ def _lens_points(scene: Scene) -> Array:
 def _path_shares(
     scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, seen: Mask
 ) -> tuple[Array, Array]:
-    """Free shares of paths spot - object - wall - lens and of paths wall - lens."""
+    """Unblocked fractions of the paths spot - object - wall - lens and wall - lens."""
     met, free, viewed = (np.zeros(seen.shape) for _ in range(3))
     for rays, lens in _sample_rays(scene):
         use = seen & np.isfinite(rays.distance)
@@ -172,18 +173,18 @@ def _path_shares(
 
 
 def _sample_rays(scene: Scene) -> Iterator[tuple[ChiefRays, Array]]:
-    """Chief rays of points spread over each pixel, each set with a point of the lens."""
+    """Yield chief rays of points spread over each pixel, each set with its own lens point."""
     x, y = pixel_centres(scene.camera)
     lens = np.array(scene.camera.position) + _lens_points(scene)
     steps = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * scene.camera.image_pitch
     for k in range(SIDE**2):
-        # seven steps on at a time: neighbours in the pixel are none on the lens
+        # stride 7: neighbouring points of the pixel get distant points of the lens
         row, column = divmod(7 * k % SIDE**2, SIDE)
         yield chief_rays(scene, x + steps[column], y + steps[row]), lens[k]
 
 
 def _on_wall(scene: Scene, rays: ChiefRays, use: Mask, lens: Array) -> Array:
-    """Where the lines from a lens point to the points in focus cross the wall's tangent planes."""
+    """Intersect lines from a lens point to the points in focus with the wall's tangent planes."""
     ahead = scene.focus_distance / rays.cos_axis[use]
     line = np.array(scene.camera.position) + ahead[:, None] * rays.directions[use] - lens
     normals = rays.normals[use]
@@ -192,14 +193,14 @@ def _on_wall(scene: Scene, rays: ChiefRays, use: Mask, lens: Array) -> Array:
 
 
 def _object_points(scene: Scene, rays: ChiefRays, use: Mask) -> tuple[Array, Mask]:
-    """Object points (m, 3) that the rays in use meet, and which rays those are."""
+    """Object points (m, 3) that the rays in use meet, and the mask of those rays."""
     hidden = scene.hidden
     if not isinstance(hidden, PlanarObject):
         hits = intersect_mesh(hidden.surface, rays.points[use], rays.reflected[use])
         return hits.points[hits.hit], hits.hit
     column, row = (c[use] for c in picture_coordinates(hidden, rays))
     rows, columns = hidden.reflectance.shape
-    # NaN compares false
+    # comparisons with NaN are false
     hit = (column >= 0) & (column <= columns) & (row >= 0) & (row <= rows)
     return picture_points(hidden, column[hit], row[hit]), hit
 
@@ -207,7 +208,7 @@ def _object_points(scene: Scene, rays: ChiefRays, use: Mask) -> tuple[Array, Mas
 def _veil_share(
     scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, rays: ChiefRays, seen: Mask
 ) -> Array:
-    """Share of the object's light that reaches the wall points of the pixels."""
+    """Fraction of the object's diffuse light that reaches the wall point of each pixel."""
     diffuse, patches = scene.wall_material.diffuse, object_samples(scene.hidden, SAMPLES)
     if diffuse is None or not seen.any() or not len(patches.areas):
         return np.ones(seen.shape)
@@ -217,7 +218,7 @@ def _veil_share(
     x, y = pixel_centres(scene.camera)
     x, y = np.broadcast_arrays(x[columns], y[rows, None])
     on, height, normals = seen[at], rays.points[at][..., 2], rays.normals[at]
-    # rays beyond the wall's edge go on to its mean height
+    # rays beyond the wall's edge are continued to its mean height
     height = np.where(on, height, rays.points[seen][:, 2].mean())
     normals = np.where(on[..., None], normals, (0.0, 0.0, 1.0)).reshape(-1, 3)
     nodes = Nodes(scene, x.ravel(), y.ravel(), height.ravel())
@@ -239,14 +240,14 @@ def _veil_share(
 
 
 def _nodes(count: int) -> NDArray[np.intp]:
-    """Pixels at which shares are summed, the first and the last among them."""
+    """Pixels at which fractions are computed, including the first and the last."""
     return np.unique(np.rint(np.linspace(0, count - 1, min(NODES, count))).astype(np.intp))
 
 
 def _bilinear(
     values: Array, rows: NDArray[np.intp], columns: NDArray[np.intp], shape: tuple[int, ...]
 ) -> Array:
-    """Values at pixels ``rows`` and ``columns``, bilinear over all pixels."""
+    """Interpolate values given at pixels ``rows`` and ``columns`` bilinearly to all pixels."""
     for axis, nodes in enumerate((rows, columns)):
         at = np.arange(shape[axis])
         low = np.minimum(np.searchsorted(nodes, at, side="right") - 1, max(len(nodes) - 2, 0))

@@ -1,4 +1,4 @@
-"""Light that reaches the detector straight from the laser's spot: its image and veiling glare."""
+"""Image of the laser spot on the detector, formed by light straight from the spot."""
 
 from __future__ import annotations
 
@@ -13,25 +13,27 @@ from .radiometry import LaserSpot
 
 Array = NDArray[np.float64]
 
-CELLS = 1 << 18  # parts of pixels at which the spot is computed at a time
+CELLS = 1 << 18  # sub-pixels computed at a time
 
 
 def spot_image(scene: Scene, spot: LaserSpot) -> Array:
-    """Shares of the spot's light through the lens that fall on each pixel.
+    """Fractions of the spot's light through the lens that fall on each pixel.
 
-    The image is the spot's disc blurred by the disc that defocus makes of a point; their
-    convolution depends on the area common to two circles. The spot's outline, an ellipse seen
-    obliquely, is taken as the circle of the same area. Diffraction is left out.
+    The image is the spot's disc convolved with the disc of defocus, which amounts to the overlap
+    area of two circles. The elliptic outline of the spot is replaced by a circle of the same area.
+    Diffraction is neglected.
 
     Parameters
     ----------
     scene : Scene
+        Scene with the camera.
     spot : LaserSpot
+        Laser spot on the wall.
 
     Returns
     -------
     ndarray, (ny, nx)
-        Sums to the share that falls on the detector, at most 1.
+        Fractions; their sum is the part that falls on the detector, at most 1.
     """
     camera = scene.camera
     shares = np.zeros(camera.shape)
@@ -50,12 +52,12 @@ def spot_image(scene: Scene, spot: LaserSpot) -> Array:
     cosine = depth / math.sqrt(range_sq)
     area = spot.area * facing / range_sq * distance**2 / cosine**3
     pitch = camera.image_pitch
-    disc = max(math.sqrt(area / math.pi), pitch / 8)  # smaller ones fall within a pixel anyway
+    disc = max(math.sqrt(area / math.pi), pitch / 8)  # a smaller disc gives the same pixel values
     reach = blur + disc
     fine = max(1, math.ceil(16 * pitch / reach))
     seen, offsets, whole = [], [], True
     for edges, middle in zip(pixel_edges(camera), centre, strict=True):
-        # those pixels of the detector that the disc covers
+        # pixels of the detector that the disc covers
         count = len(edges) - 1
         low, high = ((middle + side - edges[0]) / pitch for side in (-reach, reach))
         first = math.floor(min(max(low, 0.0), count))
@@ -76,15 +78,15 @@ def spot_image(scene: Scene, spot: LaserSpot) -> Array:
         light = common_area(np.hypot(offsets[0], offsets[1][part, None]), blur, disc)
         light = light.reshape(stop - start, fine, -1, fine).sum(axis=(1, 3))
         shares[start:stop, seen[0]] = scale * light
-    # what the parts' sum misses is known where nothing lies beyond the edges
+    # if the disc is entirely on the detector, its sum is known and removes the quadrature error
     return shares / float(shares.sum()) if whole else shares
 
 
 def common_area(distance: Array, a: float, b: float) -> Array:
-    """Area common to two circles of radii ``a`` and ``b`` at centre ``distance``, m^2."""
+    """Overlap area of two circles of radii ``a`` and ``b`` at a centre ``distance``, m^2."""
     small, large = min(a, b), max(a, b)
     r = np.clip(distance, large - small, large + small)
-    if small == 0.0:  # a point: only whether it lies inside
+    if small == 0.0:  # a point: 1 inside the circle, 0 outside
         return (distance <= large).astype(np.float64)
     r = np.maximum(r, 1e-12 * large)
     first, second = (

@@ -1,7 +1,6 @@
-"""Reconstructions of the hidden object, in torch.
+"""Reconstruction of the hidden object, in torch.
 
-Arrays or tensors in, the same kind out. Everything here needs torch; nothing else in the package
-does.
+Solvers accept arrays or tensors and return the same kind. Only this subpackage needs torch.
 """
 
 from ..errors import MissingExtraError

@@ -1,9 +1,9 @@
-"""What a scene's image can tell, before any fit: photons, modulation, modes, Fisher information.
+"""Information limits of a scene's image before any fit: photons, modulation, modes, Fisher bounds.
 
-- `relay`: what wide lobes pass, and its modes above the noise.
-- `modulation`: the picture of mirror-like lobes against its noise.
-- `wave_bounds`: how well the wall's wave can be told.
-- `verdicts`: all of that in words; `reports`: `feasibility`.
+- `relay`: transfer of wide lobes and the number of their modes above the noise.
+- `modulation`: spectrum of the image formed by mirror-like lobes, and its noise.
+- `wave_bounds`: Cramer-Rao bounds for the wall's wave.
+- `verdicts`: whether the object is recoverable, in text; `reports`: `feasibility`.
 """
 
 from .modulation import object_scale

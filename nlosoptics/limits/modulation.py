@@ -1,4 +1,4 @@
-"""The picture that mirror-like lobes make: its modulation and noise at every frequency."""
+"""Image formed by mirror-like lobes: modulation and noise at every spatial frequency."""
 
 from __future__ import annotations
 
@@ -17,26 +17,29 @@ from .relay import CELLS, CONTRAST
 
 Array = NDArray[np.float64]
 
-RINGS = 64  # of the object's power spectrum
-#: Noise that a total-variation fit overcomes as a Wiener filter would overcome this share of it.
-#: From fits of other scenes than those that `benchmarks/inverse/feasibility.py` reports.
+RINGS = 64  # rings over which the object's power spectrum is averaged
+#: Fraction of the noise variance with which a Wiener filter reaches the correlation of a
+#: total-variation fit at full noise. Fitted on scenes other than those that
+#: `benchmarks/inverse/feasibility.py` reports.
 NOISE_SHARE = 0.05
-#: Standard errors, and variance times samples, of the mean squared residual that
-#: `inverse.tv_deconvolve` holds against the noise that it estimates.
+#: `inverse.tv_deconvolve` reports too few photons if the mean squared residual of the background
+#: alone is within ERRORS standard errors of the noise. FREEDOM is the variance of that mean, in
+#: units of the noise variance squared, times the number of samples.
 ERRORS, FREEDOM = 3.0, 18.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Noise:
-    """Mean noise of an image pixel, electrons^2, by cause.
+    """Mean noise variance of an image pixel by cause, electrons^2.
 
     Parameters
     ----------
     photons : float
-        Of all light and the dark current.
+        Shot noise of all light and of the dark current.
     readout : float
-        Of readout and converter.
+        Noise of readout and analogue-to-digital converter.
     speckle : float
+        Variance of the speckle.
     """
 
     photons: float
@@ -45,16 +48,16 @@ class Noise:
 
     @property
     def variance(self) -> float:
-        """Sum of all."""
+        """Total variance, electrons^2."""
         return self.photons + self.readout + self.speckle
 
     def figures(self) -> dict[str, float]:
-        """Root mean squares by name, electrons."""
+        """Return the rms noise of each cause and in total, electrons."""
         parts = {"photons": self.photons, "readout": self.readout, "speckle": self.speckle}
         return {name: math.sqrt(v) for name, v in {**parts, "total": self.variance}.items()}
 
     def exposed(self, factor: float) -> Noise:
-        """The same at ``factor`` times the exposure, in units of the light then collected."""
+        """Return the noise at ``factor`` times the exposure, relative to the signal."""
         return Noise(
             photons=self.photons / factor, readout=self.readout / factor**2, speckle=self.speckle
         )
@@ -62,24 +65,24 @@ class Noise:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Picture:
-    """Spectra of an expected image.
+    """Spectra of an expected image on a half-plane FFT grid.
 
     Parameters
     ----------
     power : ndarray, (rows, columns)
-        |spectrum|^2 of the unblurred image less its mean, electrons^2, averaged over rings; half
-        spectrum.
+        Power spectrum of the unblurred image without its mean, electrons^2, averaged over rings.
     transfer : ndarray, (rows, columns)
-        |transfer| of the point spread.
+        Modulus of the point spread's transfer function.
     frequency : ndarray, (rows, columns)
-        On the object, cycles/m.
+        Spatial frequency on the object, cycles/m.
     twice : ndarray, (columns,)
-        How often each column of the half spectrum counts.
+        Multiplicity of each column of the half spectrum in the full spectrum, 1 or 2.
     grid : (int, int)
-        Samples of the whole spectrum along y and x.
+        Samples of the full spectrum along y and x.
     samples : int
-        Pixels of the image that carry noise.
+        Number of image pixels.
     noise : Noise
+        Noise of an image pixel.
     """
 
     power: Array
@@ -91,19 +94,20 @@ class Picture:
     noise: Noise
 
     def excess(self) -> float:
-        """Variance of the blurred picture over that of the noise, means over the frame."""
+        """Return the variance of the blurred image over that of the noise, frame averages."""
         blurred = self.transfer**2 * self.power * self.twice
         varied = float(blurred.sum()) / math.prod(self.grid)
         noise = self.noise.variance * self.samples
         return varied / noise if noise > 0.0 else math.inf
 
     def score(self) -> float:
-        """Predicted correlation of a fit with the truth.
+        """Return the predicted correlation between a fit and the true object.
 
-        That of the Wiener filter whose noise is `NOISE_SHARE` of the true one: with P the object's
-        power, sqrt(sum P w/sum P) over all frequencies, w = S/(S + N). 0 where a fit that
-        estimates the noise cannot tell the picture from none: its mean squared residual then lies
-        within `ERRORS` standard errors of the noise's.
+        The prediction is the correlation of a Wiener filter whose noise variance N is
+        `NOISE_SHARE` times the true one: sqrt(sum P w/sum P) over all frequencies, with the
+        object's power P, w = S/(S + N) and the signal power S. It is 0 where a fit that estimates
+        the noise cannot distinguish the image from a uniform one: the image then raises the mean
+        squared residual by less than `ERRORS` standard errors.
         """
         if self.excess() < ERRORS * math.sqrt(FREEDOM / self.samples):
             return 0.0
@@ -112,23 +116,24 @@ class Picture:
         if total <= 0.0:
             return 0.0
         signal = self.transfer**2 * self.power
-        # a spectrum's noise has the variance of all samples together
+        # by Parseval, white noise has this power at each frequency of an unnormalised FFT
         noise = NOISE_SHARE * self.noise.variance * self.samples
         passed = power * signal / (signal + noise)
         return math.sqrt(float(passed.sum()) / total)
 
     def with_noise(self, noise: Noise) -> Picture:
-        """The same picture in other noise."""
+        """Return a copy with another noise."""
         return replace(self, noise=noise)
 
     def with_lobe(self, blur: float, *, instead: Array) -> Picture:
-        """The same picture by a lobe that blurs by ``blur`` m rms on the object.
+        """Return a copy in which the wall's lobe is replaced by a Gaussian one.
 
         Parameters
         ----------
         blur : float
-        instead : ndarray
-            |transfer| without any lobe.
+            Blur of the new lobe on the object, m rms.
+        instead : ndarray, (rows, columns)
+            Modulus of the transfer function without any lobe.
         """
         lobe = np.exp(-2.0 * (math.pi * blur * self.frequency) ** 2)
         return replace(self, transfer=instead * lobe)
@@ -156,7 +161,7 @@ def object_scale(scene: Scene) -> float:
     >>> from nlosoptics import limits
     >>> scene = nlos.Scene.load("examples/scenes/letter_flat.toml")
     >>> round(1e3 * limits.object_scale(scene) * scene.camera.image_pitch, 2)
-    2.89
+    2.84
     """
     depth = float(
         (scene.mirrored_object_point - np.array(scene.camera.position)) @ scene.camera.axis
@@ -167,7 +172,7 @@ def object_scale(scene: Scene) -> float:
         return flat
     line = scene.mirrored_object_point - np.array(scene.camera.position)
     x, y, _ = (float(line @ axis) * scene.image_distance / depth for axis in scene.camera.frame)
-    # a curved wall magnifies: the picture's coordinates a little apart on the detector
+    # a curved wall magnifies: differentiate the picture's coordinates over the detector
     step = 1e-3 * scene.image_distance
     at = np.array([-step, 0.0, step])
     column, row = picture_coordinates(hidden, chief_rays(scene, -x + at, -y + at))
@@ -180,21 +185,23 @@ def object_scale(scene: Scene) -> float:
 
 
 def spectra(image: SpeckleImage, spread: PointSpread, scale: float, noise: Noise) -> Picture:
-    """Spectra of an image.
+    """Return power spectrum and transfer function of an expected image.
 
     Parameters
     ----------
     image : SpeckleImage
+        Expected image; its unblurred part ``ideal`` is used.
     spread : PointSpread
-        At the image's pitch.
+        Point spread, at the image's pitch.
     scale : float
         Metres on the object per metre on the detector.
     noise : Noise
+        Noise of an image pixel.
     """
     model = ForwardModel(spread, shape=image.ideal.shape)
     rows, columns = model.grid
     frequency = _frequencies(model.grid, image.pitch * scale)
-    # the mean is no part of a correlation, and would leak where the grid is wider than the frame
+    # a correlation ignores the mean, which would leak if the grid is wider than the frame
     varied = image.ideal - image.ideal.mean()
     return Picture(
         power=_ring_average(np.abs(fft.rfft2(varied, s=model.grid)) ** 2, frequency),
@@ -208,52 +215,56 @@ def spectra(image: SpeckleImage, spread: PointSpread, scale: float, noise: Noise
 
 
 def stroke_width(picture: Array, pixel: float) -> float:
-    """Mean width of a picture's bright parts: twice their area over their outline.
+    """Return the mean width of a picture's bright parts: twice their area over their perimeter.
 
     Parameters
     ----------
     picture : ndarray, (rows, columns)
+        Brightness, at least 0. Parts brighter than half of the maximum are bright.
     pixel : float
-        Side of its pixels on the object, m.
+        Side of the picture's pixels on the object, m.
 
     Returns
     -------
     float
-        m; parts are what is above half of the brightest, 0 where nothing is bright.
+        Width, m; 0 for a dark picture.
     """
     bright = picture > 0.5 * float(picture.max(initial=0.0))
     if not bright.any():
         return 0.0
     padded = np.pad(bright, 1)
     sides = sum(int(np.count_nonzero(np.diff(padded.astype(np.int8), axis=i))) for i in (0, 1))
-    # an outline of any direction crosses 4/pi times its length in pixel sides
+    # averaged over directions, an outline is 4/pi times as long when it follows pixel sides
     return 2.0 * int(bright.sum()) / (math.pi / 4 * sides) * pixel
 
 
 def picture_modes(
     modulation: Array, frequency: Array, size: tuple[float, float], snr: float
 ) -> int:
-    """Modes of the object's cells above the noise by a picture with a given modulation.
+    """Count the object's Fourier modes that an image with a given modulation shows above the noise.
 
     Parameters
     ----------
-    modulation, frequency : ndarray, (n,)
-        Of the picture, at rising frequencies, cycles/m.
+    modulation : ndarray, (n,)
+        Modulation of the image.
+    frequency : ndarray, (n,)
+        Increasing frequencies of ``modulation`` on the object, cycles/m.
     size : (float, float)
-        Of the object, m.
+        Width and height of the object, m.
     snr : float
-        Root of the sum over the object's pixels of (electrons of white)^2 over the noise^2.
+        sqrt(sum s^2/n^2) over the image pixels of the object, s the electrons of a white object
+        and n the rms noise.
 
     Returns
     -------
     int
-        As `relay_modes` counts them, for a response that is the same everywhere.
+        Number of modes, counted as in `relay_modes` for a shift-invariant response.
     """
     longer = max(size)
     counts = [max(1, round(CELLS * side / longer)) for side in size]
     cycles = [np.fft.fftfreq(n) * n / side for n, side in zip(counts, size, strict=True)]
     radial = np.hypot(cycles[0][:, None], cycles[1])
-    # a cell is a square, whose transform falls as its sine
+    # Fourier transform of a square cell
     cell = np.sinc(cycles[0] * size[0] / counts[0])[:, None] * np.sinc(
         cycles[1] * size[1] / counts[1]
     )
@@ -262,7 +273,10 @@ def picture_modes(
 
 
 def transfer_on(spread: PointSpread, grid: tuple[int, int]) -> Array:
-    """|transfer| of a point spread, cut to a grid, at the grid's frequencies; half spectrum."""
+    """Return the modulus of a point spread's transfer function on the half spectrum of a grid.
+
+    The point spread is cropped to the grid.
+    """
     side = [min(n, m - 1 + m % 2) for n, m in zip(spread.shape, grid, strict=True)]
     cut = spread.intensity[
         tuple(
@@ -287,7 +301,7 @@ def _twice(columns: int) -> Array:
 
 
 def _ring_average(power: Array, frequency: Array) -> Array:
-    """Mean power over rings of equal width; the object's own phases and gaps do not count."""
+    """Replace power by its mean over rings of equal width, which removes the object's details."""
     ring = np.minimum((frequency / frequency.max() * RINGS).astype(np.intp), RINGS - 1).ravel()
     count = np.maximum(np.bincount(ring, minlength=RINGS), 1)
     means = np.bincount(ring, weights=power.ravel(), minlength=RINGS) / count

@@ -1,4 +1,4 @@
-"""What a relay wall passes whatever the solver: transfer of its lobes, modes above the noise."""
+"""Limits of a relay wall for any solver: transfer of its lobes and modes above the noise."""
 
 from __future__ import annotations
 
@@ -24,87 +24,122 @@ from ..scene import Material, PlanarObject, Scene, SumMaterial
 
 Array = NDArray[np.float64]
 
-CELLS = 24  # of the object along its longer side
-BINS = 48  # of the detector along its longer side
-CONTRAST = 0.3  # rms reflectance of a cell about its mean
-MEAN_ALBEDO = 0.35  # of the object, whose light makes the noise
-PAIRS = 200_000  # of wall point and cell held in memory at a time
+CELLS = 24  # cells of the object along its longer side
+BINS = 48  # bins of the detector along its longer side
+CONTRAST = 0.3  # assumed rms variation of a cell's reflectance about the mean
+MEAN_ALBEDO = 0.35  # assumed mean reflectance of the object, for the photon noise
+PAIRS = 200_000  # pairs of wall point and cell held in memory at a time
 
 
 def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
-    """Modulation that a matt wall passes from a plane parallel to it to the light on it.
+    """Modulation transfer from an object plane to the irradiance of a matt wall parallel to it.
 
     Parameters
     ----------
     frequency : array_like
-        On the object, cycles/m, at least 0.
+        Spatial frequencies on the object, any shape, cycles/m, at least 0.
     distance : float
-        From the wall to the plane, m.
+        Distance between wall and object plane, m.
 
     Returns
     -------
     ndarray
-        q z K1(q z) with q = 2 pi f: the transform of the irradiance z^2/(r^2 + z^2)^2 of a point,
-        1 at frequency 0.
+        Modulation, 0 to 1, of the shape of ``frequency``.
 
     Raises
     ------
     SceneError
         If a value is out of range or not finite.
+
+    See Also
+    --------
+    lambert_relay_limit : Highest frequency above the photon noise.
+    lobe_relay_transfer : Transfer of a mirror-like lobe.
+
+    Notes
+    -----
+    The result is q z K1(q z), with q = 2 pi f, distance z and the modified Bessel function K1. It
+    is the Fourier transform of the irradiance of a Lambertian point, z^2/(r^2 + z^2)^2, normalised
+    to 1 at zero frequency.
+
+    Examples
+    --------
+    >>> from nlosoptics.limits import lambert_relay_transfer
+    >>> [f"{passed:.2g}" for passed in lambert_relay_transfer([0.0, 1.0, 5.0], distance=1.0)]
+    ['1', '0.0062', '1.6e-13']
     """
     scale = 2 * math.pi * positive("distance", distance)
-    # K1 is 0 in double precision from 750 on
+    # K1 underflows to 0 in double precision beyond 750
     x = np.minimum(_frequencies(frequency), 1e3 / scale) * scale
     return np.asarray(np.where(x > 0.0, x * special.k1(np.maximum(x, 1e-300)), 1.0))
 
 
 def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float) -> Array:
-    """Modulation that a mirror-like lobe passes of a plane parallel to the wall.
+    """Modulation transfer of a mirror-like lobe for an object plane parallel to the wall.
 
     Parameters
     ----------
     frequency : array_like
-        On the object, cycles/m.
+        Spatial frequencies on the object, any shape, cycles/m, at least 0.
     distance : float
-        From the wall to the plane, m.
+        Distance between wall and object plane, m.
     slope_rms : float
-        Of the facets per axis, rad.
+        Rms slope of the wall's facets per axis, rad.
 
     Returns
     -------
     ndarray
-        exp(-8 pi^2 slope_rms^2 distance^2 f^2): facets of slope t look 2 t distance aside.
+        Modulation, 0 to 1, of the shape of ``frequency``.
 
     Raises
     ------
     SceneError
         If a value is out of range or not finite.
+
+    Notes
+    -----
+    The result is exp(-8 pi^2 slope_rms^2 distance^2 f^2) at normal incidence: a facet tilted by t
+    shifts its view of the object by 2 t distance.
+
+    Examples
+    --------
+    >>> from nlosoptics.limits import lobe_relay_transfer
+    >>> passed = lobe_relay_transfer([0.0, 5.0], distance=1.0, slope_rms=0.02)
+    >>> [round(float(p), 3) for p in passed]
+    [1.0, 0.454]
     """
     blur = 2.0 * in_range("slope_rms", slope_rms, 0.0) * positive("distance", distance)
-    # the exponential is 0 in double precision from 750 on
+    # exp(-x) underflows to 0 in double precision beyond x = 750
     turns = np.minimum(_frequencies(frequency), 1e3 / max(blur, 1e-300)) * blur
     return np.exp(-2.0 * (math.pi * turns) ** 2)
 
 
 def lambert_relay_limit(electrons: float, distance: float) -> float:
-    """Frequency, cycles/m, at which a full-contrast sinusoid has signal-to-noise 1.
+    """Spatial frequency at which a matt wall passes a sinusoid with signal-to-noise ratio 1.
 
     Parameters
     ----------
     electrons : float
-        Of the whole image, above 2; photon noise only.
+        Photoelectrons of the whole image, above 2. Only photon noise is considered.
     distance : float
-        From the wall to the plane, m.
+        Distance between wall and object plane, m.
 
     Returns
     -------
     float
-        Where ``lambert_relay_transfer(f, distance) * sqrt(electrons/2) = 1``.
+        Frequency f of a full-contrast sinusoid on the object, cycles/m, with
+        ``lambert_relay_transfer(f, distance) * sqrt(electrons/2) = 1``.
 
     Raises
     ------
     SceneError
         If a value is out of range.
+
+    Examples
+    --------
+    >>> from nlosoptics.limits import lambert_relay_limit
+    >>> round(lambert_relay_limit(electrons=1e8, distance=1.0), 2)
+    1.64
     """
     distance = positive("distance", distance, unit="m")
     in_range("electrons", electrons, 2.0, open_low=True)
@@ -125,38 +160,39 @@ def relay_modes(
     cells: int = CELLS,
     bins: int = BINS,
 ) -> int:
-    """Modes of the object above the noise by the wall's wide lobes.
+    """Count the object's modes that the wall's wide lobes pass above the noise.
 
     Parameters
     ----------
     scene : Scene
+        Scene. The object's own picture is ignored.
     exposure : float, optional
-        s, in place of the camera's.
+        Exposure, s; by default the camera's.
     light : ndarray, (ny, nx), optional
-        Expected electrons of all light in every image pixel, which make the noise; by default what
-        these lobes pass of an object of reflectance `MEAN_ALBEDO`.
+        Expected electrons of all light in each image pixel, which determine the noise. By default
+        the light that these lobes pass from an object of reflectance `MEAN_ALBEDO`.
     freedom : float, optional
-        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for none.
+        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle.
     cells, bins : int
         Cells of the object and bins of the detector along the longer side of each.
 
     Returns
     -------
     int
-        Singular values above 1 of the response (bins by cells, electrons) over the noise of each
-        bin, times `CONTRAST`, by which cells vary, each on its own.
+        Number of singular values above 1 of the matrix `CONTRAST` times response over noise, rows
+        being bins and columns cells. The cells vary independently by `CONTRAST`.
 
     Raises
     ------
     SamplingError
-        If ``light`` is not of the camera's shape.
+        If ``light`` does not have the camera's shape.
     SceneError
         If a value is out of range or not finite.
 
     Notes
     -----
-    The lobes are the diffuse ones, and mirror-like ones whose slopes blur over two cells or more;
-    narrower ones make a picture, which is not theirs to count.
+    Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or more.
+    Narrower lobes form an image; `picture_modes` counts its modes.
     """
     material = wide_lobes(scene, cells=cells)
     if material is None:
@@ -177,11 +213,11 @@ def relay_modes(
 
 
 def _frequencies(values: ArrayLike) -> Array:
-    """Frequencies, finite and at least 0."""
+    """Return frequencies as an array, checked to be finite and at least 0."""
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError("frequency is no array of numbers; give cycles/m") from None
+        raise SceneError("frequency is not an array of numbers; give cycles/m") from None
     wrong = ~(np.isfinite(found) & (found >= 0.0))
     if wrong.any():
         in_range("frequency", float(found[wrong][0]), 0.0, unit="cycles/m")
@@ -189,7 +225,7 @@ def _frequencies(values: ArrayLike) -> Array:
 
 
 def _checked_light(light: ArrayLike, shape: tuple[int, int]) -> Array:
-    """Expected electrons of every pixel."""
+    """Return expected electrons per pixel, checked for shape and range."""
     found = np.asarray(light, dtype=np.float64)
     if found.shape != shape:
         raise SamplingError(
@@ -204,16 +240,19 @@ def _checked_light(light: ArrayLike, shape: tuple[int, int]) -> Array:
 
 
 def count_modes(response: Array, variance: Array) -> int:
-    """Singular values above 1 of ``CONTRAST response/sqrt(variance)``, rows each with its noise.
+    """Count the singular values above 1 of ``CONTRAST * response/sqrt(variance)``.
 
     Parameters
     ----------
     response : ndarray, (n_bins, n_cells)
+        Electrons in each bin from a white cell.
     variance : ndarray, (n_bins,)
+        Noise variance of each bin, electrons^2.
 
     Returns
     -------
     int
+        Number of modes above the noise.
     """
     whitened = response * (CONTRAST / np.sqrt(variance))[:, None]
     # the Gram matrix keeps singular values down to 1e-8 of the largest, far below 1
@@ -222,7 +261,7 @@ def count_modes(response: Array, variance: Array) -> int:
 
 
 def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
-    """The wall's diffuse lobes, and mirror-like ones that blur over two of the object's cells."""
+    """Diffuse lobes of the wall and mirror-like lobes that blur over two object cells or more."""
     size = plate(scene)[2]
     distance = float(scene.object_point[2])
     wide: list[Material] = [
@@ -238,23 +277,25 @@ def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
 def relay_response(
     scene: Scene, material: Material, *, exposure: float, cells: int = CELLS, bins: int = BINS
 ) -> tuple[Array, float]:
-    """Electrons in every bin of the detector from a white cell of the object.
+    """Electrons in each detector bin from each white cell of the object.
 
     Parameters
     ----------
     scene : Scene
+        Scene. The object's own picture is ignored; every cell is white.
     material : Material
-        Lobes by which the wall passes the object's light.
+        Lobes of the wall that scatter the object's light to the camera.
     exposure : float
-        s.
+        Exposure, s.
     cells, bins : int
-        Along the longer side of object and detector.
+        Cells of the object and bins of the detector along the longer side of each.
 
     Returns
     -------
     response : ndarray, (n_bins, n_cells)
+        Expected electrons.
     pixels : float
-        Image pixels of a bin.
+        Number of image pixels per bin.
     """
     whole("cells", cells, 2, 64)
     whole("bins", bins, 2, 128)
@@ -287,21 +328,26 @@ def passed_radiance(
     normals: Array,
     view: Array,
 ) -> Iterator[tuple[slice, Array]]:
-    """Radiance of wall points along ``view`` from each patch of the object.
+    """Radiance of wall points toward the camera due to each patch of the object, in blocks.
 
     Parameters
     ----------
     scene : Scene
+        Scene with laser and object material.
     spot : LaserSpot
+        Laser spot on the wall.
     material : Material
-        Lobes of the wall that count.
+        Lobes of the wall to include.
     patches : Patches
+        Patches of the object.
     points, normals, view : ndarray, (n, 3)
-        On the wall, m; unit; unit, toward the camera.
+        Wall points, m; their unit normals; unit vectors toward the camera. World frame.
 
     Yields
     ------
-    slice, ndarray (points of it, n_patches)
+    block : slice
+        Wall points of this block.
+    radiance : ndarray, (n_block, n_patches)
         W/(m^2 sr).
     """
     step = max(1, PAIRS // len(patches.areas))
@@ -321,9 +367,9 @@ def passed_radiance(
 
 
 def plate(scene: Scene) -> tuple[Array, Array, tuple[float, float]]:
-    """Centre, axes (right, up, normal) and size of the object's plane, m, world.
+    """Return centre, axes (right, up, normal) and size of the object's plane, m, world frame.
 
-    A mesh stands as the plate of its width and height that faces the wall.
+    A mesh is replaced by a plate that faces the wall and has the mesh's width and height.
     """
     hidden = scene.hidden
     if isinstance(hidden, PlanarObject):
@@ -350,14 +396,14 @@ def _cells(scene: Scene, cells: int) -> Patches:
 
 
 def _bin_counts(shape: tuple[int, int], bins: int) -> tuple[int, int]:
-    """Bins along y and x, square ones, no smaller than a pixel."""
+    """Number of square bins along y and x, none smaller than a pixel."""
     longer = max(shape)
     n_y, n_x = (max(1, round(min(bins, longer) * n / longer)) for n in shape)
     return n_y, n_x
 
 
 def _binned(picture: Array, counts: tuple[int, int]) -> Array:
-    """Sums over bins; a pixel that two bins share is divided between them."""
+    """Sum a picture over bins; a pixel on a bin edge is split between the bins by area."""
     for axis, count in enumerate(counts):
         n = picture.shape[axis]
         edges = np.linspace(0.0, n, count + 1)

@@ -1,4 +1,4 @@
-"""What can be recovered from a scene's image, before any fit."""
+"""Feasibility report: what can be recovered from a scene's image, before any fit."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from ..psf import (
     wide_point_spread,
 )
 from ..scene import PlanarObject, Scene
+from . import frequency_table
 from .modulation import (
     Noise,
     object_scale,
@@ -41,59 +42,62 @@ from .wave_bounds import DEFOCUS, wave_bounds
 
 Array = NDArray[np.float64]
 
-POINTS = 33  # of the frequency table
-TOL = 1e-2  # of the point spread, relative to its peak
+TOL = 1e-2  # error tolerance of the point spread, relative to its peak
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Feasibility(Noun, Shown):
-    """What a scene's image holds of the hidden object and of the wall's wave.
+    """Information in a scene's image about the hidden object and the wall's wave.
 
     Parameters
     ----------
     recoverable : bool
-        Whether a fit with the point spread known is expected to correlate with the truth by more
-        than 0.9.
+        Whether a fit with known point spread is expected to reach a correlation of at least 0.9
+        with the true object.
     verdict : str
-        "recoverable", or "not recoverable: ..." with what would have to change.
+        "recoverable", or "not recoverable: ..." with the changes that would help.
     score : float
         Predicted correlation of that fit.
     photons : float
-        Of the object's picture that fall on the detector in one exposure.
+        Photons of the object's image on the detector in one exposure.
     electrons : mapping of str to float
-        Expected, of the whole image: ``signal`` (the picture), ``diffuse``, ``spot``, ``glare``,
-        ``dark``.
+        Expected electrons in the whole image by source: ``signal`` (the object's image),
+        ``diffuse``, ``spot``, ``glare``, ``dark``.
     brightest : float
-        Electrons of the picture's brightest pixel, before the blur.
+        Electrons in the brightest pixel of the object's unblurred image.
     veil : float
-        Share of the light on the detector that is no part of the picture: wall, spot and glare.
+        Fraction of the light on the detector that is not the object's image: diffuse light of the
+        wall, laser spot and glare.
     saturated : float
-        Share of the pixels expected to be full.
+        Expected fraction of saturated pixels.
     noise : mapping of str to float
         Mean rms noise of a pixel, electrons: ``photons``, ``readout``, ``speckle``, ``total``.
     stroke : float
         Mean width of the object's bright parts, m.
     frequency : ndarray, (n,)
-        On the object, cycles/m, rising from 0 to that of two pixels a period.
+        Spatial frequencies on the object, increasing from 0 to the pixels' Nyquist frequency,
+        cycles/m: even steps, and octaves of the frequency that the strokes need, 1/(2 stroke).
     modulation : ndarray, (n,)
-        Passed by the mirror-like lobes, the lens and the pixels; 0 without such a lobe.
+        Modulation transfer through mirror-like lobes, lens and pixels; 0 without such a lobe.
     relay_modulation : ndarray, (n,)
-        Passed by a matt wall: of what the diffuse light carries.
+        Modulation transfer of a matt wall, for the diffuse light.
     signal_to_noise : ndarray, (n,)
-        Of a sinusoid of full contrast over the object that sends as much light, all pixels used.
+        Signal-to-noise ratio of a full-contrast sinusoid over the object with the same total
+        light, using all pixels that show the object.
     relay_signal_to_noise : ndarray, (n,)
-        The same by the matt wall's light.
+        Signal-to-noise ratio of that sinusoid in the diffuse light, using all pixels.
     limit : float
-        Highest frequency with a signal above the noise by either, cycles/m; 0 for none.
+        Highest frequency at which either ratio is at least 1, cycles/m; 0 if there is none.
     modes : int
-        Independent patterns of 24 x 24 cells, of contrast 0.3, above the noise; see `relay_modes`.
+        Independent patterns on 24 x 24 object cells, of contrast 0.3, that exceed the noise.
     diffuse_modes : int
-        Of them, those that wide lobes alone would carry.
+        Number of these modes that wide lobes alone would carry.
     wave_bounds : mapping of int to float
-        Least standard deviation to which one image with a known object can tell the wave's Zernike
-        coefficients (Noll index), waves rms; infinity for no information. Empty without a picture.
+        Cramer-Rao bounds for the wave's Zernike coefficients from one image of a known object:
+        standard deviation in waves rms by Noll index; infinity without information. Empty if the
+        wall forms no image.
     two_frame_bounds : mapping of int to float
-        The same from two images, one with a known extra focus of half a wave rms.
+        Cramer-Rao bounds from two images, the second with a known defocus of half a wave rms.
     """
 
     recoverable: bool
@@ -130,7 +134,7 @@ class Feasibility(Noun, Shown):
             getattr(self, name).flags.writeable = False
 
     def __str__(self) -> str:
-        """The verdict, the figures and the table of frequencies, as lines of text."""
+        """Return verdict, key figures and the table of frequencies as text."""
         e, n = self.electrons, self.noise
         lines = [
             self.verdict,
@@ -142,8 +146,7 @@ class Feasibility(Noun, Shown):
             f"noise of a pixel        {n['total']:.3g} electrons rms: photons {n['photons']:.3g}, "
             f"readout {n['readout']:.3g}, speckle {n['speckle']:.3g}",
             f"modes above noise       {self.modes}, by diffuse light alone {self.diffuse_modes}",
-            f"resolution              {self.limit:.3g} cycles/m; strokes are "
-            f"{1e3 * self.stroke:.3g} mm wide",
+            f"resolution              {self.limit:.3g} cycles/m; {self._strokes()}",
         ]
         for name, bounds in (
             ("wave, one frame", self.wave_bounds),
@@ -152,19 +155,20 @@ class Feasibility(Noun, Shown):
             if bounds:
                 told = ", ".join(f"Z{index} {value:.2g}" for index, value in bounds.items())
                 lines.append(f"{name:23s} {told} waves rms at least")
-        lines.append("cycles/m  modulation  signal/noise  matt wall  signal/noise")
-        lines.extend(
-            f"{f:8.3g}  {m:10.3g}  {s:12.3g}  {r:9.3g}  {d:12.3g}"
-            for f, m, s, r, d in zip(
-                self.frequency[::4],
-                self.modulation[::4],
-                self.signal_to_noise[::4],
-                self.relay_modulation[::4],
-                self.relay_signal_to_noise[::4],
-                strict=True,
-            )
+        lines += frequency_table.lines(
+            self.stroke,
+            self.frequency,
+            (self.modulation, self.signal_to_noise),
+            (self.relay_modulation, self.relay_signal_to_noise),
         )
         return "\n".join(lines)
+
+    def _strokes(self) -> str:
+        """Width of the strokes and the frequency that they need, as text."""
+        if self.stroke <= 0.0:
+            return "the object has no bright strokes"
+        needed = frequency_table.needed(self.stroke)
+        return f"strokes are {1e3 * self.stroke:.3g} mm wide and need {needed:.3g} cycles/m"
 
     def _figures(self) -> Figures:
         e = self.electrons
@@ -176,13 +180,13 @@ class Feasibility(Noun, Shown):
             "veil": f"{100 * self.veil:.2g} % of the light",
             "electrons": ", ".join(f"{name} {e[name]:.3g}" for name in e),
             "modes above noise": f"{self.modes}, by diffuse light alone {self.diffuse_modes}",
-            "resolution": f"{self.limit:.3g} cycles/m, strokes {1e3 * self.stroke:.3g} mm wide",
+            "resolution": f"{self.limit:.3g} cycles/m; {self._strokes()}",
         }
-        alt = "Modulation against frequency on the object, with what noise hides"
+        alt = "Modulation against frequency on the object, with the noise limit"
         return Figures("Feasibility", figures, alt)
 
     def figures(self) -> dict[str, Any]:
-        """Everything as plain numbers, lists and text for JSON; infinity becomes None."""
+        """Return all fields as numbers, lists and text for JSON; infinity and NaN become None."""
 
         def plain(value: Any) -> Any:
             if isinstance(value, Mapping):
@@ -195,30 +199,40 @@ class Feasibility(Noun, Shown):
 
 
 def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
-    """Say before any fit what an image of the scene can tell of the object and of the wall.
+    """Predict before any fit what an image of the scene reveals about the object and the wall.
 
     Parameters
     ----------
     scene : Scene
-        Its own picture stands for the kind of object that is looked for.
+        Scene. Its hidden object serves as an example of the objects to recover.
     exposure : float, optional
-        s, in place of the camera's.
+        Exposure, s; by default the camera's.
 
     Returns
     -------
     Feasibility
+        Verdict, photons, noise, modulation, modes above the noise and bounds for the wave.
 
     Raises
     ------
     NlosError
-        As of `psf.scene_point_spread` and `imaging.form_image`.
+        If the point spread or the image cannot be computed; see `psf.scene_point_spread` and
+        `imaging.form_image`.
 
     Notes
     -----
-    Light and noise are those of `imaging.form_image`, the modulation is that of the point spread at
-    the object's reference point. Wide lobes are counted by the singular values of their response,
-    mirror-like ones by their modulation on the same cells; the larger count is told. Nothing here
-    needs torch.
+    Light and noise come from `imaging.form_image`, the modulation from the point spread at the
+    object's reference point. Modes of wide lobes are counted by the singular values of their
+    response, modes of mirror-like lobes by their modulation on the same cells; the larger count is
+    reported. Torch is not needed.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, limits
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(32)
+    >>> found = limits.feasibility(scene)
+    >>> found.verdict, found.diffuse_modes
+    ('recoverable', 6)
     """
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
@@ -273,7 +287,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
 
 
 class _View:
-    """A scene with its expected image, and what follows from both."""
+    """Scene with its expected image; the methods compute the entries of the report."""
 
     def __init__(
         self, optics: SceneOptics, wave: Wavefront, spread: PointSpread, image: SpeckleImage
@@ -282,8 +296,8 @@ class _View:
         self._scene = scene = optics.scene
         self._scale = object_scale(scene)
         camera, dark = scene.camera, image.ledger["dark"] / image.ideal.size
-        # a dark current's noise is photons'; the background holds it
-        light = np.maximum(image.expected - dark, 0.0)  # rounding where there is none
+        # dark current is part of the background; its shot noise counts with the photons'
+        light = np.maximum(image.expected - dark, 0.0)  # rounding may leave negative values
         self._light = light
         self._freedom = image.speckle_contrast**-2 if image.speckle_contrast > 0.0 else None
         still = np.zeros((1, 1))
@@ -305,11 +319,11 @@ class _View:
         well = camera.full_well * camera.binning**2
         self.full = float((image.expected >= well).mean())
         top = 0.5 / (image.pitch * self._scale)
-        self.frequency = np.linspace(0.0, top, POINTS)
+        self.frequency = frequency_table.frequencies(self.stroke, top)
         self._shown = self._object_pixels()
 
     def _reach(self) -> float:
-        """Blur on the object per slope of a lobe, m/rad, rms of both axes."""
+        """Blur on the object per lobe slope, m/rad, rms over both axes."""
         seen = self._optics.reference.view
         turn = seen.cos_sum * float(np.linalg.norm(seen.footprint)) / math.sqrt(2.0)
         return turn * abs(self._wave.image_distance) * self._scale
@@ -321,7 +335,7 @@ class _View:
         return stroke_width(self._image.ideal, self._image.pitch * self._scale)
 
     def _object_pixels(self) -> NDArray[np.bool_]:
-        """Image pixels that show the object's plate."""
+        """Mask of the image pixels that show the object."""
         hidden = self._scene.hidden
         if not isinstance(hidden, PlanarObject):
             return np.asarray(self._image.ideal > 0.0)
@@ -333,24 +347,24 @@ class _View:
         return np.asarray(inside)
 
     def modulation(self) -> Array:
-        """Of the picture at `frequency`, mean of both axes; 0 where no lobe makes one."""
+        """Modulation of the image at `frequency`, rms of both axes; 0 without mirror-like lobes."""
         if self.mirror == 0.0:
-            return np.zeros(POINTS)
+            return np.zeros_like(self.frequency)
         along, across = (
             mtf(self._spread, self.frequency * self._scale, azimuth=a) for a in (0.0, math.pi / 2)
         )
         return np.asarray(np.hypot(along, across) / math.sqrt(2.0))
 
     def relay_modulation(self) -> Array:
-        """Of a matt wall at `frequency`."""
+        """Modulation transfer of a matt wall at `frequency`."""
         return lambert_relay_transfer(self.frequency, self.distance)
 
     def strength(self) -> float:
-        """Signal-to-noise of a sinusoid of full contrast that is passed unblurred."""
+        """Signal-to-noise ratio of a full-contrast sinusoid in the image if it were not blurred."""
         return self._strength(self._image.ledger["ideal"], self._shown)
 
     def diffuse_strength(self) -> float:
-        """The same of the diffuse light, over the whole detector."""
+        """Signal-to-noise ratio of a full-contrast sinusoid in the diffuse light, all pixels."""
         everywhere = np.ones_like(self._shown)
         return self._strength(self._image.ledger["diffuse"], everywhere)
 
@@ -362,11 +376,11 @@ class _View:
         return electrons / math.sqrt(2.0 * count * variance)
 
     def diffuse_modes(self) -> int:
-        """Modes above the noise by wide lobes."""
+        """Number of modes above the noise through wide lobes."""
         return relay_modes(self._scene, light=self._light, freedom=self._freedom)
 
     def picture_modes(self, modulation: Array) -> int:
-        """Modes above the noise by the picture."""
+        """Number of modes above the noise in the image formed by mirror-like lobes."""
         hidden = self._scene.hidden
         mean = 1.0
         if isinstance(hidden, PlanarObject):
@@ -375,7 +389,7 @@ class _View:
         return picture_modes(modulation, self.frequency, plate(self._scene)[2], white)
 
     def sharp_transfer(self) -> Array:
-        """|transfer| of the picture without the slopes of the lobes."""
+        """Modulus of the image's transfer function if the lobes had no slopes."""
         if self.slope == 0.0:
             return self.picture.transfer
         spread = wide_point_spread(
@@ -384,7 +398,7 @@ class _View:
         return transfer_on(spread, self.picture.grid)
 
     def wave_bounds(self, frames: tuple[float, ...]) -> dict[int, float]:
-        """Bounds of the wave's coefficients from frames of known focus; none without a picture."""
+        """Bounds for the wave's coefficients from frames of known defocus; empty without image."""
         if self.mirror == 0.0 or self._image.ledger["ideal"] == 0.0:
             return {}
         return wave_bounds(
@@ -398,7 +412,7 @@ class _View:
 
 
 def _limit(frequency: Array, ratio: Array) -> float:
-    """Highest frequency at which a falling ratio is still 1, between samples; 0 for none."""
+    """Highest frequency at which a falling ratio reaches 1, interpolated; 0 if it never does."""
     above = np.nonzero(ratio >= 1.0)[0]
     if not len(above):
         return 0.0

@@ -1,4 +1,4 @@
-"""Verdicts in words: whether a picture can be recovered, and what would have to change."""
+"""Verdict whether an object can be recovered and, if not, which change would allow it."""
 
 from __future__ import annotations
 
@@ -8,40 +8,41 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import counted
 from .modulation import Noise, Picture
 
 Array = NDArray[np.float64]
 
 #: Predicted correlation above which an object counts as recoverable.
 GOOD = 0.9
-#: Share of full pixels beyond which an image is taken as spoilt.
+#: Fraction of saturated pixels above which an image is unusable.
 FULL = 0.01
-MOST_EXPOSURE = 1e6  # times longer that an exposure is thought of
+MOST_EXPOSURE = 1e6  # largest exposure factor that a verdict suggests
 NOISELESS = Noise(photons=0.0, readout=0.0, speckle=0.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Case:
-    """What a verdict is drawn from.
+    """Inputs of a verdict.
 
     Parameters
     ----------
     picture : Picture
-        Of the mirror-like lobes.
-    sharp : ndarray
-        |transfer| of the same without the lobes' slopes.
+        Spectra of the image formed by the mirror-like lobes.
+    sharp : ndarray, (rows, columns)
+        Modulus of that image's transfer function if the lobes had no slopes.
     mirror : float
-        Reflectance of the mirror-like lobes together.
+        Total reflectance of the mirror-like lobes.
     slope : float
-        Largest slope of theirs, rad.
+        Largest rms slope of these lobes, rad.
     reach : float
-        Blur on the object by a lobe, m rms per rad of slope: 2 d1 at normal incidence.
+        Blur on the object per lobe slope, m rms per rad: 2 d1 at normal incidence.
     stroke : float
-        Of the object, m; 0 where it is dark.
+        Stroke width of the object, m; 0 for a dark object.
     full : float
-        Share of image pixels expected to be full.
+        Expected fraction of saturated pixels.
     diffuse_modes : int
-        Above the noise by wide lobes.
+        Modes above the noise through wide lobes.
     """
 
     picture: Picture
@@ -55,7 +56,7 @@ class Case:
 
 
 def verdict(case: Case) -> tuple[bool, str]:
-    """Whether the object can be recovered, and the verdict in words."""
+    """Return whether the object can be recovered, and the verdict as text."""
     reasons = list(_reasons(case))
     if not reasons:
         return True, "recoverable"
@@ -64,13 +65,13 @@ def verdict(case: Case) -> tuple[bool, str]:
 
 def _reasons(case: Case) -> list[str]:
     if case.mirror > 0.0 and not case.picture.power.any():
-        return ["no light of the object reaches the camera by the wall's mirror-like lobe"]
+        return ["no light from the object reaches the camera via the wall's mirror-like lobe"]
     if case.mirror == 0.0:
         return [_diffuse(case)]
     if case.full > FULL:
         return [
-            f"{100 * case.full:.2g} % of the pixels are full; expose shorter, or keep the laser's "
-            "spot out of view by a field stop"
+            f"{100 * case.full:.2g} % of the pixels are full; expose shorter, or hide the laser "
+            "spot from the camera with a field stop"
         ]
     if case.picture.score() >= GOOD:
         return []
@@ -89,7 +90,8 @@ def _diffuse(case: Case) -> str:
     needed = case.stroke / case.reach
     told = f" of slope below {needed:.2g} rad" if needed > 0.0 else ""
     return (
-        f"the wall has no mirror-like lobe, and by diffuse light {case.diffuse_modes} modes rise "
+        "the wall has no mirror-like lobe, and by diffuse light "
+        f"{counted(case.diffuse_modes, 'mode')} {'rises' if case.diffuse_modes == 1 else 'rise'} "
         f"above the noise; a lobe{told}, or an occluder near the object, would carry more"
     )
 
@@ -102,7 +104,7 @@ def _stroke_words(case: Case) -> str:
 
 
 def _too_rough(case: Case) -> str:
-    """Blur is what stands in the way: with the slope that would do, as if the lobe were round."""
+    """Reason if the lobe's blur is the obstacle, with the slope of a round lobe that would do."""
     low, high = 0.0, case.slope
     for _ in range(20):
         middle = (low + high) / 2
@@ -139,7 +141,7 @@ def _longer(factor: float) -> str:
 
 
 def _exposure_factor(picture: Picture) -> float | None:
-    """Times as long an exposure with which the score is good; None beyond `MOST_EXPOSURE`."""
+    """Exposure factor at which the score becomes good; None if it exceeds `MOST_EXPOSURE`."""
 
     def good(factor: float) -> bool:
         return picture.with_noise(picture.noise.exposed(factor)).score() >= GOOD

@@ -1,4 +1,4 @@
-"""How well an image can tell the wall's wave: Fisher information and Cramer-Rao bounds."""
+"""Cramer-Rao bounds for the wall's wave from the Fisher information of an image."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .modulation import Picture
 
 Array = NDArray[np.float64]
 
-#: Noll indices whose bounds are told: focus to trefoil and spherical aberration.
+#: Noll indices with reported bounds: defocus to trefoil, and spherical aberration.
 MODES = (4, 5, 6, 7, 8, 9, 10, 11)
-#: Known extra focus of a second frame, waves rms.
+#: Known additional defocus of the second frame, waves rms.
 DEFOCUS = 0.5
-RADII, ANGLES = 20, 12  # of the frequencies summed
-NODES = 14  # along each side of the overlap of two pupils
-FITTED = 28  # Zernike terms that stand for the scene's own wave
-#: Information below this part of the largest is rounding, no information.
+RADII, ANGLES = 20, 12  # polar grid of the spatial frequencies
+NODES = 14  # quadrature nodes along each axis of the overlap of two pupils
+FITTED = 28  # Zernike terms that represent the scene's own wave
+#: Eigenvalues of the information below this fraction of the largest are rounding errors.
 RANK = 1e-10
 
 
@@ -35,38 +35,40 @@ def wave_bounds(
     modes: Sequence[int] = MODES,
     defocus: Sequence[float] = (0.0,),
 ) -> dict[int, float]:
-    """Cramer-Rao bounds of the wave's Zernike coefficients with the object known.
+    """Return Cramer-Rao bounds for the wave's Zernike coefficients when the object is known.
 
     Parameters
     ----------
     picture : Picture
-        Object's power and noise of every frame.
+        Power spectrum of the object and noise, both taken for every frame.
     wave : Wavefront
-        Of the scene, about which the information is taken.
+        The scene's wave, at which the information is evaluated.
     scale : float
         Metres on the object per metre on the detector.
     pitch : float
-        Image pixel, m.
+        Pixel pitch of the image, m.
     blur : float
-        Of the wall's lobe on the object, m rms.
+        Blur by the wall's lobe on the object, m rms.
     modes : sequence of int
-        Noll indices from 4 on.
+        Noll indices, 4 or larger.
     defocus : sequence of float
-        Known extra focus (Noll 4) of each frame, waves rms.
+        Known additional defocus (Noll 4) of each frame, waves rms.
 
     Returns
     -------
     dict of int to float
-        Least standard deviation of any unbiased estimate, waves rms; infinity where the image
-        does not change with the coefficient to first order, as with the focus of a wave in focus.
+        Smallest standard deviation of an unbiased estimate by Noll index, waves rms. It is
+        infinite where the image does not depend on the coefficient to first order, for example
+        for defocus of a wave in focus.
 
     Notes
     -----
-    Of an image mu(c) in white noise of variance V the information is ``F_ij = sum dmu/dc_i
-    dmu/dc_j/V`` [1]_, summed over frequencies by Parseval's theorem with the object's mean power at
-    each. The derivative of the transfer function at separation s is that of the pupil's overlap,
-    ``i k <(Z(p + s/2) - Z(p - s/2)) exp(i k (W(p + s/2) - W(p - s/2)))>``. Tilts of every frame and
-    its gain are unknown besides. An object that is unknown too only raises the bounds.
+    For an image mu(c) in white noise of variance V the Fisher information is ``F_ij = sum dmu/dc_i
+    dmu/dc_j/V`` [1]_. The sum runs over frequencies (Parseval's theorem), with the object's mean
+    power at each. The transfer function at pupil separation s has the derivative
+    ``i k <(Z(p + s/2) - Z(p - s/2)) exp(i k (W(p + s/2) - W(p - s/2)))>``, averaged over the
+    overlap of the pupils. Tilts and gain of each frame are treated as unknown too. If the object
+    is unknown as well, the bounds can only be larger.
 
     References
     ----------
@@ -78,10 +80,10 @@ def wave_bounds(
     cut = min(2.0 * radius * per_separation, 0.5 / pitch)
     nodes, weights = np.polynomial.legendre.leggauss(RADII)
     frequencies = cut * (nodes + 1.0) / 2.0
-    angles = math.pi * (np.arange(ANGLES) + 0.5) / ANGLES  # the other half is its conjugate
+    angles = math.pi * (np.arange(ANGLES) + 0.5) / ANGLES  # half plane; the rest is conjugate
     power = _radial_power(picture, frequencies / scale)
     lobe = np.exp(-2.0 * (math.pi * blur * frequencies / scale) ** 2)
-    # samples of the half plane of the spectrum per area of frequencies, each counted twice
+    # spectrum samples per unit frequency area; the factor 2 accounts for the other half plane
     density = _density(picture) / scale**2
     area = frequencies * (cut / 2.0 * weights) * (math.pi / ANGLES) * density * 2.0
     coefficients = fit_zernike(wave, FITTED)
@@ -104,9 +106,9 @@ def wave_bounds(
 def _steps(
     separations: Array, angles: Array, indices: Iterable[int]
 ) -> tuple[dict[int, Array], Array]:
-    """Differences of Zernike polynomials across each separation, and weights of the nodes.
+    """Return differences of Zernike polynomials across each pupil separation, and node weights.
 
-    ``separations`` in radii of the pupil, below 2; arrays (radii, angles, nodes).
+    ``separations`` are in pupil radii, below 2; the arrays have shape (radii, angles, nodes).
     """
     nodes = [[_overlap(s, angle) for angle in angles] for s in separations]
     x, y, weights = (np.array([[node[k] for node in row] for row in nodes]) for k in range(3))
@@ -116,10 +118,13 @@ def _steps(
 
 
 def _overlap(separation: float, angle: float) -> tuple[Array, Array, Array]:
-    """Nodes in the area common to two unit discs, relative to its middle, and weights over pi."""
+    """Return quadrature nodes in the overlap of two unit discs, and their weights over pi.
+
+    The nodes are relative to the centre of the overlap.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     top = math.sqrt(max(1.0 - separation**2 / 4.0, 0.0))
-    # sines take the root at the tips out of the integrand
+    # the substitution v = sin removes the square-root singularity at the tips
     v = top * np.sin(math.pi / 2 * nodes)
     dv = top * math.pi / 2 * np.cos(math.pi / 2 * nodes) * weights
     half = np.sqrt(np.maximum(1.0 - v**2, 0.0)) - separation / 2
@@ -131,13 +136,13 @@ def _overlap(separation: float, angle: float) -> tuple[Array, Array, Array]:
 
 
 def _reduced(full: Array, count: int) -> Array:
-    """Information on the first ``count`` parameters with the others unknown (Schur complement)."""
+    """Information on the first ``count`` parameters if the rest are unknown (Schur complement)."""
     kept, cross, others = full[:count, :count], full[:count, count:], full[count:, count:]
     return kept - cross @ np.linalg.pinv(others, rcond=RANK, hermitian=True) @ cross.T
 
 
 def _bounds(information: Array) -> list[float]:
-    """Root of the inverse's diagonal; infinity along what carries no information."""
+    """Square roots of the inverse's diagonal; infinity for parameters without information."""
     values, vectors = np.linalg.eigh(information)
     told = values > RANK * max(float(values[-1]), 0.0)
     if float(values[-1]) <= 0.0:
@@ -153,6 +158,6 @@ def _radial_power(picture: Picture, frequencies: Array) -> Array:
 
 
 def _density(picture: Picture) -> float:
-    """Samples of the whole spectrum per (cycle/m)^2 on the object."""
+    """Samples of the full spectrum per (cycle/m)^2 on the object."""
     steps = picture.frequency[1, 0] * picture.frequency[0, 1]
     return 1.0 / float(steps)

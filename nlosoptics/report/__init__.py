@@ -1,8 +1,8 @@
-"""One HTML page about a run: all in one file, read from the run's folder.
+"""HTML report of a run as a single self-contained file.
 
-`page` takes a folder that ``nlosoptics run``, ``reconstruct`` or ``phasor`` wrote and shows what is
-there. Text of files is escaped in one place (`_html.tag`), and the page's own policy forbids
-every request.
+`page` shows the contents of a folder written by ``nlosoptics run``, ``reconstruct`` or ``phasor``.
+All text from files is escaped in one place (`_html.tag`), and the page's content security policy
+forbids network requests.
 """
 
 from .folders import Folder

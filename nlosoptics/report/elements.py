@@ -1,4 +1,4 @@
-"""Pieces of the page: numbers with their units, figures, facts and sections."""
+"""Building blocks of the page: numbers with units, figures, fact lists and sections."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NARROW = "\N{NARROW NO-BREAK SPACE}"
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Number of so many digits, powers of ten written out: ``1.6 × 10⁻¹⁰``."""
+    """Format a number with ``digits`` digits and written powers of ten: ``1.6 × 10⁻¹⁰``."""
     if value == 0.0 or 1e-3 <= abs(value) < 1e5:
         text = f"{value:.{digits}g}"
         text = text if "e" not in text else f"{float(text):.0f}"
@@ -25,7 +25,7 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """Number with an SI unit and the prefix that suits it: ``433 nm``."""
+    """Format a number with an SI unit and a suitable prefix: ``433 nm``."""
     rounded = float(f"{value:.{digits}g}")
     power = 0 if rounded == 0.0 else 3 * math.floor(math.log10(abs(rounded)) / 3)
     power = min(max(power, min(PREFIXES)), max(PREFIXES))
@@ -33,33 +33,33 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def seconds(value: float) -> str:
-    """Time in the unit that suits it; long ones stay seconds."""
+    """Format a time in s; below 1 s with a prefix."""
     return f"{number(value)}{NARROW}s" if value >= 1.0 else quantity(value, "s")
 
 
 def date(iso: str) -> str:
-    """Date and time of a record."""
+    """Format the ISO 8601 date and time of a record."""
     return iso.replace("T", " ").replace("+00:00", " UTC")
 
 
 def percent(share: float) -> str:
-    """Share of a whole."""
+    """Format a fraction as percentage."""
     return f"{number(100.0 * share)}{NARROW}%"
 
 
 def figure(picture: object, *caption: object, class_: str | None = None) -> Html:
-    """A picture with what it shows."""
+    """Return a figure: picture and caption."""
     return tag("figure", picture, tag("figcaption", *caption), class_=class_)
 
 
 def facts(rows: Iterable[tuple[object, object]], class_: str = "facts") -> Html:
-    """Names and what they are; rows of None are left out."""
+    """Return a list of names and values; rows with the value None are left out."""
     held = [tag("div", tag("dt", name), tag("dd", told)) for name, told in rows if told is not None]
     return tag("dl", *held, class_=class_)
 
 
 def section(anchor: str, title: str, *parts: object) -> Html:
-    """A part of the page under its heading."""
+    """Return a section of the page with its heading."""
     return tag(
         "section", tag("h2", title, id=f"{anchor}-title"), *parts, id=anchor,
         aria_labelledby=f"{anchor}-title",

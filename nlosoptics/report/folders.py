@@ -1,4 +1,4 @@
-"""What a run's folder holds, checked when it is read."""
+"""Contents of a run's folder, validated when read."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _Model(BaseModel):
 
 
 class Stage(_Model):
-    """A stage of a plan, as `runs.plan.Stage`."""
+    """Stage of a plan, see `runs.plan.Stage`."""
 
     name: str
     reason: str
@@ -32,14 +32,14 @@ class Stage(_Model):
 
 
 class Stages(_Model):
-    """A plan: what ran, and what did not."""
+    """Stages of a plan that ran or were skipped."""
 
     stages: tuple[Stage, ...] = ()
     skipped: tuple[Stage, ...] = ()
 
 
 class Figures(_Model):
-    """Numbers that sum up a run, SI units; those that its command does not tell are None."""
+    """Key figures of a run, SI units; None if its command does not report them."""
 
     exit_pupil_radius: float | None = None
     f_number: float | None = None
@@ -75,7 +75,7 @@ class Figures(_Model):
 
 
 class Record(_Model):
-    """The contents of ``result.json``."""
+    """Contents of ``result.json``."""
 
     program: Literal["nlosoptics"]
     command: Literal["run", "reconstruct", "phasor"]
@@ -101,12 +101,14 @@ class Record(_Model):
 
 @dataclass(frozen=True)
 class Folder:
-    """A run's folder.
+    """Folder of a run.
 
     Parameters
     ----------
     path : Path
+        Path of the folder.
     record : Record
+        Contents of its ``result.json``.
     """
 
     path: Path
@@ -114,12 +116,22 @@ class Folder:
 
     @classmethod
     def read(cls, path: Path) -> Folder:
-        """Read the record of a folder.
+        """Read and validate the record of a folder.
+
+        Parameters
+        ----------
+        path : Path
+            Folder written by ``nlosoptics run``, ``reconstruct`` or ``phasor``.
+
+        Returns
+        -------
+        Folder
+            Folder with its record.
 
         Raises
         ------
         SceneError
-            If it is none that ``run``, ``reconstruct`` or ``phasor`` wrote.
+            If the folder is missing or was not written by one of these commands.
         """
         remedy = "name the output folder of nlosoptics run, reconstruct or phasor"
         if not path.is_dir():
@@ -134,39 +146,63 @@ class Folder:
             first = error.errors(include_url=False)[0]
             place = ".".join(map(str, first["loc"])) or "its text"
             raise SceneError(
-                f"{path / RECORD} is none that nlosoptics {_version()} writes: {place}: "
-                f"{first['msg']}; {remedy}"
+                f"{path / RECORD} does not have the form that nlosoptics {_version()} writes: "
+                f"{place}: {first['msg']}; {remedy}"
             ) from None
 
     @property
     def name(self) -> str:
-        """The folder's own name."""
+        """Name of the folder without its parents."""
         return self.path.resolve().name
 
     def picture(self, name: str) -> bytes | None:
-        """A PNG of the folder; None where there is none."""
+        """Return the bytes of a PNG file in the folder; None if there is none.
+
+        Parameters
+        ----------
+        name : str
+            File name.
+
+        Raises
+        ------
+        SceneError
+            If the file is not a PNG.
+        """
         path = self.path / name
         if name not in self.record.files or not path.is_file():
             return None
         data = path.read_bytes()
         if not data.startswith(b"\x89PNG\r\n\x1a\n"):
-            raise SceneError(f"{path} is no PNG; make the run again")
+            raise SceneError(f"{path} is no PNG file; run the command again")
         return data
 
     def text(self, name: str) -> str | None:
-        """A text of the folder; None where there is none."""
+        """Return the text of a file in the folder; None if there is none.
+
+        Parameters
+        ----------
+        name : str
+            File name.
+        """
         path = self.path / name
         if name not in self.record.files or not path.is_file():
             return None
         return path.read_text(encoding="utf-8", errors="replace")
 
     def arrays(self, name: str, *wanted: str) -> Mapping[str, NDArray[Any]] | None:
-        """Arrays of an ``.npz`` of the folder; None where there is none.
+        """Return arrays of an ``.npz`` file in the folder; None if there is no such file.
+
+        Parameters
+        ----------
+        name : str
+            File name.
+        *wanted : str
+            Names of the arrays.
 
         Raises
         ------
         SceneError
-            If it cannot be read, or lacks one.
+            If the file cannot be read, or an array is missing.
         """
         path = self.path / name
         if name not in self.record.files or not path.is_file():
@@ -176,16 +212,16 @@ class Folder:
                 return {key: file[key] for key in wanted}
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             raise SceneError(
-                f"{path} cannot be read ({type(error).__name__}: {error}); make the run again"
+                f"{path} cannot be read ({type(error).__name__}: {error}); run the command again"
             ) from None
 
     def scene(self) -> Scene | None:
-        """The scene of the run; None where the folder has none.
+        """Return the scene of the run; None if the folder has none.
 
         Raises
         ------
         SceneError
-            If it cannot be read, as where a picture that it names is gone.
+            If it cannot be read, for example because a file that it refers to is missing.
         """
         if self.text("scene.toml") is None:
             return None

@@ -1,4 +1,4 @@
-"""The page: its parts in their order, in one file."""
+"""Assembly of the report page."""
 
 from __future__ import annotations
 
@@ -14,25 +14,36 @@ from .rooms import Room, room
 
 
 def page(folder: str | Path, *, interactive: bool = True) -> str:
-    """HTML page about a run, all in one file.
+    """Make a self-contained HTML report of a run.
 
     Parameters
     ----------
     folder : str or Path
-        What ``nlosoptics run``, ``reconstruct`` or ``phasor`` wrote.
+        Folder written by ``nlosoptics run``, ``reconstruct`` or ``phasor``.
     interactive : bool
-        Also show the scene in three dimensions, with light traced anew; where it cannot be drawn,
-        the page says why.
+        Whether to include a 3-D view, for which light paths are traced. If the view cannot be
+        drawn, the page states the reason instead.
 
     Returns
     -------
     str
-        The text of an HTML file that asks for nothing outside itself.
+        Text of an HTML file that refers to no other file.
 
     Raises
     ------
     SceneError
-        If the folder is none of these, or a file of it cannot be read.
+        If the folder was not written by one of these commands, or a file in it cannot be read.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from nlosoptics import Scene, report, simulate
+    >>> result = simulate(Scene.load("examples/scenes/letter_flat.toml").resized(32), tol=1e-2)
+    >>> with TemporaryDirectory() as place:
+    ...     result.save(f"{place}/letter")
+    ...     text = report.page(f"{place}/letter", interactive=False)
+    >>> text.startswith("<!DOCTYPE html>")
+    True
     """
     held = Folder.read(Path(folder))
     parts = sections.parts(held, *_room(held, interactive))
@@ -57,7 +68,7 @@ def _contents(items: list[Html]) -> Html:
 
 
 def _room(held: Folder, interactive: bool) -> tuple[Room | None, str]:
-    """The view in three dimensions, or why there is none."""
+    """Return the 3-D view, or None and the reason why it cannot be drawn."""
     if not interactive:
         return None, ""
     try:

@@ -1,4 +1,4 @@
-"""Arrays as pictures of their own pixels, with a scale that is text."""
+"""Greyscale pictures of arrays, pixel by pixel, with a scale in text."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from .._html import Html, png, tag
 from .elements import figure, number
 
-MOST = 1024  # pixels a side that are drawn
-COARSE = 256  # up to which a page shows single pixels
+MOST = 1024  # largest side of a drawn picture, pixels
+COARSE = 256  # largest side of an array whose single pixels remain visible on the page
 
 
 def pixels(
@@ -26,26 +26,27 @@ def pixels(
     alt: str,
     told: str = "",
 ) -> Html:
-    """A grey picture of an array with its scale.
+    """Draw an array as a greyscale picture with its scale.
 
     Parameters
     ----------
     values : ndarray, (ny, nx)
-        Row 0 is drawn on top.
+        Values; row 0 is drawn on top.
     title : str
+        Title, the first words of the caption.
     unit : str
-        Of the values.
+        Unit of the values.
     low, high : float
-        Values that are black and white.
+        Values drawn black and white.
     alt : str
-        What there is to see, for who does not.
+        Description of the picture for readers who cannot see it.
     told : str
-        More of the caption.
+        Further text of the caption.
 
     Returns
     -------
     Html
-        A figure.
+        Figure with caption.
     """
     from PIL import Image
 

@@ -1,4 +1,4 @@
-"""What there is in three dimensions, as a page of its own and as a picture."""
+"""Three-dimensional views of a scene or volume: an embedded page and a still picture."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from ..errors import MissingExtraError
 from ..scene import Scene
 from .folders import Folder
 
-RAYS = 4096  # traced; a second's work
-MOST = 300  # paths that are drawn
-SURFACE = 0.25  # of the brightest voxel
+RAYS = 4096  # rays traced, in about a second
+MOST = 300  # largest number of drawn paths
+SURFACE = 0.25  # level of the drawn surface relative to the brightest voxel
 
 
 @dataclass(frozen=True)
 class Room:
-    """A view in three dimensions.
+    """Three-dimensional view.
 
     Parameters
     ----------
     document : str
-        HTML page of its own that can be turned.
+        Complete HTML page with a view that can be rotated.
     picture : bytes or None
-        PNG for paper and for where scripts do not run; None where nothing can be rendered.
+        PNG for print and for browsers without scripts; None if this machine cannot render.
     told : str
-        What is drawn, and how it was found.
+        Caption: what is drawn and how it was computed.
     """
 
     document: str
@@ -36,21 +36,22 @@ class Room:
 
 
 def room(held: Folder) -> Room | None:
-    """What a folder shows in three dimensions: a scene and its light, or a volume.
+    """Draw the scene of a folder with its light paths, or its volume, in three dimensions.
 
     Parameters
     ----------
     held : Folder
+        Folder of a run.
 
     Returns
     -------
     Room or None
-        None where the folder has neither.
+        View; None if the folder has neither scene nor volume.
 
     Raises
     ------
     NlosError
-        If there is something to draw and it cannot be drawn.
+        If the view cannot be drawn.
     """
     if (scene := held.scene()) is not None:
         return _scene(scene, held.record.seed or 0)
@@ -64,12 +65,13 @@ def _scene(scene: Scene, seed: int) -> Room:
     if not len(paths.weight):
         return _drawn(
             views.scene_3d(scene),
-            f"None of {RAYS} rays, traced anew for this page with seed {seed}, met the camera.",
+            f"None of {RAYS} rays, traced for this page with seed {seed}, reached the camera.",
         )
     return _drawn(
         views.ray_paths(paths, scene, most=MOST),
-        f"{min(MOST, len(paths.weight))} light paths that reach the camera, of {RAYS} rays traced "
-        f"anew for this page with seed {seed}; lines are as dense as the light.",
+        f"{min(MOST, len(paths.weight))} light paths that reach the camera, from {RAYS} rays "
+        f"traced for this page with seed {seed}. The density of lines is proportional to the "
+        "power.",
     )
 
 
@@ -84,8 +86,8 @@ def _volume(held: Folder) -> Room | None:
     image = VolumeImage(intensity=found["intensity"], volume=volume, method="phasor_image")
     return _drawn(
         views.phasor_volume(image, threshold=SURFACE),
-        f"Surface around the voxels above {SURFACE:g} of the brightest, coloured by its distance "
-        "from the wall. It opens as seen from the far end of the room, where letters are reversed.",
+        f"Surface at {SURFACE:g} of the brightest voxel, coloured by distance from the wall. The "
+        "initial view is from the far end of the room, from where letters appear mirror-reversed.",
     )
 
 

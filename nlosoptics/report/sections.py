@@ -1,4 +1,4 @@
-"""The parts of the page, each made of what the folder holds and left out where it holds nothing."""
+"""Sections of the report page; a section without data in the folder is left out."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from .. import __version__
+from .._checks import counted
 from .._html import Column, Html, joined, png, table, tag
 from ..runs.plan import FIELD
 from . import words
@@ -16,12 +17,12 @@ from .pixels import pixels
 from .rooms import Room
 
 Part = tuple[str, str, Html]
-SHARES_OF_ROUNDING = 1e-12  # of a sum: smaller terms of it are rounding
-NARROW = "52rem"  # of a window in which the sketch's two views stand one above the other
+SHARES_OF_ROUNDING = 1e-12  # smaller fractions of a sum are rounding errors
+NARROW = "52rem"  # window width below which the two views of the sketch are stacked
 
 
 def head(held: Folder) -> Html:
-    """Name of the run, its outcome in a sentence, and its key figures."""
+    """Header: name of the run, outcome in one sentence, and key figures."""
     record = held.record
     made = f"nlosoptics {record.versions.get('nlosoptics', '')}".strip()
     when = record.finished and date(record.finished)
@@ -40,7 +41,7 @@ def head(held: Folder) -> Html:
 
 
 def parts(held: Folder, drawn: Room | None, missing: str) -> list[Part]:
-    """Anchor, title and contents of each part that the folder has something for."""
+    """Return anchor, title and contents of each section that has contents."""
     made = (
         ("scene", "Scene", _scene(held, drawn, missing)),
         ("plan", "Plan", _plan(held)),
@@ -59,11 +60,8 @@ def parts(held: Folder, drawn: Room | None, missing: str) -> list[Part]:
 
 
 def colophon() -> str:
-    """What made the page."""
-    return (
-        f"Made by nlosoptics report {__version__}. This file is whole: it asks for nothing from "
-        "anywhere else."
-    )
+    """Footer: the program that made the page."""
+    return f"Made by nlosoptics report {__version__}. This file is complete and loads nothing else."
 
 
 def _seed(held: Folder) -> str | None:
@@ -71,7 +69,7 @@ def _seed(held: Folder) -> str | None:
 
 
 def _outcome(held: Folder) -> str:
-    """What came of the run, in a sentence."""
+    """Outcome of the run in one sentence."""
     figures = held.record.figures
     if held.record.command == "phasor" and figures.brightest_voxel:
         place = ", ".join(number(value) for value in figures.brightest_voxel)
@@ -81,12 +79,12 @@ def _outcome(held: Folder) -> str:
         return "No object was reconstructed."
     told = words.OUTCOME.get(status, f"The reconstruction is {status}.")
     if figures.correlation_with_truth is not None:
-        told += f" It correlates with the truth to {number(figures.correlation_with_truth, 4)}."
+        told += f" Correlation with the truth: {number(figures.correlation_with_truth, 4)}."
     return told
 
 
 def _tiles(held: Folder) -> Iterator[tuple[object, object]]:
-    """Key figures, each accuracy with the time that it took."""
+    """Key figures; accuracies are shown with their run time."""
     record, f = held.record, held.record.figures
 
     def tile(value: str, *notes: str | None) -> Html:
@@ -110,7 +108,7 @@ def _tiles(held: Folder) -> Iterator[tuple[object, object]]:
         )
     if FIELD in f.errors:
         error = number(f.errors[FIELD], 2)
-        yield "Error of the image by its field", tile(error, "rms", took(FIELD))
+        yield "Image error of the field of point spreads", tile(error, "rms", took(FIELD))
     if f.aberration_rms is not None and f.aberration_rms_waves is not None:
         yield (
             "Wave aberration",
@@ -142,34 +140,34 @@ def _tiles(held: Folder) -> Iterator[tuple[object, object]]:
         yield "Voxels", tile(" × ".join(map(str, f.volume_shape)), "depth, height, width")
     if "total" in record.seconds:
         memory = f.peak_memory_bytes
-        most = None if memory is None else f"at most {number(memory / 2**20)} MiB of memory"
+        most = None if memory is None else f"peak memory {number(memory / 2**20)} MiB"
         yield "Whole run", tile(seconds(record.seconds["total"]), most)
 
 
 def _score_note(held: Folder) -> tuple[str, ...]:
     if held.record.figures.method == "phase_retrieval":
-        return ("correlation of two halves of its restarts", "1 is full agreement")
-    return ("of the noise", "1 fits the image to its noise")
+        return ("correlation of two halves of the restarts", "1 is full agreement")
+    return ("in units of the noise", "1 if only noise remains")
 
 
 def _turned(drawn: Room | None, missing: str) -> Iterator[Html]:
-    """A view that can be turned, its still for paper, or why there is none."""
+    """Rotatable 3-D view with a still picture for print, or the reason why there is none."""
     if missing:
-        yield tag("p", f"The view in three dimensions is left out: {missing}.", class_="notice")
+        yield tag("p", f"The 3-D view is left out: {missing}.", class_="notice")
     if drawn is None:
         return
     frame = tag(
         "iframe",
         srcdoc=drawn.document,
-        title="View in three dimensions, to be turned",
+        title="3-D view that can be rotated",
         loading="lazy",
         sandbox="allow-scripts",
     )
     still = paper = None
     if drawn.picture is None:
-        paper = tag("span", " It is not on paper, because nothing can be rendered here.")
+        paper = tag("span", " A printout lacks the view, because this machine cannot render it.")
     else:
-        alt = f"View in three dimensions. {drawn.told}"
+        alt = f"3-D view. {drawn.told}"
         still = tag("img", src=png(drawn.picture), alt=alt, class_="still")
     yield figure(joined([frame, still]), drawn.told, paper, class_="room")
 
@@ -189,8 +187,8 @@ def _scene(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
         yield figure(
             picture,
             tag("b", "From above and from the side"),
-            ", metres. The chief path is that of the light from the laser's spot by way of the "
-            "object to the lens, as a flat wall would send it.",
+            ", in metres. The chief path leads from the laser spot via the object and the wall to "
+            "the lens, as if the wall were flat.",
             class_="sketch",
         )
 
@@ -215,7 +213,7 @@ def _spread(held: Folder) -> Iterator[Html]:
             figure(
                 picture,
                 tag("b", "Wave aberration"),
-                f"{rms}, in waves over the exit pupil in mm. Red has gone the longer path.",
+                f"{rms}. Colours in waves, exit pupil in mm; red means a longer path.",
                 class_="plot",
             )
         )
@@ -225,8 +223,8 @@ def _spread(held: Folder) -> Iterator[Html]:
             figure(
                 picture,
                 tag("b", "Point spread"),
-                " of the object's reference point, on the detector in µm; energy per pixel, "
-                "colours logarithmic.",
+                " at the object's reference point: energy per pixel on a logarithmic scale, "
+                "detector in µm.",
                 class_="plot",
             )
         )
@@ -237,7 +235,7 @@ def _spread(held: Folder) -> Iterator[Html]:
     error = f.point_spread_error
     field = None
     if f.field_nodes > 1:
-        field = f"{f.field_nodes} points over the object, in {f.field_modes} modes"
+        field = f"{f.field_nodes} points over the object, in {counted(f.field_modes, 'mode')}"
     yield facts(
         [
             ("Method", f.point_spread_method),
@@ -262,8 +260,8 @@ def _regime(held: Folder) -> Iterator[Html]:
         if f.wavelength is not None and f.f_number is not None:
             airy = quantity(f.wavelength * f.f_number, "m")
             rows.append(("Airy unit λN", airy, "wavelength times working F-number"))
-        columns = (Column("Regime of the wave"), Column("Value", "number"), Column("Meaning"))
-        yield table("What kind of wave it is", columns, rows)
+        columns = (Column("Figure"), Column("Value", "number"), Column("Meaning"))
+        yield table("Regime of the wave", columns, rows)
 
 
 def _image(held: Folder) -> Iterator[Html]:
@@ -279,15 +277,15 @@ def _image(held: Folder) -> Iterator[Html]:
             unit="electrons",
             low=float(electrons.min()),
             high=float(electrons.max()),
-            alt="What the camera reads: the blurred, noisy picture of the hidden object.",
+            alt="Camera image: the blurred, noisy image of the hidden object.",
             told=f"{number(nx)} × {number(ny)} mm on the detector, exposed for "
-            f"{quantity(float(found['exposure']), 's')}; mirror-reversed by the wall.",
+            f"{quantity(float(found['exposure']), 's')}. The wall reverses it like a mirror.",
         )
     rows = [
         ("Brightest pixel", f.electrons_peak, "electrons"),
         ("Mean", f.electrons_mean, "electrons per pixel"),
         ("Object alone, brightest", f.signal_electrons_peak, "electrons"),
-        ("Noise, rms", f.noise_sigma_mean, "electrons per pixel, on average"),
+        ("Noise, mean rms", f.noise_sigma_mean, "electrons per pixel"),
     ]
     told: list[tuple[object, object]] = [
         (name, f"{number(value)} {unit}") for name, value, unit in rows if value is not None
@@ -313,17 +311,17 @@ def _ledger(held: Folder) -> Iterator[Html]:
         Column("Electrons", "number"),
         Column("Share", "number"),
     )
-    yield table("Where the expected electrons come from", columns, rows)
+    yield table("Sources of the expected electrons", columns, rows)
     lost = [
         f"{percent(max(share, 0.0))} {meaning}"
         for name, meaning in words.LOST.items()
         if name in ledger and ledger.get("ideal", 0.0) > 0.0
-        # a difference of sums: below their rounding it is none
+        # the loss is a difference of sums; ignore rounding errors
         for share in (ledger[name] / ledger["ideal"],)
         if share > SHARES_OF_ROUNDING
     ]
     if lost:
-        yield tag("p", f"Of the object's picture before the blur, {' and '.join(lost)} is lost.")
+        yield tag("p", f"Lost from the unblurred image of the object: {' and '.join(lost)}.")
 
 
 def _reconstruction(held: Folder) -> Iterator[Html]:
@@ -337,7 +335,7 @@ def _reconstruction(held: Folder) -> Iterator[Html]:
 
 
 def _settlement(held: Folder) -> Iterator[Html]:
-    """What a reconstruction came to, in figures and in words."""
+    """Outcome of a reconstruction: status, figures and fitted parameters."""
     f = held.record.figures
     status = f.reconstruction_status
     if status is None:
@@ -347,8 +345,8 @@ def _settlement(held: Folder) -> Iterator[Html]:
         score = f"{number(f.reconstruction_score)} {', '.join(_score_note(held))}"
     if f.correlation_with_truth is not None:
         correlation = (
-            f"{number(f.correlation_with_truth, 4)} after registration; 1 is the same picture but "
-            "for brightness"
+            f"{number(f.correlation_with_truth, 4)} after registration; 1 if identical up to "
+            "brightness"
         )
     yield facts(
         [
@@ -362,11 +360,11 @@ def _settlement(held: Folder) -> Iterator[Html]:
     )
     rows = [(_spaced(name), _settled(value)) for name, value in f.physical_parameters.items()]
     if rows:
-        yield table("What the method settled", (Column("Parameter"), Column("Value")), rows)
+        yield table("Fitted parameters", (Column("Parameter"), Column("Value")), rows)
 
 
 def _objects(held: Folder) -> Iterator[Html]:
-    """Truth, where it is known, and object, or the last preview of one."""
+    """True object if known, and the reconstructed object or its last preview."""
     found = held.arrays("reconstruction.npz", "object")
     image = None if found is None else held.arrays("image.npz", "ideal")
     if image is not None and (brightest := float(image["ideal"].max())) > 0.0:
@@ -374,7 +372,7 @@ def _objects(held: Folder) -> Iterator[Html]:
             image["ideal"][:, ::-1] / brightest,
             "Truth",
             alt="The object as the camera would see it without blur and noise.",
-            told="The object in the image's frame without blur and noise, mirror undone.",
+            told="Object in the image's frame without blur and noise; mirror reversal undone.",
             unit="of the brightest",
             low=0.0,
             high=1.0,
@@ -383,8 +381,8 @@ def _objects(held: Folder) -> Iterator[Html]:
         yield pixels(
             found["object"][:, ::-1],
             "Reconstruction",
-            alt="The object that was reconstructed.",
-            told="Mirror undone.",
+            alt="Reconstructed object.",
+            told="Mirror reversal undone.",
             unit="of the brightest",
             low=0.0,
             high=max(1.0, float(found["object"].max())),
@@ -393,22 +391,22 @@ def _objects(held: Folder) -> Iterator[Html]:
         yield figure(
             tag("img", src=png(preview), alt="Object so far."),
             tag("b", "Last state kept"),
-            ", as the camera's frame has it, 0 black, the brightest pixel white.",
+            ", in the camera's frame; 0 is black, the brightest pixel white.",
             class_="pixels",
         )
 
 
 def _spaced(name: str) -> str:
-    """A name of the code as words."""
+    """Replace underscores in an identifier by spaces."""
     return name.replace("_", " ")
 
 
 def _settled(value: Any) -> str:
-    """Number or numbers that a method settled."""
+    """Format the value or values of a fitted parameter."""
     if isinstance(value, list):
         return ", ".join(_settled(inner) for inner in value)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return "not told" if value is None else str(value)
+        return "not reported" if value is None else str(value)
     return number(value)
 
 
@@ -424,7 +422,7 @@ def _volume(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
         figure(
             tag("img", src=png(data), alt=f"Brightest voxels of the hidden scene. {title}."),
             tag("b", title),
-            f": {axes}, metres; the brightest voxel along the line of sight, relative.",
+            f": {axes}, in metres; brightest voxel along the line of sight, relative scale.",
             class_="plot",
         )
         for name, (title, axes) in views.items()
@@ -442,15 +440,15 @@ def _volume(held: Folder, drawn: Room | None, missing: str) -> Iterator[Html]:
             ("Virtual pulse", None if sigma is None else f"sigma {quantity(sigma, 'm')}"),
             (
                 "Aperture",
-                "all of the wall" if aperture is None else f"{quantity(aperture, 'm')} square",
+                "whole wall" if aperture is None else f"{quantity(aperture, 'm')} square",
             ),
-            *(("Limit of the sampling", note) for note in record.notes),
+            *(("Sampling limit", note) for note in record.notes),
         ]
     )
 
 
 def _times(held: Folder) -> Iterator[Html]:
-    """Wanted and reached accuracy of each stage beside its time."""
+    """Table of each stage's requested and estimated accuracy and its run time."""
     record = held.record
     if not record.seconds:
         return
@@ -475,23 +473,23 @@ def _times(held: Folder) -> Iterator[Html]:
         rows.append(cells)
     columns = [Column("Stage"), Column("Took (s)", "number")]
     if planned:
-        columns += [Column("Reached"), Column("Wanted"), Column("Foreseen (s)", "number")]
-    yield _wide(table("Each accuracy with its run time", columns, rows), "Accuracy and time")
+        columns += [Column("Reached"), Column("Wanted"), Column("Predicted (s)", "number")]
+    yield _wide(table("Accuracy and run time of each stage", columns, rows), "Accuracy and time")
     if planned:
         yield tag(
             "p",
-            "Bars compare what the stages took. Times are foreseen for one core, once compiled.",
+            "Bars compare run times. Predicted times are for one core, without compilation.",
             class_="kind",
         )
 
 
 def _timed(value: float) -> str:
-    """Seconds, so that they stand under one another."""
+    """Format seconds with two decimals, for a column of numbers."""
     return f"{value:.2f}" if value >= 0.005 else "< 0.01"
 
 
 def _reached(held: Folder) -> dict[str, str]:
-    """Accuracy that a run found, by stage."""
+    """Accuracy that the run estimated for each stage."""
     f = held.record.figures
     of = {"point spread": "of the peak", FIELD: "of the image, rms"}
     found = {
@@ -505,7 +503,7 @@ def _reached(held: Folder) -> dict[str, str]:
 
 
 def _wide(inner: Html, label: str) -> Html:
-    """What may be scrolled sideways where the page is narrow."""
+    """Wrap wide contents so that they can be scrolled sideways on a narrow page."""
     return tag("div", inner, class_="wide", tabindex=0, role="group", aria_label=label)
 
 
@@ -518,7 +516,7 @@ def _provenance(held: Folder) -> Iterator[Html]:
         ("Scene, SHA-256", record.scene_sha256 and tag("code", record.scene_sha256)),
         ("Capture", record.capture_file),
         ("Capture, SHA-256", record.capture_sha256 and tag("code", record.capture_sha256)),
-        ("Typed", tag("code", record.command_line) if record.command_line else None),
+        ("Command line", tag("code", record.command_line) if record.command_line else None),
         ("To repeat it", _repeated(held)),
     ]
     yield facts(told)
@@ -542,7 +540,7 @@ def _provenance(held: Folder) -> Iterator[Html]:
 
 
 def _repeated(held: Folder) -> Html | None:
-    """Command that makes the run again from its own folder."""
+    """Command that repeats the run from its own folder."""
     record = held.record
     if record.command != "run" or held.text("scene.toml") is None:
         return None

@@ -1,4 +1,4 @@
-"""Whole runs: plan, simulate, reconstruct, and the record of a run."""
+"""Complete runs: planning, simulation, reconstruction, and the record of a run."""
 
 import lazy_loader as _lazy
 

@@ -1,4 +1,4 @@
-"""The plan of a run: stages that a scene needs or does not, with seconds, memory and errors."""
+"""Plan of a run: the stages that a scene needs, with predicted time, memory and error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ from typing import Literal
 import numpy as np
 
 from .. import _cost_model
-from .._checks import SHARE, Budget, available_memory, fits_memory, in_range, positive, within
+from .._checks import (
+    SHARE,
+    Budget,
+    available_memory,
+    counted,
+    fits_memory,
+    in_range,
+    positive,
+    within,
+)
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
 from ..imaging.image_fields import expected_counts, picture_frame
@@ -31,14 +40,14 @@ from ..raytrace.intersection.meshes import threads
 from ..scene import MeshWall, PlanarObject, Scene
 from .refusals import check_cones, check_laser, check_sight, wave_refusal
 
-FIELD = "field of point spreads"  # the name of that stage
-MOST_NODES = 27  # along each side of a field of point spreads
-MOST_SECONDS = 900.0  # of a run where nobody says
+FIELD = "field of point spreads"  # name of the stage
+MOST_NODES = 27  # most nodes along each side of a field of point spreads
+MOST_SECONDS = 900.0  # default of max_seconds, s
 LARGEST_TOL = 0.1
-DIFFUSE_BYTES = 6e7  # of light from a block of patches to the wall
-HELD = 6e7  # bytes of what Python loads on the way
-AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s a node
-GRID_SECONDS = 0.9  # of a point spread whose cone the wall's edge cuts, with its wave
+DIFFUSE_BYTES = 6e7  # bytes for the diffuse transport from one block of patches to the wall
+HELD = 6e7  # bytes of the modules that a run imports
+AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s per pupil node, by kind of wall
+GRID_SECONDS = 0.9  # s for a wave and its point spread where the wall's edge cuts the cone
 PIXELS = "read fewer pixels or bin more (camera.pixels, camera.binning)"
 LARGER = "use a larger tol, wider pixels or a smaller stop"
 
@@ -50,16 +59,17 @@ class Stage:
     Parameters
     ----------
     name : str
+        Name of the stage, for example ``"point spread"``.
     runs : bool
         Whether `simulate` carries it out.
     reason : str
-        Why it runs, or why not.
+        Why it runs or is skipped.
     seconds : float
-        Predicted run time on one core once compiled; 0 when skipped.
+        Predicted run time on one core, s, without compilation; 0 if skipped.
     error : str
-        Predicted error, with its meaning.
+        Predicted error and the quantity that it refers to.
     memory : float
-        Predicted bytes at its peak, of what it allocates itself.
+        Predicted peak of the memory that the stage itself allocates, bytes.
     """
 
     name: str
@@ -72,23 +82,24 @@ class Stage:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """The stages of a simulation.
+    """Stages of a simulation, made by `plan`.
 
     Parameters
     ----------
     stages : tuple of Stage
-        Those that run, in order.
+        Stages that run, in order.
     skipped : tuple of Stage
-        Those that do not, each with its reason.
+        Stages that do not run, each with its reason.
     tol : float
-        Wanted error of point spreads, max |dI|/max I, and of the image by their field; the other
-        stages state their own.
+        Error tolerance of the point spreads, max |dI|/max I, and of the image that a field of
+        point spreads gives, rms over rms. The other stages state their own errors.
     waves : float
-        Peak-to-valley aberration of the object's centre left after tilt, waves; NaN without a wave.
+        Peak-to-valley aberration at the object's centre with tilt removed, waves; NaN if the wave
+        is undefined.
     exit_pupil : ExitPupil
-        Exit pupil of the scene, which `simulate` goes on with.
+        Exit pupil of the scene, reused by `simulate`.
     budget : Budget
-        What the run may take.
+        Limits of memory and time for the run.
     """
 
     stages: tuple[Stage, ...]
@@ -100,25 +111,25 @@ class Plan:
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
-        """Layout of the pupil nodes: a grid where the wall's edge cuts the cone of light."""
+        """Layout of the pupil nodes: ``"grid"`` where the wall's edge cuts the cone of light."""
         return self.exit_pupil.layout
 
     @property
     def memory(self) -> float:
-        """Predicted rise of the process's memory at the peak of the run, bytes."""
+        """Predicted peak increase of the process's memory during the run, bytes."""
         return HELD + max((stage.memory for stage in self.stages), default=0.0)
 
     @property
     def seconds(self) -> float:
-        """Predicted run time, s, once compiled."""
+        """Predicted run time on one core without compilation, s."""
         return sum(stage.seconds for stage in self.stages)
 
     def runs(self, name: str) -> bool:
-        """Whether the stage of that name runs."""
+        """Return whether the stage called ``name`` runs."""
         return any(stage.name == name for stage in self.stages)
 
     def __str__(self) -> str:
-        """Table of all stages."""
+        """Return a table of all stages as text."""
         rows = [("stage", "", "seconds", "error", "why")]
         for s in self.stages:
             rows.append((s.name, "runs", f"{s.seconds:.2f}", s.error, s.reason))
@@ -134,7 +145,7 @@ class Plan:
         return "\n".join(line.rstrip() for line in lines)
 
     def _repr_html_(self) -> str:
-        """Table of all stages."""
+        """Return a table of all stages as HTML."""
         runs = [(s.name, f"{s.seconds:.2f}", s.error, s.reason) for s in self.stages]
         skipped = [(s.name, "skipped", "", s.reason) for s in self.skipped]
         return table(
@@ -153,42 +164,59 @@ def plan(
     memory: float | None = None,
     max_seconds: float = MOST_SECONDS,
 ) -> Plan:
-    """Say what a scene needs, what it does not, and why.
+    """Predict which stages `simulate` runs or skips for a scene, with time, memory and error.
 
     Parameters
     ----------
     scene : Scene
+        Scene to simulate.
     tol : float, default 1e-3
-        Wanted error of point spreads, max |dI|/max I, and of the image by their field, rms over
-        rms; 1e-12 to 0.1.
+        Error tolerance of the point spreads, max |dI|/max I, and of the image that a field of
+        point spreads gives, rms over rms; 1e-12 to 0.1.
     reconstruct : bool, default False
-        Whether the known-PSF reconstruction is wanted.
+        Whether to include the reconstruction with known point spread.
     memory : float, optional
-        Bytes that the whole run may take; three quarters of what is free by default.
+        Limit for the memory of the whole run, bytes; by default three quarters of the free memory.
     max_seconds : float, default 900
-        Predicted seconds on one core that the whole run may take.
+        Limit for the predicted run time on one core, s.
 
     Returns
     -------
     Plan
+        Stages that run and stages that are skipped, with the reasons.
 
     Raises
     ------
     SceneError
-        If the laser misses the wall, the camera cannot see the object by the wall, an occluder
-        cuts the beam or a part of the cone of light from the object's reference point, or an
+        If the laser misses the wall, the camera cannot see the object in the wall, an occluder
+        cuts the laser beam or part of the cone of light from the object's reference point, or an
         argument is out of range.
     CausticError
-        If the wall has no single wave at the object's centre, corners or edges.
+        If the wave aberration is not single-valued at the object's centre, corners or edges.
     SamplingError
-        If ``tol`` is out of reach or takes longer than ``max_seconds``: with what it would take.
+        If ``tol`` cannot be reached, or the predicted time exceeds ``max_seconds``. The message
+        states the time that is needed.
     MemoryLimitError
-        If a stage would take more than ``memory``.
+        If a stage would need more than ``memory``.
+
+    See Also
+    --------
+    simulate : Run the plan.
 
     Notes
     -----
-    The waves from the object's centre, corners and edges are aimed, some milliseconds each; windows
-    and sampling follow from them by the functions that the run itself uses.
+    The waves from the object's centre, corners and edges are computed, which takes some
+    milliseconds each. Windows and sampling then follow from the same functions as in the run.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, plan
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(32)
+    >>> planned = plan(scene, tol=1e-2)
+    >>> [stage.name for stage in planned.stages]
+    ['exit pupil', 'wave aberration', 'point spread', 'image']
+    >>> next(stage.reason for stage in planned.skipped if stage.name == "reconstruction")
+    'not requested; torch is not loaded'
     """
     return looked_at(scene, tol, reconstruct, memory, max_seconds)[0]
 
@@ -200,7 +228,7 @@ def looked_at(
     memory: float | None,
     max_seconds: float,
 ) -> tuple[Plan, SceneOptics]:
-    """`plan`, and the optics that it looked at, for the run to go on with."""
+    """Return the result of `plan` together with the waves it computed, for reuse by the run."""
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
     in_range("tol", tol, 1e-12, LARGEST_TOL)
@@ -266,7 +294,7 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
 
 
 def _check_budget(found: Plan) -> None:
-    """Refuse a plan that passes its budget, naming the stage that takes the most."""
+    """Raise if a plan exceeds its budget; the message names the most expensive stage."""
     if not found.stages:
         return
     most = max(found.stages, key=lambda s: s.memory)
@@ -285,18 +313,20 @@ def _check_budget(found: Plan) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """The wave of the object's centre, and the windows that its point spreads take.
+    """Waves at a few object points and the window sizes of their point spreads.
 
     Parameters
     ----------
     seen : PointOptics
-        Of the object's reference point.
+        Wave and geometry at the object's reference point.
     others : tuple of PointOptics
-        Of the picture's corners and edges, where its field may be wanted.
+        Waves and geometry at the picture's corners and edge centres; empty if no field of point
+        spreads can be needed.
     side, field_side : int
-        Pixels of the window at the centre, and of one that holds those of the whole picture.
+        Side of the point spread's window at the centre, and of the largest window over the whole
+        picture, pixels.
     samples : tuple of int
-        Cells across the grids that are tried in turn; empty of polar nodes.
+        Cells across the pupil grids that are tried in turn; empty for polar nodes.
     """
 
     seen: PointOptics
@@ -307,7 +337,7 @@ class _Look:
 
     @classmethod
     def at(cls, optics: SceneOptics, tol: float) -> _Look:
-        """Aim the waves; raises what the run would raise for want of a wave."""
+        """Compute the waves; raises the same errors as the run if a wave is undefined."""
         scene, seen = optics.scene, optics.reference
         pitch = scene.camera.image_pitch
         side = point_window(seen, pitch, tol)
@@ -323,11 +353,12 @@ class _Look:
 
     @property
     def change(self) -> tuple[float, float]:
-        """About how much the picture's image errs with one point spread, and the waves' swing, rad.
+        """Estimated image error with a single point spread (rms over rms), and wave change, rad.
 
-        The first is rms over rms. Measured on random scenes, to a factor of about three: what the
-        waves' differences do, less where pixels are wide, and what those of the lobes' blur do
-        where it shows in the pixels.
+        The wave change is the largest peak-to-valley difference between the waves at the picture's
+        corners and edges and the wave at its centre. The error estimate was fitted to random
+        scenes and is good to a factor of about three. Its terms are the wave change, which wide
+        pixels reduce, and the change of the lobe's blur if that is larger than a pixel.
         """
         scene, first = self.seen.scene, self.seen.first.residual
         unit, pitch = first.airy_unit, scene.camera.image_pitch
@@ -353,7 +384,7 @@ class _Look:
 
     @property
     def cut(self) -> float:
-        """Share of the points whose cone of light the wall's edge cuts."""
+        """Fraction of the corner and edge points whose cone of light the wall's edge cuts."""
         grids = [one.first.wave.layout == "grid" for one in self.others]
         return sum(grids) / len(grids) if grids else 0.0
 
@@ -368,7 +399,7 @@ def _mesh_stage(scene: Scene) -> Stage:
     return Stage(
         name="mesh surface",
         runs=True,
-        reason="a smooth bicubic surface through the mesh, which the plan has fitted",
+        reason="smooth bicubic surface through the mesh, fitted during planning",
         seconds=0.001,
         error=f"{1e9 * scene.wall.fit_residual:.2g} nm; "
         f"the triangles {1e9 * scene.wall.mesh_error:.2g} nm",
@@ -379,7 +410,7 @@ def _wave_stages(scene: Scene, pupil: ExitPupil, look: _Look, waves: float) -> I
     flat = scene.wall.is_flat
     if flat:
         yield _skipped("aiming", "flat wall: hits in closed form")
-    reason = "zero but for focus" if flat else f"rays aimed by Newton; {waves:.2g} waves"
+    reason = "zero except defocus" if flat else f"rays aimed by Newton; {waves:.2g} waves"
     nodes = float(look.seen.first.wave.u.size)
     if look.samples:
         cut = "the wall's outline is the stop"
@@ -404,7 +435,7 @@ def _aiming_seconds(scene: Scene, nodes: float) -> float:
 
 
 def _spread_cost(scene: Scene, look: _Look, side: int, tol: float) -> Cost:
-    """Predicted cost of one point spread, including the coarser grids that are tried before."""
+    """Predicted cost of one point spread, including the coarser grids that are tried first."""
     pitch, shape = scene.camera.image_pitch, (side, side)
     found = [point_cost(look.seen, pitch, shape, tol, cells=n) for n in look.samples or (0,)]
     seconds = _cost_model.seconds(transforms=sum(c.seconds for c in found))
@@ -428,22 +459,22 @@ def _point_spread_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float)
 
 
 def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Stage:
-    """Whether point spreads at several object points are needed, and about how many."""
+    """Decide whether point spreads at several object points are needed, and estimate how many."""
     if not isinstance(scene.hidden, PlanarObject):
-        return _skipped(FIELD, "one point spread stands for the mesh; positions are exact")
+        return _skipped(FIELD, "one point spread is used for the whole mesh; positions are exact")
     if not scene.wall_material.mirror_lobes:
-        return _skipped(FIELD, "a wall without a mirror-like lobe shows no picture")
+        return _skipped(FIELD, "a wall without a mirror-like lobe forms no image")
     if look.samples:
         return _skipped(
-            FIELD, "one point spread on a grid stands for the object; positions are exact"
+            FIELD, "one point spread, on a grid, is used for the object; positions are exact"
         )
     change = change_over_object(scene, pupil)
     if change <= tol:
         return _skipped(
-            FIELD, f"one point spread stands for the object: changes of it stay below {change:.1g}"
+            FIELD, f"one point spread is enough: it changes over the object by {change:.1g} at most"
         )
     error, swing = look.change
-    # in the middle of what the estimate's doubt of a factor of three allows
+    # the error estimate is uncertain by a factor of 3 either way; take the geometric mean
     ends = [expected_counts(doubt * error, swing, tol) for doubt in (1 / 3, 1.0, 3.0)]
     spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
     waves = spreads + sum(min(n**2, 5) for n in ends[1])
@@ -453,7 +484,7 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
     each = one.seconds + look.cut * _cost_model.seconds(transforms=GRID_SECONDS)
     aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
     held = 40.0 * counts[-1] ** 2 * look.field_side**2
-    compared = 80.0 * counts[-1] * picture_frame(scene).size  # images by the modes
+    compared = 80.0 * counts[-1] * picture_frame(scene).size  # images computed from the modes
     return Stage(
         name=FIELD,
         runs=True,
@@ -469,19 +500,19 @@ def _left_out(scene: Scene) -> Iterator[Stage]:
     """Yield the effects that `simulate` does not compute for this scene."""
     yield _skipped(
         "interreflection",
-        "light from wall to wall is left out of the image; raytrace.trace tells how much it is"
+        "wall-to-wall light is not part of the image; raytrace.trace computes its amount"
         if ray_plan(scene).wall_to_wall
         else "no part of the wall sees another",
     )
     if not ray_plan(scene).embree:
-        yield _skipped("embree", "no triangles: the object is a picture and nothing is in the way")
+        yield _skipped("embree", "no triangles: the object is a flat picture, without occluders")
 
 
 def _shadow_stage(scene: Scene) -> Stage:
     if not scene.occluders:
         return _skipped("shadow rays", "no occluders")
     count = len(scene.occluders)
-    reason = f"{count} occluder{'s' if count > 1 else ''} between spot, object, wall and lens"
+    reason = f"{counted(count, 'occluder')} between spot, object, wall and lens"
     if check_cone(scene):
         reason += "; the object's reference point is hidden"
     ny, nx = scene.camera.shape
@@ -490,16 +521,20 @@ def _shadow_stage(scene: Scene) -> Stage:
         runs=True,
         reason=reason,
         seconds=_cost_model.seconds(arrays=0.5 + 1e-5 * nx * ny),
-        error="some hundredths in a shadow's edge",
+        error="some hundredths at shadow edges",
         memory=SHADOW_BYTES * nx * ny,
     )
 
 
 def _image_stage(scene: Scene) -> Stage:
-    ny, nx = scene.camera.shape
+    camera = scene.camera
+    ny, nx = camera.shape
     reason = f"{nx} x {ny} pixels by reverse chief rays"
+    if (n := camera.binning) > 1:
+        across, up = camera.pixels
+        reason += f"; each sums {n} x {n} of the sensor's {across} x {up} (camera.binning = {n})"
     if scene.wall_material.specular_reflectance == 0:
-        reason += "; no mirror-like lobe, so background only"
+        reason += "; background only, because the wall has no mirror-like lobe"
     return Stage(
         name="image",
         runs=True,
@@ -511,7 +546,7 @@ def _image_stage(scene: Scene) -> Stage:
 
 
 def _image_seconds(scene: Scene) -> float:
-    """Predicted seconds of `form_image`: diffuse light from every object patch, and the pixels."""
+    """Predicted seconds of `form_image`: diffuse transport from the object patches, and pixels."""
     pixels = float(math.prod(scene.camera.shape))
     pairs, groups = background_work(scene, object_patches(scene.hidden))
     if scene.wall.is_flat:
@@ -522,16 +557,16 @@ def _image_seconds(scene: Scene) -> float:
 
 def _reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
     if not wanted:
-        return _skipped("reconstruction", "not asked for; torch is not loaded")
+        return _skipped("reconstruction", "not requested; torch is not loaded")
     if scene.wall_material.specular_reflectance == 0:
         return _skipped(
-            "reconstruction", "a diffuse wall without a mirror-like lobe passes no picture"
+            "reconstruction", "a diffuse wall without a mirror-like lobe forms no image"
         )
     ny, nx = scene.camera.shape
     return Stage(
         name="reconstruction",
         runs=True,
-        reason="total variation with pose and point spread known",
+        reason="total-variation deconvolution with known pose and point spread",
         seconds=_cost_model.seconds(transforms=1.3 + 3e-6 * nx * ny),
         memory=2000.0 * nx * ny,
         error="status and score are reported",

@@ -1,7 +1,7 @@
-"""Reconstruction of a camera's own pictures, with the scene known: what the command does.
+"""Reconstruction of camera images of a known scene, as ``nlosoptics reconstruct`` does it.
 
-The solvers are those of `inverse`, by a short name. While one works, its state is kept in a folder,
-so that a fit that was ended can go on.
+Each method is a solver of `inverse` under a short name. During a fit its state is saved to a
+folder, so that an interrupted fit can be resumed.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from .._checks import counted
 from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Names of methods that take the point spread from the scene; the function of `inverse`.
+#: Methods that take the point spread from the scene, and their functions in `inverse`.
 KNOWN = {
     "tv": "tv_deconvolve",
     "wiener": "wiener",
@@ -45,40 +46,42 @@ KNOWN = {
     "deep_image_prior": "deep_image_prior",
     "phase_retrieval": "phase_retrieval",
 }
-#: Recipes of `inverse.pcin`, which fit the wall's wave too.
+#: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
 BLIND = ("staged", "evidence", "wu2024")
 CNN = "cnn"
 METHODS = (*KNOWN, CNN, *BLIND)
-#: Noll modes of the wave that a blind method fits: n = 2..5.
+#: Noll indices of the wave modes that a blind method fits: radial orders 2 to 5.
 MODES = tuple(range(4, 22))
-#: More values of one figure than these are in the arrays alone.
+#: Parameters with more values than this are saved in the arrays, not in ``result.json``.
 MOST_VALUES = 200
 CHECKPOINT, PREVIEW = "checkpoint.npz", "preview.png"
 FILES = ("object.npy", "object.png", "reconstruction.npz")
-KEPT_EVERY = 5.0  # s between two states kept
-LEAST_WITHIN = 0.5  # share of a point spread's light that an image must hold
+KEPT_EVERY = 5.0  # s between two saved states
+LEAST_WITHIN = 0.5  # least fraction of the point spread's energy inside the image frame
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Task:
-    """A reconstruction that is ready to run.
+    """Checked inputs of one reconstruction.
 
     Parameters
     ----------
     scene : Scene
+        Scene in which the images were taken.
     images : tuple of CameraImage
-        One, or frames of different known focus.
+        One image, or for blind methods several frames with different known focus.
     method : str
-        One of `METHODS`.
+        Method, one of `METHODS`.
     defocus : tuple of float
-        Known extra focus of each frame, waves rms; empty where the method takes none.
+        Known additional defocus of each frame, waves rms; empty for non-blind methods.
     network : inverse.CnnBaseline or None
-        Of the method "cnn".
+        Trained network of the method "cnn".
     iterations : int or None
-        At most so many, or as many as the method takes by itself.
+        Maximum number of iterations; None for the method's default.
     seed : int
+        Seed of the random numbers.
     tol : float
-        Wanted error of the point spread, as of `plan`.
+        Error tolerance of the point spread, max |dI|/max I.
     """
 
     scene: Scene
@@ -91,7 +94,7 @@ class Task:
     tol: float = 1e-3
 
     def identity(self) -> str:
-        """What a kept state must share with the task that goes on from it."""
+        """Hash of method, images and options; a saved state is resumed only if it matches."""
         digest = hashlib.sha256(self.method.encode())
         for image in self.images:
             digest.update(image.values.tobytes() + image.masked.tobytes())
@@ -113,55 +116,66 @@ def prepared(
     seed: int = 0,
     tol: float = 1e-3,
 ) -> Task:
-    """Read and check pictures against the scene and the method.
+    """Read camera images and check them against the scene and the method.
 
     Parameters
     ----------
     scene : Scene
+        Scene in which the images were taken.
     paths : sequence of Path
-        Picture files. Exposures of one scene are averaged, save by methods that fit the wall's
-        wave too: to them each is an image of its own, told apart by ``defocus``.
+        Image files. Non-blind methods average them as exposures of the same scene. Blind methods,
+        which fit the wall's wave as well, treat each file as a separate frame with its own
+        ``defocus``.
     method : str
-        One of `METHODS`.
-    dark, flat, full
-        As of `imaging.camera_image`.
+        Method, one of `METHODS`.
+    dark, flat : Path, optional
+        Files of the dark frame and the flat field, see `imaging.camera_image`.
+    full : float, optional
+        Count at which a pixel is saturated; by default the largest of the file's type.
     defocus : sequence of float
-        Known extra focus of each picture, waves rms, for methods that fit the wall's wave too.
+        Known additional defocus of each image, waves rms; for blind methods only.
     network : Path, optional
-        File of the network of the method "cnn".
+        File of the trained network; required by the method "cnn", invalid otherwise.
     iterations : int, optional
-        At most so many.
+        Maximum number of iterations; by default the method's own.
     seed : int
+        Seed of the random numbers, 0 to 2^64 - 1.
     tol : float
+        Error tolerance of the point spread, max |dI|/max I.
 
     Returns
     -------
     Task
+        Input of `reconstructed` and `carry_out`.
 
     Raises
     ------
-    SceneError, SamplingError
-        If a picture, the scene or an option does not fit.
+    SceneError
+        If an image cannot be used, the wall has no mirror-like lobe, or an option does not fit
+        the method.
+    SamplingError
+        If image sizes differ or do not fit the scene's camera.
     """
     checked_seed(seed)
     if method not in METHODS:
         raise SceneError(f"method = {method!r} is unknown, must be one of {', '.join(METHODS)}")
     if scene.wall_material.specular_reflectance == 0.0:
         raise SceneError(
-            "the scene's wall has no mirror-like lobe (wall.material), and a diffuse wall passes "
-            "no picture; nlosoptics feasibility tells what it does pass"
+            "the scene's wall has no mirror-like lobe (wall.material), and a diffuse wall forms "
+            "no image; nlosoptics feasibility shows what can be recovered"
         )
     blind = method in BLIND
     if defocus and not blind:
         raise SceneError(
-            f"defocus is given, and {method} takes the point spread from the scene; leave it out"
+            f"defocus is given, but {method} takes the point spread from the scene; leave it out"
         )
     if defocus and len(defocus) != len(paths):
         raise SceneError(
-            f"defocus has {len(defocus)} values for {len(paths)} pictures; give one for each"
+            f"defocus has {counted(len(defocus), 'value')} for {counted(len(paths), 'picture')}; "
+            "give one for each"
         )
     if iterations is not None and method in (CNN, "inverse_filter"):
-        raise SceneError(f"iterations is given, and {method} has none; leave it out")
+        raise SceneError(f"iterations is given, but {method} does not iterate; leave it out")
     loaded = _network(method, network)
     groups: list[Sequence[Path]] = [[path] for path in paths] if blind else [paths]
     images = tuple(
@@ -181,13 +195,13 @@ def prepared(
 
 
 def _network(method: str, path: Path | None) -> CnnBaseline | None:
-    """The trained network that a method needs."""
+    """Load the trained network if the method is "cnn"; reject one for any other method."""
     from ..inverse import CnnBaseline
 
     if path is None and method == CNN:
-        raise SceneError("cnn needs a trained network; name its file, made by nlosoptics train")
+        raise SceneError("cnn needs a trained network; name a file written by nlosoptics train")
     if path is not None and method != CNN:
-        raise SceneError(f"network is given, and {method} uses none; leave it out")
+        raise SceneError(f"network is given, but {method} uses none; leave it out")
     return None if path is None else CnnBaseline.load(path)
 
 
@@ -198,21 +212,24 @@ def reconstructed(
     start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Run a task.
+    """Run a reconstruction and return the solver's result.
 
     Parameters
     ----------
     task : Task
+        Inputs, from `prepared`.
     model : ForwardModel, optional
-        Result of `known_model`; computed if omitted.
+        Result of `known_model`; computed if omitted. Blind methods do not use it.
     start : mapping, optional
-        A solver's state to go on from; see `inverse.data.checkpoints`.
+        Saved solver state to resume from; see `inverse.data.checkpoints`.
     progress : callable(str, float), optional
-        As of the solvers; may raise `inverse.Stop` and may have a method ``look``.
+        Called with a text and the completed fraction. It may raise `inverse.Stop` to end the fit,
+        and its method ``look``, if present, receives the solver's state.
 
     Returns
     -------
     Reconstruction
+        Object, status, score and fitted parameters.
     """
     from .. import inverse
 
@@ -233,14 +250,14 @@ def reconstructed(
 
 
 def _trained(task: Task) -> Callable[..., Reconstruction]:
-    assert task.network is not None  # `prepared` has seen to it
+    assert task.network is not None  # `prepared` guarantees it
     return task.network.reconstruct
 
 
 def _blind(
     task: Task, start: Mapping[str, Any] | None, progress: Progress | None
 ) -> Reconstruction:
-    """Fit of object and wave, from frames of known extra focus."""
+    """Fit object and wave together to frames with known defocus."""
     from .. import inverse
     from ..inverse.wave.frames import padded_shape
 
@@ -248,10 +265,11 @@ def _blind(
     frames = np.stack([image.values for image in task.images])
     if any(image.masked.any() for image in task.images):
         raise SceneError(
-            f"{task.method} takes no masked pixels, and some are full; expose shorter, or use tv"
+            f"some pixels are saturated, and {task.method} cannot mask pixels; expose shorter, or "
+            "use tv"
         )
     shape = scene.camera.shape
-    if task.method != "wu2024":  # which has no room around its frame
+    if task.method != "wu2024":  # its frame is circular, without padding
         shape = padded_shape(shape)
     pupil = inverse.PupilPSF.from_scene(
         scene,
@@ -269,7 +287,7 @@ def _blind(
 def _always(
     task: Task, start: Mapping[str, Any] | None, progress: Progress | None
 ) -> dict[str, Any]:
-    """Options that any method may take."""
+    """Options common to all methods."""
     offered: dict[str, Any] = {"seed": task.seed, "start": start, "progress": progress}
     if task.iterations is not None:
         offered["max_iterations"] = task.iterations
@@ -277,32 +295,42 @@ def _always(
 
 
 def _taken(solver: Any, method: str, offered: dict[str, Any]) -> dict[str, Any]:
-    """Of the options offered, those of the solver's own signature."""
+    """Select those options that the solver's signature accepts."""
     known = inspect.signature(solver).parameters
     if offered.get("start") is not None and "start" not in known:
-        raise SceneError(f"{method} cannot go on from a kept state; run it without --resume")
+        raise SceneError(f"{method} cannot resume from a saved state; run it without --resume")
     return {name: value for name, value in offered.items() if name in known}
 
 
 def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
-    """Image model of a scene by the point spread that stands for its object.
+    """Image model of a scene: convolution with its point spread, averaged over the object.
 
     Parameters
     ----------
     scene : Scene
+        Scene whose point spread is computed.
     tol : float
-        As of `plan`.
+        Error tolerance of the point spread, max |dI|/max I.
 
     Returns
     -------
     ForwardModel
+        Model of the camera's image size, for the solvers of `inverse`.
 
     Raises
     ------
     SamplingError
-        If the image holds less than half of the point spread's light.
+        If less than half of the point spread's energy falls inside the image frame.
     NlosError
-        As of `plan`.
+        If `plan` rejects the scene; see there.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, reconstructing
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(32)
+    >>> model = reconstructing.known_model(scene, tol=1e-2)
+    >>> model.shape
+    (32, 32)
     """
     todo = plan(scene, tol, reconstruct=True)
     optics = SceneOptics(scene, todo.exit_pupil)
@@ -319,8 +347,8 @@ def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
     if within < LEAST_WITHIN:
         raise SamplingError(
             f"an image of {shape[1]} x {shape[0]} pixels holds {100 * within:.2g} % of the point "
-            f"spread's light, limit {100 * LEAST_WITHIN:g} %: the blur is larger than the image; "
-            "read more pixels, or focus better"
+            f"spread's energy, must be at least {100 * LEAST_WITHIN:g} %: the blur is larger than "
+            "the image; read more pixels, or focus better"
         )
     return ForwardModel(spread, shape=shape)
 
@@ -334,25 +362,27 @@ def carry_out(
     interrupted: Callable[[], bool] | None = None,
     command_line: str = "",
 ) -> dict[str, Any]:
-    """Run a task and write its files into a folder, which is made where there is none.
+    """Run a reconstruction and write its files to a folder.
 
     Parameters
     ----------
     task : Task
+        Inputs, from `prepared`.
     folder : Path
+        Output folder, created if missing.
     resume : bool
-        Go on from the state that the folder keeps.
+        Whether to resume from the state saved in the folder.
     progress : callable(str, float), optional
-        Told what is at work and the fraction done.
+        Called with a text and the completed fraction.
     interrupted : callable, optional
-        Whether the fit is to end with what it has.
+        Returns True once the fit is to end with its current state.
     command_line : str
-        What was typed, for the record.
+        Command line as typed, for the record.
 
     Returns
     -------
     dict
-        The contents of ``result.json``; status "done" or "interrupted".
+        Contents of ``result.json``, with status "done" or "interrupted".
     """
     from ..inverse import Stop
 
@@ -379,13 +409,13 @@ def carry_out(
     if interrupted is not None and interrupted():
         raise KeyboardInterrupt
     folder.mkdir(exist_ok=True)
-    (folder / PAGE).unlink(missing_ok=True)  # it tells of what was here before
+    (folder / PAGE).unlink(missing_ok=True)  # the old report describes the previous result
     write_text(folder / "result.json", report)
     keeper = Keeper(folder, identity, progress, interrupted)
     try:
         found = reconstructed(task, model=model, start=start, progress=keeper)
     except Stop:
-        raise KeyboardInterrupt from None  # by a solver that does not keep what it has
+        raise KeyboardInterrupt from None  # this solver ends without a result
     _write_object(task, found, folder, keeper)
     report["status"] = "interrupted" if keeper.stopped else "done"
     report["finished"] = now()
@@ -397,7 +427,7 @@ def carry_out(
 
 
 def _write_object(task: Task, found: Reconstruction, folder: Path, keeper: Keeper) -> None:
-    """Write the object and what else was found; keep the last state."""
+    """Write the object and all other results, and save the last state."""
     picture = np.asarray(found.object)
     with (folder / ".object.npy").open("wb") as file:
         np.save(file, picture)
@@ -410,7 +440,7 @@ def _write_object(task: Task, found: Reconstruction, folder: Path, keeper: Keepe
 
 
 def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:
-    """Numbers that sum up a reconstruction."""
+    """Key figures of a reconstruction for ``result.json``."""
     settled = {
         name: _plain(np.asarray(value))
         for name, value in found.physical_parameters.items()
@@ -430,7 +460,7 @@ def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:
 
 
 def _plain(values: NDArray[Any]) -> Any:
-    """Numbers for JSON, which has none for what a method does not tell: null."""
+    """Convert values for JSON; values that are not finite become null."""
     told: Any = values.tolist()
     if values.dtype.kind != "f" or np.isfinite(values).all():
         return told
@@ -438,17 +468,18 @@ def _plain(values: NDArray[Any]) -> Any:
 
 
 class Keeper:
-    """A solver's callback that keeps its state and a preview in a folder, now and then.
+    """Progress callback for solvers that saves state and preview every `KEPT_EVERY` seconds.
 
     Parameters
     ----------
     folder : Path
+        Folder for the state and the preview.
     identity : str
-        Of the task and its scene.
+        Hash of the task and its scene, saved with the state.
     progress : callable(str, float), optional
-        Told the solver's text and the fraction done.
+        Receives the solver's text and the completed fraction.
     interrupted : callable, optional
-        Whether to end the fit.
+        Returns True once the fit is to end.
     """
 
     def __init__(
@@ -466,18 +497,18 @@ class Keeper:
         self.stopped = False
 
     def __call__(self, text: str, fraction: float) -> None:
-        """Pass on where the solver stands, and end it where that was asked for."""
+        """Forward the solver's progress, and end the fit if an interruption was requested."""
         from ..inverse import Stop
 
         if self._progress is not None:
             self._progress(text, fraction)
-        # a solver that shows no state can only be ended without one
+        # two calls without `look` in between: this solver offers no state, so stop without one
         self._unseen += 1
         if self._unseen > 1 and self._interrupted is not None and self._interrupted():
             raise Stop
 
     def look(self, snapshot: Snapshot) -> None:
-        """Keep the state if the last one is old enough, or the fit is to end."""
+        """Save the state if `KEPT_EVERY` seconds have passed or the fit is to end."""
         from ..inverse import Stop
 
         self._unseen = 0
@@ -491,11 +522,11 @@ class Keeper:
             raise Stop
 
     def finish(self, state: Mapping[str, Array]) -> None:
-        """Keep the last state: that at which a fit was ended, or what it came to."""
+        """Save the final state: the last snapshot of an interrupted fit, otherwise ``state``."""
         self._keep(self._state if self.stopped and self._state is not None else state)
 
     def _keep(self, state: Mapping[str, Array]) -> None:
-        """Write state and preview, each file whole or not at all."""
+        """Write state and preview; each file is replaced atomically."""
         temporary = self._folder / f".{CHECKPOINT}"
         with temporary.open("wb") as file:
             np.savez(file, **{"identity": np.array(self._identity), **state})  # type: ignore[arg-type]
@@ -504,12 +535,12 @@ class Keeper:
 
 
 def kept_state(folder: Path, identity: str) -> dict[str, Array]:
-    """The state kept in a folder by the same task.
+    """Load the state that the same task saved in a folder.
 
     Raises
     ------
     SceneError
-        If there is none, it cannot be read, or scene, pictures or options were others.
+        If there is no readable state, or it was saved with another scene, image or option.
     """
     path = folder / CHECKPOINT
     if not path.is_file():
@@ -524,14 +555,14 @@ def kept_state(folder: Path, identity: str) -> dict[str, Array]:
         ) from None
     if found != identity:
         raise SceneError(
-            f"{path} is of another scene, picture, method, defocus, seed, tolerance or number of "
-            "iterations; give those again, or run without --resume"
+            f"{path} was saved with another scene, image, method, defocus, seed, tolerance or "
+            "number of iterations; use the same ones again, or run without --resume"
         )
     return state
 
 
 def write_picture(path: Path, values: Array) -> None:
-    """Write an object as an 8-bit picture, 0 to its largest value, whole or not at all."""
+    """Write an object as an 8-bit PNG, scaled from 0 to its maximum, atomically."""
     from PIL import Image
 
     largest = float(values.max())
@@ -542,7 +573,7 @@ def write_picture(path: Path, values: Array) -> None:
 
 
 def write_text(path: Path, report: Mapping[str, Any]) -> None:
-    """Write a report as JSON, whole or not at all."""
+    """Write a report as JSON, atomically."""
     temporary = path.with_name(f".{path.name}")
     temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + os.linesep)
     temporary.replace(path)

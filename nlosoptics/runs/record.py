@@ -1,4 +1,4 @@
-"""The record of a run: arrays, scene, versions, memory."""
+"""Parts of the record of a run: arrays, hash of the scene, versions, memory."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from .. import __version__
 if TYPE_CHECKING:
     from ..scene import Scene
 
-#: The page that `report` makes of a run's folder.
+#: Name of the HTML page that ``nlosoptics report`` writes into a run's folder.
 PAGE = "report.html"
-#: Distributions whose versions decide a run's numbers.
+#: Packages whose versions can change the numbers of a run.
 DECIDING = ("numpy", "scipy", "numba", "ducc0", "torch", "trimesh", "pillow")
 
 
 def arrays(noun: Any) -> dict[str, Any]:
-    """Entries of a dataclass or mapping, nested ones too, that need no pickle in an ``.npz``."""
+    """Return the entries of a dataclass or mapping that an ``.npz`` file can hold without pickle.
+
+    Nested entries are joined to flat names by underscores.
+    """
     from dataclasses import fields, is_dataclass
 
     import numpy as np
@@ -40,7 +43,7 @@ def arrays(noun: Any) -> dict[str, Any]:
 
 
 def scene_hash(scene: Scene) -> str:
-    """SHA-256 of the scene's own text and of all files that it names, wherever they lie."""
+    """SHA-256 of the scene file's text and the contents of all files that it refers to."""
     import hashlib
 
     from ..scene.file.scene_file import scene_files
@@ -53,12 +56,12 @@ def scene_hash(scene: Scene) -> str:
 
 
 def now() -> str:
-    """Date and time, UTC, ISO 8601 to the second."""
+    """Return the current UTC date and time in ISO 8601 format, to the second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, of this package and of the packages that decide its numbers."""
+    """Return the versions of Python, nlosoptics and the packages in `DECIDING`."""
     found = {"python": ".".join(map(str, sys.version_info[:3])), "nlosoptics": __version__}
     for name in DECIDING:
         try:
@@ -69,7 +72,7 @@ def versions() -> dict[str, str]:
 
 
 def peak_memory() -> float | None:
-    """Largest resident memory of this process, bytes; None where the system does not say."""
+    """Return the peak resident memory of this process, bytes; None if the system lacks it."""
     try:
         import resource
     except ModuleNotFoundError:

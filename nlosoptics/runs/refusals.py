@@ -1,4 +1,4 @@
-"""Scenes that a plan refuses, because wall, lens, detector or occluders leave no image."""
+"""Checks that reject scenes for which no image can be computed."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ..scene import PlanarObject, Scene
 
 
 def wave_refusal(scene: Scene) -> str:
-    """Why waves cannot be computed for this wall; empty when they can."""
+    """Return the reason why this wall admits no wave computation, or an empty string."""
     try:
         check_wave_grade(scene.wall, scene.laser.wavelength)
     except NotWaveGradeError as refusal:
-        return f"{refusal}; the geometric branch that could do without is not built"
+        return f"{refusal}; nlosoptics has no geometric method that works without the wave"
     return ""
 
 
 def check_laser(scene: Scene) -> None:
-    """Refuse a laser that is aimed beside the wall."""
+    """Raise `SceneError` if the laser is aimed outside the wall."""
     x, y, _ = scene.laser.aim
     if not scene.wall.contains(x, y):
         raise SceneError(
@@ -34,21 +34,21 @@ def check_laser(scene: Scene) -> None:
 
 
 def check_sight(scene: Scene, pupil: ExitPupil) -> None:
-    """Refuse an object that the wall or the detector does not show, as far as a flat wall tells."""
+    """Raise `SceneError` if wall or detector miss the object's image, judged as for a flat wall."""
     camera, position = scene.camera, tuple(float(c) for c in scene.object_point)
     if pupil.vignetting == 1.0:
         raise SceneError(
-            f"hidden.position = {position} m is mirrored by no part of the wall, wall.size = "
-            f"{scene.wall.size} m; enlarge the wall, or move object or camera"
+            f"hidden.position = {position} m is not mirrored to the camera by any part of the "
+            f"wall, wall.size = {scene.wall.size} m; enlarge the wall, or move object or camera"
         )
     line = scene.mirrored_object_point - np.array(camera.position)
     x, y, depth = (float(line @ axis) for axis in camera.frame)
     if depth <= 0:
         raise SceneError(
-            f"camera.aim = {camera.aim} m looks away from the mirrored object; aim at the wall "
+            f"camera.aim = {camera.aim} m points away from the mirrored object; aim at the wall "
             "point where it appears"
         )
-    # a curved wall may magnify
+    # a curved wall may magnify the image; allow a factor of 3
     extent = _half_extent(scene) * (1.0 if scene.wall.is_flat else 3.0)
     reach = np.array(camera.shape[::-1]) * camera.image_pitch / 2
     image = np.array([abs(x), abs(y)]) * scene.image_distance / depth
@@ -62,7 +62,7 @@ def check_sight(scene: Scene, pupil: ExitPupil) -> None:
 
 
 def check_cones(scene: Scene, counts: list[int]) -> None:
-    """Refuse occluders that cut a part of the cone of light at any node of these fields."""
+    """Raise if occluders cut part of the cone of light at any node of fields with these counts."""
     if not (scene.occluders and isinstance(scene.hidden, PlanarObject)):
         return
     for count in counts:
@@ -72,7 +72,7 @@ def check_cones(scene: Scene, counts: list[int]) -> None:
 
 
 def _half_extent(scene: Scene) -> float:
-    """Largest distance of the object's parts from its reference point, m."""
+    """Largest distance of a point of the object from its reference point, m."""
     hidden = scene.hidden
     if isinstance(hidden, PlanarObject):
         return math.hypot(*hidden.size) / 2

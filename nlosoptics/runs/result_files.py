@@ -1,4 +1,4 @@
-"""Nouns in a run's folder: arrays in ``.npz``, all else as JSON, nothing that runs when read."""
+"""Saving and loading result objects: arrays as ``.npz``, everything else as JSON, no pickle."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ from ..psf.aperture.curves import Curve
 from . import plan
 from .record import arrays
 
-#: Of the tree that `written` makes; a reader knows its own alone.
+#: Version of the tree that `written` makes. A reader accepts its own version only.
 FORMAT: Final = 1
 REMEDY: Final = "run the simulation again"
-#: Classes that a tree may name, all others are refused; `inverse` would load torch.
+#: Classes that a tree may name; all others are rejected. `Reconstruction` is handled separately,
+#: because importing `inverse` loads torch.
 KNOWN: Final[Mapping[str, type]] = {
     known.__name__: known
     for known in (
@@ -48,28 +49,28 @@ KNOWN: Final[Mapping[str, type]] = {
 
 
 def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Write the arrays of nouns, one ``.npz`` each, and return all else as a tree for JSON.
+    """Write the arrays of several objects, and return all other values as a tree for JSON.
 
     Parameters
     ----------
     nouns : mapping of str to object
-        Dataclasses, mappings, arrays, numbers, text and None, nested at will.
+        Objects by name: dataclasses, mappings, arrays, numbers, text and None, nested freely.
     folder : Path
-        Takes ``<name>.npz`` of each noun that holds arrays. Every field that has the form of an
-        array stands there by its name, those within others joined by ``_``.
+        Folder that receives one file ``<name>.npz`` for each object with arrays. The entries are
+        named after the fields; names of nested fields are joined by ``_``.
 
     Returns
     -------
     dict of str to object
-        None, booleans, whole numbers, text and finite floats are JSON's own, and a float reads back
-        to its last bit; all else is an object of one key: ``float`` ("nan", "inf", "-inf"),
-        ``scalar`` of numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and ``list``
-        (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
+        None, booleans, integers, text and finite floats are plain JSON values; floats are restored
+        exactly. Every other value is an object with a single key: ``float`` ("nan", "inf",
+        "-inf"), ``scalar`` for numpy ([dtype, value]), ``array`` ([file, entry]), ``tuple`` and
+        ``list`` (items), ``mapping`` (pairs) and ``noun`` ([class, fields]).
 
     Raises
     ------
     SceneError
-        If a value has no such form, as a tensor.
+        If a value has none of these forms, for example a tensor.
     """
     tree: dict[str, Any] = {}
     for name, noun in nouns.items():
@@ -81,7 +82,7 @@ def written(nouns: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _node(value: Any, place: tuple[str, ...], held: dict[str, NDArray[Any]]) -> Any:
-    if isinstance(value, np.generic):  # has indices and axes, which a number of Python lacks
+    if isinstance(value, np.generic):  # kept apart from Python numbers to restore the dtype
         return {"scalar": [value.dtype.str, _node(value.item(), place, held)]}
     if isinstance(value, float) and not math.isfinite(value):
         return {"float": str(value)}
@@ -106,16 +107,18 @@ def _node(value: Any, place: tuple[str, ...], held: dict[str, NDArray[Any]]) -> 
             if entry.init
         }
         return {"noun": [name, parts]}
-    raise SceneError(f"{'.'.join(place)} is a {name}, which a result's folder has no form for")
+    raise SceneError(
+        f"{'.'.join(place)} is of type {name}, which a result folder cannot store; leave it out"
+    )
 
 
 def read(tree: Any, folder: Path) -> dict[str, Any]:
-    """Nouns of a tree that `written` returned, made by their constructors, which check them.
+    """Restore the objects of a tree from `written` by their constructors, which check the values.
 
     Raises
     ------
     SceneError
-        If a file is missing or damaged, or the tree is none.
+        If a file is missing or damaged, or the tree is not one from `written`.
     """
     opened: dict[str, Mapping[str, NDArray[Any]]] = {}
     try:
@@ -124,13 +127,12 @@ def read(tree: Any, folder: Path) -> dict[str, Any]:
         if isinstance(error, _Damaged):
             raise SceneError(str(error)) from None
         raise SceneError(
-            f"{folder}: what is written of the result cannot be read "
-            f"({type(error).__name__}: {error}); {REMEDY}"
+            f"{folder}: the saved result cannot be read ({type(error).__name__}: {error}); {REMEDY}"
         ) from None
 
 
 class _Damaged(SceneError):
-    """A file of arrays that cannot be read."""
+    """An array file is missing or cannot be read."""
 
 
 def _value(node: Any, folder: Path, opened: dict[str, Mapping[str, NDArray[Any]]]) -> Any:

@@ -1,4 +1,4 @@
-"""The result of a simulation, and the folder that holds it."""
+"""Result of a simulation, and reading and writing its folder."""
 
 from __future__ import annotations
 
@@ -25,27 +25,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Result(Noun):
-    """All that a simulation computed.
+    """All results of a simulation.
 
     Parameters
     ----------
     scene : Scene
+        Scene that was simulated.
     plan : Plan
+        Plan that was carried out.
     exit_pupil : ExitPupil
+        Exit pupil of lens and wall.
     wavefront : Wavefront
+        Wave aberration at the object's reference point.
     point_spread : PointSpread
-        Of the object's reference point.
+        Point spread at the object's reference point.
     field : PointSpreadField or None
-        Over the object, where one point spread does not stand for all of it.
+        Point spreads over the object; None if a single one is accurate enough.
     image : SpeckleImage
+        Camera image with its parts and its noise.
     reconstruction : Reconstruction or None
-        None unless it was asked for.
+        Reconstructed object; None if not requested or not possible.
     errors : dict of str to float
-        Estimated errors, relative: of ``point spread``, max |dI|/max I; of ``field of point
-        spreads``, rms of the image.
+        Estimated relative errors: ``point spread``, max |dI|/max I; ``field of point spreads``,
+        rms error of the image over its rms.
     timings : dict of str to float
-        Seconds of each stage that ran.
+        Run time of each stage, s.
     seed : int
+        Seed of the random numbers.
     """
 
     scene: Scene
@@ -61,22 +67,26 @@ class Result(Noun):
     seed: int
 
     def save(self, folder: str | Path) -> None:
-        """Write a folder that `load_result` reads back bit for bit and ``report`` shows.
+        """Save the result to a folder, from which `load_result` restores it bit for bit.
 
-        It is the one that ``nlosoptics run`` writes, without its pictures: ``result.json`` (the
-        figures, and all that is no array), one ``.npz`` of each stage, and ``scene.toml`` with the
-        files that it names. It appears complete or not at all.
+        The folder holds ``result.json`` (key figures and all values that are not arrays), one
+        ``.npz`` file per stage, and ``scene.toml`` with the files that it refers to. ``nlosoptics
+        run`` writes the same folder with pictures added. An error leaves no partial folder.
 
         Parameters
         ----------
         folder : str or Path
-            Its parent must exist. One that holds another result is replaced.
+            Output folder. Its parent must exist. An earlier result in the folder is replaced.
 
         Raises
         ------
         SceneError
-            If the folder holds what is not of this package or cannot be written, or if the scene
-            has no form in a file, as with a `CallableWall`.
+            If the folder contains files that nlosoptics did not write, if it cannot be written,
+            or if a scene file cannot express the scene, for example a `CallableWall`.
+
+        See Also
+        --------
+        load_result : Read the folder.
         """
         target = path_of("folder", folder)
         check_folder(target)
@@ -90,21 +100,35 @@ class Result(Noun):
 
 
 def load_result(folder: str | Path) -> Result:
-    """Read what `Result.save` or ``nlosoptics run`` wrote.
+    """Load a result that `Result.save` or ``nlosoptics run`` wrote.
 
     Parameters
     ----------
     folder : str or Path
+        Folder of the result.
 
     Returns
     -------
     Result
-        Of the same bits. Its scene names the files of the folder.
+        Bit-identical to the saved result. Its scene refers to the files in the folder.
 
     Raises
     ------
     SceneError
-        If the folder holds no result of this version's format, or a file is missing or damaged.
+        If the folder has no result in the format of this version, or a file is missing, damaged
+        or was changed.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from nlosoptics import Scene, load_result, simulate
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(32)
+    >>> result = simulate(scene, tol=1e-2)
+    >>> with TemporaryDirectory() as place:
+    ...     result.save(f"{place}/letter")
+    ...     loaded = load_result(f"{place}/letter")
+    >>> bool((loaded.image.electrons == result.image.electrons).all())
+    True
     """
     from . import result_files
 
@@ -122,7 +146,7 @@ def load_result(folder: str | Path) -> Result:
     known = result_files.FORMAT
     written = record.get("format") if isinstance(record, dict) else None
     if written is None:
-        raise SceneError(f"{path} tells of no result in format {known}; {remedy}")
+        raise SceneError(f"{path} contains no result in format {known}; {remedy}")
     if written != known:
         raise SceneError(
             f"{path} is in format {written}, must be {known}; read it with the nlosoptics that "
@@ -131,18 +155,20 @@ def load_result(folder: str | Path) -> Result:
     scene = Scene.load(place / "scene.toml")
     if scene_hash(scene) != record.get("scene_sha256"):
         raise SceneError(
-            f"{place}: scene.toml or a file that it names was changed since the result was "
+            f"{place}: scene.toml or a file that it refers to was changed after the result was "
             f"written; {result_files.REMEDY}"
         )
     nouns = result_files.read(record.get("result"), place)
     missing = {entry.name for entry in fields(Result)} ^ {"scene", *nouns}
     if missing:
-        raise SceneError(f"{path} lacks or does not know {min(missing)}; {result_files.REMEDY}")
+        raise SceneError(
+            f"{path}: the entry {min(missing)} is missing or unknown; {result_files.REMEDY}"
+        )
     return Result(scene=scene, **nouns)
 
 
 def write_result(result: Result, folder: Path) -> dict[str, Any]:
-    """Write the scene and the arrays of a result; return its record, see `write_record`."""
+    """Write the scene and arrays of a result and return its record for `write_record`."""
     from ..scene.file.scene_file import scene_files
     from .result_files import FORMAT, written
 
@@ -154,14 +180,14 @@ def write_result(result: Result, folder: Path) -> dict[str, Any]:
 
 
 def write_record(record: dict[str, Any], folder: Path) -> None:
-    """Write ``result.json``, which also names every file of its folder."""
+    """Write ``result.json``, which also lists every file of its folder."""
     files = sorted([*(path.name for path in folder.iterdir()), RECORD])
     text = json.dumps(record | {"files": files}, indent=2, allow_nan=False)
     (folder / RECORD).write_text(text + "\n")
 
 
 def _account(result: Result) -> dict[str, Any]:
-    """Machine-readable account of a run: the contents of result.json."""
+    """Contents of ``result.json``: figures, plan, times, versions."""
     return {
         "program": "nlosoptics",
         "command": "run",
@@ -181,7 +207,7 @@ def _account(result: Result) -> dict[str, Any]:
 
 
 def _finite(figures: dict[str, Any]) -> dict[str, Any]:
-    """Figures without those that JSON has no number for, infinity and NaN."""
+    """Return the figures without infinities and NaN, which JSON cannot express."""
     return {
         name: _finite(value) if isinstance(value, dict) else value
         for name, value in figures.items()
@@ -190,7 +216,7 @@ def _finite(figures: dict[str, Any]) -> dict[str, Any]:
 
 
 def _figures(result: Result) -> dict[str, Any]:
-    """Numbers that sum up a run, SI units."""
+    """Key figures of a run, SI units."""
     from .. import psf
 
     pupil, wave, spread, image = (

@@ -1,4 +1,4 @@
-"""The run that does exactly what a plan says."""
+"""Simulation of a scene: runs the stages of its plan."""
 
 from __future__ import annotations
 
@@ -35,32 +35,49 @@ def simulate(
     max_seconds: float = MOST_SECONDS,
     progress: Progress | None = None,
 ) -> Result:
-    """Run exactly what `plan` says.
+    """Simulate the camera image of a scene, with all stages that `plan` selects.
 
     Parameters
     ----------
     scene : Scene
+        Scene to simulate.
     tol : float, default 1e-3
-        Wanted error, as for `plan`.
+        Error tolerance of the point spreads, max |dI|/max I, and of the image that a field of
+        point spreads gives, rms over rms; 1e-12 to 0.1.
     seed : int, default 0
-        Of all random draws, 0 to 2^64 - 1; the same seed gives the same bits.
+        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bit-identical results.
     reconstruct : bool, default False
-        Also reconstruct the object; loads torch.
+        Whether to reconstruct the object too, which needs torch.
     memory : float, optional
-        Bytes that the whole run may take; three quarters of what is free by default.
+        Limit for the memory of the whole run, bytes; by default three quarters of the free memory.
     max_seconds : float, default 900
-        Predicted seconds on one core that the whole run may take.
+        Limit for the predicted run time on one core, s.
     progress : callable(str, float), optional
-        Told the stage that begins and the fraction done.
+        Called with the name of the stage that begins and the completed fraction, 0 to 1.
 
     Returns
     -------
     Result
+        Exit pupil, wave, point spread, image and, if requested, the reconstruction.
 
     Raises
     ------
     NlosError
-        Of the kind that fits; see `plan`, `psf.scene_point_spread` and `imaging.form_image`.
+        The specific class depends on the cause: see `plan`, `psf.scene_point_spread` and
+        `imaging.form_image`.
+
+    See Also
+    --------
+    plan : Predict stages, time, memory and error without running them.
+    load_result : Read a saved result.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, simulate
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(32)
+    >>> result = simulate(scene, tol=1e-2, seed=0)
+    >>> result.image.electrons.shape, round(result.exit_pupil.f_number, 3)
+    ((32, 32), 2.077)
     """
     seed = checked_seed(seed)
     return carried_out(*looked_at(scene, tol, reconstruct, memory, max_seconds), seed, progress)
@@ -69,25 +86,25 @@ def simulate(
 def carried_out(
     todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None = None
 ) -> Result:
-    """Carry out a plan within its budget, starting from the waves that it aimed.
+    """Run a plan within its budget and reuse the waves computed for it.
 
     Parameters
     ----------
     todo : Plan
         Plan of the scene.
     optics : SceneOptics
-        Waves that the plan looked at, see `looked_at`.
+        Waves computed during planning, from `looked_at`.
     seed : int
-        Seed of all random draws, checked.
+        Seed of the random numbers, already checked.
     progress : callable(str, float), optional
-        Called with the stage that begins and the fraction done.
+        Called with the name of the stage that begins and the completed fraction, 0 to 1.
     """
     with within(todo.budget):
         return _stages(todo, optics, seed, progress)
 
 
 def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | None) -> Result:
-    """Run the stages of a plan in their order."""
+    """Run the stages of a plan in order."""
     scene, tol = optics.scene, todo.tol
     if not todo.runs("wave aberration"):
         raise NotWaveGradeError(wave_refusal(scene))
@@ -97,14 +114,14 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     total = todo.seconds
 
     def tell(name: str, share: float) -> None:
-        """Report a share of one stage."""
+        """Report that a fraction ``share`` of stage ``name`` is done."""
         if progress is not None:
             done = sum(s.seconds for s in todo.stages if s.name in begun and s.name != name)
             done += share * sum(s.seconds for s in todo.stages if s.name == name)
             progress(name, min(1.0, done / total))
 
     def begin(name: str, share: float = 0.0) -> None:
-        """Start a stage, which ends the one before."""
+        """Record the start of a stage, which is also the end of the previous one."""
         begun[name] = time.perf_counter()
         tell(name, share)
 
@@ -154,7 +171,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
 
 
 def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruction:
-    """Object from the reading, with pose, point spread and the veil's shape known."""
+    """Reconstruct the object; pose, point spread and shape of the diffuse light are known."""
     from .. import inverse
     from ..imaging import ForwardModel
 
@@ -169,14 +186,14 @@ def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruc
 
 
 def veil_shape(scene: Scene) -> Array:
-    """Shape of the wall's diffuse light in the image, (ny, nx), as of an unknown picture."""
+    """Shape (ny, nx) of the wall's diffuse light in the image when the picture is unknown."""
     from ..imaging import diffuse_background
 
     stand_in = None
     if isinstance(scene.hidden, PlanarObject):
-        # a white plate for the unknown picture, by its four Gauss points
+        # a white plate replaces the unknown picture; four Gauss points represent it
         stand_in = np.zeros((7, 7))
         stand_in[1::4, 1::4] = 1.0
-        if scene.occluders:  # whose shadows need all of it
+        if scene.occluders:  # shadows need the whole plate
             stand_in = np.ones((7, 7))
     return diffuse_background(scene, stand_in)

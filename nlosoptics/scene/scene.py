@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .._checks import path_of
+from .._checks import counted, path_of
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
@@ -186,7 +186,9 @@ class Scene(Noun, Shown):
             figures["hidden"] = f"picture, {across:g} x {high:g} m"
         if self.transient is not None:
             scan = self.transient
-            figures["scan"] = f"{scan.scan}, {scan.count} x {scan.count} points, {scan.n_bins} bins"
+            figures["scan"] = (
+                f"{scan.scan}, {scan.count} x {scan.count} points, {counted(scan.n_bins, 'bin')}"
+            )
         alt = "Sketch of the scene from above and from the side: wall, laser, hidden object, camera"
         return Figures("Scene", figures, alt)
 

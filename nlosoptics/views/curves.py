@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import in_range, whole
+from .._checks import counted, in_range, whole
 from ..errors import SamplingError, SceneError
 from .canvas import new_axes
 from .palette import BLUE, GREY, MARKERS, ORANGE, SERIES, VERMILION
@@ -201,14 +201,17 @@ def history(
         else new_axes(len(panels), width=4.0 * len(panels), height=3.6)
     )
     if len(on) != len(panels):
-        raise SceneError(f"{len(on)} axes for {len(panels)} records, {', '.join(panels)}")
+        raise SceneError(
+            f"{counted(len(on), 'axis', 'axes')} for {counted(len(panels), 'record')}, "
+            f"{', '.join(panels)}; give as many"
+        )
     from matplotlib.ticker import MaxNLocator
 
     for axis, (label, records) in zip(on, panels.items(), strict=True):
-        counted = "iteration"
+        unit = "iteration"
         for (name, record), colour, marker in zip(records.items(), SERIES, MARKERS, strict=False):
-            counted = RECORDS.get(name, ("", "iteration"))[1]
-            style = "" if counted == "restart" else "-"
+            unit = RECORDS.get(name, ("", "iteration"))[1]
+            style = "" if unit == "restart" else "-"
             dots = marker if len(record) <= FEW or not style else ""
             axis.plot(
                 np.arange(1, len(record) + 1),
@@ -227,7 +230,7 @@ def history(
         if len(axis.lines) > 1:
             axis.legend()
         axis.grid(alpha=0.25)
-        axis.set(xlabel=counted, ylabel=label)
+        axis.set(xlabel=unit, ylabel=label)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     return on
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, positive, whole
+from .._checks import counted, in_range, positive, whole
 from ..errors import SamplingError, SceneError
 from .canvas import new_axes
 from .maps import colour_bar
@@ -89,7 +89,7 @@ def transient(
     streak, *others = axes
     if len(others) != len(frames):
         raise SceneError(
-            f"{1 + len(others)} axes for a streak and {len(frames)} frames; give as many"
+            f"{1 + len(others)} axes for a streak and {counted(len(frames), 'frame')}; give as many"
         )
     meaning = f"{capture.quantity} per bin{UNITS.get(capture.quantity, '')}"
     if light.ndim == 1:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .._checks import counted
 from .canvas import new_axes
 from .palette import BLUE, GREY
 
@@ -56,7 +57,7 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
         ylabel="modulation",
         ylim=(LOWEST, 1.5),
         xlim=(0.0, float(found.frequency[-1])),
-        title=found.verdict.split(":")[0] + f", {found.modes} modes",
+        title=found.verdict.split(":")[0] + f", {counted(found.modes, 'mode')}",
     )
     axes.legend(loc="upper right", fontsize=8)
     return axes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import one_of, whole
+from .._checks import counted, one_of, whole
 from ..errors import SceneError
 from ..raytrace.fans.paths import DETECTED
 from .palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
@@ -52,8 +52,8 @@ def chosen_paths(
         wanted &= paths.status == DETECTED
         if not wanted.any():
             raise SceneError(
-                f"none of {len(wanted)} paths reaches the pupil; pass only_detected=False to see "
-                "where they end"
+                f"none of {counted(len(wanted), 'path')} reaches the pupil; pass "
+                "only_detected=False to see where they end"
             )
     if n_bounces is not None:
         whole("n_bounces", n_bounces, 0)
@@ -129,8 +129,9 @@ def _aberrations(
     detected = np.flatnonzero(paths.status == DETECTED)
     if wavefront.aberration.shape != detected.shape:
         raise SceneError(
-            f"wavefront has {wavefront.aberration.size} nodes and {len(detected)} paths are "
-            "detected; give psf.wavefront_from_rays of these paths"
+            f"wavefront has {counted(wavefront.aberration.size, 'node')} for "
+            f"{counted(len(detected), 'detected path')}; give psf.wavefront_from_rays of these "
+            "paths"
         )
     if not np.isin(chosen, detected).all():
         raise SceneError(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from nlosoptics import cli
 from nlosoptics.transient import TransientCapture
@@ -121,6 +123,51 @@ def test_options_stand_for_what_a_capture_lacks(run):
     code, _, _ = run("phasor", "x.hdf5", "--bin-width", 0.02, "--wl-mean", 0.5, *planes)
     assert code == 0
     assert Path("x/front.png").is_file()
+
+
+def test_all_missing_options_are_named_at_once(run):
+    savemat("scan.mat", {"rect_data": np.ones((4, 4, 30)), "width": 1.0})
+    code, out, err = run("phasor", "scan.mat")
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1
+    options = (
+        "--format lct",
+        "--bin-width",
+        "--gate-start",
+        "--wl-mean",
+        "--near",
+        "--far",
+        "--step",
+    )
+    assert [option for option in options if option not in err] == []
+    # none that the file gives, and no argument of Python's
+    assert not re.search(r"--t-start|--side|bin_width|gate_start|wl_mean", err)
+    given = ("--format", "lct", "--bin-width", 0.1, "--gate-start", 0, "--wl-mean", 4.0)
+    code, _, err = run("phasor", "scan.mat", *given, "--near", 0.5, "--far", 1.0)
+    assert code == 2
+    assert re.findall(r"--[\w-]+", err) == ["--step"]
+    code, _, err = run("phasor", "scan.mat", *given, "--near", 0.5, "--far", 1.0, "--step", 0.25)
+    assert code == 0, err
+
+
+def test_a_bare_capture_is_told_every_option(run):
+    with h5py.File("bare.hdf5", "w") as file:
+        file["H"] = np.ones((30, 4, 4))
+    code, _, err = run("phasor", "bare.hdf5")
+    assert code == 2
+    assert set(re.findall(r"--[\w-]+", err)) == {
+        "--side",
+        "--pairing",
+        "--laser-point",
+        "--bin-width",
+        "--t-start",
+        "--outer-legs",
+        "--no-outer-legs",
+        "--wl-mean",
+        "--near",
+        "--far",
+        "--step",
+    }
 
 
 @pytest.mark.parametrize(

@@ -98,14 +98,14 @@ def test_a_png_is_drawn_where_that_works(scene, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--out", "room.gif"], 2, "room.gif is none of .png, .html, .glb"),
+        (["--out", "room.gif"], 2, "room.gif does not end in .png, .html or .glb"),
         (["--out", "no/room.png"], 2, "which is no folder; create it first"),
         (["--out", "room.glb", "--colour", "red"], 2, "not one of 'bounces', 'path_length'"),
         (["--out", "room.glb", "--paths", "-1"], 2, "--paths"),
         (
             ["--out", "room.glb", "--bounces", "1", "--paths", "5"],
             2,
-            "no light path with --bounces 1 reaches the camera, of 131072 rays; --paths 0",
+            "none of 131072 traced rays reaches the camera with --bounces 1; --paths 0",
         ),
         (
             ["--out", "room.glb", "--bounces", "3", "--colour", "aberration"],

@@ -134,7 +134,7 @@ def test_point_spread_gives_its_pitch_and_is_copied():
 @pytest.mark.parametrize(
     ("kernel", "options", "kind", "words"),
     [
-        (np.full((3, 3), np.nan), {}, SamplingError, "9 values that are not finite"),
+        (np.full((3, 3), np.nan), {}, SamplingError, "9 of 9 values that are not finite"),
         (np.zeros((3, 3)), {}, SamplingError, "zero everywhere"),
         (np.ones(3), {}, SamplingError, r"shape \(3,\)"),
         (np.ones((0, 3)), {}, SamplingError, "at least one pixel"),
@@ -164,7 +164,7 @@ def test_bad_picture_is_refused(arrow):
     model = ForwardModel(np.ones((3, 3)), shape=(8, 9))
     with pytest.raises(SamplingError, match=r"shape \(9, 8\), must end in \(8, 9\)"):
         getattr(model, arrow)(np.ones((9, 8)))
-    with pytest.raises(SamplingError, match="1 values that are not finite"):
+    with pytest.raises(SamplingError, match=r"1 of \d+ values that are not finite"):
         getattr(model, arrow)(np.where(np.arange(9) + 9 * np.arange(8)[:, None] == 3, np.inf, 1.0))
 
 

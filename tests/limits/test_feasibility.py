@@ -160,6 +160,35 @@ def test_figures_and_text_hold_everything(scene: Scene) -> None:
     assert not found.frequency.flags.writeable
 
 
+@pytest.mark.parametrize("slope", [0.0, 0.02, 0.1])
+def test_table_resolves_the_frequencies_that_the_object_needs(scene: Scene, slope: float) -> None:
+    found = limits.feasibility(walled(scene, slope).resized(512))
+    text = str(found)
+    table = text[text.index("cycles/m  modulation") :].splitlines()[1:]
+    rows = np.array(
+        [[float(word) for word in line.replace("< 1e-12", "0").split()[:5]] for line in table]
+    )
+    assert rows[0, 0] == 0.0
+    (strokes,) = (row[0] for row, line in zip(rows, table, strict=True) if "strokes" in line)
+    assert strokes == approx(0.5 / found.stroke, rel=5e-3)  # three digits are written
+    # a Gaussian falls to the fourth power from one octave to the next
+    assert np.all(rows[2:, 0] / rows[1:-1, 0] < 2.02)
+    assert rows[1, 1] > 0.9
+    assert rows[1, 3] > 0.5
+    beyond = rows[rows[:, 0] > strokes * 1.01, 1]
+    assert slope == 0.0 or np.all(beyond[:-1] > 1e-3)
+    assert not re.search(r"e-(1[3-9]|[2-9]\d|\d{3})", text)
+    # the arrays hold the rows, so that nothing is read off between two samples
+    assert min(abs(found.frequency - 0.5 / found.stroke)) == 0.0
+
+
+def test_a_black_object_needs_no_frequency(scene: Scene) -> None:
+    hidden = PlanarObject(np.zeros((4, 4)), 0.3, position=scene.hidden.position)
+    text = str(limits.feasibility(replace(scene, hidden=hidden)))
+    assert "no bright strokes" in text
+    assert "needed by" not in text
+
+
 def test_curved_wall_magnifies(examples) -> None:
     """Scale at the object's middle, against two points of the picture imaged by chief rays."""
     from nlosoptics.imaging.geometry import chief_rays, picture_coordinates, pixel_centres

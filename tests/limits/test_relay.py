@@ -183,7 +183,7 @@ def test_a_mirror_has_no_wide_lobe() -> None:
         (lambda: limits.lobe_relay_transfer(1.0, 1.0, -0.1), "slope_rms"),
         (lambda: relay_modes(truth_scene(), cells=1), "cells"),
         (lambda: limits.lambert_relay_transfer([0.0, math.inf], 1.0), "frequency = inf"),
-        (lambda: limits.lambert_relay_transfer("low", 1.0), "frequency is no array"),
+        (lambda: limits.lambert_relay_transfer("low", 1.0), "frequency is not an array"),
         (lambda: limits.lobe_relay_transfer([0.0, math.nan], 1.0, 0.1), "frequency = nan"),
         (lambda: limits.lobe_relay_transfer(-1.0, 1.0, 0.1), "frequency = -1"),
         (lambda: limits.lambert_relay_limit(1e6, 0.0), "distance = 0"),

@@ -167,7 +167,7 @@ def test_tells_what_the_record_says(run, text):
         figures["aberration_rms_waves"], rel=0.02
     )
     assert f"Aberration, rms {number(figures['point_spread_regime']['rms'])} waves" in words
-    assert f"to {number(figures['correlation_with_truth'], 4)}." in words
+    assert f"truth: {number(figures['correlation_with_truth'], 4)}." in words
     assert "The reconstruction converged." in words
     assert record["scene_sha256"] in words
     assert record["command_line"] in words
@@ -178,7 +178,7 @@ def test_tells_what_the_record_says(run, text):
 
 def test_each_accuracy_stands_beside_its_time(run, text):
     record = json.loads((run / "result.json").read_text())
-    table = text.split("Each accuracy with its run time")[1].split("</table>")[0]
+    table = text.split("Accuracy and run time of each stage")[1].split("</table>")[0]
     words = told(f"<table><caption>{table}</table>")
     error = plain(number(record["figures"]["errors"]["point spread"], 2))
     took = record["seconds"]["point spread"]
@@ -203,9 +203,9 @@ def test_pictures_are_the_arrays(run, text):
         electrons, truth, made = image["electrons"], image["ideal"], found["object"]
     span = electrons.max() - electrons.min()
     for alt, values in (
-        ("What the camera reads", (electrons - electrons.min()) / span),
+        ("Camera image", (electrons - electrons.min()) / span),
         ("without blur", truth[:, ::-1] / truth.max()),
-        ("reconstructed", made[:, ::-1] / max(1.0, made.max())),
+        ("Reconstructed", made[:, ::-1] / max(1.0, made.max())),
     ):
         # half a grey level
         assert embedded(text, alt) == pytest.approx(255 * np.clip(values, 0, 1), abs=0.501)
@@ -233,7 +233,7 @@ def test_large_pictures_are_drawn_as_means(copy):
         values[name] = np.kron(values[name], np.ones((32, 32)))
     np.savez(copy / "image.npz", **values)
     page = report.page(copy, interactive=False)
-    assert embedded(page, "What the camera reads").shape == (1024, 1024)
+    assert embedded(page, "Camera image").shape == (1024, 1024)
     assert "2048 × 2048 pixels, drawn as means of 2 × 2." in told(page)
     assert len(page) < 8e6
 
@@ -252,16 +252,16 @@ def test_folder_of_reconstruct(run, tmp_path, monkeypatch, capsys):
         "times",
         "provenance",
     ]
-    assert "reconstruction of a camera's pictures" in words
+    assert "reconstruction from camera images" in words
     assert "Method wiener" in words
-    assert "gain" in words.split("What the method settled")[1]
+    assert "gain" in words.split("Fitted parameters")[1]
     assert f"{shlex.join(map(str, command))}" in words
     # a new run takes the page away: it told of the one before
     assert call(*command) == 0
     assert not Path("taken/report.html").exists()
     assert call(*command) == 0
     edited(Path("taken"), status="running", figures={}, files=["result.json", "preview.png"])
-    assert "was ended before it could say so" in told(report.page("taken"))
+    assert "is still running or was killed" in told(report.page("taken"))
     assert "Object so far." in report.page("taken")
 
 
@@ -418,7 +418,7 @@ def test_what_cannot_be_drawn_is_told(copy, monkeypatch):
     outline = Outline(report.page(copy))
     (frame,) = outline.named("iframe")
     assert "<canvas" in frame["srcdoc"] or "THREE" in frame["srcdoc"]
-    assert "because nothing can be rendered here" in plain(" ".join(outline.words))
+    assert "because this machine cannot render it" in plain(" ".join(outline.words))
     monkeypatch.setattr(views, "ray_paths", refusing("pyvista is not installed <here>"))
     page = report.page(copy)
     assert "left out: pyvista is not installed &lt;here&gt;." in page

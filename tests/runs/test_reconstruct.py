@@ -104,7 +104,7 @@ def test_ctrl_c_keeps_the_best_and_resume_ends_at_the_same_object(
     again = json.loads(Path("part/result.json").read_text())
     assert (again["status"], again["resumed"]) == ("done", True)
     for options, named in (
-        (("--method", "wiener"), "another scene, picture, method"),
+        (("--method", "wiener"), "another scene, image, method"),
         (("--out", "never"), "no never/checkpoint.npz"),
     ):
         code, _, err = call(capsys, *USUAL, *FRAMES, "--out", "part", "--resume", *options)
@@ -136,8 +136,8 @@ def bad_files() -> None:
         (["flat.npy"], ["reads 3 in every pixel"]),
         (["small.npy"], ["64 x 60", "64 x 64"]),
         (["full.png"], ["reads 255 in every pixel"]),
-        (["half.png"], ["68.8 % of its pixels full"]),
-        (["dark.npy", "--dark", "bright.npy"], ["no brighter than the dark frame", "no photons"]),
+        (["half.png"], ["68.8 % of the pixels are full"]),
+        (["dark.npy", "--dark", "bright.npy"], ["not brighter than the dark frame"]),
         (["nowhere.png"], ["no file nowhere.png"]),
         (["letter.png", "--scene", "matt.toml"], ["no mirror-like lobe", "feasibility"]),
         (["letter.png", "--scene", "blurred.toml"], ["point spread", "pixels"]),

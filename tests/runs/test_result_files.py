@@ -104,7 +104,7 @@ def test_a_reconstruction_comes_back(found: nlos.Result, tmp_path: Path) -> None
     full.save(tmp_path / "full")
     assert_same(full, nlos.load_result(tmp_path / "full"))
     tensor = replace(answer, object=torch.zeros(16, 16))
-    with pytest.raises(SceneError, match=r"reconstruction.object is a Tensor, .* no form"):
+    with pytest.raises(SceneError, match=r"reconstruction.object is of type Tensor, .* store"):
         replace(found, reconstruction=tensor).save(tmp_path / "tensor")
     assert not (tmp_path / "tensor").exists()
 
@@ -196,13 +196,13 @@ def flipped(folder: Path) -> None:
             lambda folder: (folder / "hidden_image.png").write_bytes(
                 (folder / "hidden_image.png").read_bytes() + b" "
             ),
-            "a file that it names was changed .*; run the simulation again",
+            "a file that it refers to was changed .*; run the simulation again",
         ),
-        (damaged(lambda record: record.pop("format")), "tells of no result in format 1; name a"),
+        (damaged(lambda record: record.pop("format")), "contains no result in format 1; name a"),
         (damaged(lambda record: record.update(format=2)), "is in format 2, must be 1; read it"),
         (damaged(lambda record: record.pop("result")), "cannot be read .*; run the simulation"),
-        (damaged(lambda record: record["result"].pop("seed")), "lacks or does not know seed"),
-        (damaged(lambda record: record["result"].update(more=1)), "lacks or does not know more"),
+        (damaged(lambda record: record["result"].pop("seed")), "entry seed is missing or unknown"),
+        (damaged(lambda record: record["result"].update(more=1)), "entry more is missing or"),
         (
             damaged(lambda record: record["result"].update(plan={"noun": ["Popen", {}]})),
             "cannot be read .*Popen",

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from nlosoptics.cli import main
+from nlosoptics.scene import OrenNayar
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -95,6 +96,11 @@ def test_tests_that_pages_name_are_there() -> None:
             assert re.search(rf"^def {test}\(", source, re.MULTILINE), (page, file, test)
             named += 1
     assert named > 30
+
+
+def test_material_models_that_pages_name_exist() -> None:
+    named = {name for page in PAGES for name in re.findall(r'`model="(\w+)"`', page.read_text())}
+    assert {OrenNayar(0.5, 0.3, model=name).model for name in named} == named == {"fit", "full"}
 
 
 def test_every_reference_is_held_by_a_test(extension: Callable[[str], ModuleType]) -> None:

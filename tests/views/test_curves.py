@@ -117,5 +117,5 @@ def test_a_fit_without_records_is_told():
     with pytest.raises(SceneError, match="kept no records"):
         views.history(fit(objective=[], residual=[]))
     (axes,) = views.history(fit(change=[1.0]))
-    with pytest.raises(SceneError, match="1 axes for 2 records, objective, relative change"):
+    with pytest.raises(SceneError, match="1 axis for 2 records, objective, relative change"):
         views.history(fit(objective=[1.0], change=[1.0]), axes=(axes,))

@@ -75,7 +75,7 @@ def test_frames_are_taken_where_the_light_comes(capture):
     assert [axis.get_title() for axis in axes[1:]] == ["at 3.25 m"] * 3
     assert axes[-1].child_axes[0].get_ylabel() == "counts per bin"
     assert views.transient(flash, axes=axes) == axes
-    with pytest.raises(SceneError, match="4 axes for a streak and 1 frames"):
+    with pytest.raises(SceneError, match="4 axes for a streak and 1 frame;"):
         views.transient(flash, at=[3.0], axes=axes)
 
 

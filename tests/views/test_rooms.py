@@ -189,7 +189,7 @@ def test_aberration_is_that_of_the_ray(flat_scene):
                 "colour": "aberration",
                 "wavefront": SimpleNamespace(aberration=np.zeros(7), wavelength=1e-6),
             },
-            "wavefront has 7 nodes and 2 paths are detected",
+            "wavefront has 7 nodes for 2 detected paths",
         ),
         (
             {

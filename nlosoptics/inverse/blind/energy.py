@@ -70,12 +70,12 @@ class Energy:
         self.support = support
 
     def level(self, theta: Tensor) -> Tensor:
-        """Objects (B, H, W) of what is fitted."""
+        """Return the objects (B, H, W) of fitted parameters."""
         level = _SOFTNESS * torch.nn.functional.softplus(theta / _SOFTNESS)
         return level if self.support is None else level * self.support
 
     def theta(self, level: Tensor) -> Tensor:
-        """What is fitted, of objects (B, H, W)."""
+        """Return the fitted parameters of objects (B, H, W); the inverse of `level`."""
         ratio = level.clamp_min(_DARKEST) / _SOFTNESS
         return _SOFTNESS * (ratio + torch.log(-torch.expm1(-ratio)))
 
@@ -179,7 +179,7 @@ class KnownObjectEnergy(Energy):
         factor: float,
         gains: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """As of `Energy`."""
+        """Return the terms of the energy, with the arguments and results of `Energy`."""
         fit = self.squares(level, transfer, gains)
         return 0.5 * fit / factor**2, fit.detach() / self.frames.counted
 

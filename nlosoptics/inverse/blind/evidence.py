@@ -1,4 +1,4 @@
-"""Object and wall from random starts, judged by the evidence: the object integrated out."""
+"""Blind fit of object and wall from random starts, ranked by the evidence (object marginalised)."""
 
 from __future__ import annotations
 
@@ -75,74 +75,81 @@ def evidence_fit(
     start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Object and wall from images alone, from random starts.
+    """Fit object and wall to images from random starts, by maximising the evidence.
 
-    Give two frames, one with a known further defocus of half a wave (one wave for walls of a wave
-    rms): then no blur cannot explain both, and most random starts end at the truth. One frame is
-    the harder case: its search takes many times longer, and its answer is certain only where
-    ``status`` says so.
+    Use two frames, one with a known additional defocus of half a wave rms (one wave for walls of
+    one wave rms). A wave without blur then cannot explain both, and most random starts end at the
+    truth. With one frame the search takes many times longer, and the answer is reliable only if
+    ``status`` is "converged".
 
     Parameters
     ----------
     images : ndarray or Tensor
-        (K, H, H) or (H, H), any unit, all of one object by one wall and with one gain. The object
-        lies within the frame.
+        Square images, (K, H, H) or (H, H), any unit, of the same object via the same wall and with
+        the same gain. The object must lie inside the frame.
     pupil_psf : PupilPSF
-        By `PupilPSF.from_zernike`; only its modes and lengths count. Pixels up to Nyquist's pitch.
+        Point spread from `PupilPSF.from_zernike`, of which only modes and lengths are used. Its
+        pitch must not exceed the Nyquist pitch.
     defocus : array_like, optional
-        (K,), known further defocus of each image, m rms (Noll 4).
+        Known additional defocus of each image, (K,), m rms (Noll 4).
     noise_sigma : float or array_like, optional
-        One, (K,), (H, H) or (K, H, H), image units; of a picture its mean precision counts. None:
-        estimated.
+        Standard deviation of the noise: one number, (K,), (H, H) or (K, H, H), image units. Of a
+        noise map only the mean precision (1/variance) is used. None: estimated.
     background : float or array_like
-        Known background, likewise.
+        Known background: one number, (K,), (H, H) or (K, H, H), image units.
     fit_background : bool
-        Whether each image has a further even background of unknown strength.
+        Whether to fit an additional uniform background for each image.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     strength : float or None
-        rms of the wall's wave, waves; None: unknown, several are tried.
+        Rms of the wall's wave, waves. None: unknown; several values are tried.
     max_iterations : int, optional
-        Rounds of the search at most; by default 2 with a defocused frame, else 4. A round takes 32
-        random walls down, or, off one frame, some 400 walls and children of the best.
+        Maximum number of search rounds; by default 2 with a defocused frame, otherwise 4. A round
+        optimises 32 random walls, or about 400 walls and variations of the best for one frame.
     max_seconds : float, optional
-        Start no further round or generation after that time; the answer then depends on the
-        machine's speed.
+        Time after which no further round or generation starts, s. The result then depends on the
+        speed of the machine.
     seed : int
-        Of the starts.
+        Seed of the random starts.
     start : mapping, optional
-        A state of this solver with the same images and options, see `checkpoints`: the search goes
-        on after the rounds that were done, and its ``coefficients`` are one more start.
+        Saved state of this solver with the same images and options; see `inverse.data.checkpoints`.
+        Completed rounds are skipped, and the saved ``coefficients`` are an additional start.
     progress : callable or None
-        Called with a line of text and the fraction done; may raise `Stop`, which ends the search
-        after the descent at work.
+        Called repeatedly with a text and the completed fraction. It may raise `Stop`, which ends
+        the search after the current descent.
 
     Returns
     -------
     Reconstruction
-        ``physical_parameters`` also holds ``coefficients`` (M,), waves rms, ``free_energy``,
-        ``margin``, by how much that is above the one of fits from no blur (below 0: the answer is
-        better; NaN with a defocused frame), ``sharp_margin``, the same of the image taken as sharp
-        (NaN likewise), and ``model_error``, rms of what is left unexplained beyond the noise over
-        the images' range. ``background`` is (K,) of several images. History has one entry a round.
+        Object, status and score. ``physical_parameters`` also contains
+
+        - ``coefficients`` (M,), waves rms,
+        - ``free_energy`` of the answer,
+        - ``margin``: free energy minus that of fits started without blur; negative values favour
+          the answer; NaN with a defocused frame,
+        - ``sharp_margin``: free energy minus that of a fit that takes the image for the object;
+          NaN with a defocused frame,
+        - ``model_error``: rms of the residual in excess of the noise, over the images' range.
+
+        ``background`` is (K,) for several images. The history has one entry per round.
 
     Raises
     ------
     SamplingError
-        If the arrays do not fit each other, the frame is not square, or a pixel is too wide.
+        If array shapes do not match, the frame is not square, or the pixels are too wide.
     SceneError
         If a value is out of range or not finite.
 
     Notes
     -----
-    The least free energy of `FreeEnergy` over all starts is the answer. Squared residuals would
-    prefer no blur to the truth in one frame.
+    The answer is the start with the least free energy (`FreeEnergy`). Squared residuals would
+    prefer no blur to the truth for one frame.
 
-    With defocused frames the status is "converged" where what is left unexplained beyond the noise
-    is at most 0.4 % of the images' range and 1 % more for each wave of the wall up to one. Off one
-    frame it is "converged" where ``margin`` is under -70, or ``sharp_margin`` under -0.092 a pixel
-    (-0.14 at 0.3 % noise): a weak wall is found from no blur too. "trivial" where the answer has
-    hardly any blur, or is what no blur led to.
+    With defocused frames the status is "converged" if ``model_error`` is at most 0.004, plus 0.01
+    times the wall's rms in waves (counted up to one wave). With one frame it is "converged" if
+    ``margin`` is below -70, or ``sharp_margin`` is below -0.092 per pixel (-0.14 at 0.3 % noise),
+    because fits without blur can also find a weak wall. It is "trivial" if the answer has almost no
+    blur, or is the one that starting without blur leads to.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -165,13 +172,13 @@ def evidence_fit(
     left_out = frames.images.numel() - frames.counted
     if left_out:
         raise SamplingError(
-            f"{left_out} of {frames.images.numel()} pixels do not count (infinite noise), and the "
-            "evidence fit takes all of them; crop the images, or use recipe='staged'"
+            f"{left_out} of {frames.images.numel()} pixels have infinite noise, but the evidence "
+            "fit cannot ignore pixels; crop the images, or use recipe='staged'"
         )
     rows, columns = frames.images.shape[-2:]
     if rows != columns:
         raise SamplingError(
-            f"images have {rows} x {columns} pixels, the evidence fit needs square ones; crop them"
+            f"images have {rows} x {columns} pixels, must be square for the evidence fit; crop them"
         )
     search = _Search(frames, pupil_psf, strength, seed, started + seconds, progress, start)
     if all(one.is_background() for one in frames.measured):
@@ -300,7 +307,7 @@ class _Search:
     def result(
         self, best: Starts | None, gain: float | None, status: Status, started: float
     ) -> Reconstruction:
-        """What is returned, in image units; without walls, no object."""
+        """Return the reconstruction in image units; it has no object if no wall was found."""
         frames, data = self._frames, self._frames.measured[0]
         if best is None:
             level = np.zeros(frames.images.shape[-2:])
@@ -377,7 +384,7 @@ class _Search:
         return best
 
     def _model_error(self, best: Starts) -> float:
-        """What is unexplained beyond the noise, rms over the images' range."""
+        """Estimate the residual beyond the noise, rms relative to the images' range."""
         beyond: Floats = (best.chi_square[0] - 1.0) * self._sigmas**2
         return math.sqrt(max(float(beyond.mean()), 0.0))
 
@@ -397,7 +404,7 @@ class _Search:
         return None if self._start is None else self._finished(self._start, frames=frames)
 
     def _finished(self, wall: Floats, *, frames: bool) -> Starts:
-        """What one wall, (M,), comes to."""
+        """Return the result of one wall with coefficients (M,)."""
         found = refine(
             self._energy,
             self._energy.starts(wall[None], 3.0),
@@ -443,7 +450,7 @@ def _from_state(start: Mapping[str, Any] | None, modes: int) -> tuple[int, Float
     wall = np.asarray(start["coefficients"], dtype=np.float64)
     if wall.shape != (modes,) or not np.isfinite(wall).all():
         raise SamplingError(
-            f"start has coefficients of shape {wall.shape}, must be ({modes},) and finite; it is "
-            "of another pupil_psf, leave it out"
+            f"start has coefficients of shape {wall.shape}, must be ({modes},) and finite; it "
+            "belongs to another pupil_psf, leave it out"
         )
     return int(start["rounds"]), wall

@@ -34,12 +34,12 @@ _SHARP = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Breeding:
-    """How children differ from their parents.
+    """Mutation of coefficients from one generation to the next.
 
     Parameters
     ----------
     flips : float
-        Chance of each coefficient to change its sign.
+        Probability that a coefficient changes its sign.
     noise : float
         Length of a random change over the parent's.
     """
@@ -160,14 +160,14 @@ def gather(
 
 
 def without_blur(energy: FreeEnergy, random: Generator) -> Starts:
-    """What a fit finds from no blur or nearly none, least energy first."""
+    """Fit from no blur and from nearly none; return the starts by increasing energy."""
     walls = random_walls(4, energy.modes, np.array([0.1]), random)
     walls[0] = 0.0
     return energy.descend(energy.starts(walls, _TRIVIAL.first), _TRIVIAL).best(4)
 
 
 def sharp(energy: FreeEnergy, random: Generator) -> Starts:
-    """What a fit finds that takes the image for the object: the coefficients are kept near 0."""
+    """Fit with coefficients kept near 0, so that the image itself serves as the object."""
     walls = random_walls(1, energy.modes, np.array([_SHARP]), random)
     return energy.descend(energy.starts(walls, _TRIVIAL.first, _SHARP), _TRIVIAL)
 

@@ -107,11 +107,11 @@ class Starts:
         return Starts(**{name: values[rows] for name, values in vars(self).items()})
 
     def held(self, radius: Floats | float) -> Starts:
-        """The same with other lengths of the coefficients; infinity frees them."""
+        """Return these starts with other bounds of the coefficient norm; infinity removes them."""
         return replace(self, radius=np.broadcast_to(np.float64(radius), len(self)).copy())
 
     def best(self, count: int) -> Starts:
-        """Those of least free energy, least first."""
+        """Return the ``count`` starts of least free energy, least first."""
         return self[np.argsort(self.energy, kind="stable")[:count]]
 
 
@@ -384,8 +384,8 @@ def _pupil(pupil_psf: PupilPSF, grid: int) -> tuple[PupilOptics, Floats]:
     waves = pupil_psf.waves
     if not isinstance(waves, ZernikeWaves):
         raise SceneError(
-            f"pupil_psf has leaves of kind {type(waves).__name__}; the evidence fit takes those of "
-            "PupilPSF.from_zernike"
+            f"pupil_psf has coefficients of kind {type(waves).__name__}, must be Zernike modes for "
+            "the evidence fit; build it by PupilPSF.from_zernike"
         )
     if waves.rest is not None:
         share = torch.as_tensor(given.share).to(waves.rest)
@@ -393,16 +393,16 @@ def _pupil(pupil_psf: PupilPSF, grid: int) -> tuple[PupilOptics, Floats]:
         rest = float(((share * (waves.rest - mean) ** 2).sum() / share.sum()).sqrt())
         if rest > _MOST_REST:
             raise SceneError(
-                f"pupil_psf has a known wave of {rest:.3g} waves rms beside its modes, limit "
-                f"{_MOST_REST:g}: the evidence fit sees modes alone; give more of them, or use "
-                'recipe "staged"'
+                f"pupil_psf has a known wave of {rest:.3g} waves rms besides its modes, limit "
+                f"{_MOST_REST:g}, because the evidence fit uses modes alone; give more modes, or "
+                'use recipe "staged"'
             )
     pitch = given.pitch
     if pitch > given.nyquist_pitch:
         if pitch > given.nyquist_pitch * _NYQUIST_SLACK:
             raise SamplingError(
                 f"pitch = {pitch:.6g} m is wider than Nyquist's {given.nyquist_pitch:.6g} m; "
-                "the evidence fit takes pixels of lambda |d|/(4 radius) or less"
+                "use pixels of lambda |d|/(4 radius) or less for the evidence fit"
             )
         pitch = given.nyquist_pitch
     optics = PupilOptics(

@@ -1,4 +1,4 @@
-"""Object and wall from images alone: one door to three recipes."""
+"""Blind reconstruction of object and wall: common entry point of three solvers."""
 
 from __future__ import annotations
 
@@ -34,47 +34,53 @@ def pcin(
     progress: Progress | None = None,
     **options: Any,
 ) -> Reconstruction:
-    """Object and wall from images, neither known.
+    """Reconstruct object and wall from images, both unknown (blind reconstruction).
 
     Parameters
     ----------
     images : ndarray or Tensor
-        (K, H, W) or (H, W), any unit. Two images of one scene, the second with a known defocus of
-        half a wave to a wave, make the answer sure; one image does not in general.
+        Images, (K, H, W) or (H, W), any unit. Two images of the same scene, the second with a known
+        defocus of half a wave to one wave rms, give a reliable answer. One image is in general not
+        sufficient.
     pupil_psf : PupilPSF
-        Leaves of the unknown wave; their values are where the fit starts.
+        Point spread with the unknown wave coefficients; their values are the start of the fit.
     defocus : array_like, optional
-        (K,), known further defocus of each image, m rms (Noll 4).
+        Known additional defocus of each image, (K,), m rms (Noll 4).
     recipe : {"staged", "evidence", "wu2024"}
-        - ``staged``: object first, then both by small steps, starts judged by their free energy;
-          see `staged_fit`.
-        - ``evidence``: a search from random starts by the free energy; see `evidence_fit`.
-        - ``wu2024``: a U-net and the angles by turns, as published; see `wu2024_fit`.
+        - ``staged``: fits first the object, then object and wave from several starts, which are
+          compared by their free energy; see `staged_fit`.
+        - ``evidence``: searches from random starts by the free energy; see `evidence_fit`.
+        - ``wu2024``: alternates between a U-net and the angles, as published; see `wu2024_fit`.
     noise_sigma : float or array_like, optional
-        Image units; None: estimated.
+        Standard deviation of the noise, image units; None: estimated.
     max_iterations : int, optional
-        By default as many as the recipe needs.
+        Maximum number of iterations; by default the recipe's own.
     seed : int
-        Of all that is drawn.
+        Seed of the random numbers.
     start : mapping, optional
-        A state of the same recipe, from which it goes on; see `checkpoints`.
+        Saved state of the same recipe to resume from; see `inverse.data.checkpoints`.
     progress : callable or None
-        Called with a line of text and the fraction done; may raise `Stop`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`.
     **options
-        Handed to the recipe, which refuses what it does not know.
+        Further options of the recipe.
 
     Returns
     -------
     Reconstruction
+        Object, status, score and the fitted coefficients.
 
     Raises
     ------
     SceneError
-        If ``recipe`` is none of the three, or a value is out of range.
+        If ``recipe`` is unknown, or a value is out of range.
     SamplingError
-        If the arrays do not fit each other.
+        If array shapes do not match.
     TypeError
-        If an option is not the recipe's.
+        If the recipe does not have one of the options.
+
+    See Also
+    --------
+    staged_fit, evidence_fit, wu2024_fit : The three solvers with all their options.
     """
     solver = RECIPES[one_of("recipe", recipe, RECIPES)]
     if max_iterations is not None:

@@ -1,4 +1,4 @@
-"""Object and walls by stages: object first, then both, many starts judged by their free energy."""
+"""Blind fit of object and walls in stages, from several starts ranked by their free energy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, one_of, positive, whole
+from ..._checks import counted, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
@@ -86,89 +86,91 @@ def staged_fit(
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Object and walls from one or more images, by stages.
+    """Fit object and walls to one or more images in stages: first the object, then both.
 
     Parameters
     ----------
     images : ndarray or Tensor
-        (K, H, W) or (H, W), any unit: one object, by one wall with K known defoci, or by several.
+        Images, (K, H, W) or (H, W), any unit, of one object via one wall with K known defoci, or
+        via several walls.
     pupil_psf : PupilPSF
-        Zernike leaves, (M,) or (n_walls, M); their values are where the fit starts. Of the images'
-        shape or larger.
+        Point spread with Zernike coefficients, (M,) or (n_walls, M), whose values are the start of
+        the fit. It has the images' shape or a larger one.
     defocus : array_like, optional
-        (K,), known further defocus of each image, m rms (Noll 4).
+        Known additional defocus of each image, (K,), m rms (Noll 4).
     walls : array_like of int, optional
-        (K,), the wall of each image, 0, 1, ...; by default one wall for all.
+        Number of the wall of each image, (K,), counted from 0; by default one wall for all.
     start_error : float, optional
-        rms distance of the start from the truth to be expected, waves. By default 0.1, and 0.5
-        where all coefficients are 0 (no prior knowledge). Overestimate it if in doubt.
+        Expected rms error of the start, waves. By default 0.1, or 0.5 if all coefficients are 0 (no
+        prior knowledge). Overestimate it if in doubt.
     starts : int, optional
-        Starts tried, drawn with that error; by default 4, and 16 above 0.25 waves.
+        Number of starts, drawn with that error; by default 4, or 16 for errors above 0.25 waves.
     known_object : array_like, optional
-        (H, W): the object of the images is known, and the walls alone are fitted.
+        Known object, (H, W); only the walls are fitted then.
     support : array_like, optional
-        (H, W), 0 where the object is known to be dark.
+        Mask, (H, W), 0 where the object is known to be dark.
     object_model : {"pixels", "unet"}
-        What the object of one image, without ``support``, is once the wall is found: the mean of
-        the fit's and of either the one of least total variation (`tv_deconvolve`) or an untrained
-        network's picture (`deep_image_prior`), which takes longer and bears more noise.
+        Final object for one image without ``support``, once the wall is found. "pixels": mean of
+        the fitted object and that of `tv_deconvolve`. "unet": mean of the fitted object and that of
+        `deep_image_prior`, which takes longer and tolerates more noise.
     boundary : {"padded", "circular"}
-        What lies around the object: nothing, or its own periodic copies.
+        Surroundings of the object: dark, or periodic copies.
     fit_gains : bool
-        Whether the images' relative brightness is unknown.
+        Whether to fit the relative brightness of the images.
     noise_sigma : float or array_like, optional
-        One, (K,), (H, W) or (K, H, W), image units; None: estimated.
+        Standard deviation of the noise: one number, (K,), (H, W) or (K, H, W), image units; None:
+        estimated.
     background : float or array_like
-        Known background, likewise.
+        Known background: one number, (K,), (H, W) or (K, H, W), image units.
     fit_background : bool
-        Whether each image has a further background of unknown strength.
+        Whether to fit the strength of an additional background for each image.
     background_shape : array_like or None
-        (H, W), shape of it; None: uniform.
+        Shape of the additional background, (H, W), non-negative; None: uniform.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     max_iterations : int, optional
-        Shortens all stages in proportion.
+        Maximum number of iterations; all stages are shortened in proportion.
     tolerance : float
-        Relative change of the free energy in 25 iterations at which the last stage ends.
+        The last stage ends when the free energy changes by less than this fraction in 25
+        iterations.
     seed : int
-        Of the starts.
+        Seed of the random starts.
     start : array_like, mapping or None
-        (H, W), where the object starts, in any unit; or a state of this solver with the same
-        images and options, from which it goes on; see `checkpoints`. None: a Wiener filter's
-        answer.
+        Initial object, (H, W), any unit; or a saved state of this solver with the same images and
+        options, to resume from (see `inverse.data.checkpoints`). None: Wiener filter.
     progress : callable or None
-        Called with a line of text and the fraction done; may raise `Stop`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`.
 
     Returns
     -------
     Reconstruction
-        ``physical_parameters`` also holds ``coefficients`` ((M,) or (n_walls, M), waves rms),
-        ``image_gains`` (K,), ``free_energy``, and ``margin``: free energy minus that of
-        the no-blur fit; negative favours this answer. ``background`` is (K,) of several
-        images. History is that of the best start.
+        Object, status and score. ``physical_parameters`` also contains ``coefficients`` ((M,) or
+        (n_walls, M), waves rms), ``image_gains`` (K,), ``free_energy``, and ``margin``: free energy
+        minus that of the no-blur fit; negative favours this answer. ``background`` is (K,) for
+        several images. The history is that of the best start.
 
     Raises
     ------
     SamplingError
-        If an array does not fit the others.
+        If array shapes do not match.
     SceneError
         If a value is out of range or not finite.
 
     Notes
     -----
-    Adam on the pixels of the object and on the coefficients, under `Energy`, whose value orders the
-    starts: squared residuals alone prefer no blur to the truth. The noise is taken for larger at
-    first, which blurs what is fitted and lets the fit out of wrong answers, then falls to what it
-    is, where the residual is to be the noise. Near starts have their object fitted first, with the
-    coefficients kept; the coefficients are held to their start by a Gaussian prior of
-    ``start_error``.
+    Adam minimises `Energy` over the object's pixels and the coefficients. Its value ranks the
+    starts, because squared residuals alone prefer no blur to the truth. The assumed noise starts
+    too large, which smooths the fit and helps it leave wrong answers, and then decreases to the
+    actual noise. For small start errors the object is fitted first with fixed coefficients. A
+    Gaussian prior of width ``start_error`` holds the coefficients near their start.
 
-    One image: "converged" where the free energy is 50 or more below that of a fit which started
-    at no blur and whose coefficients are free; also where it is at most 100 above (at 1 % noise, 20
-    at 5 %), the prior of ``start_error`` puts no blur 100 or more above the answer, and the
-    residual is at least 0.93 of the noise, since wrong answers fit noise. Otherwise "trivial" where
-    the object is the image itself. Several: "converged" where the residual in excess of the noise
-    is below 1.4 % of the brightest pixel, rms.
+    With one image the status is "converged" in two cases. Either the free energy is at least 50
+    below that of a fit that started without blur and has free coefficients. Or it is at most 100
+    above (at 1 % noise; 20 at 5 %), the prior of ``start_error`` puts the no-blur fit at least 100
+    above the answer, and the residual is at least 0.93 of the noise, because wrong answers fit
+    noise. Otherwise the status is "trivial" if the object is the image itself. With several images
+    it is "converged" if the rms residual in excess of the noise is below 1.4 % of the brightest
+    pixel.
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -189,8 +191,8 @@ def staged_fit(
     refined = len(frames.images) == 1 and support is None and known_object is None
     if object_model == "unet" and not refined:
         raise SceneError(
-            f"object_model = 'unet' with {len(frames.images)} images, a support or a known object; "
-            "it takes one image, use 'pixels'"
+            f"object_model = 'unet' with {counted(len(frames.images), 'image')}, a support or a "
+            "known object; it needs one image without these, use 'pixels'"
         )
     first = _first_coefficients(frames, pupil_psf)
     if start_error is None:
@@ -260,7 +262,7 @@ def _through(
 
 
 def _object_of(start: Any) -> Any:
-    """What a start holds of the object."""
+    """Return the initial object of a start."""
     if not isinstance(start, Mapping):
         return start
     if "place" in start:  # ended before the first stage: all is still to do
@@ -269,14 +271,14 @@ def _object_of(start: Any) -> Any:
 
 
 def _first_coefficients(frames: Frames, pupil_psf: PupilPSF) -> Tensor:
-    """Where the fit starts, (n_walls, M)."""
+    """Return the initial coefficients, (n_walls, M)."""
     given = pupil_psf.coefficients.detach()
     if given.ndim == 1:
         given = given.expand(frames.n_walls, -1)
     if given.ndim != 2 or len(given) != frames.n_walls:
         raise SamplingError(
-            f"pupil_psf.coefficients have shape {tuple(given.shape)} for {frames.n_walls} walls; "
-            "give (M,) or (n_walls, M)"
+            f"pupil_psf.coefficients have shape {tuple(given.shape)} for "
+            f"{counted(frames.n_walls, 'wall')}; give (M,) or (n_walls, M)"
         )
     return given.clone()
 
@@ -310,7 +312,7 @@ def _picture(name: str, value: Any, frames: Frames) -> Tensor | None:
     if not np.isfinite(picture).all() or picture.min() < 0.0 or picture.max() <= 0.0:
         raise SceneError(
             f"{name} spans {picture.min():g} to {picture.max():g}, must be finite and non-negative "
-            "with some light; leave it out where it is unknown"
+            "with some light; leave it out if it is unknown"
         )
     return torch.from_numpy(picture).to(frames.images)
 
@@ -393,7 +395,7 @@ def _assembled(
     margin: float,
     level: Tensor | None = None,
 ) -> Reconstruction:
-    """What is returned, in image units."""
+    """Assemble the reconstruction, in image units."""
     frames = fit.frames
     if level is None:
         level = fit.energy.level(state.theta)

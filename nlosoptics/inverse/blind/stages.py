@@ -96,7 +96,7 @@ class State:
 
 
 class BlindFit:
-    """What the stages share: data, prior and energy."""
+    """Data, prior and energy shared by all stages of a blind fit."""
 
     def __init__(
         self,
@@ -223,7 +223,7 @@ class BlindFit:
 
 @dataclass(frozen=True)
 class NoBlur:
-    """What a fit that starts at no blur comes to; NaN without one.
+    """Result of the fit that starts without blur; NaN if there was none.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ class Report:
 
 
 class NoBlurReport(Report):
-    """That of the fit from no blur, which comes first and from whose midst none goes on."""
+    """Report of the fit without blur, which runs first and cannot be resumed midway."""
 
     def _state(
         self, fit: BlindFit, state: State, adam: torch.optim.Adam, place: tuple[int, float]
@@ -327,7 +327,7 @@ def taken_up(state: State, kept: Mapping[str, Any]) -> State:
         if values.shape[1:] != mine.shape[1:]:
             raise SamplingError(
                 f"start's {name} has shape {tuple(values.shape)}, this fit's has "
-                f"{tuple(mine.shape)}; it is of other images, leave it out"
+                f"{tuple(mine.shape)}; it belongs to other images, leave it out"
             )
         setattr(state, name, values)
     return state

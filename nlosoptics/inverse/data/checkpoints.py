@@ -1,13 +1,13 @@
-"""What a solver tells its caller on the way, how it is stopped, and where it goes on from.
+"""Progress callbacks of solvers, stopping a solver early, and resuming it from a saved state.
 
-Each solver calls ``progress(text, fraction)`` now and then, with a line of text and the share done.
-Two things more are open to a callback:
+Each solver repeatedly calls ``progress(text, fraction)`` with a text and the completed fraction. A
+callback has two further possibilities:
 
-- It may raise `Stop`: the solver then returns the best it has, status "unconverged".
-- It may have a method ``look(snapshot)``: it is called after each report with a function that makes
-  the solver's state, a dict of arrays. ``"object"`` is always among them, (H, W) in image units,
-  for a preview; the whole dict is what the solver's ``start=`` takes to go on from there. Nothing
-  is copied unless the function is called.
+- It may raise `Stop`. The solver then returns its best result so far, with status "unconverged".
+- It may have a method ``look(snapshot)``, which is called after each report. ``snapshot()`` returns
+  the solver's state as a dict of arrays. Its entry ``"object"``, (H, W) in image units, serves as a
+  preview; the whole dict can be passed to the solver as ``start`` to resume. Nothing is copied
+  unless ``snapshot`` is called.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from ..._checks import counted
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
 from .measurement import real_array
@@ -43,8 +44,8 @@ def spread(name: str, values: Any, parts: Sequence[Tensor]) -> None:
     sizes = [part.numel() for part in parts]
     if vector.numel() != sum(sizes):
         raise SamplingError(
-            f"start has {vector.numel()} {name}, this fit {sum(sizes)}; it is of other images or "
-            "another network, leave it out"
+            f"start has {vector.numel()} {name}, must be {sum(sizes)}; it belongs to other images "
+            "or another network, leave it out"
         )
     with torch.no_grad():
         for part, some in zip(parts, torch.split(vector, sizes), strict=True):
@@ -104,7 +105,7 @@ Snapshot = Callable[[], State]
 
 
 class Stop(Exception):
-    """Raised by a progress callback to end a fit with what it has."""
+    """Exception that a progress callback raises to end a fit with its best result so far."""
 
     def __init__(self) -> None:
         super().__init__("a progress callback asked the fit to end")
@@ -149,8 +150,8 @@ def kept_numbers(state: Mapping[str, Any], count: int, solver: str) -> list[floa
     numbers: list[float] = real_array("start's numbers", state["numbers"]).ravel().tolist()
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise SceneError(
-            f"start's numbers are {numbers}, must be {count} finite ones; give a state of "
-            f"{solver}, or leave it out"
+            f"start's numbers are {numbers}, must be {counted(count, 'finite value')}; give a "
+            f"state of {solver}, or leave it out"
         )
     return numbers
 
@@ -177,7 +178,8 @@ def started_from(start: Any, shape: tuple[int, int], device: torch.device) -> Te
     if isinstance(start, Mapping):
         if "object" not in start:
             raise SceneError(
-                f"start holds {', '.join(start) or 'nothing'}, no object; give a solver's state"
+                f"start contains {', '.join(start) or 'nothing'}, but no object; give a solver's "
+                "state"
             )
         start = start["object"]
     if isinstance(start, Tensor):
@@ -187,8 +189,8 @@ def started_from(start: Any, shape: tuple[int, int], device: torch.device) -> Te
             level = torch.tensor(np.asarray(start, dtype=np.float64), device=device)
         except (TypeError, ValueError):
             raise SceneError(
-                f"start of type {type(start).__name__} is no array of numbers; give an object in "
-                "image units, as a Reconstruction's gain times its object"
+                f"start of type {type(start).__name__} is not an array of numbers; give an object "
+                "in image units, for example gain times object of a Reconstruction"
             ) from None
     if tuple(level.shape) != shape:
         raise SamplingError(

@@ -1,4 +1,4 @@
-"""The image model in torch: same grid, same transfer function."""
+"""Image model in torch, with the grid and transfer function of `imaging.ForwardModel`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from ..._checks import counted
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel, padded_grid
 
@@ -46,10 +47,15 @@ def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, 
 
 
 class TorchForwardModel(nn.Module):
-    """Convolution with a point spread, or a field of them, on batches of tensors, differentiable.
+    """Differentiable convolution with a point spread, or a field of them, on batches of tensors.
 
-    Build it by `from_numpy`; it shares grid, boundary, transfer functions and weights with that
+    Build it by `from_numpy`. Grid, boundary, transfer functions and weights are those of the numpy
     model.
+
+    Parameters
+    ----------
+    model : ForwardModel
+        Model with numpy arrays.
     """
 
     _transfer: Tensor
@@ -73,29 +79,43 @@ class TorchForwardModel(nn.Module):
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Self:
-        """Torch twin of a numpy model.
+        """Convert a numpy model to torch.
 
         Parameters
         ----------
         model : ForwardModel
+            Model with numpy arrays.
         device : torch.device or str
+            Device of the tensors.
         dtype : torch.dtype
-            ``torch.float32`` or ``torch.float64``.
+            Precision, ``torch.float32`` or ``torch.float64``.
 
         Returns
         -------
         TorchForwardModel
+            Model with the same transfer function on the device.
 
         Raises
         ------
         SamplingError
-            If ``dtype`` is another.
+            If ``dtype`` is not one of these two.
         SceneError
-            If ``model`` is none.
+            If ``model`` is not a `ForwardModel`.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import torch
+        >>> from nlosoptics.imaging import ForwardModel
+        >>> from nlosoptics.inverse import TorchForwardModel
+        >>> model = TorchForwardModel.from_numpy(ForwardModel(np.full((3, 3), 1 / 9), shape=(8, 8)))
+        >>> tuple(model(torch.ones(5, 8, 8)).shape)
+        (5, 8, 8)
         """
         if not isinstance(model, ForwardModel):
             raise SceneError(
-                f"model of type {type(model).__name__} is not an imaging.ForwardModel; give one"
+                f"model of type {type(model).__name__} is not an imaging.ForwardModel; build one "
+                "from a point spread"
             )
         if dtype not in (torch.float32, torch.float64):
             raise SamplingError(
@@ -106,19 +126,19 @@ class TorchForwardModel(nn.Module):
 
     @property
     def transfer(self) -> Tensor:
-        """``rfft2`` of the kernel on ``grid``, complex; (K, ...) of a field's modes."""
+        """``rfft2`` of the kernel on ``grid``, complex; (K, ...) for the K modes of a field."""
         return torch.view_as_complex(self._transfer)
 
     @property
     def mean_transfer(self) -> Tensor:
-        """``rfft2`` of the kernel's mean over the frame, one for a field too."""
+        """``rfft2`` of the kernel averaged over the frame; a single one also for a field."""
         if self.weights is None:
             return self.transfer
         shares = self.weights.mean(dim=(-2, -1))
         return (shares[:, None, None] * self.transfer).sum(dim=0)
 
     def forward(self, object_image: Tensor) -> Tensor:
-        """Image (..., H, W) of an object (..., H, W)."""
+        """Compute the image (..., H, W) of an object (..., H, W)."""
         self._check("object_image", object_image)
         if self.weights is None:
             return self._frame(self._spectrum(object_image) * self.transfer)
@@ -126,7 +146,7 @@ class TorchForwardModel(nn.Module):
         return self._frame((parts * self.transfer).sum(dim=-3))
 
     def adjoint(self, image: Tensor) -> Tensor:
-        """Transpose of `forward`: correlation of an image (..., H, W) with the kernel."""
+        """Apply the transpose of `forward`: correlate an image (..., H, W) with the kernel."""
         self._check("image", image)
         spectrum = self._spectrum(image)
         if self.weights is None:
@@ -137,7 +157,7 @@ class TorchForwardModel(nn.Module):
     def _check(self, name: str, picture: Tensor) -> None:
         if not isinstance(picture, Tensor):
             raise SceneError(
-                f"{name} of type {type(picture).__name__} is no tensor; give "
+                f"{name} of type {type(picture).__name__} is not a tensor; give "
                 "torch.from_numpy(picture)"
             )
         if tuple(picture.shape[-2:]) != self.shape:
@@ -189,7 +209,8 @@ def one_kernel_shape(model: Any) -> tuple[int, int]:
     shape = model_shape(model)
     if model.weights is not None:
         raise SamplingError(
-            f"the model's point spread varies over the field ({len(model.weights)} modes), and "
-            "this solver divides by one spectrum; give a model of one PointSpread"
+            "the model's point spread varies over the field "
+            f"({counted(len(model.weights), 'mode')}), but this solver needs a single one; "
+            "give a model of one PointSpread"
         )
     return shape

@@ -1,4 +1,4 @@
-"""Checked image data with their noise: what every solver starts from."""
+"""Checked image data with their noise, the input of every solver."""
 
 from __future__ import annotations
 
@@ -167,8 +167,7 @@ def measurement(
         sigma = estimate_noise(data.cpu().numpy())
         if sigma == 0.0 and float(data.max()) > float(data.min()):
             raise SceneError(
-                "image is without noise (noise_sigma None, estimated 0) though not uniform; "
-                "give noise_sigma"
+                "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
             )
     elif not shape_of("noise_sigma", noise_sigma):
         sigma = _positive_sigma(noise_sigma)
@@ -177,8 +176,8 @@ def measurement(
         least = float(sigmas.min())
         if math.isinf(least):
             raise SceneError(
-                "noise_sigma is infinite in every pixel, so that none counts; give the good pixels "
-                "their noise"
+                "noise_sigma is infinite in every pixel, so that none counts; give finite noise "
+                "for the valid pixels"
             )
         _positive_sigma(least)
         weights = sigmas.pow(-2)
@@ -239,37 +238,46 @@ def shape_of(name: str, value: Any) -> tuple[int, ...]:
 
 
 def estimate_noise(image: ArrayLike) -> float:
-    """Root-mean-square noise of an image, white within a dozen pixels.
+    """Estimate the rms noise of an image, assuming that it is white within about 12 pixels.
 
     Parameters
     ----------
     image : array_like or Tensor
-        (H, W), at least 3 x 3 pixels.
+        Image, (H, W), at least 3 x 3 pixels.
 
     Returns
     -------
     float
-        Image units; 0 for a uniform image, and for one whose rows or columns are all alike.
+        Rms noise in image units; 0 for a uniform image or one with identical rows or columns.
 
     Raises
     ------
     SamplingError
-        If the image is smaller, or not one image.
+        If the array is not a single image of at least 3 x 3 pixels.
     SceneError
-        If a value is not finite or no real number.
+        If a value is not finite or not a real number.
 
     Notes
     -----
-    Median absolute response to the second difference along both axes [1]_ [2]_, which a smooth
-    image and a few edges leave alone, in blocks of about 12 pixels, so that noise that follows
-    the signal is not taken at its darkest. The blocks' mean squares are averaged; one whose
-    median is zero, as in a dark part of few counts, gives its rms response. On white noise the
-    result is 2 % high, with a spread of 2/sqrt(pixels).
+    The estimate is the median absolute response to a second difference along both axes [1]_ [2]_,
+    on which smooth images and a few edges have little effect. It is taken in blocks of about 12
+    pixels, because signal-dependent noise would otherwise be underestimated, and the squares are
+    averaged. A block with zero median, for example a dark region with few counts, contributes its
+    rms response instead. For white noise the result is 2 % too high, with a relative spread of
+    2/sqrt(pixels).
 
     References
     ----------
     .. [1] Immerkaer, Computer Vision and Image Understanding 64 (1996) 300.
     .. [2] Donoho and Johnstone, Biometrika 81 (1994) 425.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.inverse import estimate_noise
+    >>> image = 100.0 + np.random.default_rng(0).normal(0.0, 3.0, size=(256, 256))
+    >>> round(estimate_noise(image), 1)
+    3.1
     """
     values = real_array("image", image)
     if values.ndim != 2 or min(values.shape) < 3:

@@ -1,4 +1,4 @@
-"""What every solver returns."""
+"""Result of a reconstruction, and its assembly by the solvers."""
 
 from __future__ import annotations
 
@@ -23,32 +23,33 @@ Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Reconstruction(Noun, Shown):
-    """An object recovered from an image.
+    """Object recovered from an image, with status and fitted parameters.
 
-    The image is explained as ``gain * model.forward(object) + background``.
+    The image is modelled as ``gain * model.forward(object) + background``.
 
     Parameters
     ----------
-    object : ndarray or Tensor
-        (H, W), [y, x] in the image's frame; the kind, and for a tensor the dtype and device, of
-        the image that was given. Its largest value is 1 where the gain was not given.
-    physical_parameters : mapping
+    object : ndarray or Tensor, (H, W)
+        Object, [y, x] in the image's frame. It has the type of the given image and, for a tensor,
+        its dtype and device. Its maximum is 1 unless the gain was given.
+    physical_parameters : mapping of str to float or ndarray
         ``gain`` (image units per object unit), ``background`` (mean of the fitted background,
-        image units; a known one is not in it), ``noise_sigma`` (reference noise, image units) and
-        what else the solver settled, such as ``tv_weight`` or, where the wall was fitted too,
-        ``coefficients`` (an array).
+        without a known one, image units), ``noise_sigma`` (reference noise, image units), and
+        further parameters of the solver such as ``tv_weight``. If the wall was fitted too,
+        ``coefficients`` is an array.
     status : {"converged", "trivial", "unconverged", "too_few_photons"}
-        "trivial": the wall was fitted too, and the answer is the image itself under no blur.
-        "too_few_photons": the background alone explains the data to within three standard errors of
-        the mean squared residual, so that there is no object to recover; ``object`` is zero.
+        "converged": the solver's criterion was met. "unconverged": it was not, and the object is
+        not reliable. "trivial": the wall was fitted too, and the answer is the image itself without
+        blur. "too_few_photons": the background alone explains the data to within three standard
+        errors of the mean squared residual; ``object`` is then zero.
     score : float
-        Weighted rms residual in units of the noise; 1 fits the data to their noise. Of a phase
-        retrieval, the correlation of two halves of its restarts; 1 is full agreement.
-    history : mapping of str to ndarray
-        (n_iterations,) float64, read-only: ``objective``, ``residual`` (as ``score``) and
-        ``change`` (relative, per iteration); of a phase retrieval ``fourier_error``, per restart.
+        Weighted rms residual in units of the noise; 1 if only noise remains. For phase retrieval
+        the correlation between two halves of the restarts; 1 is full agreement.
+    history : mapping of str to ndarray, (n_iterations,)
+        Records per iteration, float64, read-only: ``objective``, ``residual`` (as ``score``) and
+        ``change`` (relative). For phase retrieval ``fourier_error`` per restart.
     seconds : float
-        Wall-clock time spent.
+        Wall-clock time, s.
     """
 
     object: Any
@@ -155,7 +156,7 @@ def without_object(
     gain: float | None,
     started: float,
 ) -> Reconstruction:
-    """What is returned where the background already explains the data."""
+    """Return a zero object with status "too_few_photons": the background explains the data."""
     return assemble(
         data,
         torch.zeros_like(data.data),

@@ -1,4 +1,4 @@
-"""How alike a reconstruction and the truth are, wherever the reconstruction lies."""
+"""Similarity of a reconstruction and the truth, independent of the reconstruction's position."""
 
 from __future__ import annotations
 
@@ -24,43 +24,55 @@ _SSIM_EDGE = 5
 def registered_correlation(
     reconstruction: Any, truth: Any, *, upsampling: int = 20, flip: bool = False
 ) -> float:
-    """Largest Pearson correlation over all shifts of a reconstruction.
+    """Largest Pearson correlation of a reconstruction with the truth over all shifts.
 
-    Scale and offset do not count, and neither does the position, which an image leaves open (a
-    wavefront's tilt moves the object).
+    Scale and offset do not matter. The position does not matter either, because an image does not
+    determine it: a tilt of the wavefront shifts the object.
 
     Parameters
     ----------
     reconstruction : Reconstruction, ndarray or Tensor
-        (H, W).
+        Reconstructed object, (H, W).
     truth : ndarray or Tensor
-        (H, W).
+        True object, (H, W).
     upsampling : int
         Steps of the shift per pixel; 1 for whole pixels.
     flip : bool
-        Whether half a turn is allowed as well, which an autocorrelation leaves open.
+        Whether to try a rotation by half a turn too, which an autocorrelation does not determine.
 
     Returns
     -------
     float
-        From -1 to 1; 0 where one of the two is uniform.
+        Correlation, -1 to 1; 0 if one of the images is uniform.
 
     Raises
     ------
     SamplingError
         If the shapes differ or are not two-dimensional.
     SceneError
-        If a value is not finite or no real number.
+        If a value is not finite or not a real number.
+
+    See Also
+    --------
+    registered_scores : Also computes PSNR and SSIM.
 
     Notes
     -----
-    The circular cross-correlation of the two mean-free images over the product of their norms is
-    the Pearson correlation at each shift, shifts between pixels meaning band-limited
-    interpolation. Its peak among whole pixels is refined by a matrix DFT [1]_.
+    The circular cross-correlation of the two mean-free images, divided by the product of their
+    norms, is the Pearson correlation at each shift. Its peak among whole pixels is refined by a
+    matrix DFT [1]_, with band-limited interpolation between pixels.
 
     References
     ----------
     .. [1] Guizar-Sicairos, Thurman and Fienup, Optics Letters 33 (2008) 156.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.inverse import registered_correlation
+    >>> truth = np.random.default_rng(0).random((16, 16))
+    >>> round(registered_correlation(3.0 * np.roll(truth, (2, 5), (0, 1)) + 1.0, truth), 6)
+    1.0
     """
     upsampling = whole("upsampling", upsampling)
     first, second = _pair(reconstruction, truth)
@@ -72,16 +84,16 @@ def registered_correlation(
 
 @dataclass(frozen=True)
 class RegisteredScores:
-    """How alike a moved and scaled reconstruction and the truth are.
+    """Similarity of a registered reconstruction and the truth.
 
     Parameters
     ----------
     correlation : float
-        Pearson's, as `registered_correlation`.
+        Pearson correlation, see `registered_correlation`.
     psnr : float
-        Peak signal over noise, dB.
+        Peak signal-to-noise ratio, dB; infinite for identical images.
     ssim : float
-        Mean structural similarity.
+        Mean structural similarity, at most 1.
     """
 
     correlation: float
@@ -97,38 +109,46 @@ def registered_scores(
     flip: bool = False,
     data_range: float | None = None,
 ) -> RegisteredScores:
-    """Correlation, PSNR and SSIM after a reconstruction was moved and scaled to fit best.
+    """Correlation, PSNR and SSIM of a reconstruction after registration to the truth.
+
+    Registration shifts, scales and offsets the reconstruction for the best fit.
 
     Parameters
     ----------
     reconstruction : Reconstruction, ndarray or Tensor
-        (H, W), at least 11 x 11.
+        Reconstructed object, (H, W), at least 11 x 11.
     truth : ndarray or Tensor
-        (H, W).
+        True object, (H, W).
     upsampling : int
         Steps of the shift per pixel; 1 for whole pixels.
     flip : bool
-        Whether half a turn is allowed as well.
+        Whether to try a rotation by half a turn too.
     data_range : float or None
-        What counts as the peak, in the truth's unit; None: the truth's largest minus its least
-        value.
+        Peak value for PSNR and SSIM, in the truth's unit; None: range of the truth.
 
     Returns
     -------
     RegisteredScores
+        Correlation, PSNR and SSIM.
 
     Raises
     ------
     SamplingError
-        If the shapes differ, are not two-dimensional or too small.
+        If the shapes differ, are not two-dimensional or are too small.
     SceneError
-        If a value is not finite or no real number, or the truth is uniform and no range is given.
+        If a value is not finite or not a real number, or the truth is uniform and ``data_range`` is
+        not given.
+
+    See Also
+    --------
+    registered_correlation : Computes the correlation alone.
 
     Notes
     -----
-    Scale and offset are those of least squares, the shift is a band-limited, periodic one.
-    Structural similarity [1]_ has Gaussian windows of 1.5 pixels cut at 5, variances of the
-    population (not of a sample), constants 0.01 and 0.03, and leaves 5 pixels at the edges out.
+    Scale and offset are least-squares values; the shift is periodic and band-limited. Structural
+    similarity [1]_ uses Gaussian windows with a sigma of 1.5 pixels, truncated at 5 pixels,
+    population variances and the constants 0.01 and 0.03. It is averaged without the 5 pixels
+    nearest to each edge.
 
     References
     ----------
@@ -244,8 +264,8 @@ def _values(name: str, image: Any) -> Array:
         raise SamplingError(f"{name} has shape {values.shape}; give one image, (H, W)")
     if not np.isfinite(values).all():
         raise SceneError(
-            f"{name} has {np.count_nonzero(~np.isfinite(values))} values that are not finite; "
-            "mend it before comparing"
+            f"{name} has {np.count_nonzero(~np.isfinite(values))} of {values.size} values that "
+            "are not finite; replace them before comparing"
         )
     return values
 

@@ -1,4 +1,4 @@
-"""The image's spectrum over the point spread's, where that carries anything."""
+"""Inverse filter: image spectrum divided by the transfer function, without its near-zeros."""
 
 from __future__ import annotations
 
@@ -33,36 +33,38 @@ def inverse_filter(
     gain: float | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Object by dividing the image's spectrum by the transfer function, guarded near its zeros.
+    """Reconstruct an object by dividing the image's spectrum by the transfer function.
+
+    Frequencies at which the transfer function is close to zero are left out.
 
     Parameters
     ----------
     image : ndarray or Tensor
-        (H, W), any unit.
+        Image, (H, W), any unit.
     model : ForwardModel or TorchForwardModel
-        Of shape (H, W).
+        Image model with the shape (H, W).
     guard : float or None
-        Transfer relative to its largest, 1e-13 to 1, below which a frequency is left out; None:
-        as large as leaves no more of the image unexplained than the noise carries.
+        Frequencies whose transfer relative to the largest is below this value, 1e-13 to 1, are left
+        out. None: the largest value for which the residual does not exceed the noise.
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units; None: estimated by
         `estimate_noise`.
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
-        Whether the strength of a further background is unknown; it is read off the frame's
-        border first and fitted to what the object leaves.
+        Whether to fit the strength of an additional background. It is first estimated at the
+        frame's border and then fitted to the residual.
     background_shape : array_like or None
-        (H, W), non-negative, shape of that further background; None: uniform.
+        Shape of the additional background, (H, W), non-negative; None: uniform.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     progress : callable or None
-        Called once, when done, with a line of text and 1.
+        Called once at the end with a text and 1.
 
     Returns
     -------
     Reconstruction
-        The object may be negative. ``physical_parameters`` also holds ``guard``.
+        The object may have negative values. ``physical_parameters`` also contains ``guard``.
 
     Raises
     ------
@@ -73,10 +75,10 @@ def inverse_filter(
 
     Notes
     -----
-    ``o = F^-1(I/Phi)`` [1]_. Beyond the autocorrelation of the pupil Phi is zero, and rounding
-    alone divided by it would be the answer: such frequencies are left out, and so are those that
-    carry more noise than light where the guard is chosen here, as the discrepancy principle for
-    a truncated spectrum [2]_. A padded frame is taken to be dark outside.
+    ``o = F^-1(I/Phi)`` [1]_, for the image spectrum I and the transfer function Phi. Beyond the
+    pupil's cutoff Phi is zero up to rounding, so these frequencies are left out. The automatic
+    guard follows the discrepancy principle for a truncated spectrum [2]_. A padded frame is assumed
+    to be dark outside.
 
     References
     ----------

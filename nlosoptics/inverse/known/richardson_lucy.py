@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, positive, whole
+from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
@@ -38,7 +38,7 @@ def richardson_lucy(
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Non-negative object by expectation maximisation, stopped where the residual is the noise.
+    """Reconstruct a non-negative object by Richardson-Lucy iteration, stopped at the noise level.
 
     Parameters
     ----------
@@ -47,33 +47,34 @@ def richardson_lucy(
     model : ForwardModel or TorchForwardModel
         Of shape (H, W); a field of point spreads is taken as well.
     accelerated : bool
-        Whether each step starts beyond the last one, along the line of the two before.
+        Whether to extrapolate each step along the last two iterates.
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units; None: estimated by
         `estimate_noise`.
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
-        Whether the strength of a further background is unknown and fitted besides.
+        Whether to fit the strength of an additional background.
     background_shape : array_like or None
-        (H, W), non-negative, shape of that further background; None: uniform.
+        Shape of the additional background, (H, W), non-negative; None: uniform.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     max_iterations : int
+        Maximum number of iterations.
     tolerance : float
-        Relative change of the object per iteration at which to stop as well.
+        Stop also when the relative change of the object per iteration is below this value.
     start : array_like, mapping or None
-        Object to begin with, (H, W) in image units, or a state that holds one; see `checkpoints`.
+        Initial object, (H, W) in image units, or a saved state; see `inverse.data.checkpoints`.
         Where it is dark it stays dark.
     progress : callable or None
-        Called now and then with a line of text and the fraction done; may raise `Stop`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`.
 
     Returns
     -------
     Reconstruction
-        The first iterate whose residual is the noise ("converged"), or one that no longer moves
-        ("converged", its score says how far from the noise); else the one of least ``objective``
-        ("unconverged").
+        "converged": the first iterate with a residual at the noise level, or one that no longer
+        changes, in which case its score may differ from 1. "unconverged": the iterate with the
+        least ``objective``.
 
     Raises
     ------
@@ -84,14 +85,14 @@ def richardson_lucy(
 
     Notes
     -----
-    ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_, which keeps the flux and the sign, with the pixel
-    weights w of a noise map. What the frame cuts off is in ``A'w``, so a padded frame rings at no
-    edge. The background's strength is one more unknown of the same step, which starts beside the
-    Wiener filter's object; from farther it would take thousands of iterations. Noise makes dark
-    pixels negative, which the method does not take: a pedestal that lifts the darkest to one noise
-    is added to image and model alike [3]_, and no value is clipped. Iterations are what
-    regularises; past the noise they only fit it. The acceleration is Biggs and Andrews' [4]_.
-    ``objective`` is the weighted divergence of the model from the image, in units of its range.
+    ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_ conserves flux and sign; w are the pixel weights of a
+    noise map. ``A'w`` accounts for light lost at the frame, so that padded edges do not ring. The
+    background's strength is updated by the same step and starts from its estimate with the Wiener
+    filter; a remote start would need thousands of iterations. Noise can make dark pixels negative,
+    which the method does not allow. Instead of clipping, a pedestal that lifts the darkest pixel to
+    one noise sigma is added to image and model [3]_. Early stopping is the regularisation; further
+    iterations would fit the noise. The acceleration follows Biggs and Andrews [4]_. ``objective``
+    is the weighted divergence between model and image, in units of the image's range.
 
     References
     ----------
@@ -197,7 +198,7 @@ class _Maximisation:
                 on = goes_on(
                     progress,
                     f"Richardson-Lucy: residual {residual:.3g} of the noise after "
-                    f"{iteration + 1} iterations",
+                    f"{counted(iteration + 1, 'iteration')}",
                     1.0 if last else (iteration + 1) / max_iterations,
                     partial(state_of, self.best.double() * self.scale),
                 )
@@ -242,7 +243,7 @@ class _Maximisation:
 
 
 def _reach(moves: list[Tensor]) -> float:
-    """How far beyond the last step to start, from the last two, 0 to 1."""
+    """Return the extrapolation factor, 0 to 1, computed from the last two steps."""
     if len(moves) < 2:
         return 0.0
     earlier, later = moves

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, positive, whole
+from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
@@ -38,38 +38,40 @@ def wiener(
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Linear least-squares estimate of an object with a 1/f^2 power spectrum.
+    """Reconstruct an object with the Wiener filter for a 1/f^2 power spectrum.
 
     Parameters
     ----------
     image : ndarray or Tensor
-        (H, W), any unit.
+        Image, (H, W), any unit.
     model : ForwardModel or TorchForwardModel
-        Of shape (H, W).
+        Image model with the shape (H, W).
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units; None: estimated by
-        `estimate_noise`. Infinite where a pixel is not to count, as a saturated one.
+        `estimate_noise`. Infinite for pixels to ignore, such as saturated ones.
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
-        Whether the strength of a further background is unknown and fitted besides.
+        Whether to fit the strength of an additional background.
     background_shape : array_like or None
-        (H, W), non-negative, shape of that further background; None: uniform.
+        Shape of the additional background, (H, W), non-negative; None: uniform.
     gain : float or None
-        Known image units per object unit; None: the object's largest value becomes 1.
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     max_iterations : int
+        Maximum number of iterations.
     tolerance : float
-        Residual of the normal equations over their right-hand side at which to stop.
+        Stop when the residual of the normal equations, relative to their right-hand side, is below
+        this value.
     start : array_like, mapping or None
-        Object to begin with, (H, W) in image units, or a state that holds one; see `checkpoints`.
+        Initial object, (H, W) in image units, or a saved state; see `inverse.data.checkpoints`.
     progress : callable or None
-        Called with a line of text and the fraction done; may raise `Stop`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`.
 
     Returns
     -------
     Reconstruction
-        The object may be negative. ``objective`` is half the squared residual over the noise
-        plus half the object's squared norm under the prior.
+        The object may have negative values. ``objective`` is half the squared residual in units of
+        the noise, plus half the object's squared norm under the prior.
 
     Raises
     ------
@@ -80,13 +82,13 @@ def wiener(
 
     Notes
     -----
-    Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x``, S proportional to 1/(f^2 + f_0^2) with f_0
-    one cycle per frame (the spectrum of natural scenes [1]_), its strength matched to the image's
-    variance in excess of the noise, or to its mean square where, without a background to fit, the
-    image is even to its noise. A circular frame without weights is the classical filter,
-    solved in one step. A padded frame sees only part of the light, and a field has many spectra:
-    the filter, by a field's mean point spread, is then the preconditioner of conjugate gradients
-    over the objects that lie in the frame, so no edge is tapered and none rings.
+    Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x``. The prior spectrum S is proportional to
+    1/(f^2 + f_0^2) with f_0 one cycle per frame, as in natural scenes [1]_. Its strength matches
+    the image's variance in excess of the noise; for an image that is uniform up to noise, without a
+    background to fit, it matches the mean square instead. A circular frame without weights is the
+    classical filter, solved in one step. For a padded frame or a field of point spreads, the filter
+    with the mean point spread preconditions conjugate gradients over objects inside the frame. No
+    edge tapering is needed, and edges do not ring.
 
     References
     ----------
@@ -238,7 +240,7 @@ def _conjugate_gradients(
         done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
         on = goes_on(
             progress,
-            f"Wiener filter: residual {left:.1e} after {iteration + 1} iterations",
+            f"Wiener filter: residual {left:.1e} after {counted(iteration + 1, 'iteration')}",
             min(max(done, (iteration + 1) / max_iterations), 1.0),
             partial(state_of, level),
         )

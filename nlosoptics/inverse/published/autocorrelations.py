@@ -27,7 +27,7 @@ _ROOM = 1.4
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpectrumModulus:
-    """What phase retrieval starts from.
+    """Estimated modulus of the object's spectrum, the input of phase retrieval.
 
     Parameters
     ----------
@@ -138,7 +138,9 @@ def checked_lags(autocorrelation: Any) -> Array:
             raise TypeError
         lags = np.asarray(autocorrelation, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError("autocorrelation is no array of real numbers; give (odd, odd)") from None
+        raise SceneError(
+            "autocorrelation is not an array of real numbers; give one of shape (odd, odd)"
+        ) from None
     if lags.ndim != 2 or min(lags.shape) < 5 or not all(n % 2 for n in lags.shape):
         raise SamplingError(
             f"autocorrelation has shape {lags.shape}, must be (odd, odd) with the zero lag at the "
@@ -146,8 +148,8 @@ def checked_lags(autocorrelation: Any) -> Array:
         )
     if not np.isfinite(lags).all():
         raise SceneError(
-            f"autocorrelation has {np.count_nonzero(~np.isfinite(lags))} values that are not "
-            "finite; mend them first"
+            f"autocorrelation has {np.count_nonzero(~np.isfinite(lags))} of {lags.size} values "
+            "that are not finite; mend them first"
         )
     if np.ptp(lags) == 0.0:
         raise SceneError(
@@ -167,8 +169,8 @@ def _object_size(lags: Array) -> tuple[int, int]:
     name = labels[lags.shape[0] // 2, lags.shape[1] // 2]
     if name == 0:
         raise SamplingError(
-            "no lags stand out of the background around the centre; the image holds no object "
-            "that its autocorrelation could tell, or give object_size"
+            "no lags stand out of the background around the centre, so that the autocorrelation "
+            "shows no object; use an image with more light, or give object_size"
         )
     found = ndimage.find_objects(labels)[name - 1]
     sizes = [

@@ -1,4 +1,4 @@
-"""A network trained on simulated pairs: fast, and bound to what it was trained on."""
+"""Reconstruction by a network trained on simulated pairs of image and object."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import in_range, positive, whole
+from ..._checks import counted, in_range, positive, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import checked_seed, generator
@@ -37,14 +37,19 @@ _ENTRY = "nlosoptics"
 
 
 class CnnBaseline(nn.Module):
-    """U-net from an image to its object, trained on pairs by `train_cnn`.
+    """U-net that maps an image to its object, trained by `train_cnn`.
 
-    It knows no wall: what it does not find in its training pairs it does not know.
+    The network has no physical model. It can only recover objects and walls similar to those of
+    its training pairs.
 
     Parameters
     ----------
-    base, depth, seed
-        Of `UNet`.
+    base : {8, 16, 32}
+        Channels at full resolution, see `UNet`.
+    depth : int
+        Number of times the resolution is halved, see `UNet`.
+    seed : int
+        Seed of the initial weights.
     """
 
     def __init__(self, *, base: int = 16, depth: int = 4, seed: int = 0) -> None:
@@ -52,7 +57,7 @@ class CnnBaseline(nn.Module):
         self.network = UNet(base, depth, seed=seed)
 
     def forward(self, images: Tensor) -> Tensor:
-        """Objects (B, H, W), 0 to 1, of images (B, H, W) in any unit."""
+        """Compute objects (B, H, W), 0 to 1, from images (B, H, W) in any unit."""
         if images.ndim != 3:
             raise SamplingError(f"images has shape {tuple(images.shape)}, must be (B, H, W)")
         centred = images - images.mean(dim=(1, 2), keepdim=True)
@@ -73,19 +78,35 @@ class CnnBaseline(nn.Module):
         gain: float | None = None,
         tolerance: float = 0.1,
     ) -> Reconstruction:
-        """Object of one image; the image model only says how well it explains the image.
+        """Reconstruct the object of one image.
+
+        The image model does not affect the object's shape. It only provides gain, background and
+        residual.
 
         Parameters
         ----------
-        image, model, noise_sigma, background, fit_background, background_shape, gain
-            As in `tv_deconvolve`.
+        image : ndarray or Tensor
+            Image, (H, W), any unit.
+        model : ForwardModel or TorchForwardModel
+            Image model with the shape (H, W).
+        noise_sigma : float, array_like or None
+            Standard deviation of the noise, one number or (H, W), image units; None: estimated by
+            `estimate_noise`.
+        background : float or array_like
+            Known background, one number or (H, W), image units.
+        fit_background : bool
+            Whether to fit the strength of an additional background.
+        background_shape : array_like or None
+            Shape of the additional background, (H, W), non-negative; None: uniform.
+        gain : float or None
+            Known image units per object unit; None: the object is scaled to a maximum of 1.
         tolerance : float
-            By how much the residual may exceed the noise, as a part of it, where the answer is
-            called converged.
+            The status is "converged" if the residual exceeds the noise by at most this fraction.
 
         Returns
         -------
         Reconstruction
+            Object, status and score.
 
         Raises
         ------
@@ -126,7 +147,12 @@ class CnnBaseline(nn.Module):
         )
 
     def save(self, path: Path | str) -> None:
-        """Write the weights as a safetensors file, whole or not at all.
+        """Save the weights to a safetensors file, atomically.
+
+        Parameters
+        ----------
+        path : Path or str
+            File to write.
 
         Raises
         ------
@@ -146,12 +172,22 @@ class CnnBaseline(nn.Module):
 
     @classmethod
     def load(cls, path: Path | str) -> Self:
-        """Read what `save` wrote.
+        """Load a network that `save` wrote.
+
+        Parameters
+        ----------
+        path : Path or str
+            File to read.
+
+        Returns
+        -------
+        CnnBaseline
+            Network with the saved weights.
 
         Raises
         ------
         SceneError
-            If there is no such file, or it holds something else.
+            If the file cannot be read or does not contain such a network.
         MissingExtraError
             If safetensors is not installed.
         """
@@ -164,35 +200,38 @@ class CnnBaseline(nn.Module):
             tensors, told = safetensors.load(content), _metadata(content)
         except Exception as error:
             raise SceneError(
-                f"{path} is no safetensors file ({error}); give one of nlosoptics train"
+                f"{path} is no safetensors file ({error}); give one written by nlosoptics train"
             ) from None
         if told.get("format") != _FORMAT:
             raise SceneError(
                 f'{path} has format {told.get("format")!r}, must be "{_FORMAT}"; '
-                "give one of nlosoptics train"
+                "give one written by nlosoptics train"
             )
         made = cls(base=int(told["base"]), depth=int(told["depth"]))
         try:
             made.network.load_state_dict(tensors)
         except RuntimeError as error:
             told_of = " ".join(str(error).split())[:200]
-            raise SceneError(f"{path} does not hold its network's weights: {told_of}") from None
+            raise SceneError(
+                f"{path} does not hold its network's weights: {told_of}; train it again"
+            ) from None
         return made
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Training(Noun):
-    """What a training came to.
+    """Result of a training.
 
     Parameters
     ----------
     network : CnnBaseline
-        Of the epoch with the least validation error.
-    history : mapping of str to ndarray
-        (n_epochs,) float64, read-only: ``training`` and ``validation``, mean squared error.
+        Network after the epoch with the least validation error.
+    history : mapping of str to ndarray, (n_epochs,)
+        Mean squared errors ``training`` and ``validation`` per epoch, float64, read-only.
     interrupted : bool
-        Whether Ctrl-C ended it.
+        Whether Ctrl-C ended the training.
     seconds : float
+        Wall-clock time, s.
     """
 
     network: CnnBaseline
@@ -216,39 +255,55 @@ def train_cnn(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Training:
-    """Train a network on pairs; Ctrl-C ends it with the best epoch so far.
+    """Train a network on pairs of image and object; Ctrl-C ends it with the best epoch so far.
 
     Parameters
     ----------
     pairs : TrainingPairs
-    base, depth : int
-        Of `UNet`.
-    epochs, batch : int
-        Times that each pair is shown, and pairs a step.
+        Training pairs, for example from `training_pairs`.
+    base : {8, 16, 32}
+        Channels at full resolution, see `UNet`.
+    depth : int
+        Number of times the resolution is halved, see `UNet`.
+    epochs : int
+        Passes over all training pairs.
+    batch : int
+        Pairs per optimiser step.
     learning_rate : float
-        Of Adam at first; it falls along a cosine to zero.
+        Initial learning rate of Adam; it decreases to zero along a cosine.
     validation : float
-        Share of the pairs, the last ones, that is held out and picks the epoch.
+        Fraction of the pairs, taken from the end, that is held out to select the best epoch.
     device : torch.device or str
-        Where to compute; the network comes back on the processor.
+        Device for training; the network is returned on the CPU.
     seed : int
-        Of the first weights and of the order of the pairs; on one processor the same seed gives the
-        same bits.
+        Seed of the initial weights and of the order of the pairs. On one processor the same seed
+        gives bit-identical results.
     progress : callable or None
-        Called after every step with a line of text and the fraction done.
+        Called after every step with a text and the completed fraction.
 
     Returns
     -------
     Training
+        Best network with the history of its training.
 
     Raises
     ------
     SceneError
-        If a value is out of range or not finite, or pairs are too few to hold one out.
+        If a value is out of range or not finite, or there are fewer than two pairs.
     SamplingError
-        If images and objects do not fit each other.
+        If images and objects differ in shape.
     KeyboardInterrupt
-        If Ctrl-C came before the first epoch was done.
+        If Ctrl-C was pressed before the first epoch ended.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.inverse import TrainingPairs, train_cnn
+    >>> images = np.random.default_rng(0).random((4, 8, 8), dtype=np.float32)
+    >>> pairs = TrainingPairs(images=images, objects=images)
+    >>> training = train_cnn(pairs, base=8, depth=1, epochs=2)
+    >>> training.history["validation"].shape, training.interrupted
+    ((2,), False)
     """
     started = time.perf_counter()
     checked_seed(seed)
@@ -259,7 +314,9 @@ def train_cnn(
     held = min(max(1, round(validation * count)), count - 1)
     shown = count - held
     if held < 1:
-        raise SceneError(f"{count} pairs, needs 2 to hold one out; make more")
+        raise SceneError(
+            f"{counted(count, 'pair')}, must be at least 2, one for validation; simulate more"
+        )
     made = CnnBaseline(base=base, depth=depth, seed=seed).to(device)
     images, objects = (values.to(device) for values in _tensors(pairs))
     adam = torch.optim.Adam(made.parameters(), learning_rate, fused=True)
@@ -294,7 +351,7 @@ def train_cnn(
         interrupted = True
     if best is None:
         raise SceneError(
-            f"learning_rate = {learning_rate:g} ended in weights that are not finite; lower it"
+            f"learning_rate = {learning_rate:g} gave weights that are not finite; lower it"
         )
     made.load_state_dict(best)
     if progress is not None and not interrupted:
@@ -323,7 +380,7 @@ def _tensors(pairs: TrainingPairs) -> tuple[Tensor, Tensor]:
         if n_bad:
             raise SceneError(
                 f"pairs.{name} has {n_bad} of {values.numel()} values that are not finite; "
-                "leave their pairs out"
+                "remove these pairs"
             )
     return images, objects
 
@@ -351,7 +408,7 @@ def _safetensors() -> Any:
 
 
 def _metadata(content: bytes) -> dict[str, Any]:
-    """What `save` told beside the tensors: a file begins with the length of its head, then JSON."""
+    """Read the metadata of a saved network; the file begins with a JSON header and its length."""
     length = int.from_bytes(content[:8], "little")
     head = json.loads(content[8 : 8 + length])
     return dict(json.loads(head.get("__metadata__", {}).get(_ENTRY, "{}")))

@@ -1,4 +1,4 @@
-"""Objects from the modulus of their spectrum alone, where the wall's phase is unknown."""
+"""Phase retrieval: objects from the modulus of their spectrum, with unknown phase of the wall."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from ..._checks import one_of, whole
+from ..._checks import counted, one_of, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
@@ -55,65 +55,68 @@ def phase_retrieval(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Object from the autocorrelation of its image by a speckle-like wall, the wall unknown.
+    """Reconstruct an object from the autocorrelation of its speckle image via an unknown wall.
 
     Parameters
     ----------
     image : ndarray or Tensor
-        (H, W), any unit; a uniform background does not count.
+        Image, (H, W), any unit; a uniform background has no effect.
     model : ForwardModel or TorchForwardModel or None
-        Its transfer's modulus is divided out of the image's power spectrum, its phase is not
-        used; None: the wall passes all frequencies alike on average, as a diffuser does.
+        Image model. The modulus of its transfer function is divided out of the image's power
+        spectrum; its phase is not used. None: the wall is assumed to transmit all frequencies
+        equally on average, like a diffuser.
     method : {"alternating", "hio", "raar"}
-        Alternating minimisation from a truncated spectral start, real objects of either sign;
-        hybrid input-output; relaxed averaged alternating reflections. The last two know that the
-        object is not negative.
+        "alternating": alternating minimisation from a truncated spectral start, for real objects of
+        either sign. "hio": hybrid input-output. "raar": relaxed averaged alternating reflections.
+        The last two require a non-negative object.
     object_size : (int, int) or None
-        Rows and columns of a box that holds the object; None: half of what stands out of the
-        autocorrelation, with some room.
+        Rows and columns of a box that contains the object. None: half the extent of the
+        autocorrelation's peak above its ground, plus a margin.
     restarts : int
-        From random starts, at least 2.
+        Number of random starts, at least 2.
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number or (H, W), image units; None: estimated by
         `estimate_noise`.
     background : float or array_like
         Known background, one number or (H, W), image units.
     max_iterations : int
-        Of each restart.
+        Maximum number of iterations of each restart.
     seed : int
+        Seed of the random starts.
     progress : callable or None
-        Called now and then with a line of text and the fraction done; may raise `Stop`, and then
-        has the mean of the restarts so far. The state that it may look at is a preview, largest
-        value 1: restarts are many and short, and none goes on from it.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`, which returns
+        the mean of the restarts so far. The state passed to its method ``look`` is only a preview
+        with a maximum of 1; a run cannot be resumed from it.
 
     Returns
     -------
     Reconstruction
-        The object in the middle of the frame, its place and a half turn being unknown, largest
-        value 1. ``score`` is the registered correlation, half turns allowed, between what two
-        independent halves of the restarts find. ``status`` is "unconverged" however well they
-        agree: whether the image's lags are the object's, as those off a wall of many grains, is not
-        seen from them. ``physical_parameters`` has ``fourier_error`` (least of the restarts),
-        ``object_size`` and ``noise_sigma``, ``history`` the ``fourier_error`` of each restart.
+        Object at the centre of the frame, with a maximum of 1; its position and a rotation by half
+        a turn remain unknown. ``score`` is the registered correlation between two independent
+        halves of the restarts. ``status`` is "unconverged" even if they agree, because agreement
+        does not show that the image's autocorrelation is the object's. ``physical_parameters``
+        contains the least ``fourier_error``, ``object_size`` and ``noise_sigma``; ``history``
+        contains the ``fourier_error`` of each restart.
 
     Raises
     ------
     SamplingError
-        If an array does not fit the model, or no object shows in the autocorrelation.
+        If an array does not fit the model, or the autocorrelation shows no object.
     SceneError
         If a value is out of range or not finite.
 
     Notes
     -----
-    The autocorrelation of a diffuser's point spread is a peak on a broad ground, so that of the
-    image is the object's on a ground [1]_; what it keeps of the wall's speckle falls with the
-    number of grains in the frame, and so does the object's extent that can be told. Frames hold an
-    object of at most half their width. Restarts of nearly the least Fourier error are averaged.
-    Two halves that agree are no proof: without the sign they can agree on a wrong picture, and a
-    box much larger than the object lets its twin lie over it. A tight ``object_size`` helps most.
-    The alternating method [2]_ is for measurements with random vectors, where it is known to
-    succeed; moduli of a plain spectrum are no such thing, and it is here as the rival that it is
-    taken for. Each of its restarts starts from a random half of the measurements.
+    The autocorrelation of a diffuser's point spread is a peak on a broad ground, so that the
+    autocorrelation of the image is that of the object on a ground [1]_. The residual influence of
+    the wall's speckle decreases with the number of speckle grains in the frame. The object may fill
+    at most half of the frame's width. Restarts with nearly the least Fourier error are averaged.
+
+    Agreement of the two halves is no proof. Without the sign constraint they can agree on a wrong
+    picture, and in a box much larger than the object its twin can be superimposed. A tight
+    ``object_size`` helps most. The alternating method [2]_ is proven for random measurement
+    vectors, not for moduli of a plain spectrum; it is included for comparison. Each of its restarts
+    starts from a random half of the measurements.
 
     References
     ----------
@@ -166,33 +169,39 @@ def object_from_autocorrelation(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Object from a measured autocorrelation, as `phase_retrieval` does from an image.
+    """Reconstruct an object from its measured autocorrelation.
 
     Parameters
     ----------
     autocorrelation : array_like
-        (odd, odd), zero lag at the centre, on any ground; the value at the zero lag does not
-        count.
+        Autocorrelation with odd numbers of rows and columns, zero lag at the centre, and an
+        arbitrary constant ground. The value at zero lag is ignored.
     method : {"alternating", "hio", "raar"}
+        Algorithm, see `phase_retrieval`.
     object_size : (int, int) or None
-        Rows and columns of a box that holds the object; None: half of what stands out, with room.
+        Rows and columns of a box that contains the object. None: half the extent of the peak above
+        the ground, plus a margin.
     restarts : int
-        From random starts, at least 2.
+        Number of random starts, at least 2.
     max_iterations : int
-        Of each restart.
+        Maximum number of iterations of each restart.
     seed : int
+        Seed of the random starts.
     progress : callable or None
-        As of `phase_retrieval`.
+        Called repeatedly with a text and the completed fraction; may raise `Stop`, which returns
+        the mean of the restarts so far.
 
     Returns
     -------
     Reconstruction
-        In a frame as large as the autocorrelation; the rest as from `phase_retrieval`.
+        Object in a frame of the autocorrelation's size, with a maximum of 1. ``score`` is the
+        correlation between two halves of the restarts; ``status`` is "converged" if it is at
+        least 0.9.
 
     Raises
     ------
     SamplingError
-        If the array's counts are not odd, or no object shows in it.
+        If the numbers of rows and columns are not odd, or the array shows no object.
     SceneError
         If a value is out of range or not finite.
     """
@@ -233,7 +242,9 @@ class _Search:
         self._ended = False
         if object_size is not None:
             if not hasattr(object_size, "__len__") or len(object_size) != 2:
-                raise SceneError(f"object_size = {object_size!r} is no size; give (rows, columns)")
+                raise SceneError(
+                    f"object_size = {object_size!r} is not a size; give (rows, columns)"
+                )
             rows, columns = (whole(f"object_size[{i}]", v, 2) for i, v in enumerate(object_size))
             self._object_size = (rows, columns)
 
@@ -251,7 +262,7 @@ class _Search:
 
             self._ended = not goes_on(
                 self._progress,
-                f"phase retrieval: {self._restarts} restarts by {self._method}",
+                f"phase retrieval: {counted(self._restarts, 'restart')} by {self._method}",
                 done,
                 preview,
             )
@@ -279,7 +290,7 @@ class _Search:
     def _objects(
         self, spectrum: SpectrumModulus, modulus: Tensor, watch: Callable[[float, Tensor], bool]
     ) -> tuple[Tensor, Tensor]:
-        """What each restart finds, (R, g_y, g_x), and its Fourier error; fewer if ended."""
+        """Return objects (R, g_y, g_x) of all restarts and their Fourier errors; fewer if ended."""
         rows, columns = spectrum.object_size
         support = torch.zeros(spectrum.grid, dtype=torch.bool, device=modulus.device)
         support[:rows, :columns] = True

@@ -71,6 +71,7 @@ def alternating_minimisation(
         x of least ``|A x - c|`` for given c.
     start : Tensor
     max_iterations : int
+        Maximum number of iterations.
     tolerance : float
         Relative change of x per iteration at which to stop.
 

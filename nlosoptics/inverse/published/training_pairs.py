@@ -1,4 +1,4 @@
-"""Images and objects to train a network with: random pictures by random walls, with all noise."""
+"""Simulated training pairs: images of random pictures via random walls, with all noise."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _TOL = 1e-2  # of a point spread's peak: the noise is of that size
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrainingPairs(Noun):
-    """Images with what they are images of.
+    """Pairs of image and object for training.
 
     Parameters
     ----------
-    images : ndarray
-        (N, H, W) float32, electrons, [y, x] in the camera's frame.
-    objects : ndarray
-        (N, H, W) float32, the same pixels without blur, background and noise, largest value 1.
+    images : ndarray, (N, H, W) float32
+        Images, electrons, [y, x] in the camera's frame.
+    objects : ndarray, (N, H, W) float32
+        Objects on the same pixels, without blur, background and noise; maximum 1.
     """
 
     images: Array
@@ -51,38 +51,41 @@ def training_pairs(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TrainingPairs:
-    """Exposures of random pictures by random walls, in a scene's geometry and light.
+    """Simulate images of random pictures via random walls, in the geometry and light of a scene.
 
     Parameters
     ----------
     scene : Scene
-        With a flat wall that has a smooth mirror-like lobe, and a planar object, whose picture is
-        replaced.
+        Scene with a flat wall, a smooth mirror-like lobe and a planar object. The object's picture
+        is replaced by random ones.
     count : int
+        Number of pairs.
     waves : float
-        Largest rms of a wall's wave aberration, waves; each wall's is drawn from 0 on, evenly.
+        Largest rms wave aberration of a wall, waves. The rms of each wall is drawn uniformly from
+        0 to this value.
     size : int or None
-        Image pixels a side of a region of interest about the axis, the object shrunk with it;
-        None: the scene's own.
+        Side of a square region of the image about the axis, pixels, at least 8; the object is
+        scaled down with it. None: the whole image.
     modes : sequence of int
-        Noll indices that a wall's wave is made of, equally strong on average.
+        Noll indices of the walls' modes, with equal variances.
     seed : int
-        The first pairs are the same whatever their count.
+        Seed of the random numbers. A larger ``count`` extends the pairs of a smaller one.
     progress : callable or None
-        Called now and then with a line of text and the fraction done.
+        Called repeatedly with a text and the completed fraction.
 
     Returns
     -------
     TrainingPairs
+        Images and objects.
 
     Raises
     ------
     SceneError
-        If the scene has another wall or object, or a value is out of range.
+        If the scene has another kind of wall, lobe or object, or a value is out of range.
 
     Notes
     -----
-    Each image goes the way of `simulate`: `psf.wide_point_spread`, to 1 % of its peak, and
+    Each image is computed as in `simulate`: by `psf.wide_point_spread`, to 1 % of its peak, and
     `imaging.form_image` with all of the camera's noise.
     """
     checked_seed(seed)
@@ -138,7 +141,7 @@ def _framed(scene: Scene, size: int | None) -> Scene:
     lobes = scene.wall_material.mirror_lobes
     if not lobes:
         raise SceneError(
-            "wall.material has no mirror-like lobe, so no image to learn from; add one"
+            "wall.material has no mirror-like lobe and forms no image; add such a lobe"
         )
     steepest = max(lobe.slope_rms for lobe in lobes)
     if steepest > 0.0:

@@ -1,4 +1,4 @@
-"""Small U-nets: picture in, picture out, any size."""
+"""Small U-nets that map pictures to pictures of the same, arbitrary size."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ class UNet(nn.Module):
     Parameters
     ----------
     base : {8, 16, 32}
-        Channels at full resolution, doubled at each level down: 0.44, 1.77 and 7.06 million weights
-        at depth 4.
+        Channels at full resolution, doubled at each lower level. The network has 0.44, 1.77 or 7.06
+        million weights at depth 4.
     depth : int
-        Halvings of the resolution.
+        Number of times the resolution is halved, 1 to 8.
     in_channels, out_channels : int
-        Channels of the picture given and returned.
+        Channels of the input and output pictures.
     seed : int
-        Of the first weights.
+        Seed of the initial weights.
 
     Notes
     -----
-    Each level has two 3 x 3 convolutions on the way down and one on the way up (a second one there
-    cost a third of the time and fitted no better), each followed by normalisation over all channels
-    and pixels of a picture (one group, so that a batch of one is like any other) and a leaky ramp;
-    on the way up, samples are doubled and the encoder's are put beside them. Sides that 2^depth
-    does not divide are continued by their last samples and cut off again. Channels lie innermost in
-    memory (channels_last), which makes a step on a processor a fifth faster at the same sums.
+    Each level has two 3 x 3 convolutions in the encoder and one in the decoder; a second one there
+    took a third of the time and fitted no better. Each convolution is followed by normalisation
+    over all channels and pixels of a picture (one group, independent of the batch) and a leaky
+    ReLU. The decoder doubles the samples and concatenates those of the encoder. Sides that 2^depth
+    does not divide are padded with their last samples and cropped again. The memory layout is
+    channels_last, which makes a step on a CPU a fifth faster with the same results.
 
     References
     ----------
@@ -81,7 +81,7 @@ class UNet(nn.Module):
         self.head = nn.Conv2d(self.base, self.out_channels, 1, dtype=torch.float32)
 
     def forward(self, picture: Tensor) -> Tensor:
-        """Picture (B, out_channels, H, W) of a picture (B, in_channels, H, W)."""
+        """Map pictures (B, in_channels, H, W) to pictures (B, out_channels, H, W)."""
         if picture.ndim != 4 or picture.shape[1] != self.in_channels:
             raise SamplingError(
                 f"picture has shape {tuple(picture.shape)}, must be (B, {self.in_channels}, H, W); "

@@ -1,4 +1,4 @@
-"""The physics-constrained inverse network as published: Wu et al. 2024."""
+"""Physics-constrained inverse network (PCIN) as published by Wu et al. 2024."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import in_range, one_of, positive, whole
+from ..._checks import counted, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
@@ -62,48 +62,61 @@ def wu2024_fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Object and wall from one image, by an untrained U-net and random angles (PCIN) [1]_.
+    """Fit object and wall to one image with an untrained U-net and random angles (PCIN) [1]_.
 
     Parameters
     ----------
     images : ndarray or Tensor
-        (H, W) or (1, H, W), any unit: the method takes one image.
+        One image, (H, W) or (1, H, W), any unit.
     pupil_psf : PupilPSF
-        Of shape (H, W). What of it is fitted stands for the exit angles; it is not changed.
+        Point spread of shape (H, W). Its coefficients take the role of the exit angles; the object
+        itself is not modified.
     defocus : sequence of one float, or None
-        Known further defocus of the image, m rms.
+        Known additional defocus of the image, m rms.
     start : Reconstruction, mapping or None
-        An earlier result of this function for the same kind of object, from whose angles and
-        network this run starts (warm); a state of a run with the same options, from which it goes
-        on bit by bit (see `checkpoints`); None: both are random (cold).
+        Warm start: an earlier result of this function for a similar object, which provides angles
+        and network. A saved state of a run with the same options resumes that run bit-identically
+        (see `inverse.data.checkpoints`). None: cold start with random angles and weights.
     start_waves : float
-        rms of a cold start's wave aberration, waves.
-    base, depth : int
-        Of the network, see `UNet`; a warm start has its own.
+        Rms wave aberration of a cold start, waves.
+    base : {8, 16, 32}
+        Channels of the network at full resolution, see `UNet`. Ignored for a warm start.
+    depth : int
+        Number of times the resolution is halved, see `UNet`. Ignored for a warm start.
     alternate : int
-        Steps on the angles before as many on the network.
+        Number of steps on the angles, followed by as many on the network.
     network_input : {"image", "reconstruction"}
-        What step 2 feeds the network with: the measured image, or the last reconstruction.
+        Input of the network in step 2: the measured image or the last reconstruction.
     learning_rate : float
-        Of Adam, for angles and weights.
+        Learning rate of Adam for angles and weights.
     tv_weight : float
-        Of the total variation in W(9), the image's range being 1.
-    noise_sigma, background, fit_background, background_shape, gain
-        As in `tv_deconvolve`; noise and background may be those of a list of one image.
+        Weight of the total variation in W(9), for an image with range 1.
+    noise_sigma : float, array_like or None
+        Standard deviation of the noise, one number, (H, W) or (1, H, W), image units; None:
+        estimated by `estimate_noise`.
+    background : float or array_like
+        Known background, one number, (H, W) or (1, H, W), image units.
+    fit_background : bool
+        Whether to fit the strength of an additional background.
+    background_shape : array_like or None
+        Shape of the additional background, (H, W), non-negative; None: uniform.
+    gain : float or None
+        Known image units per object unit; None: the object is scaled to a maximum of 1.
     max_iterations : int or None
-        Steps on angles and network together; None: 4000 cold, 1800 warm.
+        Maximum number of steps on angles and network together; None: 4000 cold, 1800 warm.
     seed : int
-        Of the random angles and weights.
+        Seed of the random angles and weights.
     progress : callable or None
-        Called after each turn with a line of text and the fraction done; may raise `Stop`.
+        Called after each alternation with a text and the completed fraction; may raise `Stop`.
 
     Returns
     -------
     Reconstruction
-        ``physical_parameters`` also holds ``coefficients`` (as those of ``pupil_psf``),
-        ``network_weights`` (n,) float32, ``network_base``, ``network_depth``, ``strehl`` (peak of
-        the point spread over that without aberration) and ``iterations``. The status is "trivial"
-        where the object is the image, to a correlation of 0.95, else "unconverged" (see Notes).
+        Object, status and score. ``physical_parameters`` also contains ``coefficients`` (as in
+        ``pupil_psf``), ``network_weights`` (n,) float32, ``network_base``, ``network_depth``,
+        ``strehl`` (peak of the point spread relative to the unaberrated one) and ``iterations``.
+        The status is "trivial" if object and image have a correlation of 0.95 or more, otherwise
+        "unconverged" (see Notes).
 
     Raises
     ------
@@ -114,7 +127,7 @@ def wu2024_fit(
 
     Notes
     -----
-    The paper's section 2.2, and where it is done here:
+    Statements of the paper's section 2.2 and their implementation, W(n) being its equation n:
 
     ==================================================  ===========================================
     "The speckle image ... is fed into CNN with         `UNetObject` on the image, weights drawn by
@@ -136,18 +149,18 @@ def wu2024_fit(
     512 x 512 pixels                                    any; see below for memory
     ==================================================  ===========================================
 
-    What the paper leaves open, and the choice: how often steps 1 and 2 repeat (``alternate``);
-    what "fed into the network" in step 2 means beside the measured image (``network_input``); the
-    network's size (``base``, the paper's is not told) and last layer (a sigmoid); the spread of the
-    random angles (``start_waves``); the weight of TV, which W(9) prints as 1 in unknown units
-    (``tv_weight``; both sums are over pixels); the brightness of the modelled image and the
-    removal of background, here at their least squares in every step; whether Adam's moments
-    live through the alternation (they do). The frame is circular, as the product W(8) is.
+    The paper leaves some choices open, which are options here: the number of repetitions of steps 1
+    and 2 (``alternate``); the input of the network in step 2 (``network_input``); the network's
+    size (``base``); the spread of the random angles (``start_waves``); the weight of TV
+    (``tv_weight``), which W(9) gives as 1 in unknown units (both sums are over pixels). Fixed
+    choices are a sigmoid as last layer, least-squares brightness and background in every step, and
+    moments of Adam that persist through the alternation. The frame is circular, as W(8) implies.
 
-    This is the method for comparison. From random angles and one image it was not seen to find
-    object and wall: it ends at the image itself, or at another object that explains the image to
-    its noise or better (`benchmarks/inverse/wu2024.py`); started at the wall it drifts away. A fit
-    of the noise is therefore no sign of success, and it is never called "converged".
+    The method is included for comparison. From random angles and one image it was never observed to
+    find object and wall. It ends at the image itself, or at another object that fits the image to
+    its noise or better (`benchmarks/inverse/wu2024.py`). Started at the true wall it drifts away. A
+    residual at the noise level is therefore no sign of success, and the status is never
+    "converged".
 
     References
     ----------
@@ -233,8 +246,8 @@ class _Pcin:
             done = max_iterations - left
             if not goes_on(
                 progress,
-                f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after {done} "
-                "iterations",
+                f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after "
+                f"{counted(done, 'iteration')}",
                 done / max_iterations,
                 partial(self._state, done),
             ):
@@ -359,7 +372,7 @@ def _only(images: Any, pupil_psf: PupilPSF) -> Any:
 
 
 def _of_one(name: str, value: Any) -> Any:
-    """What holds of one image, of (1,) or (1, H, W) as of a list of images."""
+    """Return the element of a value of shape (1,) or (1, H, W), and any other value itself."""
     shape = shape_of(name, value)
     return value[0] if len(shape) in (1, 3) and shape[0] == 1 else value
 

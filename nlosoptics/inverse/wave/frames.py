@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..._checks import one_of
+from ..._checks import counted, one_of
 from ...errors import SamplingError, SceneError
 from ..data.measurement import Measurement, measurement, real_array, shape_of
 from .pupil_psf import MOST_DEFOCUS, PupilPSF
@@ -115,12 +115,12 @@ def frames_of(
     """Check images and what is known of them; arguments as of `pcin`."""
     if not isinstance(pupil_psf, PupilPSF):
         raise SceneError(
-            f"pupil_psf of type {type(pupil_psf).__name__} is no point spread with an unknown "
+            f"pupil_psf of type {type(pupil_psf).__name__} is not a point spread with an unknown "
             "wave; give an inverse.PupilPSF"
         )
     if not isinstance(pupil_psf.waves, ZernikeWaves):
         raise SceneError(
-            "pupil_psf has other leaves than Zernike coefficients; build it by "
+            "pupil_psf has slopes instead of Zernike coefficients; build it by "
             "PupilPSF.from_zernike"
         )
     stack = _stack(images)
@@ -140,9 +140,7 @@ def frames_of(
     )
     for number, one in enumerate(measured):
         if one.sigma == 0.0:
-            raise SceneError(
-                f"image {number} is without noise (noise_sigma None, estimated 0); give noise_sigma"
-            )
+            raise SceneError(f"the estimated noise of image {number} is 0; give noise_sigma")
     pupil = _on_grid(pupil_psf, shape, boundary)
     like = torch.zeros((), dtype=pupil.optics.dtype, device=pupil.optics.device)
     scale = max(float(one.data.max() - one.data.min()) for one in measured)
@@ -185,7 +183,10 @@ def _per_image(name: str, value: Any, count: int, ndim: int) -> list[Any]:
     if dimensions in (0, ndim - 1):
         return [value] * count
     if len(value) != count:
-        raise SamplingError(f"{name} has {len(value)} values for {count} images; give one for each")
+        raise SamplingError(
+            f"{name} has {counted(len(value), 'value')} for {counted(count, 'image')}; give one "
+            "for each"
+        )
     return list(value)
 
 
@@ -196,8 +197,8 @@ def _wall_numbers(walls: Any, count: int) -> Tensor:
     numbers = np.asarray(walls)
     if numbers.shape != (count,) or numbers.dtype.kind not in "iu":
         raise SamplingError(
-            f"walls has shape {numbers.shape} and type {numbers.dtype}; give {count} whole "
-            "numbers, the wall of each image"
+            f"walls has shape {numbers.shape} and type {numbers.dtype}; give "
+            f"{counted(count, 'whole number')}, the wall of each image"
         )
     if sorted(set(numbers.tolist())) != list(range(int(numbers.max()) + 1)):
         raise SamplingError(f"walls = {numbers.tolist()}; number them 0, 1, ... without gaps")
@@ -247,8 +248,8 @@ def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> Pupi
         return pupil_psf
     if pupil_psf.holds_more:
         raise SamplingError(
-            f"pupil_psf has shape {own}, and its known wave or transmission cannot be had on the "
-            f"{wide} samples that padded images need; build it with that shape"
+            f"pupil_psf has shape {own}, but padded images need {wide} samples, on which its known "
+            "wave or transmission is not available; build it with that shape"
         )
     samples = None
     if optics.method == "mdft":

@@ -103,7 +103,9 @@ class PupilOptics(nn.Module):
         self.pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
         self.image_distance = real("image_distance", image_distance)
         if self.image_distance == 0:
-            raise SceneError("image_distance = 0 m; the pupil cannot lie in the image")
+            raise SceneError(
+                "image_distance = 0 m, must not be 0; give the signed distance from pupil to image"
+            )
         self.pitch = positive("pitch", pitch, unit="m")
         self.shape = shape_of(shape)
         self.method = one_of("method", method, ("fft", "mdft"))
@@ -126,12 +128,12 @@ class PupilOptics(nn.Module):
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of all real tensors."""
+        """Data type of all real tensors."""
         return self._amplitude.dtype
 
     @property
     def device(self) -> torch.device:
-        """Where the tensors are."""
+        """Device of the tensors."""
         return self._amplitude.device
 
     def point_spread(self, turns: Tensor) -> Tensor:
@@ -214,8 +216,8 @@ class PupilOptics(nn.Module):
         """Cell centres along v and u, m."""
         if not self.pixel_integrated and self.pitch > self.nyquist_pitch * (1 + _ROUNDING):
             raise SamplingError(
-                f"pitch = {self.pitch:.6g} m is wider than Nyquist's {self.nyquist_pitch:.6g} m, "
-                "too wide for point samples; use a finer pitch, or pixel_integrated=True"
+                f"pitch = {self.pitch:.6g} m, limit for point samples (Nyquist) "
+                f"{self.nyquist_pitch:.6g} m; use a finer pitch, or pixel_integrated=True"
             )
         if self.method == "mdft":
             axis = self._matrix_axis(samples)

@@ -1,4 +1,4 @@
-"""A point spread function whose wave is unknown: pupil, point spread and image, differentiable."""
+"""Differentiable point spread and image as functions of the wave in the pupil."""
 
 from __future__ import annotations
 
@@ -30,29 +30,31 @@ from .pupil_waves import (
     start_values,
 )
 
-#: Known defoci beyond this, m rms, are taken for waves.
+#: Largest plausible known defocus, m rms; larger values were probably given in waves.
 MOST_DEFOCUS = 1e-3
 
 
 class PupilPSF(nn.Module):
-    """Point spread of a round pupil as a function of the wave's coefficients.
+    """Point spread of a round pupil as a differentiable function of the wave's coefficients.
 
-    Build it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. Everything is
-    differentiable and batched: coefficients of shape (..., M), or (..., g, g, 2) for slopes, give
-    point spreads (..., H, W). Start values whose slope exceeds lambda/(2 pupil cell) draw a
-    warning; `steepest` tells it of any.
+    Build it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. All methods accept
+    batches: coefficients of shape (..., M), or (..., g, g, 2) for slopes, give point spreads
+    (..., H, W). A warning is issued if the start values have slopes above lambda/(2 pupil cell);
+    `steepest` returns this figure for any coefficients.
 
     Parameters
     ----------
     optics : PupilOptics
+        Pupil, image grid and transform.
     waves : ZernikeWaves or SlopeWaves
-    coefficients : array_like
-        Start values of the leaves, of shape ``waves.leaf_shape`` or (..., *leaf_shape).
+        Parametrisation of the wave.
+    coefficients : array_like, (..., M) or (..., g, g, 2)
+        Start values of the coefficients.
 
     Attributes
     ----------
     coefficients : torch.nn.Parameter
-        Leaves, dimensionless, so that an optimiser's steps have a natural size: Zernike
+        Fit parameters, dimensionless, so that optimiser steps have a natural size: Zernike
         coefficients in WAVES rms over the full disc, slopes in waves per pupil radius. All other
         lengths are in m.
     """
@@ -67,7 +69,7 @@ class PupilPSF(nn.Module):
         self.coefficients = nn.Parameter(like(optics, coefficients))
         self._checked(self.coefficients)
         if not bool(torch.isfinite(self.coefficients).all()):
-            raise SceneError("coefficients hold NaN or infinity; give finite start values")
+            raise SceneError("coefficients contain NaN or infinity; give finite start values")
         self.register_buffer("_defocus", like(optics, noll_mode(DEFOCUS, optics)))
         optics.warn_of_steps(self.aberration().detach() / optics.wavelength)
 
@@ -87,39 +89,54 @@ class PupilPSF(nn.Module):
         device: torch.device | str = "cpu",
         dtype: torch.dtype = torch.float32,
     ) -> Self:
-        """Wave of Zernike polynomials on a clear round pupil.
+        """Build a point spread whose wave is a sum of Zernike modes on a clear round pupil.
 
         Parameters
         ----------
         modes : sequence of int, or mapping of int to float
-            Noll indices from 2 on, or index to start value, m rms; without values all start at 0.
-        wavelength, pupil_radius, image_distance : float
-            m; the distance is signed, from pupil to image.
+            Noll indices from 2, or a mapping from index to start value, m rms. Without values all
+            coefficients start at 0.
+        wavelength, pupil_radius : float
+            Vacuum wavelength and radius of the exit pupil, m.
+        image_distance : float
+            Signed distance from exit pupil to image, m.
         pitch : float
-            Of the image, m.
+            Pitch of the image samples, m.
         shape : int or (int, int)
             Image rows H and columns W.
         method : {"fft", "mdft"}
-            "fft": the image is one period, the transfer function that of a circular frame.
-            "mdft": a window of the plane, by matrix products.
+            "fft": the image is periodic, and the transfer function is that of a circular frame.
+            "mdft": the image is a window of the image plane, computed by matrix products.
         samples : int, optional
             For "mdft": pupil cells per side; by default the period is twice the window.
         pixel_integrated : bool
-            Integrate over square detector pixels of side ``pitch``, which may then be any; point
-            samples need a pitch of at most lambda |d|/(4 radius).
-        device, dtype
-            ``torch.float32`` or ``torch.float64``.
+            Whether to integrate over square detector pixels of side ``pitch``, which can then have
+            any size. Point samples need a pitch of at most lambda |d|/(4 radius).
+        device : torch.device or str
+            Device of the tensors.
+        dtype : torch.dtype
+            Precision, ``torch.float32`` or ``torch.float64``.
 
         Returns
         -------
         PupilPSF
+            Point spread with ``coefficients`` of shape (M,), waves rms.
 
         Raises
         ------
         SceneError
             If a length or mode is out of range.
         SamplingError
-            If the pitch, shape or samples cannot hold the pupil or the image.
+            If pitch, shape or samples do not resolve the pupil or the image.
+
+        Examples
+        --------
+        >>> from nlosoptics.inverse import PupilPSF
+        >>> optics = {"wavelength": 633e-9, "pupil_radius": 5e-3, "image_distance": 0.05}
+        >>> pupil = PupilPSF.from_zernike({4: 50e-9, 5: 0.0}, **optics, pitch=1.5e-6, shape=32)
+        >>> spread = pupil().detach()
+        >>> tuple(spread.shape), round(float(spread.sum()), 4)
+        ((32, 32), 1.0)
         """
         optics = PupilOptics(
             wavelength=wavelength,
@@ -148,35 +165,44 @@ class PupilPSF(nn.Module):
         shape: int | tuple[int, int],
         **options: Unpack[ImageOptions],
     ) -> Self:
-        """Wave that fits slopes on a coarse grid in the least squares, by splines between.
+        """Build a point spread whose wave is the least-squares fit to slopes on a coarse grid.
 
         Parameters
         ----------
         slopes : array_like, (g, g, 2)
-            Start values of dW/du and dW/dv, rad, rows along v, node [g//2, g//2] on the axis.
+            Start values of dW/du and dW/dv, rad, with rows along v and node [g//2, g//2] on the
+            axis. The wave is interpolated by splines between the nodes.
         slope_pitch : float
-            Between nodes, m; the grid covers the pupil.
-        wavelength, pupil_radius, image_distance, pitch, shape
-            As of `from_zernike`.
+            Distance between nodes, m; the grid must cover the pupil.
+        wavelength, pupil_radius : float
+            Vacuum wavelength and radius of the exit pupil, m.
+        image_distance : float
+            Signed distance from exit pupil to image, m.
+        pitch : float
+            Pitch of the image samples, m.
+        shape : int or (int, int)
+            Image rows H and columns W.
         **options
-            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype`` of
+            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
             `from_zernike`.
 
         Returns
         -------
         PupilPSF
-            ``coefficients`` (g, g, 2) are the slopes in waves per pupil radius.
+            Point spread with ``coefficients`` of shape (g, g, 2): slopes in waves per pupil radius.
 
         Raises
         ------
-        SceneError, SamplingError
-            As of `from_zernike`, and if the slopes are not finite or leave a part of the pupil.
+        SceneError
+            If a length is out of range, or the slopes are not finite.
+        SamplingError
+            If the slopes do not cover the pupil, or pitch, shape or samples do not resolve the
+            pupil or the image.
 
         Notes
         -----
-        The wave is that of `psf.wavefront_from_slopes` on the whole grid, by its filter
-        (`psf.pupil.slope_integration.slope_filter`). What of the slopes no wave has is in
-        `curl_residual`.
+        The wave is that of `psf.wavefront_from_slopes` on the whole grid. `curl_residual` returns
+        the part of the slopes that no wave can have.
         """
         optics = PupilOptics(
             wavelength=wavelength,
@@ -204,27 +230,40 @@ class PupilPSF(nn.Module):
         shape: int | tuple[int, int],
         **options: Unpack[ImageOptions],
     ) -> Self:
-        """Wave of the angles at which light leaves the exit pupil.
+        """Build a point spread from the angles at which light leaves the exit pupil.
 
         Parameters
         ----------
         angles : array_like, (g, g, 2)
-            Start values, rad, from the axis toward u and toward v, rows along v: the ray of a node
-            meets the image at ``tan(angle) image_distance``, so its slope is the tangent.
+            Start values, rad, from the axis toward u and v, with rows along v. The ray of a node
+            meets the image at ``tan(angle) * image_distance``, so that the wave's slope is the
+            tangent.
         angle_pitch : float
-            Between nodes, m.
-        wavelength, pupil_radius, image_distance, pitch, shape, **options
-            As of `from_slopes`.
+            Distance between nodes, m; the grid must cover the pupil.
+        wavelength, pupil_radius : float
+            Vacuum wavelength and radius of the exit pupil, m.
+        image_distance : float
+            Signed distance from exit pupil to image, m.
+        pitch : float
+            Pitch of the image samples, m.
+        shape : int or (int, int)
+            Image rows H and columns W.
+        **options
+            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
+            `from_zernike`.
 
         Returns
         -------
         PupilPSF
-            That of `from_slopes`.
+            Point spread with slopes as ``coefficients``, see `from_slopes`.
 
         Raises
         ------
-        SceneError, SamplingError
-            As of `from_slopes`, and if an angle is not below pi/2.
+        SceneError
+            If a length is out of range, or an angle is not finite or not below pi/2.
+        SamplingError
+            If the angles do not cover the pupil, or pitch, shape or samples do not resolve the
+            pupil or the image.
         """
         try:
             values = np.asarray(angles, dtype=np.float64)
@@ -257,29 +296,38 @@ class PupilPSF(nn.Module):
         object_point: ArrayLike | None = None,
         **options: Unpack[ImageOptions],
     ) -> Self:
-        """Wave of a scene whose wall is known nearly: its own W is the start.
+        """Build a point spread that starts at the wave aberration W of an approximate scene.
 
         Parameters
         ----------
         scene : Scene
+            Scene that provides W, exit pupil and wavelength.
         modes : sequence of int
-            Noll indices that may change, as of `from_zernike`. They start at their least-squares
-            fit to W; what they leave of W stays as it is.
-        pitch, shape
-            As of `from_zernike`; the image's pixels are ``scene.camera``'s pixels binned.
+            Noll indices of the fit parameters, from 2. They start at their least-squares fit to W;
+            the rest of W stays constant.
+        pitch : float
+            Pitch of the image samples, m; for a camera image ``scene.camera.image_pitch``.
+        shape : int or (int, int)
+            Image rows H and columns W.
         object_point : array_like, (3,), optional
-            World, m; by default the hidden object's reference point.
+            Object point, world frame, m; by default the hidden object's reference point.
         **options
-            As of `from_slopes`.
+            ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
+            `from_zernike`.
 
         Returns
         -------
         PupilPSF
+            Point spread with ``coefficients`` of shape (M,), waves rms.
 
         Raises
         ------
-        CausticError, NotWaveGradeError, SamplingError, SceneError
-            As of `psf.wavefront` on polar nodes, and of `from_zernike`.
+        CausticError, NotWaveGradeError
+            If W is undefined, see `psf.wavefront`.
+        SamplingError
+            If pitch, shape or samples do not resolve the pupil or the image.
+        SceneError
+            If the scene, a mode or a length is invalid.
         """
         wave = wavefront(scene, object_point, "polar")
         series = wave.series(wave.amplitude)
@@ -297,7 +345,7 @@ class PupilPSF(nn.Module):
 
     @property
     def holds_more(self) -> bool:
-        """Whether a wave or a transmission is known that its leaves do not tell."""
+        """Whether there is a constant wave or transmission besides the coefficients."""
         known = isinstance(self.waves, ZernikeWaves) and self.waves.rest is not None
         return known or self.optics.amplitude is not self.optics.share
 
@@ -308,12 +356,12 @@ class PupilPSF(nn.Module):
 
     @property
     def pitch(self) -> float:
-        """Of the image, m."""
+        """Pitch of the image samples, m."""
         return self.optics.pitch
 
     @property
     def wavelength(self) -> float:
-        """In m."""
+        """Vacuum wavelength, m."""
         return self.optics.wavelength
 
     @property
@@ -324,35 +372,38 @@ class PupilPSF(nn.Module):
     def forward(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """Point spread, (..., H, W), centre at [H//2, W//2].
+        """Compute the point spread.
 
         Parameters
         ----------
         coefficients : Tensor, optional
-            (..., M), waves rms; default the module's own.
+            Coefficients (..., M), waves rms; by default the module's own.
         defocus : Tensor or sequence of float, optional
-            (K,), known further defocus, m rms (Noll 4): the result is (..., K, H, W).
+            Known additional defoci, (K,), m rms (Noll 4).
 
         Returns
         -------
         Tensor
-            By "fft" it sums to 1, by "mdft" the whole plane does.
+            Energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``, centred at
+            [H//2, W//2]. For "fft" it sums to 1; for "mdft" the whole image plane does.
 
         Raises
         ------
         SamplingError
-            If a shape or the coefficients' dtype does not fit.
+            If a shape or the coefficients' dtype does not match.
         SceneError
-            If the coefficients are no tensor, or a defocus is not finite or not in metres.
+            If the coefficients are not a tensor, or a defocus is not finite or too large for
+            metres.
         """
         return self.optics.point_spread(self._turns(coefficients, defocus))
 
     def transfer(
         self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
     ) -> Tensor:
-        """``rfft2`` of `forward`, origin at sample [0, 0], (..., H, W//2 + 1), complex.
+        """Compute the transfer function, (..., H, W//2 + 1), complex.
 
-        What `torch.fft.rfft2` of an object is multiplied by for an image in a circular frame.
+        It is the ``rfft2`` of the point spread with the centre at sample [0, 0]. The product with
+        ``torch.fft.rfft2`` of an object gives its image in a circular frame.
         """
         return self.optics.transfer(self._turns(coefficients, defocus))
 
@@ -366,42 +417,45 @@ class PupilPSF(nn.Module):
         background: Tensor | float = 0.0,
         boundary: Boundary = "padded",
     ) -> Tensor:
-        """Image of an object: ``gain * (point spread convolved with object) + background``.
+        """Compute an object's image: ``gain * (point spread convolved with object) + background``.
 
         Parameters
         ----------
         object_image : Tensor
-            (..., h, w), on the image's pixels; of the point spread's shape where ``boundary`` is
-            "circular". Its batch and that of the coefficients broadcast.
-        coefficients, defocus
-            As of `forward`; with ``defocus`` the result is (..., K, h, w).
+            Object, (..., h, w), on the image's pixels. Its shape must be the point spread's if
+            ``boundary`` is "circular". Batch dimensions broadcast with those of the coefficients.
+        coefficients : Tensor, optional
+            Coefficients (..., M), waves rms; by default the module's own.
+        defocus : Tensor or sequence of float, optional
+            Known additional defoci, (K,), m rms (Noll 4).
         gain, background : float or Tensor
-            Image units; tensors broadcast against the result.
+            Image units; tensors broadcast with the result.
         boundary : {"padded", "circular"}
-            As of `imaging.ForwardModel`: nothing around the object, or its periodic copies.
+            Surroundings of the object: dark, or periodic copies.
 
         Returns
         -------
         Tensor
-            (..., h, w).
+            Image, (..., h, w), or (..., K, h, w) with ``defocus``.
 
         Raises
         ------
         SamplingError
             If the object does not fit the frame.
         SceneError
-            If it is no tensor; or as of `forward`.
+            If the object or the coefficients are not tensors, or a defocus is out of range.
         """
         one_of("boundary", boundary, ("padded", "circular"))
         if not isinstance(object_image, Tensor):
             raise SceneError(
-                f"object_image of type {type(object_image).__name__} is no tensor; give "
+                f"object_image of type {type(object_image).__name__} is not a tensor; give "
                 "torch.from_numpy(picture)"
             )
         frame = tuple(object_image.shape[-2:])
         if object_image.ndim < 2 or 0 in frame:
             raise SamplingError(
-                f"object_image has shape {tuple(object_image.shape)}, must be (..., h, w)"
+                f"object_image has shape {tuple(object_image.shape)}, must be (..., h, w); give at "
+                "least one image"
             )
         if boundary == "circular":
             if frame != self.shape:
@@ -420,24 +474,24 @@ class PupilPSF(nn.Module):
         return seen
 
     def aberration(self, coefficients: Tensor | None = None) -> Tensor:
-        """W on the pupil's cells, m, (..., n_v, n_u), 0 outside the pupil."""
+        """Compute W on the pupil's cells, (..., n_v, n_u), m; 0 outside the pupil."""
         if coefficients is None:
             coefficients = self.coefficients
         turns: Tensor = self.waves.unwrapped(self._checked(coefficients))
         return turns * self.wavelength
 
     def steepest(self, coefficients: Tensor | None = None) -> float:
-        """Largest step of W between neighbouring cells of the pupil, waves.
+        """Return the largest step of W between neighbouring pupil cells, waves.
 
-        Above 1/2, which is a slope of lambda/(2 cell), the cells no longer hold the wave.
+        Above 1/2, which is a slope of lambda/(2 cell), the cells undersample the wave.
         """
         with torch.no_grad():
             return self.optics.steepest(self.aberration(coefficients) / self.wavelength)
 
     def curl_residual(self, coefficients: Tensor | None = None) -> float:
-        """Rms of what the slopes between neighbours differ by from those of the wave, rad.
+        """Return the rms difference between given slopes and those of the fitted wave, rad.
 
-        0 for a sum of modes, which is a wave already. See `psf.wavefront_from_slopes`.
+        It is 0 for Zernike modes. See `psf.wavefront_from_slopes`.
         """
         if not isinstance(self.waves, SlopeWaves):
             return 0.0
@@ -448,13 +502,13 @@ class PupilPSF(nn.Module):
         wanted = self.waves.leaf_shape
         if not isinstance(coefficients, Tensor):
             raise SceneError(
-                f"coefficients of type {type(coefficients).__name__} are no tensor; give "
+                f"coefficients of type {type(coefficients).__name__} are not a tensor; give "
                 "torch.tensor(values)"
             )
         if tuple(coefficients.shape[-len(wanted) :]) != wanted:
             raise SamplingError(
                 f"coefficients have shape {tuple(coefficients.shape)}, must end in {wanted}; "
-                "give one value per leaf"
+                "give one value per parameter"
             )
         if coefficients.dtype != self.coefficients.dtype:
             raise SamplingError(
@@ -476,8 +530,8 @@ class PupilPSF(nn.Module):
             extra = torch.as_tensor(defocus, dtype=turns.dtype, device=turns.device)
         except (TypeError, ValueError):
             raise SceneError(
-                f"defocus of type {type(defocus).__name__} holds no numbers; give metres, one "
-                "value per frame"
+                f"defocus of type {type(defocus).__name__} has no numbers; give one value per "
+                "frame in metres"
             ) from None
         if extra.ndim != 1:
             raise SamplingError(

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import fits_memory, real, whole
+from ..._checks import counted, fits_memory, real, whole
 from ...errors import SamplingError, SceneError
 from ...psf import Wavefront, fit_zernike
 from ...psf.pupil.slope_integration import integrated_slopes, slope_filter
@@ -61,7 +61,8 @@ class ZernikeWaves(nn.Module):
                 "larger shape"
             )
         size = optics.share.size * len(self.modes)
-        fits_memory(f"{len(self.modes)} modes on the pupil", 24.0 * size, "use fewer modes")
+        held = f"{counted(len(self.modes), 'mode')} on the pupil"
+        fits_memory(held, 24.0 * size, "use fewer modes")
         basis = np.stack([noll_mode(mode, optics) for mode in self.modes])
         self.register_buffer("_basis", like(optics, basis))
         turns = None if rest is None else np.where(optics.share > 0, rest, 0.0) / optics.wavelength
@@ -76,7 +77,7 @@ class ZernikeWaves(nn.Module):
         return turns if self._phase is None else turns + self._phase
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
-        """The same with its whole turns."""
+        """Return the aberration over wavelength with its whole turns, (..., n_v, n_u)."""
         turns = self._sum(coefficients)
         return turns if self.rest is None else turns + self.rest
 
@@ -141,7 +142,7 @@ class SlopeWaves(nn.Module):
         return surface * self._lit
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
-        """The same: nothing was taken off."""
+        """Return the aberration over wavelength; `forward` removes no turns here."""
         turns: Tensor = self(coefficients)
         return turns
 
@@ -156,7 +157,7 @@ class SlopeWaves(nn.Module):
 def fitted_modes(
     wave: Wavefront, modes: Sequence[int], optics: PupilOptics
 ) -> tuple[Array, list[float]]:
-    """What modes leave of a polar wave, on the pupil's cells, m; and their fit to it, waves."""
+    """Fit modes to a polar wave; return the residual on the cells, m, and the fit, waves."""
     found = _checked_modes(modes)
     fit = fit_zernike(wave, max(found))
     v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
@@ -232,7 +233,7 @@ def _checked_modes(modes: Iterable[int]) -> tuple[int, ...]:
     if not found:
         raise SceneError("modes is empty; give Noll indices from 2 on")
     if 1 in found:
-        raise SceneError("modes holds 1, piston, which moves no image; leave it out")
+        raise SceneError("modes holds 1, piston, which has no effect on the image; leave it out")
     if len(set(found)) < len(found):
         twice = next(mode for mode in found if found.count(mode) > 1)
         raise SceneError(f"modes holds {twice} more than once; give each index once")

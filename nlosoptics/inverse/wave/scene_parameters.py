@@ -1,4 +1,4 @@
-"""Numbers of a scene as leaves: radius of the wall, places, tilt of the object, focus, gloss."""
+"""Point spread as a differentiable function of scene parameters, such as wall radius or focus."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .pupil_waves import like, on_cells
 from .wall_paths import CurvedWall, WallPaths
 
 Array = NDArray[np.float64]
-#: What may be a leaf.
+#: Scene parameters that can be fitted.
 LEAVES = (
     "wall_radius",
     "object_position",
@@ -33,48 +33,51 @@ LEAVES = (
 
 
 class SceneLeaves(nn.Module):
-    """Point spread of a scene as a function of some of its numbers, differentiable.
+    """Point spread of a scene as a differentiable function of some scene parameters.
 
     Parameters
     ----------
     scene : Scene
-        Its numbers are the start values.
+        Scene that provides the start values.
     leaves : sequence of str
-        - ``wall_radius``: of a sphere or cylinder, m.
-        - ``object_position``: (3,), world, m.
-        - ``object_tilt``: (2,), yaw and pitch of a planar object, rad; it moves points beside the
-          object's centre alone.
-        - ``camera_position``: (3,), world, m; the camera goes on looking at its aim.
-        - ``focus_distance``: of the plane in focus, m: defocus. The image distance stays.
-        - ``lobe_slope``: slope rms of the wall's mirror-like lobe, per axis, rad.
+        Names of the parameters to fit:
+
+        - ``wall_radius``: radius of a sphere or cylinder, m.
+        - ``object_position``: (3,), world frame, m.
+        - ``object_tilt``: (2,), yaw and pitch of a planar object, rad. It affects only points away
+          from the object's centre.
+        - ``camera_position``: (3,), world frame, m; the camera keeps looking at its aim.
+        - ``focus_distance``: distance of the plane in focus, m, at constant image distance.
+        - ``lobe_slope``: rms slope per axis of the wall's mirror-like lobe, rad.
     pitch : float
-        Of the image, m.
+        Pitch of the image samples, m.
     shape : int or (int, int)
         Image rows H and columns W.
     **options
-        ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype`` of
+        ``method``, ``samples``, ``pixel_integrated``, ``device`` and ``dtype``, see
         `PupilPSF.from_zernike`.
 
     Attributes
     ----------
     leaves : torch.nn.ParameterDict
-        float64 whatever ``dtype`` is: a path of metres is wanted to nanometres.
+        Fit parameters by name, always float64, because paths of metres must be accurate to
+        nanometres.
 
     Raises
     ------
     SceneError
-        If a leaf is unknown, or the scene does not have it.
+        If a parameter is unknown, or the scene does not have it.
     CausticError, NotWaveGradeError, SamplingError
-        As of `psf.wavefront`, at the start or at later values.
+        If the wave is undefined or not resolved, at the start or later; see `psf.wavefront`.
 
     Notes
     -----
-    The wave is that of `psf.wavefront`, aimed anew at every call, its piston and tilt over the
-    pupil taken out by least squares: tilt moves the image, and only the image is seen. Amplitudes,
-    and the wall as the lobe blurs it (`psf.wall_view`), stay those of the start. A lobe of slope
-    rms s multiplies the transfer function at frequency f by
-    ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``, the rough limit of `psf.mean_point_spread`.
-    Rays are aimed on the processor; the transform runs where ``device`` says.
+    The wave is that of `psf.wavefront`, computed anew at every call. Its piston and tilt over the
+    pupil are removed by least squares, because tilt only shifts the image. Amplitudes and the
+    geometry of the lobe's blur (`psf.wall_view`) keep their start values. A lobe with rms slope s
+    multiplies the transfer function at frequency f by
+    ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``, the rough limit of `psf.mean_point_spread`. Rays
+    are aimed on the CPU; the transform runs on ``device``.
     """
 
     _frequencies: Tensor
@@ -92,7 +95,10 @@ class SceneLeaves(nn.Module):
         self.scene = scene
         wave = wavefront(scene, nodes="polar")
         if exit_pupil(scene).stop != "lens":
-            raise SceneError("the wall is the stop, whose outline moves; give a smaller lens stop")
+            raise SceneError(
+                "the wall's edge is the aperture stop, must be the lens; use a smaller "
+                "camera.stop_diameter"
+            )
         self.optics = PupilOptics(
             wavelength=wave.wavelength,
             pupil_radius=wave.pupil_radius,
@@ -115,24 +121,27 @@ class SceneLeaves(nn.Module):
         self._blurs = "lobe_slope" in names or float(np.max(self._start["lobe_slope"])) > 0
         if self._blurs:
             if self.optics.method != "fft":
-                raise SamplingError("a lobe's blur needs method='fft', whose image is a period")
+                raise SamplingError(
+                    f"method = {self.optics.method!r}, must be 'fft' for a lobe with a slope"
+                )
             self.register_buffer("_frequencies", like(self.optics, _lobe_frequencies(self)))
 
         with torch.no_grad():
             self.optics.warn_of_steps(self.aberration() / self.optics.wavelength)
 
     def forward(self, field: ArrayLike | None = None) -> Tensor:
-        """Point spread, (H, W), or (K, H, W) of points beside the object's centre.
+        """Compute the point spread at one or several object points.
 
         Parameters
         ----------
         field : array_like, (K, 2), optional
-            Places on a planar object, m, to its right and up; default its centre.
+            Positions on a planar object relative to its centre, right and up, m; by default its
+            centre.
 
         Returns
         -------
         Tensor
-            Centre at [H//2, W//2], on the mean ray of the point.
+            Point spread, (H, W) or (K, H, W), centred at [H//2, W//2] on the point's mean ray.
         """
         turns = self._turns(field)
         if not self._blurs:
@@ -142,27 +151,33 @@ class SceneLeaves(nn.Module):
         return spread.roll((rows // 2, columns // 2), (-2, -1))
 
     def transfer(self, field: ArrayLike | None = None) -> Tensor:
-        """``rfft2`` of `forward`, origin at sample [0, 0], (..., H, W//2 + 1), complex."""
+        """Compute the transfer function, (..., H, W//2 + 1), complex, centre at sample [0, 0]."""
         turns = self._turns(field)
         return self._blurred(turns) if self._blurs else self.optics.transfer(turns)
 
     def aberration(self, field: ArrayLike | None = None) -> Tensor:
-        """W on the pupil's cells, m, float64, (n_v, n_u) or (K, n_v, n_u), 0 outside the pupil."""
+        """Compute W on the pupil's cells, (n_v, n_u) or (K, n_v, n_u), m; 0 outside the pupil."""
         if field is None:
             return self._path(self._value("object_position"))
         try:
             places = np.asarray(field, dtype=np.float64)
         except (TypeError, ValueError):
-            raise SceneError("field is no array of numbers; give places (K, 2), m") from None
+            raise SceneError("field is not an array of numbers; give positions (K, 2), m") from None
         if (
             places.ndim != 2
             or places.shape[1] != 2
             or not len(places)
             or not np.isfinite(places).all()
         ):
-            raise SceneError(f"field has shape {places.shape}; give finite places (K, 2), m")
+            raise SceneError(
+                f"field has shape {places.shape} or values that are not finite; give finite "
+                "positions (K, 2), m"
+            )
         if not isinstance(self.scene.hidden, PlanarObject):
-            raise SceneError("field needs a planar object, and the hidden object is a mesh")
+            raise SceneError(
+                "field is given, but the hidden object is a mesh; leave it out, or use a planar "
+                "object"
+            )
         axes = self._object_axes()
         points = self._value("object_position") + torch.from_numpy(places) @ axes
         return torch.stack([self._path(point) for point in points])
@@ -254,7 +269,8 @@ def _start_values(scene: Scene) -> dict[str, list[float] | float]:
     lobes = scene.wall_material.mirror_lobes
     if len(lobes) > 1 and any(lobe.slope_rms > 0 for lobe in lobes):
         raise SceneError(
-            f"the wall has {len(lobes)} mirror-like lobes, and one slope is a leaf; give one lobe"
+            f"the wall has {len(lobes)} mirror-like lobes, must be 1 for a lobe with a slope; use "
+            "one lobe"
         )
     return {
         "wall_radius": scene.wall.radius if isinstance(scene.wall, CurvedWall) else 1.0,
@@ -276,15 +292,18 @@ def _checked_names(
         raise SceneError(f"leaves = {names!r}; give each leaf once, and at least one")
     if "wall_radius" in names and not isinstance(scene.wall, CurvedWall):
         raise SceneError(
-            f"wall_radius of a {type(scene.wall).__name__}, which has none; give a ConcaveWall or "
-            "ConvexWall, or leave the leaf out"
+            f"wall_radius is given, but a {type(scene.wall).__name__} has none; use a ConcaveWall "
+            "or ConvexWall, or leave it out"
         )
     if "object_tilt" in names and not isinstance(scene.hidden, PlanarObject):
-        raise SceneError("object_tilt of a mesh; give a planar object, or leave the leaf out")
+        raise SceneError(
+            "object_tilt is given, but the hidden object is a mesh; use a planar object, or leave "
+            "it out"
+        )
     if "lobe_slope" in names and not start["lobe_slope"]:
         raise SceneError(
-            "lobe_slope starts at 0, where no gradient leaves it; give the wall one mirror-like "
-            "lobe with a slope"
+            "lobe_slope starts at 0, where its gradient vanishes; give the wall one mirror-like "
+            "lobe with a slope above 0"
         )
     return names
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import positive, real
+from ..._checks import counted, positive, real
 from ...errors import SceneError
 from .curves import Curve
 from .polygons import Sides
@@ -69,8 +69,8 @@ def sectors(
     least = radius if obscuration == 0 else inner
     if apex >= least * (1 - 1e-9):
         raise SceneError(
-            f"vane_width = {width:.4g} m: the edges of the {vanes} vanes meet {apex:.4g} m from "
-            f"the axis, limit {least:.4g} m, the radius of the "
+            f"vane_width = {width:.4g} m: the edges of {counted(vanes, 'vane')} meet "
+            f"{apex:.4g} m from the axis, limit {least:.4g} m, the radius of the "
             f"{'pupil' if obscuration == 0 else 'hole'}; use narrower vanes"
         )
     found = []

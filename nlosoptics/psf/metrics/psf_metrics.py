@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # loads scipy.special on first use, a tenth of a second
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, one_of, whole
+from ..._checks import counted, fits_memory, one_of, whole
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
 from ..aperture.quadrature_nodes import circle_shares, gauss_legendre
@@ -255,11 +255,11 @@ def fit_zernike(
     lit = weights > 0
     if np.count_nonzero(lit) < n_terms:
         raise SamplingError(
-            f"{np.count_nonzero(lit)} lit nodes cannot determine {n_terms} Zernike terms; use "
-            "fewer terms"
+            f"{counted(int(np.count_nonzero(lit)), 'lit node')} cannot determine "
+            f"{counted(n_terms, 'Zernike term')}; use fewer terms"
         )
     n_bytes = 24.0 * n_terms * np.count_nonzero(lit)
-    fits_memory(f"a fit of {n_terms} Zernike terms", n_bytes, "use fewer terms or nodes")
+    fits_memory(f"a fit of {counted(n_terms, 'Zernike term')}", n_bytes, "use fewer terms or nodes")
     u, v = wavefront.u[lit] / wavefront.pupil_radius, wavefront.v[lit] / wavefront.pupil_radius
     first = 0 if ordering == "osa" else 1
     indices = range(first, first + n_terms)

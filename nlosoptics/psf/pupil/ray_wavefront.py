@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import positive
+from ..._checks import counted, positive
 from ...errors import CausticError, SamplingError, SceneError
 from ...raytrace import RayPaths
 from ...raytrace.fans.paths import DETECTED, ESCAPED
@@ -129,7 +129,7 @@ def _checked(paths: RayPaths, pupil: ExitPupil) -> tuple[Array, Array, Array, Ar
     detected = np.flatnonzero(paths.status == DETECTED)
     if len(detected) < FEWEST:
         raise SamplingError(
-            f"{len(detected)} rays are detected, limit {FEWEST}; launch "
+            f"paths holds {counted(len(detected), 'detected ray')}, limit {FEWEST}; launch "
             f"{max(2, -(-FEWEST // max(1, len(detected))))} times as many"
         )
     wrong = paths.n_bounces[detected] != 1

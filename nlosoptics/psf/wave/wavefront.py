@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import in_range, one_of, positive, real, whole
+from ..._checks import counted, in_range, one_of, positive, real, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
@@ -583,8 +583,8 @@ def _owned(name: str, values: Any, layout: Layout) -> Array:
     dimension = {"scattered": 1, "cells": 3}.get(layout, 2)
     if array.ndim != dimension or array.size == 0:
         raise SceneError(
-            f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs {dimension} "
-            "dimensions"
+            f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs "
+            f"{counted(dimension, 'dimension')}"
         )
     if name == "aberration" and layout == "grid" and array.shape[0] != array.shape[1]:
         raise SceneError(f"wavefront.{name} has shape {array.shape}; a grid is square")

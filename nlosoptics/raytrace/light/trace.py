@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory, in_range, one_of, positive, whole
+from ..._checks import counted, fits_memory, in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed, scrambled_sobol
 from ...errors import SceneError
@@ -126,7 +126,9 @@ def trace(
     most = whole("n_rays", n_rays, 1, MOST) if n_rays is not None else MOST if open_end else 1 << 16
     if keep_paths:
         fits_memory(
-            f"paths of {most} rays (n_rays)" if most < MOST else "paths without a limit (n_rays)",
+            f"paths of {counted(most, 'ray')} (n_rays)"
+            if most < MOST
+            else "paths without a limit (n_rays)",
             most * (max_bounces + 4) * 24 * (1 if analog else max_bounces),
             "trace fewer rays, or keep_paths=False",
         )

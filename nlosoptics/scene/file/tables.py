@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from ..._checks import Vector as Triple
+from ..._checks import counted
 from .units import ANGLE, LENGTH, POWER, RATE, TIME, Kind, parse, written
 
 Pair = tuple[float, float]
@@ -143,7 +144,7 @@ def _several(text: object, count: int) -> tuple[float, ...]:
     if not isinstance(text, list):
         raise ValueError("is not a list")
     if len(text) != count:
-        raise ValueError(f"has {len(text)} components, must have {count}")
+        raise ValueError(f"has {counted(len(text), 'component')}, must have {count}")
     return tuple(parse(component, LENGTH) for component in text)
 
 

@@ -31,8 +31,9 @@ class Camera:
     pixels : (int, int)
         Native pixels read out in x and y: the whole sensor, or a region of interest centred on the
         optical axis.
-    binning : int
-        Native pixels summed along each side of an image pixel.
+    binning : int, default 8
+        Native pixels summed along each side of an image pixel. With the default, 512 x 512 native
+        pixels give an image of 64 x 64; 1 keeps every native pixel.
     exposure : float
         Exposure time, s.
     quantum_efficiency : float

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..._checks import in_range, one_of, pair, positive, whole
+from ..._checks import counted, in_range, one_of, pair, positive, whole
 from ..._nouns import check_pickles
 from ..._random import generator
 from ...errors import SamplingError, SceneError
@@ -366,7 +366,9 @@ class CallableWall(Wall):
         if self.hessian is not None:
             bends = self.hessian(x, y)
             if len(bends) != 3:
-                raise SceneError(f"wall.hessian returned {len(bends)} values; give hxx, hxy, hyy")
+                raise SceneError(
+                    f"wall.hessian returned {counted(len(bends), 'value')}; give hxx, hxy, hyy"
+                )
             for k in range(3):
                 out[..., 3 + k] = self._called("hessian", bends[k], x)
         else:
@@ -385,7 +387,9 @@ class CallableWall(Wall):
         """Return the checked values of ``gradient``."""
         slopes = self.gradient(x, y)
         if len(slopes) != 2:
-            raise SceneError(f"wall.gradient returned {len(slopes)} values; give hx and hy")
+            raise SceneError(
+                f"wall.gradient returned {counted(len(slopes), 'value')}; give hx and hy"
+            )
         return self._called("gradient", slopes[0], x), self._called("gradient", slopes[1], x)
 
     @staticmethod

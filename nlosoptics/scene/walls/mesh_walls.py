@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import positive
+from ..._checks import counted, positive
 from ...errors import SceneError
 from ...kernels.codes import GRID
 from ..parts._sources import bare_mesh, equal_sources, source
@@ -226,7 +226,8 @@ def _scattered_fit(points: Array, size: tuple[float, float]) -> tuple[Any, float
     n = math.sqrt(len(points) / per_knot)
     if n < 4:
         raise SceneError(
-            f"wall.mesh has {len(points)} vertices, too few for a smooth surface; give at least 100"
+            f"wall.mesh has {counted(len(points), 'vertex', 'vertices')}, too few for a smooth "
+            "surface; give at least 100"
         )
     ratio = math.sqrt(size[0] / size[1])
     counts = (max(2, round(n * ratio)), max(2, round(n / ratio)))

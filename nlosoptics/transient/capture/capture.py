@@ -234,7 +234,9 @@ class TransientCapture(Noun, Shown):
         any other shape are written as lists. Data that y-tal's layout lacks are stored where y-tal
         ignores them: ``by_bounce``, ``standard_error`` and array-valued ``details`` as attributes
         of ``H``, everything else as JSON in ``scene_info``. ``details`` without a JSON form become
-        lists or text.
+        lists or text. An unknown origin of laser or sensor is written as zeros, which y-tal needs
+        but does not use, and is marked in ``scene_info``, so that `load` returns None again. If the
+        times include the outer legs, the origin is left empty, and y-tal refuses the file.
 
         Examples
         --------

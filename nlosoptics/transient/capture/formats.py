@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,6 +22,43 @@ LAYOUTS = ("tal", "znlos", "dirac", "phasor_field_2019", "phasor_field_2020", "l
 FINEST, COARSEST = 1e-7, 10.0
 
 
+@dataclass(frozen=True, kw_only=True)
+class Lack:
+    """A value that a file does not give, and the argument of `load_capture` that gives it.
+
+    Parameters
+    ----------
+    argument : str
+        Name of the argument.
+    why : str
+        The reason why it is needed.
+    what : str
+        Value to give.
+    """
+
+    argument: str
+    why: str
+    what: str
+
+
+class LackingFileError(SceneError):
+    """A capture file does not give all values of a capture.
+
+    Attributes
+    ----------
+    lacks : tuple of Lack
+        All that is missing.
+    layout : str
+        Layout that the file appears to have.
+    details : mapping
+        Details that the file does give.
+    """
+
+    lacks: tuple[Lack, ...] = ()
+    layout: str = ""
+    details: Mapping[str, Any] = {}
+
+
 @contextmanager
 def in_file(path: Path) -> Iterator[None]:
     """Prefix errors raised in the context with the file's name."""
@@ -28,7 +66,9 @@ def in_file(path: Path) -> Iterator[None]:
         yield
     except NlosError as error:
         text = str(error)
-        raise type(error)(text if text.startswith(str(path)) else f"{path}: {text}") from None
+        named = type(error)(text if text.startswith(str(path)) else f"{path}: {text}")
+        vars(named).update(vars(error))
+        raise named from None
 
 
 def load_capture(
@@ -67,12 +107,16 @@ def load_capture(
             "quantity": quantity,
             "gate_start": gate_start,
         }
-        if found.doubt and format is None and any(given[name] is None for name in found.instead):
-            raise SceneError(
-                f"{found.doubt}; give format = {found.layout!r} if so, or "
-                f"{' and '.join(found.instead)}"
+        if pairing is not None:
+            found.pairing = one_of("pairing", pairing, ("all", "confocal"))
+        lacks = tuple(_lacks(found, given, format))
+        if lacks:
+            error = LackingFileError(
+                "; also ".join(f"{lack.why}; give {lack.argument} = {lack.what}" for lack in lacks)
             )
-        _fill(found, pairing, laser_point, side)
+            error.lacks, error.layout, error.details = lacks, found.layout, found.details
+            raise error
+        _fill(found, laser_point, side)
         return capture(**_values(found, given))
 
 
@@ -125,15 +169,39 @@ def _layout(variables: Mapping[str, Any]) -> str:
     )
 
 
-def _fill(found: Found, pairing: str | None, laser_point: Any, side: float | None) -> None:
-    """Set points and pairing from the arguments, else from the file; raise if still unknown."""
-    if pairing is not None:
-        found.pairing = one_of("pairing", pairing, ("all", "confocal"))
+def _lacks(found: Found, given: Mapping[str, Any], format: str | None) -> Iterator[Lack]:
+    """Yield every value that neither the file nor the caller gives."""
+
+    def lack(argument: str, why: str, what: str) -> Lack:
+        return Lack(argument=argument, why=found.needs.get(argument, why), what=what)
+
+    if found.doubt and format is None and any(given[name] is None for name in found.instead):
+        what = f"{found.layout!r} if so, or {' and '.join(found.instead)}"
+        yield lack("format", found.doubt, what)
+    if found.sensor_points is None and given["side"] is None:
+        what = "the full side of the scanned square, m"
+        yield lack("side", "the file has no sensor points", what)
+    if found.pairing is None and given["laser_point"] is None:
+        why = "the file does not say where the laser pointed"
+        yield lack("pairing", why, "'confocal', or laser_point = (x, y, z) in m")
+    if found.pairing == "all" and found.laser_points is None and given["laser_point"] is None:
+        yield lack("laser_point", "the file has no laser points", "(x, y, z) in m")
+    for name, argument, what in (
+        ("delta_t", "bin_width", "the width of a bin, m of optical path"),
+        ("t_start", "t_start", "the start of bin 0, m of optical path"),
+        ("outer_legs", "outer_legs", "whether times include the legs from laser and to sensor"),
+    ):
+        if getattr(found, name) is None and given[argument] is None:
+            yield lack(argument, f"the file does not say {name}", what)
+    if "gate_start" in found.needs and given["gate_start"] is None:
+        what = "optical path in m before which bins are set to 0, or 0 to keep all"
+        yield lack("gate_start", "", what)
+
+
+def _fill(found: Found, laser_point: Any, side: float | None) -> None:
+    """Set points and pairing from the arguments, else from the file."""
     if side is not None:
         _lay_grid(found, positive("side", side, unit="m"))
-    if found.sensor_points is None:
-        why = found.needs.get("side", "the file has no sensor points")
-        raise SceneError(f"{why}; give side = full side of the scanned square, m")
     if laser_point is not None:
         if found.pairing == "confocal":
             raise SceneError(
@@ -142,13 +210,8 @@ def _fill(found: Found, pairing: str | None, laser_point: Any, side: float | Non
             )
         found.laser_points = np.array(vector("laser_point", laser_point))
         found.laser_normals, found.pairing = None, "all"
-    if found.pairing is None:
-        why = found.needs.get("pairing", "the file does not say where the laser pointed")
-        raise SceneError(f"{why}; give pairing = 'confocal', or laser_point = (x, y, z) in m")
     if found.pairing == "confocal" and (found.laser_points is None or side is not None):
         found.laser_points, found.laser_normals = found.sensor_points, found.sensor_normals
-    if found.laser_points is None:
-        raise SceneError("the file has no laser points; give laser_point = (x, y, z) in m")
 
 
 def _lay_grid(found: Found, side: float) -> None:
@@ -175,14 +238,6 @@ def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
             ("quantity", "quantity"),
         )
     }
-    for name, argument, what in (
-        ("delta_t", "bin_width", "the width of a bin, m of optical path"),
-        ("t_start", "t_start", "start of bin 0, m of optical path"),
-        ("outer_legs", "outer_legs", "whether times include the legs from laser and to sensor"),
-    ):
-        if values[name] is None:
-            why = found.needs.get(argument, f"the file does not say {name}")
-            raise SceneError(f"{why}; give {argument} = {what}")
     if not isinstance(values["outer_legs"], bool | np.bool_):
         raise SceneError(f"outer_legs = {values['outer_legs']!r} must be True or False")
     values["outer_legs"] = bool(values["outer_legs"])
@@ -201,11 +256,6 @@ def _values(found: Found, given: Mapping[str, Any]) -> dict[str, Any]:
             )
         H, parts = _opened(H, late), {n: _opened(part, late) for n, part in parts.items()}
         error = None if error is None else _opened(error, late)
-    elif "gate_start" in found.needs:
-        raise SceneError(
-            f"{found.needs['gate_start']}; give gate_start = optical path in m before which bins "
-            "are set to 0, or 0 to keep all"
-        )
     return dict(
         H=np.ascontiguousarray(H),
         laser_points=found.laser_points,

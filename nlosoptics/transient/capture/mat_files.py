@@ -9,7 +9,7 @@ from typing import Any, BinaryIO, Final, Literal
 
 import numpy as np
 
-from ..._checks import fits_memory
+from ..._checks import counted, fits_memory
 from ...errors import SceneError
 
 #: Separator in the key ``name@attribute`` of an attribute of an HDF5 dataset.
@@ -139,7 +139,7 @@ def _check_elements(
             kind, size, start, step = kind & 0xFFFF, kind >> 16, at + 4, 0
         known = kind in (MATRIX, COMPRESSED) if depth == 0 else kind in DATA
         if not known or (start == at + 4 and size > 4):
-            raise ValueError(f"byte {at} has an element of type {kind} and {size} bytes")
+            raise ValueError(f"byte {at} has an element of type {kind} and {counted(size, 'byte')}")
         if start + size > end:
             raise ValueError(f"an element of {size} bytes at byte {at} ends beyond its container")
         if kind == MATRIX and size:

@@ -32,6 +32,8 @@ OURS = "nlosoptics"
 PART, ERROR, DETAIL = "by_bounce_", "standard_error", "details_"
 #: Value of an attribute that equals ``H`` itself.
 SAME = "H"
+#: Key of the names of the origins that are not known; zeros stand for them in the layout.
+UNKNOWN = "unknown_origins"
 
 
 def save(capture: Any, path: str | Path, *, compression: int = 0) -> None:
@@ -82,6 +84,10 @@ def _write(file: Any, capture: Any, level: int) -> None:
         if normals is None:
             normals = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
         origin = getattr(capture, f"{name}_origin")
+        if origin is None and not capture.outer_legs:
+            # y-tal wants three numbers, and uses them for outer legs only; with such legs zeros
+            # would give it a wrong path in silence
+            origin = (0.0, 0.0, 0.0)
         file[f"{name}_xyz"] = h5py.Empty(float) if origin is None else np.array(origin)
         file[f"{name}_grid_xyz"] = _stored_points(points, shape)
         file[f"{name}_grid_normals"] = _stored_points(normals, shape)
@@ -156,6 +162,7 @@ def _scene_info(capture: Any) -> dict[str, Any]:
             "quantity": capture.quantity,
             "laser_shape": list(capture.laser_shape),
             "sensor_shape": list(capture.sensor_shape),
+            UNKNOWN: [n for n in ("laser", "sensor") if getattr(capture, f"{n}_origin") is None],
             "details": {k: v for k, v in capture.details.items() if not _is_array(v)},
         },
     }
@@ -331,6 +338,9 @@ def _own(found: Found, ours: Mapping[str, Any]) -> Found:
         laser, sensor = (tuple(map(int, ours[f"{name}_shape"])) for name in ("laser", "sensor"))
         found.pairing, found.quantity = str(ours["pairing"]), str(ours["quantity"])
         found.details |= ours["details"]
+        for name in ours.get(UNKNOWN, ()):
+            if not np.any(getattr(found, f"{name}_origin") or 0.0):
+                setattr(found, f"{name}_origin", None)
         points = {"laser": laser, "sensor": sensor}
         axes = sensor if found.pairing == "confocal" else laser + sensor
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, in_range, one_of, positive, real
+from ..._checks import counted, fits_memory, in_range, one_of, positive, real
 from ..._progress import Progress
-from ...errors import SamplingError, SceneError, ValidityWarning
+from ...errors import PerformanceWarning, SamplingError, SceneError, ValidityWarning
 from ..capture.capture import TransientCapture
 from ..capture.wall_points import real_array
 from . import camera_setup as validity
@@ -30,6 +30,10 @@ SPECTRA = 2**29
 
 #: Number of paths in a direct sum that cost as much time as one element of a plane's transforms.
 PATHS = 8
+
+#: Work beyond which a direct sum that transforms could replace is warned of: the least ratio of
+#: its work to theirs, and the least product of voxels, wall points and waves, about 10 s of a core.
+SLOWER, LARGE = 10.0, 1e9
 
 
 def phasor_image(
@@ -125,6 +129,9 @@ def phasor_image(
     ValidityWarning
         If the pitch of the wall points, the bins or their window limit the image; also in
         ``notes``.
+    PerformanceWarning
+        If a large volume is summed directly, often a hundred times slower than by transforms,
+        because its voxels lie off the wall's grid.
 
     See Also
     --------
@@ -172,6 +179,8 @@ def phasor_image(
     grid, reason = _grid(setup, volume, wl_mean, method)
     band = pulse_band(capture, wl_mean, float(wl_sigma), (first, last), tol)
     _check_memory(setup, volume, grid, band, moments, dtype)
+    if grid is None and method == "auto":
+        _warn_of_slow_sum(setup, volume, wl_mean, len(band.numbers))
     field = _carry(capture, volume, setup, grid, band, moments, dtype, device, progress)
     light = (field.real**2 + field.imag**2).max(axis=0)
     return PhasorImage(
@@ -258,6 +267,30 @@ def _grid(setup: Setup, volume: Volume, wl_mean: float, method: str) -> tuple[La
         return None, str(error)
 
 
+def _warn_of_slow_sum(setup: Setup, volume: Volume, wl_mean: float, n_waves: int) -> None:
+    """Warn of a long direct sum that a volume on the wall's grid would avoid."""
+    if setup.grid.ndim != 3 or (setup.legs.paired and not setup.legs.twice):
+        return
+    x, y = np.sort(setup.grid[0, :, 0]), np.sort(setup.grid[:, 0, 1])
+    try:
+        fitting = lattice(setup.grid, Volume(x, y, volume.z), wl_mean)
+    except SamplingError:
+        return  # no volume fits these wall points
+    paths = volume.shape[1] * volume.shape[2] * len(setup.legs.near)
+    ratio = paths / (PATHS * fitting.size)
+    if ratio < SLOWER or paths * volume.shape[0] * n_waves < LARGE:
+        return
+    steps = " and ".join(f"{axis[1] - axis[0]:.6g} m" for axis in (x, y) if len(axis) > 1)
+    warnings.warn(
+        f"the volume's voxels lie off the grid of the {setup.sides[0]} points, so each path is "
+        f"summed directly, about {ratio:.0f} times the work of transforms; give volume.x and "
+        f"volume.y the points' steps, {steps}, or a whole multiple or fraction of them, as "
+        "transient.Volume.facing does (method='direct' sums without this warning)",
+        PerformanceWarning,
+        stacklevel=3,
+    )
+
+
 def _slice(setup: Setup, grid: Lattice | None, n_waves: int, dtype: str) -> tuple[int, float]:
     """Return how many waves are propagated at a time, and the bytes per wave."""
     size = 8 if dtype == "float32" else 16
@@ -272,13 +305,13 @@ def _check_memory(
     size = 8 if dtype == "float32" else 16
     voxels = float(np.prod(volume.shape))
     fits_memory(
-        f"a field at {len(moments)} times on {voxels:.3g} voxels",
+        f"a field at {counted(len(moments), 'time')} on {voxels:.3g} voxels",
         2.5 * size * len(moments) * voxels,
         "ask for fewer voxels or times",
     )
     n_waves, each = _slice(setup, grid, len(band.numbers), dtype)
     fits_memory(
-        f"spectra of {setup.columns.size} pairs",
+        f"spectra of {counted(setup.columns.size, 'pair')}",
         3.0 * each * n_waves,
         "use a smaller aperture, or dtype='float32'",
     )

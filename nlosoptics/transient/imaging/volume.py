@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import is_single, one_of, pair, positive, vector, whole
+from ..._checks import counted, is_single, one_of, pair, positive, vector, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
@@ -201,7 +201,7 @@ class VolumeImage(Noun, Shown):
     def _figures(self) -> Figures:
         volume = self.volume
         ends = {
-            f"{name} (m)": f"{axis[0]:.4g} to {axis[-1]:.4g}, {len(axis)} planes"
+            f"{name} (m)": f"{axis[0]:.4g} to {axis[-1]:.4g}, {counted(len(axis), 'plane')}"
             for name, axis in (("x", volume.x), ("y", volume.y), ("z", volume.z))
         }
         figures = {"method": self.method, "seconds": f"{self.seconds:.3g}", **ends}

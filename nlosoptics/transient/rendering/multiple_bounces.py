@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, in_range, pair, positive, whole
+from ..._checks import counted, fits_memory, in_range, pair, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed
 from ...errors import SamplingError, SceneError
@@ -141,7 +141,8 @@ def multiple_bounces(
     rows = _rows(pairing, len(lasers), len(sensors))
     count = whole("n_bins", n_bins)
     fits_memory(
-        f"{len(chosen)} orders of {len(rows)} pairs of points in {count} bins",
+        f"{counted(len(chosen), 'order')} of {counted(len(rows), 'pair')} of points in "
+        f"{counted(count, 'bin')}",
         32.0 * len(chosen) * len(rows) * count,
         "give fewer points, bins or orders",
     )

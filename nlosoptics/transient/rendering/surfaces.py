@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._checks import counted
 from ...errors import SceneError
 from ...kernels.codes import BECKMANN, GGX, OREN_NAYAR_FULL
 from ...raytrace import intersect_mesh, occluded
@@ -295,7 +296,8 @@ def _checked(number: int, mesh: Any) -> Array:
     thin = np.flatnonzero(areas <= 1e-12 * longest)
     if len(thin):
         raise SceneError(
-            f"{name} has {len(thin)} triangles without an area, first faces[{thin[0]}]; remove them"
+            f"{name} has {counted(len(thin), 'triangle')} without an area, first "
+            f"faces[{thin[0]}]; remove them"
         )
     return points
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import fits_memory
+from ..._checks import counted, fits_memory
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
 from .surfaces import HiddenSurfaces, Mesh, occluders
@@ -113,7 +113,7 @@ def three_bounces(
 
     count = len(lasers)
     fits_memory(
-        f"{count} responses of {n_bins} bins",
+        f"{counted(count, 'response')} of {counted(n_bins, 'bin')}",
         40.0 * count * (n_bins + 2),  # with the copies that become a capture
         "give fewer points or bins",
     )
@@ -156,7 +156,10 @@ def three_bounces(
         )
         _check_done(report[part], lasers[part], sensors[part], tol)
         if progress is not None:
-            progress(f"three bounces: {part.stop} of {count} pairs of points", part.stop / count)
+            progress(
+                f"three bounces: {part.stop} of {counted(count, 'pair')} of points",
+                part.stop / count,
+            )
         first, step = part.stop, min(4 * step, MOST_PAIRS if progress is None else count // 50 + 64)
     return ThreeBounces(
         out[:, 1:-1],

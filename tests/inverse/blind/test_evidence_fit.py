@@ -252,5 +252,5 @@ def test_pixels_that_do_not_count_are_refused():
     images = np.random.default_rng(0).uniform(0.0, 1.0, (2, 16, 16))
     noise = np.full((2, 16, 16), 0.01)
     noise[0, 3, 4] = np.inf
-    with pytest.raises(SamplingError, match="1 of 512 pixels do not count"):
+    with pytest.raises(SamplingError, match="1 of 512 pixels have infinite noise"):
         evidence_fit(images, spread, defocus=[0.0, 3e-7], noise_sigma=noise)

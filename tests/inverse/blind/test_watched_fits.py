@@ -201,7 +201,7 @@ def test_an_object_is_a_start_of_a_staged_fit() -> None:
         (evidence, {"object": np.ones((SIDE, SIDE))}, "no wall"),
         (evidence, {"coefficients": np.ones(5), "rounds": 1}, "shape (5,)"),
         (staged, np.ones((3, 3)), "start has shape (3, 3)"),
-        (staged, {"coefficients": np.ones(5)}, "start holds coefficients, no object"),
+        (staged, {"coefficients": np.ones(5)}, "start contains coefficients, but no object"),
     ],
 )
 def test_bad_starts_are_named(solver, start, named) -> None:
@@ -217,7 +217,7 @@ def test_a_state_of_another_network_is_refused() -> None:
     with pytest.raises(SceneError, match="start's numbers are"):
         image_prior(start={**watch.states[0], "numbers": np.ones(5)})
     kept = {**watch.states[0], "network": np.ones(7)}
-    with pytest.raises(SamplingError, match="7 network, this fit"):
+    with pytest.raises(SamplingError, match="7 network, must be"):
         image_prior(start=kept)
     del kept["network"]
     with pytest.raises(SceneError, match="no network"):

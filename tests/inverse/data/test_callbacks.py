@@ -103,7 +103,7 @@ def test_an_object_alone_is_a_start_too() -> None:
     inverse.tv_deconvolve(image, model, **{**options, "tv_weight": 3.0}, progress=watch)
     wrong_edges = np.full_like(watch.states[3]["edges"], np.nan)
     for name, wrong, words in (
-        ("numbers", np.zeros(3), "start's numbers are .*, must be 6 finite ones"),
+        ("numbers", np.zeros(3), "start's numbers are .*, must be 6 finite values"),
         ("signed", "F.png", "start's signed of type str is not an array"),
         ("edges", wrong_edges, "start's edges holds values that are not finite"),
     ):

@@ -126,5 +126,5 @@ def test_what_is_no_model_and_no_tensor_is_named():
         TorchForwardModel.from_numpy(np.ones((3, 3)))
     _, twin, stack = twins(*CASES[0], torch.float64)
     for call, name in ((twin, "object_image"), (twin.adjoint, "image")):
-        with pytest.raises(SceneError, match=f"{name} of type ndarray is no tensor"):
+        with pytest.raises(SceneError, match=f"{name} of type ndarray is not a tensor"):
             call(stack)

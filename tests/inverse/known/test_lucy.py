@@ -190,7 +190,7 @@ def test_a_dark_start_is_refused(periodic):
 @pytest.mark.parametrize("start", ["bright", {"object": [["a"]]}, object()])
 def test_a_start_of_no_numbers_is_one_line(periodic, start):
     model, _, image = periodic
-    with pytest.raises(SceneError, match="no array of numbers; give"):
+    with pytest.raises(SceneError, match="not an array of numbers; give"):
         inverse.richardson_lucy(image, model, noise_sigma=0.01, start=start)
 
 

@@ -173,7 +173,7 @@ def test_scenes_without_training_walls_are_refused(scene):
 
 def test_one_pair_is_too_few(pairs):
     one = inverse.TrainingPairs(images=pairs.images[:1], objects=pairs.objects[:1])
-    with pytest.raises(SceneError, match="1 pairs, needs 2"):
+    with pytest.raises(SceneError, match="1 pairs, must be at least 2"):
         inverse.train_cnn(one)
 
 
@@ -277,7 +277,7 @@ def test_pairs_of_any_precision_train_and_half_may_be_held_out():
     [
         (FEW, FEW[:3], "give .N, H, W. both"),
         (FEW[:, 0], FEW[:, 0], "give .N, H, W. both"),
-        (np.where(FEW > 0.9, np.nan, FEW), FEW, "pairs.images has .* not finite; leave"),
+        (np.where(FEW > 0.9, np.nan, FEW), FEW, "pairs.images has .* not finite; remove"),
     ],
 )
 def test_bad_pairs_are_refused(images, objects, words):

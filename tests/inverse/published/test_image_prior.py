@@ -177,7 +177,7 @@ def test_uniform_image_is_too_few_photons(small, level):
         (
             {"guide": "noise", "guide_share": 0.5},
             SceneError,
-            'guide_share = 0.5, but guide="noise" is no picture',
+            'guide_share = 0.5, but guide="noise" is not an object',
         ),
         ({"base": 9}, SceneError, "base = '9' is unknown"),
         ({"tv_weight": -1.0}, SceneError, "tv_weight = -1 is out of range"),

@@ -210,7 +210,7 @@ def test_progress_ends_at_one(method):
         ({"method": "er"}, SceneError, "method = 'er'"),
         ({"restarts": 1}, SceneError, "restarts = 1"),
         ({"object_size": (40, 8)}, SamplingError, "an object of 40 x 8 pixels has lags up to"),
-        ({"object_size": 8}, SceneError, "object_size = 8 is no size"),
+        ({"object_size": 8}, SceneError, "object_size = 8 is not a size"),
         ({"model": np.ones((3, 3))}, SceneError, "model of type ndarray"),
     ],
 )
@@ -227,7 +227,7 @@ def test_bad_input_is_refused_in_one_line(change, kind, words):
     [
         (np.ones((8, 9)), SamplingError, r"autocorrelation has shape \(8, 9\)"),
         (np.ones((9, 9)), SceneError, "autocorrelation is 1 everywhere"),
-        (np.full((9, 9), np.inf), SceneError, "81 values that are not finite"),
+        (np.full((9, 9), np.inf), SceneError, "81 of 81 values that are not finite"),
     ],
 )
 def test_bad_autocorrelation_is_refused(lags, kind, words):
@@ -244,7 +244,7 @@ def test_lags_may_be_a_tensor_and_other_things_are_named():
     found = inverse.object_from_autocorrelation(tensor, **options)
     np.testing.assert_array_equal(found.object, expected.object)
     for wrong in ([["a"] * 5] * 5, lags + 0j):
-        with pytest.raises(SceneError, match="no array of real numbers; give"):
+        with pytest.raises(SceneError, match="not an array of real numbers; give"):
             inverse.object_from_autocorrelation(wrong)
 
 

@@ -249,7 +249,7 @@ def test_start_values_are_waves_of_the_given_metres():
         ({"modes": []}, SceneError, "modes is empty"),
         ({"modes": 4}, SceneError, "give a sequence of Noll indices"),
         ({"modes": {4: float("nan")}}, SceneError, r"modes\[4\]"),
-        ({"cells": 17.0}, SamplingError, "wider than Nyquist's"),
+        ({"cells": 17.0}, SamplingError, "limit for point samples"),
         ({"cells": 0.7}, SamplingError, "samples the pupil every"),
         ({"samples": 20}, SamplingError, "leave it out"),
         ({"method": "mdft", "samples": 10}, SamplingError, "use samples = "),
@@ -293,8 +293,8 @@ def test_wrong_leaves_are_refused():
 @pytest.mark.parametrize(
     ("coefficients", "kind", "words"),
     [
-        (np.zeros(2), SceneError, "ndarray are no tensor; give"),
-        ([0.0, 0.0], SceneError, "list are no tensor; give"),
+        (np.zeros(2), SceneError, "ndarray are not a tensor; give"),
+        ([0.0, 0.0], SceneError, "list are not a tensor; give"),
         (torch.zeros(2, dtype=torch.float64), SamplingError, "torch.float64.*torch.float32; give"),
     ],
 )
@@ -312,7 +312,7 @@ def test_coefficients_of_another_kind_are_one_line(coefficients, kind, words):
     [
         ([0.5], r"defocus = \[0.5\] m rms, limit 0.001; give metres, not waves"),
         ([np.nan], "nan.* m rms, limit"),
-        ("far", "defocus of type str holds no numbers"),
+        ("far", "defocus of type str has no numbers"),
     ],
 )
 def test_defocus_in_waves_or_words_is_refused(defocus, words):
@@ -321,5 +321,5 @@ def test_defocus_in_waves_or_words_is_refused(defocus, words):
         with pytest.raises(SceneError, match=words) as caught:
             call(defocus=defocus)
         assert "\n" not in str(caught.value)
-    with pytest.raises(SceneError, match="object_image of type ndarray is no tensor"):
+    with pytest.raises(SceneError, match="object_image of type ndarray is not a tensor"):
         module.image(np.zeros((8, 8)))

@@ -230,7 +230,7 @@ def test_adam_finds_the_radius_of_the_wall(speckle):
         (["radius"], {}, SceneError, "leaf = 'radius' is unknown"),
         ([], {}, SceneError, "at least one"),
         (["focus_distance"] * 2, {}, SceneError, "each leaf once"),
-        (["wall_radius"], {"wall": FlatWall(size=SIZE)}, SceneError, "wall_radius of a FlatWall"),
+        (["wall_radius"], {"wall": FlatWall(size=SIZE)}, SceneError, "but a FlatWall has none"),
         (["lobe_slope"], {}, SceneError, "lobe_slope starts at 0"),
         (["wall_radius"], {"wall": ConcaveWall(1.1, size=SIZE)}, CausticError, "wall"),
     ],
@@ -242,12 +242,12 @@ def test_bad_leaves_are_refused_in_one_line(speckle, names, change, kind, text):
 
 
 def test_blur_needs_a_period_and_field_a_plane(speckle):
-    with pytest.raises(SamplingError, match="needs method='fft'"):
+    with pytest.raises(SamplingError, match="must be .fft. for a lobe"):
         leaves_of(glossy(speckle, 1e-3), ["lobe_slope"], method="mdft")
     module = leaves_of(replace(speckle, wall=WALLS[0]), ["wall_radius"])
-    with pytest.raises(SceneError, match=r"give finite places \(K, 2\)"):
+    with pytest.raises(SceneError, match=r"give finite positions \(K, 2\)"):
         module([0.1, 0.2])
-    with pytest.raises(SceneError, match=r"give finite places \(K, 2\)"):
+    with pytest.raises(SceneError, match=r"give finite positions \(K, 2\)"):
         module([[0.1, np.nan]])
 
 

@@ -222,7 +222,7 @@ def test_paths_of_another_kind_are_refused(flat_scene):
     refused("off a plane through exit_pupil.centre", pupil=moved)
     refused("wavelength = 0 m is out of range", wavelength=0.0)
     dark = np.ones_like(rays.status)
-    refused("0 rays are detected, limit 64", kind=SamplingError, status=dark)
+    refused("paths holds 0 detected rays, limit 64", kind=SamplingError, status=dark)
     longer = rays.path_length.copy()
     longer[first] += 1e-6
     refused("differ by 1.58 waves", kind=CausticError, path_length=longer)

@@ -204,7 +204,7 @@ def test_bad_npy_files(tmp_path: Path) -> None:
         (lambda: planar(size=-0.3), r"hidden.size\[x\] = -0.3 m .* must be above 0 m"),
         (lambda: planar(size=(0.3, 0.0)), r"hidden.size\[y\] = 0 m .* must be above 0 m"),
         (lambda: planar(size=True), r"hidden.size\[x\] = True is not a number"),
-        (lambda: planar(size="1"), r"hidden.size has 1 components; give one number"),
+        (lambda: planar(size="1"), r"hidden.size has 1 component; give one number"),
         (lambda: planar(size="12"), r"hidden.size\[x\] = '1' is not a number"),
         (lambda: planar(position=np.array(1.0)), "hidden.position = .* is not a vector"),
         (lambda: planar(material="foam"), "hidden.material = 'foam' is a str; give a Material"),

@@ -86,6 +86,32 @@ def test_round_trip_is_exact(tmp_path, kind):
     assert np.array_equal(after.details["wall"], [1.0, 2.0])
 
 
+def test_unknown_origins_are_zeros_for_others_and_unknown_for_us(tmp_path):
+    """y-tal reshapes the origins to three numbers, and uses them with outer legs only."""
+    path = tmp_path / "x.hdf5"
+    made(sensor_origin=(0.1, 0.2, 0.3)).save(path)
+    with h5py.File(path) as file:
+        assert file["laser_xyz"][()].tolist() == [0.0, 0.0, 0.0]
+        assert file["sensor_xyz"][()].tolist() == [0.1, 0.2, 0.3]
+    after = TransientCapture.load(path)
+    assert after.laser_origin is None
+    assert after.sensor_origin == (0.1, 0.2, 0.3)
+    # a laser at the wall's centre is known
+    made(laser_origin=(0.0, 0.0, 0.0)).save(path)
+    after = TransientCapture.load(path)
+    assert after.laser_origin == (0.0, 0.0, 0.0)
+    assert after.sensor_origin is None
+    # another program has filled it in
+    with h5py.File(path, "a") as file:
+        file["sensor_xyz"][...] = (0.0, 0.0, 1.0)
+    assert TransientCapture.load(path).sensor_origin == (0.0, 0.0, 1.0)
+    # zeros would be a wrong origin of legs that times hold
+    made(outer_legs=True).save(path)
+    with h5py.File(path) as file:
+        assert file["laser_xyz"].shape is None
+    assert TransientCapture.load(path).laser_origin is None
+
+
 def test_gates_close_parts_and_errors_too(tmp_path):
     H = np.random.default_rng(2).random((6, 2, 3))
     made(H=H, by_bounce={3: 0.7 * H, 4: 0.3 * H}, standard_error=0.1 * H).save(tmp_path / "x.hdf5")
@@ -156,7 +182,7 @@ def test_file_is_in_ytals_words(tmp_path):
         assert file["laser_grid_xyz"].shape == (1, 1, 3)
         assert (file["sensor_grid_normals"][...] == (0.0, 0.0, 1.0)).all()
         codes = {key: int(file[key][0]) for key in file if key.endswith("_format")}
-        assert file["laser_xyz"].shape is None
+        assert file["laser_xyz"][()].tolist() == [0.0, 0.0, 0.0]  # unknown
         info = json.loads(file["scene_info"][()])
     assert codes == {
         "H_format": 1,

@@ -10,6 +10,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,6 +89,17 @@ def patch_capture(pairing):
         sensor_origin=(-0.5, 0.0, 0.25),
         details={"n": 1, "words": "a: b\n- c", "none": None, "small": 1e-9},
     )
+
+
+@pytest.mark.parametrize("pairing", ["all", "confocal"])
+def test_ytal_reconstructs_ours_without_origins(ytal, tmp_path, pairing):
+    path = tmp_path / "ours.hdf5"
+    replace(patch_capture(pairing), laser_origin=None, sensor_origin=None).save(path)
+    (held,) = ytal(tmp_path, path)
+    seen = np.array(held["picture"])
+    assert np.unravel_index(seen.argmax(), seen.shape) == (5, 2)
+    back = TransientCapture.load(path)
+    assert (back.laser_origin, back.sensor_origin) == (None, None)
 
 
 @pytest.mark.parametrize("pairing", ["all", "confocal"])

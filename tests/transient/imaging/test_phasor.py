@@ -8,7 +8,13 @@ import warnings
 import numpy as np
 import pytest
 
-from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError, ValidityWarning
+from nlosoptics.errors import (
+    MemoryLimitError,
+    PerformanceWarning,
+    SamplingError,
+    SceneError,
+    ValidityWarning,
+)
 from nlosoptics.transient import TransientCapture, Volume, phasor_image, wall_grid
 
 CENTRE = (0.0, 0.0, 0.0)
@@ -319,6 +325,34 @@ def test_transient_camera_sees_light_arrive():
     light = np.abs(film.field[:, 0, 0, 0])
     assert times[light.argmax()] == pytest.approx(np.linalg.norm(place), abs=0.01)
     assert film.intensity[0, 0, 0] == pytest.approx(light.max() ** 2)
+
+
+def test_slow_sums_that_transforms_could_replace_are_warned_of(monkeypatch):
+    from nlosoptics.transient.imaging import phasor_camera
+
+    points = wall_grid(1.0, 24)
+    large = noise_capture(H=np.ones((120, 24, 24)), sensor_points=points)
+    facing = Volume.facing(points, (0.5, 0.6, 0.1))
+    off = Volume(1.01 * facing.x, 1.01 * facing.y, facing.z)
+    # a fraction of a second is not worth a word
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PerformanceWarning)
+        assert phasor_image(large, off, wl_mean=0.4).details["sum"] == "direct"
+    monkeypatch.setattr(phasor_camera, "LARGE", 1e5)
+    words = r"lie off the grid of the sensor points.* times the work .*Volume.facing"
+    with pytest.warns(PerformanceWarning, match=words) as told:
+        phasor_image(large, off, wl_mean=0.4)
+    assert told[0].filename == __file__
+    assert "0.0416667 m and 0.0416667 m" in str(told[0].message)
+    bent = points.copy()
+    bent[..., 0] += 0.02 * bent[..., 0] ** 2
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", PerformanceWarning)
+        # asked for, on the grid, few paths, or a wall that no volume fits
+        phasor_image(large, off, wl_mean=0.4, method="direct")
+        phasor_image(large, facing, wl_mean=0.4)
+        phasor_image(large, Volume(off.x[:2], off.y[:2], off.z), wl_mean=0.4)
+        quiet(noise_capture(H=large.H, sensor_points=bent), off, wl_mean=0.4)
 
 
 def test_coarse_sampling_is_warned_of():
