@@ -64,19 +64,20 @@ class Walk:
             self(f"nlosoptics {command} --help", f"nlosoptics {command} --help")
 
     def page(self, name: str) -> None:
-        """Run a documentation page: its commands, then its Python in one file."""
-        blocks = FENCE.findall((ROOT / "docs" / name).read_text())
-        lines = [
-            line.removeprefix("$ ")
-            for language, block in blocks
-            if language == "console"
-            for line in re.sub(r"\\\n>?", " ", block).splitlines()
-            if line.startswith("$ nlosoptics ") and "# not run in the tests" not in line
-        ]
-        code = [b for kind, b in blocks if kind == "python" and "# not run in the tests" not in b]
+        """Run a documentation page: its commands and its Python in their order, as one file."""
+        code = ["import subprocess"]
+        for language, block in FENCE.findall((ROOT / "docs" / name).read_text()):
+            if language == "console":
+                code += [
+                    f"subprocess.run({line.removeprefix('$ ')!r}, shell=True, check=True)"
+                    for line in re.sub(r"\\\n>?", " ", block).splitlines()
+                    if line.startswith("$ nlosoptics ") and "# not run in the tests" not in line
+                ]
+            elif language == "python" and "# not run in the tests" not in block:
+                code.append(block)
         script = self.folder / f"{Path(name).stem}.py"
         script.write_text("\n".join(code))
-        self(f"docs/{name}", " && ".join([*lines, f"python {script.name}"]))
+        self(f"docs/{name}", f"python {script.name}")
 
 
 def fresh_clone(folder: Path) -> bool:

@@ -23,9 +23,10 @@ PAGES = sorted(
     for path in DOCS.rglob("*.md")
     if not {"_generated", "gallery"} & {*path.relative_to(DOCS).parts}
 )
+#: A block of code with its language.
+FENCE = re.compile(r"^```([\w-]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 #: Begins a block of Python and ends a command that cannot be run in seconds, with the reason.
 NOT_RUN = re.compile(r"# not run in the tests: \S")
-Blocks = Callable[[Path, str], list[str]]
 
 
 @pytest.fixture
@@ -41,22 +42,21 @@ def extension(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], Modul
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS)))
-def test_code_runs(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code_blocks: Blocks
-) -> None:
-    """Commands, then Python from top to bottom in one namespace, beside the examples."""
+def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands and Python in the order of the page, one namespace, beside the examples."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
-    for block in code_blocks(page, "console"):
-        for command in commands(block):
-            with pytest.raises(SystemExit) as end:
-                main(shlex.split(command, comments=True)[1:])
-            assert end.value.code == 0, command
     names: dict[str, Any] = {"__name__": "__main__"}
-    for code in code_blocks(page, "python"):
-        compiled = compile(code, str(page), "exec")
-        if not NOT_RUN.match(code):
-            exec(compiled, names)
+    for language, code in FENCE.findall(page.read_text()):
+        if language == "console":
+            for command in commands(code):
+                with pytest.raises(SystemExit) as end:
+                    main(shlex.split(command, comments=True)[1:])
+                assert end.value.code == 0, command
+        elif language == "python":
+            compiled = compile(code, str(page), "exec")
+            if not NOT_RUN.match(code):
+                exec(compiled, names)
 
 
 def test_study_of_the_page_gains_by_light(
@@ -81,15 +81,16 @@ def commands(block: str) -> Iterator[str]:
             yield line.removeprefix("$ ")
 
 
-def test_every_block_has_a_language_that_is_run_or_known(code_blocks: Blocks) -> None:
+def test_every_block_has_a_language_that_is_run_or_known() -> None:
     """A block in a language of another name would be passed over."""
-    known = {"python", "console", "toml", "json", "text", "toctree", "include", "eval-rst"}
+    known = {"python", "console", "toml", "json", "text"}
+    known |= {"toctree", "include", "eval-rst", "glossary"}  # directives
     for page in PAGES:
         found = re.findall(r"^```\{?([\w-]*)", page.read_text(), re.MULTILINE)
         assert set(found[::2]) <= known, page
 
 
-def test_commands_name_files_that_are_there(code_blocks: Blocks) -> None:
+def test_commands_name_files_that_are_there() -> None:
     listed = [
         (page, word)
         for page in [*PAGES, DOCS / "_ext" / "performance_page.py"]
