@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 from collections.abc import Mapping
 from copy import deepcopy
@@ -11,14 +12,31 @@ from typing import Any, Self
 
 from .errors import SceneError
 
+PRINTED = 12  # largest number of array elements that a representation lists
+LONGEST = 700  # characters of a part's representation; a longer one is given by its class
+
 
 class Noun:
     """Base of frozen dataclasses with arrays, mappings or cached properties.
 
     Pickles and deep copies contain only the fields; cached properties are computed again when
     needed. Pickling loses numpy's read-only flag and does not support read-only mappings, so both
-    are restored on loading. The constructor's checks are not repeated.
+    are restored on loading. The constructor's checks are not repeated. ``repr`` gives large
+    arrays by shape and type, and large parts by their class.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "__repr__" not in vars(cls):  # before the dataclass decorator would add its own
+            cls.__repr__ = Noun.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        shown = (
+            f"{f.name}={_shown(getattr(self, f.name))}"
+            for f in fields(self)  # type: ignore[arg-type]
+            if f.repr
+        )
+        return f"{type(self).__qualname__}({', '.join(shown)})"
 
     def __getstate__(self) -> dict[str, Any]:
         return field_values(self)
@@ -36,6 +54,16 @@ class Noun:
         memo[id(self)] = copied
         Noun.__setstate__(copied, deepcopy(field_values(self), memo))
         return copied
+
+
+def _shown(value: Any) -> str:
+    """Return the representation of a field's value, shortened where it is large."""
+    if getattr(value, "ndim", 0) and hasattr(value, "dtype") and math.prod(value.shape) > PRINTED:
+        return f"<{'x'.join(map(str, value.shape))} {value.dtype}>"
+    text = repr(value)
+    if isinstance(value, Noun) and len(text) > LONGEST:
+        return f"{type(value).__qualname__}(...)"
+    return text
 
 
 def check_pickles(name: str, value: Any) -> None:

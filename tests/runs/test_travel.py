@@ -398,3 +398,15 @@ def test_pickles_are_stable(tmp_path: Path) -> None:
     """The same noun gives the same bytes, as caches of clusters ask."""
     sums = {zlib.crc32(pickle.dumps(room())) for _ in range(2)}
     assert len(sums) == 1
+
+
+def test_representations_are_short() -> None:
+    """An array of many elements is told by shape and type; one of few is listed."""
+    wave = psf.Wavefront.from_zernike(
+        {4: 1e-7}, wavelength=6e-7, pupil_radius=5e-3, image_distance=0.05
+    )
+    shown = repr(psf.point_spread(wave, shape=16))
+    assert "intensity=<16x16 float64>" in shown
+    assert len(shown) < 1000
+    lobe = scene.SpecularMicrofacet(0.05, 0.0)
+    assert repr(lobe).startswith("SpecularMicrofacet(reflectance=0.05, slope_rms=0.0")

@@ -60,7 +60,7 @@ def test_code_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_study_of_the_page_gains_by_light(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code_blocks: Blocks
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code_blocks: Callable[[Path, str], list[str]]
 ) -> None:
     """A fit that is not told of the wall's diffuse light gets worse with more light."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
