@@ -1,8 +1,9 @@
-"""Pictures: axes or plotters in and out; nothing is computed and nothing is shown.
+"""Figures, films and 3-D views of results; `save` writes them to files.
 
-matplotlib and pyvista are the extra ``nlosoptics[views]`` and are imported by the first picture
-that needs them. Figures are made without pyplot, so they need no display and keep no global state;
-plotters draw off the screen. `save` writes either.
+Every function draws on the axes or the plotter that is passed, or on a new one, and returns it.
+Nothing is computed here, and no window opens. matplotlib and pyvista belong to the extra
+``nlosoptics[views]`` and are imported when the first figure needs them. Figures are made without
+pyplot, so that they need no display and keep no global state; plotters render off screen.
 """
 
 from .comparisons import compare_methods

@@ -1,9 +1,12 @@
-"""New figures, made without pyplot, and lengths for their scales."""
+"""New figures, made without pyplot, and round lengths and ticks for their scales."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..errors import MissingExtraError
 
@@ -11,6 +14,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 DOTS_PER_INCH = 120
+CHARACTER = 0.7  # width of a digit or minus sign over the font size, with a little to spare
+GAP = 1.0  # least distance between tick labels, in characters
 
 
 def new_axes(
@@ -30,7 +35,7 @@ def new_axes(
         from matplotlib.figure import Figure
     except ModuleNotFoundError:
         raise MissingExtraError(
-            "matplotlib is not installed; run pip install 'nlosoptics[views]' for pictures"
+            "matplotlib is not installed; run pip install 'nlosoptics[views]' for figures"
         ) from None
     figure = Figure(figsize=(width, height), dpi=dots, layout="constrained")
     FigureCanvasAgg(figure)
@@ -42,3 +47,47 @@ def round_step(length: float) -> float:
     """Return the largest 1, 2 or 5 times a power of ten that does not exceed a length, m."""
     power = 10.0 ** math.floor(math.log10(length))
     return max(m * power for m in (1, 2, 5) if m * power <= length * (1 + 1e-9))
+
+
+def space_ticks(axes: Axes, *, integer: bool = False) -> None:
+    """Keep the tick labels of a linear x axis apart, at any size of the axes."""
+    axes.xaxis.set_major_locator(spaced_locator(integer))
+
+
+def spaced_locator(integer: bool) -> Any:
+    """Return a matplotlib locator that takes fewer ticks where their labels would overlap."""
+    steps = [1, 2, 5, 10] if integer else [1, 2, 2.5, 5, 10]
+    return _locator_class()(steps=steps, integer=integer, min_n_ticks=1)
+
+
+@cache
+def _locator_class() -> Any:
+    """Return the class of `spaced_locator`; defined here because matplotlib is optional."""
+    from matplotlib.ticker import MaxNLocator
+
+    class SpacedLocator(MaxNLocator):
+        def __call__(self) -> Any:
+            axis: Any = self.axis
+            low, high = sorted(axis.get_view_interval())
+            figure = axis.axes.get_figure(root=True)
+            points = 72.0 * axis.axes.get_window_extent().width / figure.dpi
+            character = CHARACTER * axis.get_major_ticks(1)[0].label1.get_size()
+            ticks = np.empty(0)
+            # matplotlib starts from the same number, but assumes labels of about four characters
+            for count in range(int(np.clip(axis.get_tick_space(), 1, 9)), 0, -1):
+                self.set_params(nbins=count)
+                ticks = np.asarray(self.tick_values(low, high))
+                ticks = ticks[(ticks >= low) & (ticks <= high)]
+                labels = axis.get_major_formatter().format_ticks(ticks)
+                if len(ticks) < 2:
+                    break
+                needed = character * (max(map(len, labels)) + GAP)
+                if needed <= points * (ticks[1] - ticks[0]) / (high - low):
+                    break
+            return ticks
+
+        def __reduce__(self) -> Any:
+            # a class defined in a function cannot be pickled by name, and figures should be
+            return spaced_locator, (False,), self.__dict__
+
+    return SpacedLocator

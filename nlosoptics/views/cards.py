@@ -1,4 +1,4 @@
-"""Pictures on the cards that nouns show in notebooks; the figures are their own."""
+"""Figures on the cards that result objects show in notebooks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from .. import views
 
-#: How a noun is drawn, by the name of its class or of a base; no class is loaded for it.
+#: Drawing function by class name, so that no class is imported before an object of it exists.
 PICTURES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "Scene": lambda noun: views.scene_sketch(noun),
     "Wavefront": lambda noun: views.wavefront(noun),
@@ -21,12 +21,22 @@ PICTURES: Final[Mapping[str, Callable[[Any], Any]]] = {
 
 
 def axes(noun: Any) -> Any:
-    """Matplotlib axes, or several of one figure, that show a noun.
+    """Draw an object by the function for its class, or for the nearest base class.
+
+    Parameters
+    ----------
+    noun : object
+        Object of a class that has an entry in `PICTURES`, or of a subclass.
+
+    Returns
+    -------
+    Axes or tuple of Axes
+        Matplotlib axes of one new figure.
 
     Raises
     ------
     NlosError
-        If matplotlib is missing, or the noun cannot be drawn.
+        If matplotlib is missing, or the object cannot be drawn.
     """
     names = (base.__name__ for base in type(noun).__mro__)
     return next(PICTURES[name] for name in names if name in PICTURES)(noun)

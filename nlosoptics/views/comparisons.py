@@ -1,4 +1,4 @@
-"""Transforms of one wave against each other."""
+"""Figure that compares the transforms from a wavefront to its point spread function."""
 
 from __future__ import annotations
 
@@ -15,30 +15,31 @@ if TYPE_CHECKING:
 
     from ..psf import Comparison
 
-LEAST = 1e-17  # error that is drawn; a smaller one is no more than rounding
-APART = "hollow: apart from the best"
+LEAST = 1e-17  # lowest error drawn, below rounding; keeps zeros on the logarithmic axis
+APART = "hollow: difference from the best"
 
 
 def compare_methods(
     comparison: Comparison, *, tol: float | None = None, axes: Axes | None = None
 ) -> Axes:
-    """Draw error against seconds, one marker for each transform that ran.
+    """Draw the errors of the transforms against their computation times.
 
     Parameters
     ----------
     comparison : Comparison
-        As of `psf.compare`.
+        Result of `psf.compare`.
     tol : float, optional
-        Wanted error, drawn as a line.
+        Requested error, max abs(dI) / max I, drawn as a line.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Both scales are logarithmic. Full markers are the estimates, which bound the errors; hollow
-        ones the differences from the transform of the least estimate, named in the title. Those
-        that did not run are listed with what forbade it.
+        Axes with logarithmic scales. Filled markers show the error estimates, which bound the
+        errors. Hollow markers show the difference from the best transform, which is the one with
+        the smallest estimate; the title names it. Transforms that did not run are listed below
+        the axes with the reason.
 
     Raises
     ------
@@ -53,7 +54,7 @@ def compare_methods(
     (axes,) = (axes,) if axes is not None else new_axes(1, width=7.0, height=5.2)
     if tol is not None:
         tol = positive("tol", tol)
-        axes.axhline(tol, color=GREY, linestyle="--", label=f"wanted, {tol:g}")
+        axes.axhline(tol, color=GREY, linestyle="--", label=f"requested, {tol:g}")
     for row, colour, marker in zip(ran, SERIES, MARKERS, strict=False):
         looks: dict[str, Any] = {
             "color": colour,
@@ -74,7 +75,7 @@ def compare_methods(
     axes.set(
         xscale="log",
         yscale="log",
-        xlabel="seconds",
+        xlabel="computation time (s)",
         ylabel="error, max |dI| / max I",
         title=f"{ny} x {nx} samples of {1e6 * comparison.pitch:.3g} µm, best: {comparison.best}",
     )
@@ -86,7 +87,7 @@ def compare_methods(
 
 
 def _tell_left_out(comparison: Comparison, axes: Axes) -> None:
-    """Write below the axes which transforms did not run, and why."""
+    """List the transforms that did not run, with the reasons, below the axes."""
     reasons = [
         textwrap.fill(f"{row.method}: {row.reason}", 100, subsequent_indent="    ")
         for row in comparison.rows

@@ -1,4 +1,4 @@
-"""Curves: modulation transfer, encircled energy, the course of a fit."""
+"""Curves: modulation transfer function, encircled energy, fit history; and spot diagrams."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .._checks import counted, in_range, whole
+from .._checks import in_range, whole
 from ..errors import SamplingError, SceneError
-from .canvas import new_axes
+from .canvas import new_axes, space_ticks
 from .palette import BLUE, GREY, MARKERS, ORANGE, SERIES, VERMILION
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Label of a fit's record, and what it counts; two records of one label share axes.
+#: Axis labels (y, x) of each record in a fit's history. Records with equal labels share axes.
 RECORDS = {
     "objective": ("objective", "iteration"),
     "residual": ("residual, rms of the noise", "iteration"),
@@ -30,8 +30,8 @@ RECORDS = {
     "training": ("mean squared error", "epoch"),
     "validation": ("mean squared error", "epoch"),
 }
-WIDE_RANGE = 10.0  # of a record, beyond which its scale is logarithmic
-FEW = 50  # values, up to which each has a marker
+WIDE_RANGE = 10.0  # ratio of largest to smallest value above which the scale is logarithmic
+FEW = 50  # largest number of values that are drawn with markers
 
 
 def mtf(
@@ -42,29 +42,42 @@ def mtf(
     diffraction_limit: ArrayLike | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw the modulation transfer function along x and y.
+    """Draw cuts through the modulation transfer function along x and y.
 
     Parameters
     ----------
     frequency : array_like, (n,)
-        In the image, cycles per m.
+        Spatial frequency in the image, cycles per m.
     along_x, along_y : array_like or MetricEstimate, (n,)
-        As of `psf.mtf` with ``azimuth`` 0 and pi/2; that of `psf.metric_estimate` is drawn with
-        its standard error.
+        Modulation at these frequencies, from `psf.mtf` with ``azimuth`` 0 and pi/2. A result of
+        `psf.metric_estimate` is drawn with a band of one standard error.
     diffraction_limit : array_like, (n,), optional
-        The same of a wave without aberration.
+        Modulation of an aberration-free wave.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Modulation from 0 to 1 against cycles/mm.
+        Axes with the modulation from 0 to 1 against the frequency in cycles/mm.
 
     Raises
     ------
     SamplingError
-        If an array does not fit the frequencies, or holds values that are not finite.
+        If the shape of an array differs from that of ``frequency``, or if values are not finite.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf, views
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {7: 60e-9}, wavelength=600e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> spread = psf.point_spread(wave, pitch=2e-6, shape=64)
+    >>> frequency = [0.0, 25e3, 50e3, 75e3, 100e3]
+    >>> along_x, along_y = (psf.mtf(spread, frequency, azimuth=a) for a in (0.0, 1.5708))
+    >>> axes = views.mtf(frequency, along_x, along_y)
+    >>> axes.get_xlabel()
+    'spatial frequency in the image (cycles/mm)'
     """
     places = _samples("frequency", frequency) * 1e-3
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
@@ -81,12 +94,13 @@ def mtf(
             error = _samples(name, given.standard_error, like=places, of="frequency")
             axes.fill_between(places, values - error, values + error, color=colour, alpha=0.25)
     axes.set(
-        xlabel="frequency in the image (cycles/mm)",
+        xlabel="spatial frequency in the image (cycles/mm)",
         ylabel="modulation",
         ylim=(0.0, 1.02),
         xlim=(float(places.min()), float(places.max())),
-        title="modulation transfer",
+        title="modulation transfer function",
     )
+    space_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend()
     return axes
@@ -100,37 +114,41 @@ def encircled_energy(
     shares: Sequence[float] = (0.5, 0.8),
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw the energy within circles, with the radii that hold given shares.
+    """Draw the encircled energy against the radius, and mark the radii of given fractions.
 
     Parameters
     ----------
     radius : array_like, (n,)
-        m, rising.
+        Radii of the circles, m, in increasing order.
     energy : array_like or MetricEstimate, (n,)
-        As of `psf.encircled_energy`; that of `psf.metric_estimate` is drawn with its standard
-        error.
+        Fraction of the energy within each circle, from `psf.encircled_energy`. A result of
+        `psf.metric_estimate` is drawn with a band of one standard error.
     diffraction_limit : array_like, (n,), optional
-        The same of a wave without aberration.
+        Encircled energy of an aberration-free wave.
     shares : sequence of float
-        Above 0, up to 1; their radii are read off straight lines between the radii given.
+        Fractions of the energy, above 0 and up to 1, whose radii are marked. The radii are
+        interpolated linearly.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Share of the energy against um.
+        Axes with the fraction of the energy against the radius in um.
 
     Raises
     ------
     SceneError
-        If a share is out of range.
+        If a value in ``shares`` is out of range.
     SamplingError
-        If an array does not fit the radii, the radii do not rise, or values are not finite.
+        If the shape of an array differs from that of ``radius``, if the radii do not increase, or
+        if values are not finite.
     """
     radii = _samples("radius", radius) * 1e6
     if len(radii) > 1 and np.diff(radii).min() <= 0.0:
-        raise SamplingError("radius must rise from value to value; sort it together with energy")
+        raise SamplingError(
+            "radius must increase from value to value; sort it together with energy"
+        )
     wanted = [in_range("shares", share, 0.0, 1.0, open_low=True) for share in shares]
     values = _samples("energy", _value(energy), like=radii, of="radius")
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
@@ -153,11 +171,12 @@ def encircled_energy(
         axes.plot([place], [share], color=colour, marker="o", linestyle="", label=label)
     axes.set(
         xlabel="radius (µm)",
-        ylabel="share of the energy",
+        ylabel="fraction of the energy",
         ylim=(0.0, 1.02),
         xlim=(float(radii[0]), float(radii[-1])),
         title="encircled energy",
     )
+    space_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend(loc="lower right")
     return axes
@@ -166,26 +185,27 @@ def encircled_energy(
 def history(
     fit: Reconstruction | Training, *, axes: Sequence[Axes] | None = None
 ) -> tuple[Axes, ...]:
-    """Draw how a fit went: each of its records over the iterations.
+    """Draw the history of a fit: each recorded quantity against the iteration.
 
     Parameters
     ----------
     fit : Reconstruction or Training
-        What has a ``history``.
+        Result with a ``history``.
     axes : sequence of matplotlib Axes, optional
-        Where to draw, one for each record that has values, training and validation on the same; a
-        new figure by default.
+        Axes to draw on, one for each recorded quantity; training and validation error share
+        axes. A new figure by default.
 
     Returns
     -------
     tuple of Axes
-        In the order of the records. Scales are logarithmic where a record is positive and spans
-        much. A dashed line marks the residual that fits the data to their noise.
+        Axes in the order of the history. A scale is logarithmic where the values are positive and
+        span more than a factor of ten. A dashed line marks a residual equal to the noise.
 
     Raises
     ------
     SceneError
-        If the method keeps no records, such as a network, or did nothing.
+        If the history is empty, or if the number of axes differs from that of the quantities. A
+        method without iterations, such as a trained network, keeps no history.
     """
     panels: dict[str, dict[str, Array]] = {}
     for name, record in fit.history.items():
@@ -193,7 +213,8 @@ def history(
             panels.setdefault(RECORDS.get(name, (name, ""))[0], {})[name] = np.asarray(record)
     if not panels:
         raise SceneError(
-            "this fit kept no records: its method takes no iterations, or had nothing to fit"
+            "the history of this fit is empty, because its method does not iterate or found no "
+            "signal; use views.reconstruction instead"
         )
     on = (
         tuple(axes)
@@ -202,11 +223,8 @@ def history(
     )
     if len(on) != len(panels):
         raise SceneError(
-            f"{counted(len(on), 'axis', 'axes')} for {counted(len(panels), 'record')}, "
-            f"{', '.join(panels)}; give as many"
+            f"{len(on)} axes were given, must be {len(panels)}: one each for {', '.join(panels)}"
         )
-    from matplotlib.ticker import MaxNLocator
-
     for axis, (label, records) in zip(on, panels.items(), strict=True):
         unit = "iteration"
         for (name, record), colour, marker in zip(records.items(), SERIES, MARKERS, strict=False):
@@ -231,20 +249,23 @@ def history(
             axis.legend()
         axis.grid(alpha=0.25)
         axis.set(xlabel=unit, ylabel=label)
-        axis.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        space_ticks(axis, integer=True)
     return on
 
 
 def _value(given: Any) -> Any:
-    """The values of a `MetricEstimate`, or what was given."""
+    """Return the values of a `MetricEstimate`; any other argument is returned as it is."""
     return getattr(given, "value", given)
 
 
 def _samples(name: str, values: ArrayLike, *, like: Array | None = None, of: str = "") -> Array:
-    """Finite values (n,) as float64, as many as ``like``, which are those ``of`` something."""
+    """Return values (n,) as float64; check that they are finite and, if given, as many as ``like``.
+
+    ``name`` and ``of`` name the values and ``like`` in error messages.
+    """
     array = np.asarray(values, dtype=np.float64)
     if like is None and (array.ndim != 1 or array.size < 2):
-        raise SamplingError(f"{name} has shape {array.shape}, must be (n,), n at least 2")
+        raise SamplingError(f"{name} has shape {array.shape}, must be (n,) with n at least 2")
     if like is not None and array.shape != like.shape:
         raise SamplingError(f"{name} has shape {array.shape}, must be {like.shape} like {of}")
     n_bad = array.size - int(np.count_nonzero(np.isfinite(array)))
@@ -254,7 +275,7 @@ def _samples(name: str, values: ArrayLike, *, like: Array | None = None, of: str
 
 
 def _crossing(places: Array, values: Array, level: float) -> float | None:
-    """Where a curve first reaches a level, by straight lines; None where it does not."""
+    """Return where a curve first reaches a level, interpolated linearly, or None."""
     reached = np.flatnonzero(values >= level)
     if not len(reached):
         return None
@@ -265,23 +286,23 @@ def _crossing(places: Array, values: Array, level: float) -> float | None:
 
 
 def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = None) -> Axes:
-    """Draw where rays land, beside the disc that diffraction makes of a perfect wave.
+    """Draw a spot diagram: the ray intersections with the image plane, and the Airy disc for scale.
 
     Parameters
     ----------
     spots : SpotDiagram
-        As of `psf.spot_diagram`.
+        Result of `psf.spot_diagram`.
     most : int
-        Of more rays, every so-manieth is drawn.
+        Largest number of rays drawn. Where there are more, every second, third, ... is drawn.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Image coordinates in um, turned as the camera shows them: y grows downward. A dot's area is
-        its share of the light; the circle about the centroid is the first dark ring of Airy's
-        pattern.
+        Axes in image coordinates, um, oriented as `image`: -y points up. The area of a dot is
+        proportional to the energy of its ray. The circle around the centroid is the first dark
+        ring of the Airy pattern.
     """
     whole("most", most)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.4, height=5.4)
@@ -299,10 +320,10 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
         linewidths=0,
         alpha=0.7,
         rasterized=True,
-        label=f"rays, {rms:.3g} µm rms",
+        label=f"rays, rms radius {rms:.3g} µm",
     )
     style: dict[str, Any] = {"fill": False, "color": VERMILION, "linewidth": 1.5}
-    axes.add_patch(Circle(centre, airy, label=f"first dark ring, {airy:.3g} µm", **style))
+    axes.add_patch(Circle(centre, airy, label=f"Airy disc, radius {airy:.3g} µm", **style))
     half = 1.3 * max(airy, float(np.abs(x - centre[0]).max()), float(np.abs(y - centre[1]).max()))
     axes.set(
         xlim=(centre[0] - half, centre[0] + half),
@@ -312,6 +333,7 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
         ylabel="y (µm)",
         title="spot diagram",
     )
+    space_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend(loc="upper right")
     return axes

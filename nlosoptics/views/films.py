@@ -1,4 +1,4 @@
-"""Light on the relay wall over time: streaks, frames and films."""
+"""Transient signal on the relay wall: streak images, frames and films."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import counted, in_range, positive, whole
+from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
-from .canvas import new_axes
+from .canvas import new_axes, space_ticks
 from .maps import colour_bar
 from .palette import BLUE, SKY
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.floating]
 
-#: Unit of each quantity that has one.
+#: Unit of each quantity of a capture, for labels; counts have none.
 UNITS = {"irradiance": " (W/m$^2$)", "radiance": " (W/(m$^2$ sr))", "radiosity": " (W/m$^2$)"}
-FRAMES = 3  # beside a streak, where times are not given
-GAMMA = 0.5  # of the colours: echoes fall off with the fourth power of distance
-MOST_MEGABYTES = 200.0  # of a film in a page
-#: Of buttons, in characters that every font has.
+FRAMES = 3  # number of frames next to the streak image by default
+GAMMA = 0.5  # exponent of the colour scale; the signal falls with the fourth power of distance
+MOST_MEGABYTES = 200.0  # largest film in an HTML page
+#: Symbols of the player's buttons, in characters that every font has.
 ICONS = {
     "minus": "\u2212",
     "plus": "+",
@@ -51,34 +51,57 @@ def transient(
     laser: int = 0,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw the light on the relay wall over time: a streak, and frames where points form a grid.
+    """Draw a transient capture: a streak image, and frames if the sensor points form a grid.
 
     Parameters
     ----------
     capture : TransientCapture
-        What to draw.
+        Capture to draw.
     at : sequence of float, optional
-        Optical paths of the frames, m; by default three, by which a sixth, half and five sixths of
-        the light have come.
+        Optical paths of the frames, m. By default three, at which one, three and five sixths of
+        the total signal have arrived. An empty sequence draws no frames.
     laser : int
-        Which of the laser points, counted along their rows, where each is seen at all sensors.
+        Index of the laser point in C order, for captures that pair every laser point with every
+        sensor point.
     axes : sequence of matplotlib Axes, optional
-        Where to draw: one for the streak and one for each frame; a new figure by default.
+        Axes to draw on, one for the streak image and one for each frame. A new figure by default.
 
     Returns
     -------
     tuple of Axes
-        Of the streak: optical path in m upward, from the first to the last bin with light, against
-        x in m along the middle row of sensors, or against their numbers where they form no grid; of
-        one sensor, its light against the optical path. Then the frames, x and y in m as seen from
-        the room: x grows to the right. All share one scale of colours, with the square root of the
-        light; values below 0 are drawn as 0.
+        Axes of the streak image, then of the frames. The streak image shows the optical path, m,
+        from the first to the last bin with signal, against x, m, along the middle row of sensor
+        points. It has the index of the sensor points instead of x where they form no grid, and is
+        a curve for a single sensor point. Frames show x and y, m, as seen from the room: x points
+        right. All have one colour scale, proportional to the square root of the signal. Negative
+        values are drawn as 0.
 
     Raises
     ------
     SceneError
-        If ``at`` or ``laser`` is out of the capture's range, or frames are wanted of sensors that
-        form no grid.
+        If ``at`` or ``laser`` is out of the range of the capture, if frames are requested and the
+        sensor points form no grid, or if the number of axes is wrong.
+    SamplingError
+        If the sensor points are neither a list nor a grid.
+
+    See Also
+    --------
+    transient_film : All frames as a film.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics import transient, views
+    >>> capture = transient.TransientCapture(
+    ...     H=np.ones((50, 8, 8)),
+    ...     laser_points=(0.0, 0.0, 0.0),
+    ...     sensor_points=transient.wall_grid(1.0, 8),
+    ...     delta_t=0.02,
+    ...     t_start=1.5,
+    ... )
+    >>> streak, frame = views.transient(capture, at=[2.0])
+    >>> frame.get_title()
+    'optical path 2.01 m'
     """
     light = _light(capture, laser)
     frames = _frames(capture, light, at)
@@ -89,13 +112,15 @@ def transient(
     streak, *others = axes
     if len(others) != len(frames):
         raise SceneError(
-            f"{1 + len(others)} axes for a streak and {counted(len(frames), 'frame')}; give as many"
+            f"{1 + len(others)} axes were given, must be {1 + len(frames)}: one for the streak "
+            f"image and {len(frames)} for the frames; change axes or at"
         )
     meaning = f"{capture.quantity} per bin{UNITS.get(capture.quantity, '')}"
     if light.ndim == 1:
         streak.plot(capture.times, light, color=BLUE, drawstyle="steps-mid")
-        title = "light at the sensor point"
+        title = "signal at the sensor point"
         streak.set(xlabel="optical path (m)", ylabel=meaning, xlim=ends, title=title)
+        space_ticks(streak)
         streak.grid(alpha=0.25)
         return (streak,)
     x, rows, title = _row(capture, light)
@@ -103,13 +128,13 @@ def transient(
     drawn = streak.pcolormesh(
         x, capture.times, np.maximum(rows, 0.0), norm=norm, cmap="inferno", rasterized=True
     )
-    across = "sensor point" if light.ndim == 2 else "x (m)"
+    across = "index of the sensor point" if light.ndim == 2 else "x (m)"
     streak.set(xlabel=across, ylabel="optical path (m)", ylim=ends, title=title)
-    streak.locator_params(axis="x", nbins=5)
+    space_ticks(streak)
     for axis, index in zip(others, frames, strict=True):
         streak.axhline(capture.times[index], color=SKY, linewidth=0.8, linestyle="--")
         drawn = _frame(axis, capture, light[index], norm, laser)
-        axis.set_title(f"at {capture.times[index]:.4g} m")
+        axis.set_title(f"optical path {capture.times[index]:.4g} m")
     colour_bar(others[-1] if others else streak, drawn, meaning)
     return tuple(axes)
 
@@ -122,31 +147,32 @@ def transient_film(
     most: int = 100,
     axes: Axes | None = None,
 ) -> FuncAnimation:
-    """Film of the light on the relay wall; `save` writes it as ``.gif`` or ``.html``.
+    """Make a film of the signal on the relay wall; `save` writes it as ``.gif`` or ``.html``.
 
     Parameters
     ----------
     capture : TransientCapture
-        Of a grid of sensor points.
+        Capture at a grid of sensor points.
     between : (float, float), optional
-        Optical paths that the film begins and ends with, m; by default those of the first and last
-        bin with light.
+        Optical paths of the first and last frame, m; by default the first and last bin with
+        signal.
     laser : int
-        As of `transient`.
+        Index of the laser point in C order, for captures that pair every laser point with every
+        sensor point.
     most : int
-        Frames; of more bins, each frame adds up as many neighbours as it takes.
+        Largest number of frames. Where there are more bins, each frame is the sum of several.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     matplotlib FuncAnimation
-        Twenty frames a second, on axes as the frames of `transient`.
+        Film of 20 frames per second. Its axes show x and y, m, as seen from the room.
 
     Raises
     ------
     SceneError
-        If an option is out of range, or the sensors form no grid.
+        If an argument is out of range, or the sensor points form no grid.
     """
     light = _light(capture, laser)
     _check_grid(light)
@@ -164,7 +190,7 @@ def transient_film(
     def draw(number: int) -> tuple[Any, ...]:
         drawn.set_array(np.maximum(frames[number], 0.0))
         middle = 0.5 * (edges[starts[number]] + edges[min(starts[number] + step, last + 1)])
-        # a given height spares a search for free room over the axes in every frame
+        # with a given height, matplotlib need not search for free space above the axes each time
         return drawn, axes.set_title(f"optical path {middle:.3f} m", y=1.01)
 
     draw(0)
@@ -172,18 +198,19 @@ def transient_film(
 
     figure: Any = axes.get_figure(root=True)
     if made:
-        # laid out once; every frame would do it again, ten times as long as drawing
+        # a layout for every frame would take ten times as long as drawing it
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
     return FuncAnimation(figure, draw, frames=len(frames), interval=50)
 
 
 def film_file(film: Any, suffix: str) -> bytes:
-    """Film as ``.gif``, or as ``.html``: a page with a slider that asks nothing of the net."""
+    """Return a film as the bytes of a ``.gif`` or of a self-contained ``.html`` page."""
     return _page(film).encode() if suffix == ".html" else _gif(film)
 
 
 def _gif(film: FuncAnimation) -> bytes:
+    """Return a film as a GIF of 20 frames per second."""
     from matplotlib.animation import PillowWriter
 
     with TemporaryDirectory() as folder:
@@ -193,19 +220,19 @@ def _gif(film: FuncAnimation) -> bytes:
 
 
 def _page(film: FuncAnimation) -> str:
-    """Page with matplotlib's slider, less its style sheet from the net, with a name and icons."""
+    """Return a film as a page: matplotlib's player, without its links to style sheet and icons."""
     from matplotlib import rc_context
 
     with rc_context({"animation.embed_limit": MOST_MEGABYTES, "savefig.dpi": 90}):
         player = film.to_jshtml(default_mode="loop")
     player = re.sub(r"<link[^>]*>", "", player)
-    player = player.replace("<img ", '<img alt="Light on the relay wall over time" ')
+    player = player.replace("<img ", '<img alt="Transient signal on the relay wall" ')
     player = player.replace('type="range"', 'type="range" aria-label="Frame"')
     icons = "".join(f'.fa-{name}::before{{content:"{icon}"}}' for name, icon in ICONS.items())
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width">\n'
-        "<title>Light on the relay wall over time</title>\n"
+        "<title>Transient signal on the relay wall</title>\n"
         f"<style>.fa{{font-style:normal}}.fa-flip-horizontal{{display:inline-block;"
         f"transform:scaleX(-1)}}img{{max-width:100%}}{icons}</style>\n"
         f"</head>\n<body>\n{player}\n</body>\n</html>\n"
@@ -213,30 +240,33 @@ def _page(film: FuncAnimation) -> str:
 
 
 def _light(capture: TransientCapture, laser: int) -> Array:
-    """Light (n_bins, *sensor_shape) of one laser point."""
+    """Return the signal (n_bins, *sensor_shape) of one laser point."""
     sensors = capture.sensor_shape
     shape = capture.H.shape[1:]
     if capture.pairing == "confocal":
-        sensors = shape  # each laser point has the one sensor
+        sensors = shape  # each laser point has its own sensor point
     count = int(np.prod(shape)) // int(np.prod(sensors))
     laser = whole("laser", laser, 0, count - 1)
     light = capture.H.reshape(capture.n_bins, count, *sensors)[:, laser]
     if light.ndim > 3:
         raise SamplingError(
-            f"sensor points of shape {sensors} are no grid and no list; give (ny, nx, 3) or (n, 3)"
+            f"sensor points of shape {sensors} are neither a grid nor a list; give (ny, nx, 3) or "
+            "(n, 3)"
         )
     return light
 
 
 def _check_grid(light: Array) -> None:
+    """Raise SceneError if the sensor points form no grid."""
     if light.ndim != 3:
         raise SceneError(
-            f"sensor points of shape {light.shape[1:]} are no grid, so there are no frames of them"
+            f"sensor points of shape {light.shape[1:]} are no grid, which frames need; draw the "
+            "streak image alone by views.transient(capture, at=())"
         )
 
 
 def _frames(capture: TransientCapture, light: Array, at: Sequence[float] | None) -> list[int]:
-    """Bins of the frames."""
+    """Return the bins of the frames."""
     if at is None:
         if light.ndim != 3:
             return []
@@ -249,36 +279,38 @@ def _frames(capture: TransientCapture, light: Array, at: Sequence[float] | None)
 
 
 def _bin(capture: TransientCapture, name: str, time: float) -> int:
-    """Bin that holds an optical path, m."""
+    """Return the bin that contains an optical path, m."""
     low, high = float(capture.edges[0]), float(capture.edges[-1])
-    time = in_range(name, time, low, high, unit="m", remedy="name a path that the capture holds")
+    time = in_range(
+        name, time, low, high, unit="m", remedy="choose an optical path within the capture"
+    )
     return min(int((time - low) / capture.delta_t), capture.n_bins - 1)
 
 
 def _span(
     capture: TransientCapture, light: Array, between: tuple[float, float] | None
 ) -> tuple[int, int]:
-    """First and last bin of a film."""
+    """Return the first and last bin of a film."""
     if between is None:
         lit = np.flatnonzero((light > 0.0).reshape(len(light), -1).any(axis=1))
         return (int(lit[0]), int(lit[-1])) if len(lit) else (0, capture.n_bins - 1)
     low, high = (_bin(capture, "between", time) for time in between)
     if low > high:
-        raise SceneError(f"between = {tuple(between)} m falls; give the earlier path first")
+        raise SceneError(f"between = {tuple(between)} m decreases; give the shorter path first")
     return low, high
 
 
 def _row(capture: TransientCapture, light: Array) -> tuple[Array, Array, str]:
-    """Places (n,), light (n_bins, n) and title of the streak."""
+    """Return positions (n,), signal (n_bins, n) and title of the streak image."""
     if light.ndim == 2:
-        return np.arange(float(light.shape[1])), light, "streak over the sensor points"
+        return np.arange(float(light.shape[1])), light, "streak image over the sensor points"
     points = capture.sensor_points
     middle = light.shape[1] // 2
-    return points[middle, :, 0], light[:, middle], f"streak, y = {points[middle, 0, 1]:.3g} m"
+    return points[middle, :, 0], light[:, middle], f"streak image, y = {points[middle, 0, 1]:.3g} m"
 
 
 def _frame(axes: Axes, capture: TransientCapture, frame: Array, norm: Normalize, laser: int) -> Any:
-    """Draw light (ny, nx) at the sensor points, as seen from the room, and the laser's point."""
+    """Draw the signal (ny, nx) at the sensor points as seen from the room, and the laser point."""
     points = capture.sensor_points
     drawn = axes.pcolormesh(
         points[..., 0],
@@ -293,11 +325,13 @@ def _frame(axes: Axes, capture: TransientCapture, frame: Array, norm: Normalize,
         x, y, _ = capture.laser_points.reshape(-1, 3)[laser]
         axes.plot([x], [y], color=SKY, marker="+", markersize=9, linestyle="", label="laser point")
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
-    axes.locator_params(nbins=5)
+    axes.locator_params(axis="y", nbins=5)
+    space_ticks(axes)
     return drawn
 
 
 def _norm(most: float) -> Normalize:
+    """Return the colour scale from 0 to the largest signal; up to 1 for a dark capture."""
     from matplotlib.colors import PowerNorm
 
-    return PowerNorm(GAMMA, 0.0, positive("light", most) if most > 0.0 else 1.0)
+    return PowerNorm(GAMMA, 0.0, positive("signal", most) if most > 0.0 else 1.0)

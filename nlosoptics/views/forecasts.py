@@ -1,4 +1,4 @@
-"""Plans: what runs, how long it takes, and what is left out."""
+"""Figures of predictions: feasibility of a reconstruction, and the plan of a run."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._checks import counted
-from .canvas import new_axes
-from .palette import BLUE, GREY
+from .canvas import new_axes, space_ticks
+from .palette import BLACK, BLUE, GREY, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -17,29 +17,31 @@ if TYPE_CHECKING:
     from ..limits import Feasibility
     from ..runs.plan import Plan, Stage
 
-LOWEST = 1e-4  # of the modulation that is drawn
+LOWEST = 1e-4  # lower limit of the modulation axis
 
 
 def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
-    """Draw modulation and noise against frequency on the object.
+    """Draw the modulation against the spatial frequency on the object, with the noise limits.
 
     Parameters
     ----------
     found : Feasibility
+        Result of `limits.feasibility`.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Modulation of the picture and of a matt wall, and that which noise hides, the modulation
-        over its signal-to-noise; what lies above its own dashed line can be told. The strokes'
-        frequency, one period on two widths, is marked.
+        Axes with the modulation of the specular image and of the diffuse reflection. A dashed line
+        of the same colour marks the modulation at which the signal-to-noise ratio is 1; only
+        frequencies with a modulation above it are detectable. A grey line marks the frequency
+        whose period is two stroke widths of the object.
     """
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.2)
     parts: list[tuple[str, str, Any, Any]] = [
-        ("picture", "C0", found.modulation, found.signal_to_noise),
-        ("matt wall", "C1", found.relay_modulation, found.relay_signal_to_noise),
+        ("specular image", BLUE, found.modulation, found.signal_to_noise),
+        ("diffuse reflection", VERMILION, found.relay_modulation, found.relay_signal_to_noise),
     ]
     for name, colour, modulation, ratio in parts:
         if not np.any(modulation > 0.0):
@@ -49,35 +51,37 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
         )
         if ratio[0] > 0.0:
             hidden = modulation[0] / ratio[0]
-            axes.axhline(hidden, color=colour, ls="--", lw=1, label=f"its noise, {hidden:.1g}")
+            label = f"{name}: noise limit {hidden:.1g}"
+            axes.axhline(hidden, color=colour, ls="--", lw=1, label=label)
     if found.stroke > 0.0:
-        axes.axvline(0.5 / found.stroke, color="0.5", lw=1, label="strokes")
+        axes.axvline(0.5 / found.stroke, color=GREY, lw=1, label="stroke frequency")
     axes.set(
-        xlabel="frequency on the object (cycles/m)",
+        xlabel="spatial frequency on the object (cycles/m)",
         ylabel="modulation",
         ylim=(LOWEST, 1.5),
         xlim=(0.0, float(found.frequency[-1])),
         title=found.verdict.split(":")[0] + f", {counted(found.modes, 'mode')}",
     )
+    space_ticks(axes)
     axes.legend(loc="upper right", fontsize=8)
     return axes
 
 
 def plan(plan: Plan, *, axes: Axes | None = None) -> Axes:
-    """Draw the predicted seconds of a plan's stages as bars, and what is skipped with its reason.
+    """Draw the predicted time of each stage of a plan as a bar, and why stages are skipped.
 
     Parameters
     ----------
     plan : Plan
-        What to draw.
+        Result of `nlosoptics.plan`.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        One row for each stage, in the order in which they run, the skipped ones below; seconds on
-        one core.
+        Axes with one row per stage: first those that run, in their order, then the skipped ones.
+        Times are in seconds on one core.
     """
     stages = (*plan.stages, *plan.skipped)
     if axes is None:
@@ -87,21 +91,22 @@ def plan(plan: Plan, *, axes: Axes | None = None) -> Axes:
         _tell(axes, row, stage)
     axes.set_yticks(range(len(stages)), [stage.name for stage in stages])
     for label, stage in zip(axes.get_yticklabels(), stages, strict=True):
-        label.set_color("black" if stage.runs else GREY)
+        label.set_color(BLACK if stage.runs else GREY)
     axes.set(
         xlim=(0.0, 1.02 * max((stage.seconds for stage in plan.stages), default=0.0) or 1.0),
         ylim=(len(stages) - 0.4, -0.6),
-        xlabel="predicted seconds, one core",
-        title=f"{plan.seconds:.3g} s in all, to {plan.tol:g} of the peak",
+        xlabel="predicted time on one core (s)",
+        title=f"total {plan.seconds:.3g} s, tolerance {plan.tol:g} of the peak",
     )
+    space_ticks(axes)
     axes.grid(axis="x", alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     return axes
 
 
 def _tell(axes: Axes, row: int, stage: Stage) -> None:
-    """Write a stage's seconds and error behind its bar, or why it is skipped."""
-    style: dict[str, Any] = {"color": "black", "style": "normal"}
+    """Write the time and error of a stage to the right of its bar, or why it is skipped."""
+    style: dict[str, Any] = {"color": BLACK, "style": "normal"}
     text = f"{stage.seconds:.2g} s"
     if stage.error:
         text += f", {stage.error}"

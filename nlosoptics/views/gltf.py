@@ -1,8 +1,8 @@
-"""What a plotter shows as a binary glTF 2.0 file, which viewers and web pages read.
+"""Export of 3-D views as binary glTF 2.0, which model viewers and web pages read.
 
-VTK's own exporter counts the colours of lines wrongly, knows no names and no translucency, and
-writes text only; trimesh's gives one colour to a whole path. The format is a JSON text and one
-block of bytes, see the Khronos Group's glTF 2.0 specification.
+The exporter of VTK assigns wrong colours to lines, drops names and transparency, and has no binary
+format; that of trimesh gives a whole path one colour. A binary glTF file is a JSON text followed
+by one block of bytes (Khronos Group, glTF 2.0 specification).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .stages import pyvista
 if TYPE_CHECKING:
     from pyvista import Actor, Plotter, PolyData
 
-# the specification's numbers
+# enumeration values of the glTF 2.0 specification
 FLOAT, USHORT, UINT = 5126, 5123, 5125
 VERTICES, INDICES = 34962, 34963
 LINES, TRIANGLES = 1, 4
@@ -43,19 +43,19 @@ Array = NDArray[Any]
 
 
 class _File:
-    """The file's tables and bytes as they grow."""
+    """JSON tables and binary block of a glTF file while it is written."""
 
     def __init__(self) -> None:
         self.bytes = bytearray()
         self.tables: dict[str, list[dict[str, Any]]] = {name: [] for name in TABLES}
 
     def put(self, table: str, entry: dict[str, Any]) -> int:
-        """Number of a new entry in its table."""
+        """Append an entry to a table and return its index."""
         self.tables[table].append(entry)
         return len(self.tables[table]) - 1
 
     def view(self, content: bytes, **more: Any) -> int:
-        """Number of a new view of bytes, which begins at a multiple of four."""
+        """Append bytes at a multiple of four and return the index of their buffer view."""
         self.bytes += b"\0" * (-len(self.bytes) % 4)
         start = len(self.bytes)
         self.bytes += content
@@ -63,7 +63,7 @@ class _File:
         return self.put("bufferViews", entry | more)
 
     def array(self, values: Array, kind: str, component: int, target: int, **more: Any) -> int:
-        """Number of a new accessor of an array."""
+        """Append an array and return the index of its accessor."""
         types = {FLOAT: "<f4", USHORT: "<u2", UINT: "<u4"}
         content = np.ascontiguousarray(values, dtype=types[component])
         entry = {
@@ -75,7 +75,7 @@ class _File:
         return self.put("accessors", entry | more)
 
     def whole(self) -> bytes:
-        """The file: header, JSON and bytes, each of them a multiple of four long."""
+        """Return the file: header, JSON and bytes, each padded to a multiple of four bytes."""
         text: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": "nlosoptics"},
             "extensionsUsed": [UNLIT],
@@ -99,10 +99,10 @@ class _File:
 
 
 def glb(plotter: Plotter) -> bytes:
-    """Surfaces, lines, textures and camera of a plotter as binary glTF; nothing is rendered.
+    """Return surfaces, lines, textures and camera of a plotter as binary glTF, without rendering.
 
-    Nodes have the names of the plotter's actors and world coordinates in m. Legend, colour bars
-    and other flat text are not in the file.
+    Nodes have the names of the plotter's actors. Coordinates are world coordinates, m. The file
+    has no legend, colour bars or other 2-D text.
     """
     file = _File()
     for name, actor in plotter.actors.items():
@@ -113,7 +113,7 @@ def glb(plotter: Plotter) -> bytes:
 
 
 def _add_actor(file: _File, name: str, actor: Actor) -> None:
-    """Add an actor's triangles and lines as one node."""
+    """Add the triangles and lines of an actor as one node."""
     mesh = actor.mapper.dataset
     if not isinstance(mesh, pyvista().PolyData):
         mesh = mesh.extract_geometry()
@@ -143,7 +143,10 @@ def _add_actor(file: _File, name: str, actor: Actor) -> None:
 def _triangles(
     file: _File, actor: Actor, name: str, mesh: PolyData, colours: Array | None, by_cell: bool
 ) -> dict[str, Any]:
-    """The faces of a mesh, with the colours of its points or, apart, of its faces."""
+    """Add the faces of a mesh, with colours per point or per face, and return their primitive.
+
+    glTF has no colours per face, so that faces get three vertices of their own.
+    """
     smooth = actor.prop.interpolation.name != "FLAT" and "Normals" in mesh.point_data
     places = mesh.active_texture_coordinates if actor.texture is not None else None
     mesh = mesh.copy(deep=False)
@@ -177,14 +180,14 @@ def _primitive(
     places: Array | None = None,
     colours: Array | None = None,
 ) -> dict[str, Any]:
-    """Points with what belongs to each of them, as one thing to draw."""
+    """Add points with their normals, texture coordinates and colours; return their primitive."""
     single = np.asarray(points, dtype=np.float32)
     ends = {"min": single.min(axis=0).tolist(), "max": single.max(axis=0).tolist()}
     attributes = {"POSITION": file.array(single, "VEC3", FLOAT, VERTICES, **ends)}
     if normals is not None:
         attributes["NORMAL"] = file.array(normals, "VEC3", FLOAT, VERTICES)
     if places is not None:
-        # glTF counts the rows of a picture from the top
+        # texture coordinates have v = 0 at the bottom in VTK and at the top in glTF
         upper_left = np.asarray(places) * (1.0, -1.0) + (0.0, 1.0)
         attributes["TEXCOORD_0"] = file.array(upper_left, "VEC2", FLOAT, VERTICES)
     if colours is not None:
@@ -199,7 +202,7 @@ def _primitive(
 
 
 def _segments(mesh: PolyData) -> tuple[Array, Array]:
-    """Pairs (n, 2) of points of all lines, and the line (n,) that each belongs to."""
+    """Return the point indices (n, 2) of all line segments, and the line (n,) of each."""
     cells, array = mesh.GetLines(), pyvista().convert_array
     starts, points = array(cells.GetOffsetsArray()), array(cells.GetConnectivityArray())
     pairs = np.stack([points[:-1], points[1:]], axis=1)
@@ -209,12 +212,12 @@ def _segments(mesh: PolyData) -> tuple[Array, Array]:
 
 
 def _each_end(shades: Array, by_cell: bool) -> Array:
-    """Colours of both ends of segments, one after the other."""
+    """Return the colours (2n, 4) of the segment ends from those of n segments or point pairs."""
     return np.repeat(shades, 2, axis=0) if by_cell else shades.reshape(-1, 4)
 
 
 def _colours(actor: Actor) -> tuple[Array | None, bool]:
-    """Colours (n, 4) uint8 by the actor's scalars, and whether they are of the cells."""
+    """Return the colours (n, 4) uint8 of the actor's scalars, and whether they are per cell."""
     mapper = actor.mapper
     if not mapper.scalar_visibility:
         return None, False
@@ -232,11 +235,14 @@ def _colours(actor: Actor) -> tuple[Array | None, bool]:
 
 
 def _material(file: _File, actor: Actor, name: str, *, coloured: bool, lit: bool) -> int:
-    """Number of a material: plain, of a texture or of the colours of the vertices."""
+    """Add a material and return its index.
+
+    Its base colour is that of the actor, or white where a texture or the vertices have colours.
+    """
     prop = actor.prop
     textured = actor.texture is not None
     base = np.ones(3) if coloured or textured else _linear(prop.color.float_rgb)
-    # the microfacet width that fits Phong's exponent, Walter et al. 2007, eq. 32
+    # Beckmann width with the same highlight as Phong's exponent: Walter et al. 2007, eq. 32
     alpha = math.sqrt(2.0 / (prop.specular_power + 2.0)) if prop.specular > 0.0 else 1.0
     surface: dict[str, Any] = {
         "baseColorFactor": [*base.tolist(), float(prop.opacity)],
@@ -254,12 +260,12 @@ def _material(file: _File, actor: Actor, name: str, *, coloured: bool, lit: bool
 
 
 def _texture(file: _File, texture: Any) -> int:
-    """Number of a texture, written as PNG."""
+    """Add a texture as PNG and return its index."""
     from PIL import Image
 
     picture = np.asarray(texture.to_array())
     if picture.ndim == 3 and picture.shape[2] == 3 and np.ptp(picture, axis=2).max() == 0:
-        picture = picture[..., 0]  # a grey picture takes a third
+        picture = picture[..., 0]  # one channel takes a third of the bytes
     content = io.BytesIO()
     Image.fromarray(picture).save(content, format="PNG", optimize=True)
     image = {"bufferView": file.view(content.getvalue()), "mimeType": "image/png"}
@@ -270,7 +276,7 @@ def _texture(file: _File, texture: Any) -> int:
 
 
 def _add_camera(file: _File, plotter: Plotter) -> None:
-    """Add the place that the plotter is looked at from."""
+    """Add the camera of the plotter."""
     camera = plotter.camera
     width, height = plotter.window_size
     near, far = camera.clipping_range
@@ -291,6 +297,6 @@ def _add_camera(file: _File, plotter: Plotter) -> None:
 
 
 def _linear(colours: Any) -> Array:
-    """Components of sRGB as light, IEC 61966-2-1."""
+    """Return linear intensities of sRGB components, IEC 61966-2-1."""
     c = np.asarray(colours, dtype=np.float64)
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, positive
-from .canvas import new_axes, round_step
+from .canvas import new_axes, round_step, space_ticks
 from .palette import SKY
 from .reliefs import relief, spread_norm
 
@@ -29,9 +29,9 @@ SCALE_BAR = SKY  # readable on black, grey and white
 
 #: Labels of colour bars, by the normalisation of a point spread function.
 MEANING = {
-    "unit-sum": "energy per sample, whole image plane 1",
-    "flux": "energy per sample, clear pupil 1",
-    "ideal-peak": "intensity, peak without aberration 1",
+    "unit-sum": "energy per sample (image plane total 1)",
+    "flux": "energy per sample (clear pupil total 1)",
+    "ideal-peak": "intensity (aberration-free peak 1)",
 }
 
 
@@ -43,7 +43,7 @@ def wavefront(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave with any layout of nodes. Nodes without light are left blank.
+        Wavefront with any layout of nodes. Nodes without amplitude are blank.
     unit : {"waves", "nm"}
         Unit of the colour bar.
     axes : matplotlib Axes, optional
@@ -53,6 +53,16 @@ def wavefront(
     -------
     Axes
         Axes in pupil coordinates, mm. Red marks a longer optical path.
+
+    Examples
+    --------
+    >>> from nlosoptics import psf, views
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 60e-9}, wavelength=600e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> axes = views.wavefront(wave, unit="nm")
+    >>> axes.get_xlabel(), axes.get_title()
+    ('u (mm)', 'wave aberration')
     """
     one_of("unit", unit, ("waves", "nm"))
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
@@ -71,9 +81,10 @@ def wavefront(
                 u[patch], v[patch], values[patch], shading="gouraud", rasterized=True, **style
             )
     else:
-        # triangles close the seam at angle zero and the gap at the centre
+        # a triangulation closes the seam at angle zero and the gap at the centre
         drawn = axes.tripcolor(u[lit], v[lit], values[lit], shading="gouraud", **style)
     colour_bar(axes, drawn, f"wave aberration ({unit})")
+    space_ticks(axes)
     axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title="wave aberration")
     return axes
 
@@ -111,15 +122,25 @@ def point_spread(
     Raises
     ------
     SceneError
-        If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or ``axes`` are flat
-        for a surface.
+        If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or ``axes`` are 2-D
+        axes and ``scale`` is "surface".
+
+    Examples
+    --------
+    >>> from nlosoptics import psf, views
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 60e-9}, wavelength=600e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> axes = views.point_spread(psf.point_spread(wave, shape=64), scale="linear")
+    >>> axes.get_xlabel(), axes.get_ylabel()
+    ('x (µm)', '−y, up (µm)')
     """
     one_of("scale", scale, ("log", "linear", "surface"))
     positive("decades", decades)
     if half_width is not None:
         half_width = positive("half_width", half_width, unit="m")
     meaning = MEANING[point_spread.normalisation]
-    title = f"point spread, {point_spread.method}"
+    title = f"point spread function, {point_spread.method}"
     if scale == "surface":
         return relief(point_spread, decades, half_width, meaning=meaning, title=title, axes=axes)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
@@ -145,7 +166,8 @@ def hybrid_parts(
     Parameters
     ----------
     point_spread : HybridPointSpread
-        Function to draw: its coherent part, its halo and its diffuse part.
+        Function to draw: its coherent part (specular reflection), its halo (scatter by the
+        roughness of the specular lobes) and its diffuse part.
     decades : float
         Range of the logarithmic scale below the peak of the sum. Fainter samples are drawn as the
         faintest.
@@ -163,13 +185,14 @@ def hybrid_parts(
     for axis, name in zip(drawn_on, ("coherent", "halo", "diffuse"), strict=True):
         drawn = _spread_map(axis, getattr(point_spread, name), point_spread.pitch, norm)
         share = getattr(point_spread, f"{name}_flux")
-        axis.set(xlabel="x (µm)", ylabel="−y, up (µm)", title=f"{name}, {share:.3g} in all")
+        axis.set(xlabel="x (µm)", ylabel="−y, up (µm)", title=f"{name} part, total {share:.3g}")
     colour_bar(drawn_on[-1], drawn, MEANING[point_spread.normalisation])
     return drawn_on
 
 
 def _spread_map(axes: Axes, intensity: Array, pitch: float, norm: Normalize) -> AxesImage:
     """Draw samples of the image plane with row 0 on top, so that -y points up."""
+    space_ticks(axes)
     ny, nx = intensity.shape
     pixel = pitch * 1e6
     left, top = -(nx // 2 + 0.5) * pixel, (ny // 2 + 0.5) * pixel
@@ -185,7 +208,7 @@ def _spread_map(axes: Axes, intensity: Array, pitch: float, norm: Normalize) -> 
 def image(
     speckle_image: SpeckleImage, *, object_scale: float | None = None, axes: Axes | None = None
 ) -> Axes:
-    """Draw a camera image upright, as the camera shows it. The wall has mirror-reversed it.
+    """Draw a camera image upright, as the camera shows it: mirror-reversed by the wall.
 
     Parameters
     ----------
@@ -193,15 +216,15 @@ def image(
         Image to draw.
     object_scale : float, optional
         Metres on the hidden object per metre on the detector, such as
-        `limits.object_scale` returns. Adds a scale bar with a length on the object.
+        `limits.object_scale` returns. It adds a scale bar with a length on the object.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes in detector coordinates, mm. The lens inverts, so that -y points up. Colours are
-        electrons per pixel.
+        Axes in detector coordinates, mm. The lens inverts the image, so that -y points up. The
+        colour bar is in electrons per pixel.
     """
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
@@ -217,6 +240,7 @@ def image(
     if object_scale is not None:
         _scale_bar(axes, 1e3 / object_scale)
     colour_bar(axes, drawn, "electrons per pixel")
+    space_ticks(axes)
     axes.set(xlabel="x (mm)", ylabel="−y, up (mm)", title="camera image")
     return axes
 
@@ -255,7 +279,7 @@ def reconstruction(
     reconstruction : Reconstruction
         Reconstruction to draw.
     truth : array_like (ny, nx), optional
-        True object on the pixels of the reconstruction, in the same units.
+        True object on the pixels of the reconstruction, in the units of the reconstruction.
     pitch : float, optional
         Side of a pixel on the object, m. The axes are then in metres about the middle of the image;
         without it they count pixels.
@@ -265,9 +289,9 @@ def reconstruction(
     Returns
     -------
     tuple of Axes
-        Axes of the truth (if given) and of the reconstruction. The wall's mirror reversal is
-        undone, so that letters read; y points up. Colours are relative to the largest value where
-        that is 1, and in the units of the object otherwise.
+        Axes of the truth (if given) and of the reconstruction. The mirror reversal by the wall is
+        undone, so that letters are readable; y points up. The colour bar is labelled relative
+        brightness if the largest value is 1, and object units otherwise.
     """
     if pitch is not None:
         pitch = positive("pitch", pitch, unit="m")
@@ -296,6 +320,7 @@ def reconstruction(
             where.set(xlabel="right (m on the object)", ylabel="up (m on the object)")
         relative = np.isclose(values.max(), 1.0)
         colour_bar(where, drawn, "relative brightness" if relative else "object units")
+        space_ticks(where)
         where.set(title=title)
     return tuple(axes)
 
@@ -326,5 +351,6 @@ def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
         irradiance.x, irradiance.y, irradiance.irradiance, shading="nearest", rasterized=True
     )
     colour_bar(axes, drawn, "irradiance (W/m$^2$)")
+    space_ticks(axes)
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="irradiance of the relay wall")
     return axes

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def overview(result: Result) -> tuple[Axes, ...]:
-    """Draw the results of a run in one figure, in the order of the light.
+    """Draw the results of a run in one figure, in the order of the computation.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def overview(result: Result) -> tuple[Axes, ...]:
 
     See Also
     --------
-    scene_sketch, wavefront, point_spread, image, reconstruction : The single pictures.
+    scene_sketch, wavefront, point_spread, image, reconstruction : The single figures.
     """
     axes = new_axes(6, width=16.5, height=9.6, columns=3)
     figure: Any = axes[0].get_figure(root=True)

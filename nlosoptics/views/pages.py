@@ -1,4 +1,4 @@
-"""A plotter as one web page that needs nothing else: glTF, drawn by trimesh's three.js."""
+"""Export of 3-D views as self-contained web pages: glTF, rendered by the three.js of trimesh."""
 
 from __future__ import annotations
 
@@ -18,32 +18,36 @@ from .stages import legend_entries, pyvista
 if TYPE_CHECKING:
     from pyvista import Plotter
 
-STEPS = 32  # colours of a colour bar
-TICKS = 5
-LAST = "THREE.GLTFLoader=GLTFLoader;})();"  # where trimesh's own page begins to use the libraries
+STEPS = 32  # colours in a colour bar
+TICKS = 5  # labels of a colour bar
+LAST = "THREE.GLTFLoader=GLTFLoader;})();"  # end of the libraries in trimesh's own page
 
 
 def html_page(plotter: Plotter) -> str:
-    """Text of a web page in which what a plotter shows can be turned.
+    """Return an HTML page with an interactive 3-D view.
 
     Parameters
     ----------
     plotter : pyvista Plotter
-        Its surfaces and lines are shown; its legend and colour bars are written below them. Its
-        title is the page's.
+        Plotter with the scene. The page shows its surfaces and lines, with its legend and colour
+        bars below, under its title.
 
     Returns
     -------
     str
-        One HTML file that asks for nothing from any network; nothing was rendered for it. Mouse,
-        fingers and keys turn it.
+        Text of one HTML file that loads nothing from the network. The view is rendered in the
+        browser, and turned by mouse, touch or arrow keys.
 
     Raises
     ------
     MissingExtraError
-        If pyvista is not installed, or trimesh came without its viewer.
+        If pyvista is not installed, or the installed trimesh lacks its viewer.
+
+    See Also
+    --------
+    save : Writes the page to a file with the suffix ``.html``.
     """
-    title = plotter.title if getattr(plotter, "title", "") else "A room in three dimensions"
+    title = plotter.title if getattr(plotter, "title", "") else "Scene in 3-D"
     legend = legend_entries(plotter)
     bars = [_bar(bar_title, bar) for bar_title, bar in plotter.scalar_bars.items()]
     camera = plotter.camera
@@ -67,7 +71,7 @@ def html_page(plotter: Plotter) -> str:
         "DESCRIPTION": joined(["; ".join(filter(None, [title, names, *about]))]),
         "CAPTION": "\n".join([_legend(legend), *(_bar_html(bar) for bar in bars)]),
         "VIEWER": f"<script>{_three()}</script>",
-        # no text of a name can end the script
+        # escaped, so that no actor's name can end the script element
         "ROOM": json.dumps(room).replace("<", "\\u003c"),
     }
     page = files(__package__).joinpath("room_page.html").read_text(encoding="utf-8")
@@ -75,7 +79,7 @@ def html_page(plotter: Plotter) -> str:
 
 
 def _three() -> str:
-    """three.js with its trackball and its glTF loader, from trimesh's own page."""
+    """Return three.js with its trackball controls and glTF loader, from trimesh's own page."""
     from trimesh import resources, util
 
     try:
@@ -87,18 +91,18 @@ def _three() -> str:
             raise KeyError(LAST)
     except (KeyError, OSError, ValueError):
         raise MissingExtraError(
-            "trimesh came without the viewer that web pages are made with; run pip install "
+            "the installed trimesh lacks the viewer that HTML pages need; run pip install "
             "'trimesh>=4.5,<6', or write .glb or .png"
         ) from None
     return str(libraries + ended)
 
 
 def _bar(title: str, bar: Any) -> dict[str, Any]:
-    """Title, colours and ticks of a colour bar."""
+    """Return title, colours and tick labels of a colour bar."""
     table = bar.GetLookupTable()
     low, high = table.GetRange()
     logarithmic = bool(table.UsingLogScale()) and low > 0.0
-    # colours that are labelled one by one are steps, not a scale
+    # a bar with custom labels has one colour per label
     named = pyvista().convert_array(bar.GetCustomLabels()) if bar.GetUseCustomLabels() else ()
     steps = len(named) or STEPS
     at = (np.arange(steps) + 0.5) / steps
@@ -121,10 +125,12 @@ def _bar(title: str, bar: Any) -> dict[str, Any]:
 
 
 def _number(value: float) -> str:
+    """Format a tick label with three digits."""
     return f"{value:.3g}"
 
 
 def _legend(entries: dict[str, Any]) -> str:
+    """Return the legend as an HTML list; empty without entries."""
     rows = [
         tag("li", tag("span", style=f"background: {colour}"), name)
         for name, colour in entries.items()
@@ -133,6 +139,7 @@ def _legend(entries: dict[str, Any]) -> str:
 
 
 def _bar_html(bar: dict[str, Any]) -> str:
+    """Return a colour bar of `_bar` as HTML."""
     cells = [tag("i", style=f"background: {colour}") for colour in bar["colours"]]
     ticks = [tag("span", tick) for tick in bar["ticks"]]
     return tag(

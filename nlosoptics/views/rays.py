@@ -1,4 +1,4 @@
-"""Light paths as lines: which are drawn, and what colours them."""
+"""Light paths as lines in 3-D: selection of the paths, and their colours."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from ..psf import Wavefront
     from ..raytrace import RayPaths
 
-#: Name of the data and title of the colour bar of each way to colour.
+#: Name of the data array and title of the colour bar for each value of ``colour``.
 COLOURS: Final = {
-    "bounces": ("reflections so far", "reflections so far"),
+    "bounces": ("preceding reflections", "preceding reflections"),
     "path_length": ("path length", "path length from the source (m)"),
     "weight": ("power", "power of the path (W)"),
     "aberration": ("aberration", "wave aberration (waves)"),
 }
 LEGS: Final = (VERMILION, ORANGE, SKY, PURPLE, GREEN, BLUE, BLACK)
-DARK: Final = 0.86  # of a colour map is used: what is lighter is lost on white
-DECADES: Final = 6.0  # of power that are told apart
+DARK: Final = 0.86  # used part of viridis; lighter colours cannot be seen on white
+DECADES: Final = 6.0  # range of the logarithmic colour scale of power
 
 
 def chosen_paths(
     paths: RayPaths, *, n_bounces: int | None, only_detected: bool, most: int
 ) -> NDArray[np.int64]:
-    """Indices of the paths to draw, rising.
+    """Return the indices (n,) of the paths to draw, in increasing order.
 
     Raises
     ------
@@ -45,14 +45,14 @@ def chosen_paths(
     if not len(paths.weight):
         raise SceneError(
             "there are no paths to draw; trace with keep_paths=True, and with more rays or bounces "
-            "where no light was detected"
+            "if no power was detected"
         )
     wanted = np.ones(len(paths.weight), dtype=bool)
     if only_detected:
         wanted &= paths.status == DETECTED
         if not wanted.any():
             raise SceneError(
-                f"none of {counted(len(wanted), 'path')} reaches the pupil; pass "
+                f"none of {counted(len(wanted), 'path')} reaches the detector; pass "
                 "only_detected=False to see where they end"
             )
     if n_bounces is not None:
@@ -61,14 +61,18 @@ def chosen_paths(
         wanted &= paths.n_bounces == n_bounces
         if not wanted.any():
             raise SceneError(
-                f"no path has n_bounces = {n_bounces}; these have {', '.join(map(str, there))}"
+                f"no path has n_bounces = {n_bounces}; choose from {', '.join(map(str, there))}"
             )
     found = np.flatnonzero(wanted)
     return found[_by_power(paths.weight[found], most)]
 
 
 def _by_power(weight: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """Indices of ``most`` weights, rising: those above their share, and even steps of the rest."""
+    """Return increasing indices of ``most`` weights, a systematic sample in proportion to weight.
+
+    Weights of at least the sampling step are all taken. The others are taken where their
+    cumulative sum crosses multiples of the step.
+    """
     if len(weight) <= most:
         return np.arange(len(weight))
     power = weight if np.count_nonzero(weight) > most else np.ones(len(weight))
@@ -81,7 +85,7 @@ def _by_power(weight: NDArray[np.float64], most: int) -> NDArray[np.int64]:
         if not large.any():
             break
         drawn |= large
-    # no weight is as large as a step, so each step finds another
+    # every weight is smaller than a step, so that no two steps find the same one
     steps = (np.arange(left) + 0.5) * share
     drawn[np.searchsorted(np.cumsum(rest), steps)] = True
     return np.flatnonzero(drawn)
@@ -90,21 +94,21 @@ def _by_power(weight: NDArray[np.float64], most: int) -> NDArray[np.int64]:
 def path_lines(
     paths: RayPaths, chosen: NDArray[np.int64], *, colour: str, wavefront: Wavefront | None
 ) -> PolyData:
-    """All legs of the chosen paths as one set of lines of two points each.
+    """Return all segments of the chosen paths as one set of two-point lines.
 
     Raises
     ------
     SceneError
-        If the colour is unknown, or the wavefront is missing or not that of the paths.
+        If ``colour`` is unknown, or ``wavefront`` is missing or does not belong to the paths.
     """
     one_of("colour", colour, COLOURS)
     points = paths.points[chosen]
     legs = np.linalg.norm(np.diff(points, axis=1), axis=2)
-    path, leg = np.nonzero(legs > 0.0)  # shorter paths repeat their end
+    path, leg = np.nonzero(legs > 0.0)  # shorter paths repeat their last point
     ends = np.stack([points[path, leg], points[path, leg + 1]], axis=1)
     lines = pyvista().line_segments_from_points(ends.reshape(-1, 3))
     lines.cell_data["path"] = chosen[path]
-    lines.cell_data["reflections so far"] = leg
+    lines.cell_data["preceding reflections"] = leg
     if colour == "path_length":
         run = np.concatenate([np.zeros((len(chosen), 1)), np.cumsum(legs, axis=1)], axis=1)
         lines.point_data["path length"] = np.stack(
@@ -120,23 +124,22 @@ def path_lines(
 def _aberrations(
     paths: RayPaths, chosen: NDArray[np.int64], wavefront: Wavefront | None
 ) -> NDArray[np.float64]:
-    """Wave aberration of the chosen paths, waves."""
+    """Return the wave aberration (n,) of the chosen paths, waves."""
     if wavefront is None:
         raise SceneError(
-            "colour = 'aberration' needs wavefront=; make it by psf.wavefront_from_rays of the "
-            "paths of raytrace.pupil_rays"
+            "colour = 'aberration' needs wavefront=; compute it by psf.wavefront_from_rays from "
+            "the paths of raytrace.pupil_rays"
         )
     detected = np.flatnonzero(paths.status == DETECTED)
     if wavefront.aberration.shape != detected.shape:
         raise SceneError(
-            f"wavefront has {counted(wavefront.aberration.size, 'node')} for "
-            f"{counted(len(detected), 'detected path')}; give psf.wavefront_from_rays of these "
-            "paths"
+            f"wavefront has {wavefront.aberration.size} nodes, must have {len(detected)} like the "
+            "detected paths; compute it by psf.wavefront_from_rays from these paths"
         )
     if not np.isin(chosen, detected).all():
         raise SceneError(
-            "paths beside the pupil have no aberration; colour = 'aberration' needs "
-            "only_detected=True"
+            "paths that miss the detector have no aberration; pass only_detected=True for "
+            "colour = 'aberration'"
         )
     return np.asarray(
         wavefront.aberration[np.searchsorted(detected, chosen)] / wavefront.wavelength
@@ -144,7 +147,7 @@ def _aberrations(
 
 
 def colour_style(colour: str, values: NDArray[Any]) -> dict[str, Any]:
-    """Arguments of pyvista to colour values by; ``bar`` and ``steps`` are for the colour bar."""
+    """Return pyvista's colour arguments for values; ``bar`` and ``steps`` are for the colour bar."""
     from matplotlib.colors import ListedColormap
 
     low, high = float(values.min()), float(values.max())
@@ -158,6 +161,7 @@ def colour_style(colour: str, values: NDArray[Any]) -> dict[str, Any]:
         }
     if colour == "aberration":
         largest = max(-low, high) or 1.0
+        # light grey in the middle, where RdBu would be invisible on white
         return {"cmap": "coolwarm", "clim": (-largest, largest), "bar": {"fmt": "%.3g"}}
     if colour == "weight":
         high = high or 1.0
@@ -172,7 +176,7 @@ def colour_style(colour: str, values: NDArray[Any]) -> dict[str, Any]:
 
 
 def dark_viridis() -> Any:
-    """The part of viridis that stands out on white."""
+    """Return the part of the viridis colour map that is visible on white."""
     from matplotlib import colormaps
     from matplotlib.colors import ListedColormap
 

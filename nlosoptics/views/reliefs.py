@@ -1,4 +1,4 @@
-"""Point spreads as surfaces."""
+"""Point spread functions as 3-D surfaces."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MOST = 160  # patches along a side; more are no finer to the eye and take seconds
+MOST = 160  # patches along a side; more look no finer and take seconds to draw
 
 
 def relief(
@@ -30,13 +30,14 @@ def relief(
     title: str,
     axes: Axes | None,
 ) -> Axes:
-    """Draw a point spread as a surface; see `views.point_spread`."""
+    """Draw a point spread function as a surface, with the parameters of `views.point_spread`."""
     on: Any = axes
     if on is None:
         on = _new_axes_3d()
     elif getattr(on, "name", "") != "3d":
         raise SceneError(
-            "axes are flat; give scale = 'surface' axes made with projection='3d', or none"
+            "axes are 2-D axes, which scale = 'surface' cannot use; pass axes made with "
+            "projection='3d', or none"
         )
     from matplotlib import colormaps
     from matplotlib.cm import ScalarMappable
@@ -45,7 +46,7 @@ def relief(
     norm = spread_norm(point_spread, decades)
     x, y, heights = _shown(point_spread, half_width)
     colours = colormaps["viridis"](norm(np.maximum(heights, norm.vmin or 0.0)))
-    # slopes as they stand in the drawn box, whose three sides are about as long
+    # heights in units of the sample pitch, as drawn: the sides of the box are about equal
     slopes = heights * (max(heights.shape) / (norm.vmax or 1.0))
     colours[..., :3] = LightSource(azdeg=250, altdeg=40).shade_rgb(
         colours[..., :3], slopes, blend_mode="soft"
@@ -62,16 +63,19 @@ def relief(
     )
     figure: Any = on.get_figure(root=True)
     bar = ScalarMappable(norm, "viridis")
-    figure.colorbar(bar, ax=on, label="the same, logarithmic", shrink=0.7, pad=0.12, aspect=25)
+    figure.colorbar(bar, ax=on, label="logarithmic colour scale", shrink=0.7, pad=0.12, aspect=25)
     on.set(xlabel="x (µm)", ylabel="y (µm)", zlabel=meaning, title=title)
-    on.zaxis.labelpad = 12
+    # full numbers, as matplotlib would write their common factor over the axis label
+    on.zaxis.set_major_formatter("{x:.2g}")
+    on.zaxis.labelpad = 24
+    on.locator_params(nbins=5)
     on.invert_yaxis()
     on.view_init(elev=32, azim=-58)
     return on  # type: ignore[no-any-return]
 
 
 def spread_norm(spread: PointSpread, decades: float | None) -> Normalize:
-    """Scale of colours from the peak downward: linear, or logarithmic over so many decades."""
+    """Return the colour scale up to the peak: linear from 0, or logarithmic over ``decades``."""
     from matplotlib.colors import LogNorm, Normalize
 
     peak = float(spread.intensity.max()) or 1.0
@@ -79,7 +83,7 @@ def spread_norm(spread: PointSpread, decades: float | None) -> Normalize:
 
 
 def _new_axes_3d() -> Any:
-    """Axes of three dimensions on a new figure."""
+    """Return 3-D axes on a new figure."""
     (flat,) = new_axes(1, width=6.4, height=4.8)
     figure: Any = flat.get_figure()
     flat.remove()
@@ -87,7 +91,10 @@ def _new_axes_3d() -> Any:
 
 
 def _shown(spread: PointSpread, half_width: float | None) -> tuple[Array, Array, Array]:
-    """Places x and y, m, and intensities of the samples, or of the brightest of several."""
+    """Return x (nx,), y (ny,), m, and intensities (ny, nx) of the surface.
+
+    Where there are too many samples, each value is the maximum of a block.
+    """
     reach = np.inf if half_width is None else half_width
     rows, columns = np.abs(spread.y) <= reach, np.abs(spread.x) <= reach
     x, y, light = spread.x[columns], spread.y[rows], spread.intensity[rows][:, columns]

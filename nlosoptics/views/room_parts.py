@@ -1,4 +1,4 @@
-"""What stands in a room, as surfaces in the world frame."""
+"""Parts of a scene as pyvista surfaces in the world frame, m."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CELLS = 128  # of the wall's mesh along its longer side
-TEXELS = 768  # of its shading, likewise
-GRAIN = 0.035  # rms brightness of a wall whose facets tilt by `ROUGH` or more
-ROUGH = 0.3  # rad
-RELIEF = 0.2  # brightness that the steepest slope changes
-GREY = 0.85  # brightness of the wall
+CELLS = 128  # cells of the wall's mesh along its longer side
+TEXELS = 768  # texels of the wall's shading along its longer side
+GRAIN = 0.035  # rms brightness of the grain for facet tilts of `ROUGH` or more
+ROUGH = 0.3  # rms tilt of facets, rad
+RELIEF = 0.2  # change of brightness at the steepest slope
+GREY = 0.85  # mean brightness of the wall
 
 
 def room_size(scene: Scene) -> tuple[float, float]:
-    """Extent of the wall that is drawn, m: its own, or what lies before an unbounded one."""
+    """Return the drawn size (x, y) of the wall, m; an unbounded wall is cut to the scene."""
     if scene.wall.size is not None:
         return scene.wall.size
     reach = float(np.abs(outline(scene)[:, :2]).max()) * 1.15
@@ -36,13 +36,13 @@ def room_size(scene: Scene) -> tuple[float, float]:
         try:
             scene.wall.height(*np.meshgrid(half, half))
         except SceneError:
-            reach *= 0.8  # an unbounded sphere ends at its radius
+            reach *= 0.8  # an unbounded spherical wall ends at its radius
         else:
             return (2 * reach, 2 * reach)
 
 
 def outline(scene: Scene) -> Array:
-    """Points (n, 3), world, m, between which the scene lies, the wall left out."""
+    """Return points (n, 3), world, m, whose bounding box contains the scene without the wall."""
     hidden = scene.hidden
     shape = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.bounds
     places = [shape, [scene.laser.position, scene.laser.aim, scene.camera.position]]
@@ -51,7 +51,7 @@ def outline(scene: Scene) -> Array:
 
 
 def object_radius(scene: Scene) -> float:
-    """About how far the hidden object reaches from its reference point, m."""
+    """Return the approximate radius of the hidden object, m."""
     hidden = scene.hidden
     if isinstance(hidden, PlanarObject):
         return float(max(hidden.size)) / 2
@@ -59,12 +59,12 @@ def object_radius(scene: Scene) -> float:
 
 
 def surface(occluder: Any) -> Any:
-    """Mesh of an occluder in the world frame."""
+    """Return the mesh of an occluder in the world frame."""
     return occluder.surface if isinstance(occluder, Occluder) else occluder
 
 
 def wall_surface(scene: Scene, size: tuple[float, float]) -> tuple[PolyData, Texture, float]:
-    """The wall, its shading, and the steepest slope that the shading shows, rad."""
+    """Return the wall, its shading as a texture, and the steepest slope in the shading, rad."""
     pv = pyvista()
     cell = max(size) / CELLS
     counts = [max(2, math.ceil(side / cell) + 1) for side in size]
@@ -86,18 +86,18 @@ def wall_surface(scene: Scene, size: tuple[float, float]) -> tuple[PolyData, Tex
 
 
 def _shading(scene: Scene, size: tuple[float, float]) -> tuple[Array, float]:
-    """Brightness (ny, nx) of the wall, row 0 on top, and the steepest slope in it, rad."""
+    """Return the wall's brightness (ny, nx), row 0 on top, and its steepest slope, rad."""
     texel = max(size) / TEXELS
     nx, ny = (max(8, round(side / texel)) for side in size)
     shade = np.full((ny, nx), GREY)
     steepest = 0.0
-    # finer waves than three texels would show as waves that are not there
+    # waviness with a period below three texels would be drawn with a false period (aliasing)
     if not scene.wall.is_flat and scene.wall.finest_period > 3 * texel:
         x, y = ((np.arange(n) + 0.5) / n - 0.5 for n in (nx, ny))
         slopes = scene.wall.derivatives(*np.meshgrid(x * size[0], -y * size[1]))[..., 1:3]
         steepest = float(np.linalg.norm(slopes, axis=-1).max())
         if steepest > 0.0:
-            # lit from where the slopes show most
+            # light from the principal direction of the slopes, which gives the highest contrast
             spread = np.einsum("ijk,ijl->kl", slopes, slopes)
             shade += RELIEF * (slopes @ np.linalg.eigh(spread)[1][:, 1]) / steepest
     tilt = rough_tilt(scene)
@@ -107,7 +107,7 @@ def _shading(scene: Scene, size: tuple[float, float]) -> tuple[Array, float]:
 
 
 def rough_tilt(scene: Scene) -> float:
-    """Rms tilt, rad, of the wall's facets; `ROUGH` for a matt wall that has none."""
+    """Return the rms tilt of the wall's facets, rad; `ROUGH` for a diffuse wall without facets."""
     try:
         return material_slope(scene)
     except SceneError:
@@ -115,9 +115,9 @@ def rough_tilt(scene: Scene) -> float:
 
 
 def gloss(material: Material) -> dict[str, float]:
-    """Strength and width of the highlight on a material: Phong's, of its mirror-like lobes.
+    """Return strength and exponent of the Phong highlight of a material's specular lobes.
 
-    The exponent 2/slope^2 gives Phong's highlight the width of the facets' slopes.
+    The exponent 2/slope^2 gives the highlight the width of the facets' slope distribution.
     """
     share = material.specular_reflectance
     slopes = [lobe.slope_rms for lobe in material.mirror_lobes]
@@ -126,7 +126,7 @@ def gloss(material: Material) -> dict[str, float]:
 
 
 def picture_texture(brightness: Array) -> Texture:
-    """Texture of a grey picture (ny, nx), 0 to 1, row 0 on top."""
+    """Return a texture from brightness (ny, nx), 0 to 1, row 0 on top."""
     grey = np.round(255 * np.asarray(brightness)).astype(np.uint8)
     texture = pyvista().Texture(np.repeat(grey[..., None], 3, axis=2))
     texture.interpolate = True
@@ -134,7 +134,7 @@ def picture_texture(brightness: Array) -> Texture:
 
 
 def object_picture(hidden: PlanarObject) -> PolyData:
-    """The plane of a picture with its texture's coordinates, seen from either side."""
+    """Return the rectangle of a planar object with texture coordinates."""
     pv = pyvista()
     right, up, _ = hidden.axes
     sides = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
@@ -145,12 +145,12 @@ def object_picture(hidden: PlanarObject) -> PolyData:
 
 
 def mesh_surface(mesh: Any) -> PolyData:
-    """The same triangles for pyvista."""
+    """Convert a trimesh mesh to pyvista."""
     return pyvista().PolyData.from_regular_faces(np.array(mesh.vertices), np.array(mesh.faces))
 
 
 def tube(start: Any, end: Any, radius: float) -> PolyData:
-    """A round rod between two points."""
+    """Return a cylinder between two points, world, m."""
     pv = pyvista()
     start, end = np.array(start, dtype=np.float64), np.array(end, dtype=np.float64)
     along = end - start
@@ -164,7 +164,7 @@ def tube(start: Any, end: Any, radius: float) -> PolyData:
 
 
 def dashes(start: Any, end: Any, length: float, radius: float) -> PolyData:
-    """A dashed rod between two points."""
+    """Return a dashed cylinder between two points, world, m, with dashes of about ``length``."""
     start, end = np.array(start, dtype=np.float64), np.array(end, dtype=np.float64)
     whole = float(np.linalg.norm(end - start))
     count = max(1, round(whole / (2 * length)))
@@ -174,7 +174,7 @@ def dashes(start: Any, end: Any, length: float, radius: float) -> PolyData:
 
 
 def camera_body(camera: Camera, side: float) -> PolyData:
-    """A box of about ``side`` behind the lens, and a barrel that holds it."""
+    """Return a housing of about ``side``, m, behind the lens, and a barrel that holds the lens."""
     pv = pyvista()
     box = pv.Cube(x_length=side, y_length=0.75 * side, z_length=0.6 * side)
     box.points = np.asarray(box.points) @ camera.frame
@@ -184,14 +184,14 @@ def camera_body(camera: Camera, side: float) -> PolyData:
         center=np.array(camera.position) - 0.175 * side * camera.axis,
         direction=camera.axis,
         radius=max(0.6 * camera.stop_diameter, 0.22 * side),
-        height=0.349 * side,  # ends just behind the lens, or the two would flicker
+        height=0.349 * side,  # ends just behind the lens: coincident surfaces flicker
         resolution=48,
     )
     return pv.merge([box, barrel.triangulate()])
 
 
 def lens(camera: Camera) -> PolyData:
-    """The clear lens, which is stop and exit pupil: a disc of its true diameter."""
+    """Return the lens, which is stop and exit pupil, as a disc of its true diameter."""
     return pyvista().Disc(
         center=camera.position,
         inner=0.0,
@@ -202,20 +202,20 @@ def lens(camera: Camera) -> PolyData:
 
 
 def laser_body(laser: Laser, spot: Array, side: float) -> PolyData:
-    """A rod of about ``side`` that ends where the beam starts."""
+    """Return a housing of about ``side``, m, whose front is at the start of the beam."""
     back = np.array(laser.position) - spot
     back /= np.linalg.norm(back)
     return tube(laser.position, np.array(laser.position) + 1.6 * side * back, 0.3 * side)
 
 
 def where_axis_ends(camera: Camera) -> Array:
-    """Point of the optical axis in the mean wall plane, world, m."""
+    """Return the intersection of the optical axis with the mean wall plane, (3,), world, m."""
     start = np.array(camera.position)
     return np.asarray(start - camera.axis * start[2] / camera.axis[2])
 
 
 def floor_grid(low: Array, high: Array, step: float) -> PolyData:
-    """Lines a ``step`` apart over the floor y = low[1], through multiples of it."""
+    """Return grid lines on the floor y = low[1], world, m, at multiples of ``step``."""
     xs, zs = (
         np.arange(math.floor(low[i] / step + 1e-9), math.ceil(high[i] / step - 1e-9) + 1) * step
         for i in (0, 2)
@@ -227,16 +227,16 @@ def floor_grid(low: Array, high: Array, step: float) -> PolyData:
 
 
 def triad(origin: Array, length: float, facing: Array) -> PolyData:
-    """Arrows along the world's axes, with letters that face the viewer.
+    """Return arrows along the world axes, with letters that face the viewer.
 
     Parameters
     ----------
     origin : ndarray, (3,)
-        World, m.
+        Start of the arrows, world, m.
     length : float
-        Of an arrow, m.
+        Length of an arrow, m.
     facing : ndarray, (3, 3)
-        Rows right, up and toward the viewer, world frame.
+        Unit vectors right, up and toward the viewer, as rows, world frame.
     """
     pv = pyvista()
     found = []

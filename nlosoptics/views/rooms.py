@@ -1,4 +1,4 @@
-"""The scene in three dimensions, and the light's paths through it."""
+"""3-D views of a scene and of light paths through it."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ import numpy as np
 from ..scene import PlanarObject, Scene
 from . import room_parts as parts
 from .canvas import round_step
+from .palette import GREY, INK, PALE_GREY, PALE_SKY
 from .rays import COLOURS, chosen_paths, colour_style, path_lines
 from .sketch import CAMERA, LASER, OBJECT, OCCLUDER
-from .stages import INK, add_legend, bar_style, finish_bar, look_at, new_plotter
+from .stages import add_legend, bar_style, finish_bar, look_at, new_plotter
 
 if TYPE_CHECKING:
     from pyvista import Plotter
@@ -19,46 +20,58 @@ if TYPE_CHECKING:
     from ..psf import Wavefront
     from ..raytrace import RayPaths
 
-WALL, GRID = "#707070", "#a8a8a8"
+WALL, GRID = GREY, PALE_GREY
 MATT: dict[str, Any] = {"ambient": 0.35, "diffuse": 0.65, "smooth_shading": False}
 FLAT: dict[str, Any] = {"lighting": False}
-GLYPH = 0.045  # of the room's extent: the camera's and the laser's housings
-THIN = 0.0016  # likewise: least radius of the beam and of the optical axis
+GLYPH = 0.045  # size of the camera and laser housings over the extent of the scene
+THIN = 0.0016  # smallest radius of the beam and the optical axis over that extent
 
 
 def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
-    """Draw a scene as a room that can be walked around.
+    """Draw a scene in 3-D.
 
     Parameters
     ----------
     scene : Scene
+        Scene to draw.
     plotter : pyvista Plotter, optional
-        Where to draw; a new one off the screen by default. A room that it already shows is
-        replaced.
+        Plotter to draw on; a new one that renders off screen by default. A scene that it already
+        shows is replaced.
 
     Returns
     -------
     Plotter
-        World coordinates in m: the wall, the laser beam, the hidden object with its picture, the
-        camera with its lens and optical axis, occluders, a grid on the floor whose step the legend
-        names, and the axes x, y and z.
+        Plotter in world coordinates, m. It shows the relay wall, the laser beam, the hidden
+        object, the camera with its lens and optical axis, the occluders, a floor grid and the
+        axes x, y and z. The legend states the step of the grid.
 
     Raises
     ------
     MissingExtraError
         If pyvista is not installed.
 
+    See Also
+    --------
+    ray_paths : Adds light paths to this view.
+    scene_sketch : 2-D views of a scene.
+
     Notes
     -----
-    Places are to scale; the lens and the wall's extent are too. Not to scale are what would be too
-    small to see: the housings of laser and camera stand for their places, beam and optical axis
-    are at least `THIN` of the room thick, and the shading of the wall shows the directions of its
-    slopes, the steepest always with one contrast; the legend says how steep it is. Waves finer
-    than three of the shading's 768 points are left out of it. The grain and the highlight tell
-    rough from mirror-like materials, and are no picture of the material.
+    Positions, the lens and the wall are to scale. The housings of laser and camera only mark
+    positions. Beam and optical axis have a minimum width, so that they stay visible. The shading
+    of the wall shows its slopes, normalised to the steepest, which the legend states. Waviness
+    with a period below three of the 768 texels is omitted. Grain and highlight only distinguish
+    rough from specular materials; they are not a rendering of the material.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, views
+    >>> plotter = views.scene_3d(Scene.load("examples/scenes/letter_flat.toml"))
+    >>> "relay wall" in plotter.actors
+    True
     """
     if plotter is None:
-        plotter = new_plotter("Scene: relay wall, laser, hidden object and camera")
+        plotter = new_plotter("Scene with relay wall, laser, hidden object and camera")
     size = parts.room_size(scene)
     around = np.concatenate(
         [parts.outline(scene), [(x * size[0] / 2, y * size[1] / 2, 0.0) for x, y in _SIDES]]
@@ -88,7 +101,7 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
         ],
     )
     origin = np.array(floor.points[np.argmin(floor.points @ frame[0])])
-    # away from the floor's corner, or the wall would hide letters
+    # moved into the room, because the wall would hide letters in the corner of the floor
     origin[2] += np.copysign(1.2 * step, floor.center[2] - origin[2])
     plotter.add_mesh(parts.triad(origin, 0.6 * step, frame), color=INK, name="axes", **FLAT)
     add_legend(plotter, legend)
@@ -106,50 +119,64 @@ def ray_paths(
     most: int = 1000,
     plotter: Plotter | None = None,
 ) -> Plotter:
-    """Draw light paths through their scene.
+    """Draw light paths through a scene in 3-D.
 
     Parameters
     ----------
     paths : RayPaths
-        Traced with ``keep_paths=True``, or of `raytrace.pupil_rays`.
+        Paths from `raytrace.trace` with ``keep_paths=True``, or from `raytrace.pupil_rays`.
     scene : Scene
-        That they were traced in.
+        Scene in which the paths were traced.
     colour : {"bounces", "path_length", "weight", "aberration"}
-        By the reflections before each leg; the length from the source, m, running along the path;
-        the power at the path's end, W, on a logarithmic scale; or the wave aberration at the pupil,
-        in waves.
+        Quantity that sets the colours: the number of reflections before each segment; the path
+        length from the source, m, along the path; the power at the end of the path, W, on a
+        logarithmic scale; or the wave aberration at the pupil, waves.
     wavefront : Wavefront, optional
-        Of these paths, as of `psf.wavefront_from_rays`: one node for each detected path, in their
-        order. Wanted for "aberration" only, which draws detected paths alone.
+        Wavefront of these paths from `psf.wavefront_from_rays`, with one node per detected path in
+        the same order. Required for "aberration", which needs ``only_detected=True`` too.
     n_bounces : int, optional
-        Draw only paths of so many reflections.
+        Number of reflections of the drawn paths; any number by default.
     only_detected : bool
-        Draw only paths that reach the detector through the pupil.
+        Whether to draw only paths that reach the detector through the pupil.
     most : int
-        How many to draw. Where there are more, those are drawn that carry more than their share of
-        the power, and the others at even steps of it in the order of the trace, so that lines are
-        as dense as the light.
+        Largest number of paths drawn. Where there are more, a systematic sample in proportion to
+        power is drawn, so that the density of lines follows the power.
     plotter : pyvista Plotter, optional
-        Where to draw; a new one off the screen by default. Room and paths that it already shows
-        are replaced.
+        Plotter to draw on; a new one that renders off screen by default. A scene and paths that it
+        already shows are replaced.
 
     Returns
     -------
     Plotter
-        The room as of `scene_3d`, with all legs as one set of lines named "ray paths". Its cells
-        are the legs, with the data "path", "reflections so far" and what was asked for; world, m.
+        Plotter with the view of `scene_3d` and all path segments as one set of lines, the actor
+        "ray paths", in world coordinates, m. Its cells are the segments, with the data arrays
+        "path" (index into ``paths``), "preceding reflections" and the quantity of ``colour``.
 
     Raises
     ------
     MissingExtraError
         If pyvista is not installed.
     SceneError
-        If no paths were kept, none passes the filters, or the wavefront does not belong to them.
+        If ``paths`` is empty, no path passes the filters, or ``wavefront`` does not belong to the
+        paths.
+
+    See Also
+    --------
+    save : Writes the view as an image, a web page or glTF.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace, views
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml")
+    >>> paths = raytrace.pupil_rays(scene, n_rays=64)
+    >>> plotter = views.ray_paths(paths, scene, colour="path_length")
+    >>> list(plotter.scalar_bars.keys())
+    ['path length from the source (m)']
     """
     chosen = chosen_paths(paths, n_bounces=n_bounces, only_detected=only_detected, most=most)
     lines = path_lines(paths, chosen, colour=colour, wavefront=wavefront)
     if plotter is None:
-        plotter = new_plotter("Light paths from the laser by wall and object to the camera")
+        plotter = new_plotter("Light paths from the laser via wall and object to the camera")
     if "ray paths" in plotter.actors:
         plotter.remove_actor("ray paths")
     for _, title in COLOURS.values():
@@ -178,6 +205,7 @@ _SIDES = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def _draw_wall(plotter: Plotter, scene: Scene, size: tuple[float, float]) -> dict[str, str]:
+    """Draw the relay wall and return its legend entry."""
     mesh, texture, steepest = parts.wall_surface(scene, size)
     style = parts.gloss(scene.wall_material)
     plotter.add_mesh(
@@ -194,11 +222,12 @@ def _draw_wall(plotter: Plotter, scene: Scene, size: tuple[float, float]) -> dic
     elif steepest > 0.0:
         how = f"slopes up to {_angle(steepest)}"
     else:
-        how = "waves too fine to draw"
+        how = "waviness too fine to draw"
     return {f"relay wall, {how}": WALL}
 
 
 def _draw_light(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str]:
+    """Draw the laser and its beam and return their legend entry."""
     laser = scene.laser
     x, y, _ = laser.aim
     spot = np.array([x, y, float(scene.wall.height(x, y))])
@@ -212,6 +241,7 @@ def _draw_light(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str]
 
 
 def _draw_hidden(plotter: Plotter, scene: Scene) -> dict[str, str]:
+    """Draw the hidden object and return its legend entry."""
     hidden = scene.hidden
     if isinstance(hidden, PlanarObject):
         mesh = parts.object_picture(hidden)
@@ -226,10 +256,11 @@ def _draw_hidden(plotter: Plotter, scene: Scene) -> dict[str, str]:
 
 
 def _draw_camera(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str]:
+    """Draw the camera with lens and optical axis and return their legend entry."""
     camera = scene.camera
     body = parts.camera_body(camera, GLYPH * extent)
     plotter.add_mesh(body, color=CAMERA, name="camera", **MATT)
-    plotter.add_mesh(parts.lens(camera), color="#9fd3f5", name="lens", **FLAT)
+    plotter.add_mesh(parts.lens(camera), color=PALE_SKY, name="lens", **FLAT)
     axis = parts.dashes(
         camera.position, parts.where_axis_ends(camera), 0.02 * extent, 0.6 * THIN * extent
     )
@@ -238,7 +269,7 @@ def _draw_camera(plotter: Plotter, scene: Scene, extent: float) -> dict[str, str
 
 
 def _angle(slope: float) -> str:
-    """A slope as an angle in the unit that reads best."""
+    """Format a slope as an angle in rad, mrad or urad."""
     for unit, size in (("rad", 1.0), ("mrad", 1e-3), ("urad", 1e-6)):
         if slope >= 0.1 * size or unit == "urad":
             return f"{slope / size:.2g} {unit}"

@@ -1,4 +1,4 @@
-"""Pictures into files: figures, films and views in 3-D, by the suffix of the file's name."""
+"""Writing of figures, films and 3-D views to files."""
 
 from __future__ import annotations
 
@@ -20,28 +20,41 @@ if TYPE_CHECKING:
 def save(
     picture: Figure | Axes | Iterable[Axes] | Plotter | FuncAnimation, path: str | Path
 ) -> None:
-    """Write a picture to a file, whose suffix names the format; the file appears whole or not.
+    """Write a figure, film or 3-D view to a file in the format of its suffix.
+
+    If writing fails, no partial file remains and an existing file is unchanged.
 
     Parameters
     ----------
     picture : matplotlib Figure, Axes, iterable of Axes or FuncAnimation, or pyvista Plotter
-        What to write; the whole figure that the axes belong to.
+        Object to write. Axes stand for the whole figure to which they belong.
     path : str or Path
-        ``.png``, ``.pdf`` or ``.svg`` of figures; ``.png``, ``.html`` or ``.glb`` of plotters. The
-        HTML page is that of `html_page`; glTF holds surfaces, lines and camera, and no text.
-        ``.gif`` or ``.html``, a page with a slider, of films. No page asks anything of the net.
+        File to write. Figures: ``.png``, ``.pdf`` or ``.svg``. Plotters: ``.png``, ``.html`` (the
+        page of `html_page`) or ``.glb`` (glTF with surfaces, lines and camera, but no text).
+        Films: ``.gif`` or ``.html`` (a page with a slider). Pages load nothing from the network.
 
     Raises
     ------
     SceneError
-        If the suffix names no such format, or the file cannot be written.
+        If the suffix is not one of these, or the file cannot be written.
     MissingExtraError
-        If a PNG of a plotter is wanted where nothing can be rendered, see `rendering_works`.
+        If a plotter is written as PNG on a machine that cannot render, see `rendering_works`.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from nlosoptics import Scene, views
+    >>> axes = views.scene_sketch(Scene.load("examples/scenes/letter_flat.toml"))
+    >>> with TemporaryDirectory() as folder:
+    ...     views.save(axes, Path(folder, "scene.svg"))
+    ...     print([file.name for file in Path(folder).iterdir()])
+    ['scene.svg']
     """
     path = Path(path)
     suffix = path.suffix.lower()
     if hasattr(picture, "render_window"):
-        _checked_suffix(path, "a picture in 3-D", (".png", ".html", ".glb"))
+        _checked_suffix(path, "a 3-D view", (".png", ".html", ".glb"))
         content = _plotter_file(picture, suffix)
     elif hasattr(picture, "to_jshtml"):
         from .films import film_file
@@ -55,20 +68,23 @@ def save(
 
 
 def _checked_suffix(path: Path, what: str, known: tuple[str, ...]) -> None:
+    """Raise SceneError if the suffix of a path is not among the known ones."""
     if path.suffix.lower() not in known:
         raise SceneError(
-            f"{path} has the suffix {path.suffix!r}; {what} is written as {', '.join(known)}"
+            f"{path} has the suffix {path.suffix!r}, must be one of {', '.join(known)} for {what}; "
+            "rename the file"
         )
 
 
 def _figure_file(picture: Any, suffix: str) -> bytes:
+    """Return the figure of axes as the bytes of a file."""
     if not hasattr(picture, "get_figure"):
         picture = next(iter(picture))
     from matplotlib import rc_context
 
     figure = picture.get_figure(root=True)  # a figure is its own root
     content = BytesIO()
-    # no program's name, no date and no names drawn at random: equal pictures give equal bytes
+    # without program name, date and random identifiers, equal figures give equal bytes
     metadata = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     with rc_context({"svg.hashsalt": "nlosoptics"}):
         figure.savefig(content, format=suffix[1:], metadata=metadata[suffix])
@@ -76,6 +92,7 @@ def _figure_file(picture: Any, suffix: str) -> bytes:
 
 
 def _plotter_file(plotter: Any, suffix: str) -> bytes:
+    """Return a 3-D view as the bytes of a file."""
     if suffix == ".glb":
         from .gltf import glb
 

@@ -1,4 +1,4 @@
-"""The scene from above and from the side."""
+"""Sketch of a scene: top view and side view."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 
 from ..errors import SceneError
 from ..scene import Occluder, PlanarObject, Scene
-from .canvas import new_axes
-from .palette import BLACK, BLUE, BROWN, GREEN, ORANGE, VERMILION
+from .canvas import new_axes, space_ticks
+from .palette import BLACK, BLUE, BROWN, GREEN, ORANGE, PALE_GREEN, VERMILION
 
 if TYPE_CHECKING:
     import trimesh
     from matplotlib.axes import Axes
 
 WALL, LASER, OBJECT, CAMERA, CHIEF = BLACK, VERMILION, GREEN, BLUE, ORANGE
-MIRRORED = "#8FCFBA"  # the object's, paler
-FINE = 240  # dots per inch, for phones
-OCCLUDER = BROWN  # no reflection's in `rays`, which crosses the same room
+MIRRORED = PALE_GREEN
+FINE = 240  # dots per inch for phones
+OCCLUDER = BROWN  # not among the colours of reflections in `rays`, which share the 3-D view
 
 
 def scene_sketch(
@@ -43,6 +43,13 @@ def scene_sketch(
     -------
     (Axes, Axes)
         Axes of the top view and of the side view, m.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, views
+    >>> top, side = views.scene_sketch(Scene.load("examples/scenes/letter_flat.toml"))
+    >>> top.get_xlabel(), side.get_ylabel()
+    ('x (m)', 'y, up (m)')
     """
     if axes is not None:
         top, side = axes
@@ -52,7 +59,7 @@ def scene_sketch(
         top, side = new_axes(2, width=10.5, height=5.4)
     room_from_above(scene, top)
     _draw(scene, side, across=2, up=1)
-    side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="from the side")
+    side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="side view")
     if axes is None:
         figure: Any = top.get_figure(root=True)
         figure.legend(
@@ -66,12 +73,12 @@ def scene_sketch(
 def room_from_above(scene: Scene, axes: Axes) -> None:
     """Draw the top view of a scene: x to the right, z toward the reader, m."""
     _draw(scene, axes, across=0, up=2)
-    axes.yaxis.set_inverted(True)  # seen from above with x to the right, z points down
-    axes.set(xlabel="x (m)", ylabel="z, into the room (m)", title="from above")
+    axes.yaxis.set_inverted(True)  # in a top view with x to the right, z points down
+    axes.set(xlabel="x (m)", ylabel="z, into the room (m)", title="top view")
 
 
 def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:
-    """Draw one view, by the indices of its world axes."""
+    """Draw one view; ``across`` and ``up`` are the indices of its world axes."""
     outlines = _outlines(scene)
     reach = 1.1 * max(np.abs(points[:, :2]).max() for _, points, _ in outlines)
     profile = _profile(scene, along=0 if across == 0 else 1, reach=reach)
@@ -79,6 +86,7 @@ def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:
     for label, points, style in outlines:
         axes.plot(*points[:, [across, up]].T, label=label, **style)
     axes.set_aspect("equal", adjustable="datalim")
+    space_ticks(axes)
     axes.grid(alpha=0.25)
 
 
@@ -93,7 +101,7 @@ def _profile(scene: Scene, *, along: int, reach: float) -> Any:
     except SceneError:
         if size is not None:
             raise
-        # an unbounded sphere ends at its radius
+        # an unbounded spherical wall ends at its radius
         return _profile(scene, along=along, reach=reach / 2)
 
 
@@ -132,7 +140,7 @@ def _outlines(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
 
 
 def _occluder_boxes(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
-    """Boxes around the occluders, as `_outlines`; one of them named in the legend."""
+    """Return the outlines of boxes around the occluders; only the first is in the legend."""
     boxes = []
     for index, occluder in enumerate(scene.occluders):
         mesh = occluder.surface if isinstance(occluder, Occluder) else occluder
@@ -142,7 +150,7 @@ def _occluder_boxes(scene: Scene) -> list[tuple[str, Any, dict[str, Any]]]:
 
 
 def _object_outline(scene: Scene) -> Any:
-    """Closed outline of a picture, or the box around a mesh, (n, 3), m, world."""
+    """Return the outline of a planar object, or of the box around a mesh, (n, 3), world, m."""
     if isinstance(scene.hidden, PlanarObject):
         right, up, _ = scene.hidden.axes
         half = np.array(scene.hidden.size) / 2
@@ -152,7 +160,7 @@ def _object_outline(scene: Scene) -> Any:
 
 
 def _box(mesh: trimesh.Trimesh) -> Any:
-    """Outline of the box around a mesh as seen along x, y and z, (n, 3), m, world."""
+    """Return an outline that shows the box around a mesh along x, y and z, (7, 3), world, m."""
     low, high = mesh.bounds
     pick = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (1, 1, 1), (0, 1, 1), (0, 0, 1), (0, 0, 0)])
     return np.where(pick, high, low)

@@ -1,4 +1,4 @@
-"""Plotters for rooms: made quietly, given a legend, colour bars and a place to look from."""
+"""Plotters for 3-D views: creation, legend, colour bars and viewpoint."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MissingExtraError
+from .palette import INK
 
 if TYPE_CHECKING:
     from pyvista import Plotter
 
-#: Renders one empty picture off the screen: VTK ends the process where it finds no OpenGL.
+#: Program that renders an empty image off screen. VTK ends the process if it finds no OpenGL.
 TRIAL = """
 import vtkmodules.vtkRenderingOpenGL2
 from vtkmodules.vtkRenderingCore import vtkRenderer, vtkRenderWindow
@@ -29,40 +30,42 @@ window.AddRenderer(vtkRenderer())
 window.Render()
 print(window.GetClassName())
 """
-SECONDS = 60.0  # that a trial may take; half a second is usual
+SECONDS = 60.0  # time limit of this program, which usually takes half a second
 NEEDED = (
-    "for pictures in 3-D install a software OpenGL, on Debian apt-get install libegl1 "
+    "for images of 3-D views install a software OpenGL, on Debian apt-get install libegl1 "
     "libgl1-mesa-dri (or libosmesa6); .html and .glb need none"
 )
-#: VTK's windows without a screen.
+#: VTK's classes of windows that need no display.
 HIDDEN = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow", "vtkOSMesaRenderWindow")
 
 
 def pyvista() -> Any:
-    """The package of that name.
+    """Import and return pyvista.
 
     Raises
     ------
     MissingExtraError
-        If it is not installed.
+        If pyvista is not installed.
     """
     try:
         import pyvista
     except ModuleNotFoundError:
         raise MissingExtraError(
-            "pyvista is not installed; run pip install 'nlosoptics[views]' for pictures in 3-D"
+            "pyvista is not installed; run pip install 'nlosoptics[views]' for 3-D views"
         ) from None
     return pyvista
 
 
 def rendering_works() -> None:
-    """Try once per process whether this machine can render, in a process of its own.
+    """Check that this machine can render 3-D views.
+
+    The check runs in a separate process, which a missing OpenGL may crash, and only once.
 
     Raises
     ------
     MissingExtraError
-        If pyvista is not installed, or VTK crashes because the machine has neither a display nor
-        EGL nor OSMesa; what to install is said.
+        If pyvista is not installed, or if VTK cannot render because the machine has no display,
+        EGL or OSMesa. The message says what to install.
     """
     pyvista()
     _, fault = _trial()
@@ -71,7 +74,7 @@ def rendering_works() -> None:
 
 
 def window() -> Plotter:
-    """An empty window to draw on; its ``show()`` opens it.
+    """Return a plotter for an interactive window, which its ``show()`` opens.
 
     Raises
     ------
@@ -91,7 +94,7 @@ def window() -> Plotter:
 
 @cache
 def _trial() -> tuple[str, str]:
-    """VTK's kind of window on this machine, and what is wrong with rendering; empty if nothing."""
+    """Return VTK's window class on this machine, and the fault that prevents rendering or ''."""
     try:
         ended = subprocess.run(
             [sys.executable, "-c", TRIAL],
@@ -102,34 +105,35 @@ def _trial() -> tuple[str, str]:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return "", f"a trial did not end within {SECONDS:g} s"
+        return "", f"a test image took more than {SECONDS:g} s"
     if ended.returncode < 0:
-        return "", f"a trial ended by {signal.Signals(-ended.returncode).name}"
+        return "", f"a test image ended with {signal.Signals(-ended.returncode).name}"
     if ended.returncode > 0:
         said = ended.stderr.strip().splitlines()
-        return "", said[-1] if said else f"a trial ended with code {ended.returncode}"
+        return "", said[-1] if said else f"a test image ended with code {ended.returncode}"
     return ended.stdout.strip(), ""
 
 
 Array = NDArray[np.float64]
 
 SIZE = (1280, 860)  # pixels
-BACKGROUND, INK = "white", "#222222"
+BACKGROUND = "white"
 VIEW_ANGLE = 30.0  # deg, vertical
-SIDE, TOP, FOOT = 0.94, 0.94, 0.68  # of half the picture: filled to there, legend and bar below
-ELEVATIONS = (20.0, 30.0)  # deg above the floor
-AZIMUTHS = (-40.0, -65.0, 40.0, 65.0)  # deg from the wall's normal about y
+# parts of the half width and half height that the scene may fill; legend and bars are at the foot
+SIDE, TOP, FOOT = 0.94, 0.94, 0.68
+ELEVATIONS = (20.0, 30.0)  # possible viewpoints, deg above the floor
+AZIMUTHS = (-40.0, -65.0, 40.0, 65.0)  # and deg about y from the wall normal
 
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Keep VTK's notes off the terminal, such as that there is no display to draw on."""
+    """Suppress VTK's messages on the terminal, for example that there is no display."""
     with pyvista().vtk_verbosity("off"):
         yield
 
 
 def new_plotter(title: str, *, window: bool = False) -> Plotter:
-    """An empty stage, off the screen unless a ``window`` is wanted."""
+    """Return an empty plotter that renders off screen, or in a window if ``window``."""
     with quiet():
         plotter: Plotter = pyvista().Plotter(off_screen=not window, window_size=SIZE, title=title)
     plotter.set_background(BACKGROUND)
@@ -138,7 +142,7 @@ def new_plotter(title: str, *, window: bool = False) -> Plotter:
 
 
 def add_legend(plotter: Plotter, entries: Mapping[str, str]) -> None:
-    """Name what is what by colour, beside what the legend already names."""
+    """Add entries, colours by name, to the legend of a plotter."""
     known = legend_entries(plotter) | dict(entries)
     renderer: Any = plotter.renderer
     if renderer.legend is not None:
@@ -154,7 +158,7 @@ def add_legend(plotter: Plotter, entries: Mapping[str, str]) -> None:
 
 
 def legend_entries(plotter: Plotter) -> dict[str, Any]:
-    """Names of a plotter's legend with their colours as ``#rrggbb``."""
+    """Return the legend entries of a plotter: colours ``#rrggbb`` by name."""
     box = plotter.legend
     if box is None:
         return {}
@@ -166,7 +170,7 @@ def legend_entries(plotter: Plotter) -> dict[str, Any]:
 
 
 def bar_style(title: str, **more: Any) -> dict[str, Any]:
-    """Arguments of pyvista for a colour bar at the foot of the picture."""
+    """Return pyvista's arguments for a colour bar at the foot of the view."""
     return {
         "title": title,
         "color": INK,
@@ -182,7 +186,7 @@ def bar_style(title: str, **more: Any) -> dict[str, Any]:
 
 
 def finish_bar(plotter: Plotter, title: str, steps: Sequence[float] = ()) -> None:
-    """Part a colour bar's title from its labels; label ``steps`` alone where there are any."""
+    """Move the title of a colour bar off its labels; label only ``steps`` if there are any."""
     bar = plotter.scalar_bars[title]
     bar.GetTitleTextProperty().SetLineOffset(-12)
     if steps:
@@ -191,20 +195,21 @@ def finish_bar(plotter: Plotter, title: str, steps: Sequence[float] = ()) -> Non
 
 
 def look_at(plotter: Plotter, corners: Array, balls: Sequence[tuple[Any, float]]) -> Array:
-    """Place the camera where what matters lies apart in the picture.
+    """Place the viewpoint so that the given balls are as far apart as possible in the view.
 
     Parameters
     ----------
     plotter : Plotter
+        Plotter whose camera is set.
     corners : ndarray, (n, 3)
-        What is to fit into the picture, world, m.
+        Points that must be within the view, world, m.
     balls : sequence of (point, radius)
-        What is not to hide each other, world, m.
+        Centres, world, and radii, m, of the parts that should be visible separately.
 
     Returns
     -------
     ndarray, (3, 3)
-        Rows right, up and toward the viewer, world frame.
+        Unit vectors right, up and toward the viewer, as rows, world frame.
     """
     centres = np.array([centre for centre, _ in balls], dtype=np.float64).reshape(-1, 3)
     radii = [radius for _, radius in balls]
@@ -238,11 +243,22 @@ def look_at(plotter: Plotter, corners: Array, balls: Sequence[tuple[Any, float]]
 def _fitted(
     places: Array, near: Array, half: float, free: tuple[float, float]
 ) -> tuple[float, float]:
-    """Where to look, and from how far, so that places just fill the free part of the picture.
+    """Return the focal point m and the viewing distance d at which points just fill the view.
 
-    A place p, ``near`` nearer than the point m that is looked at, is seen within the free parts a
-    below and b above the middle where m - p <= a half (away - near) and p - m <= b half (away -
-    near).
+    Parameters
+    ----------
+    places : ndarray, (n,)
+        Coordinates p of the points along one axis of the view, m.
+    near : ndarray, (n,)
+        Distances q of the points from the focal plane toward the viewer, m.
+    half : float
+        Tangent of half the view angle along this axis.
+    free : (float, float)
+        Parts a and b of the half view below and above its middle that may be filled.
+
+    Notes
+    -----
+    A point is within the view if m - p <= a half (d - q) and p - m <= b half (d - q).
     """
     below = float((free[0] * half * near - places).max())
     above = float((free[1] * half * near + places).max())

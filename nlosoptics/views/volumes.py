@@ -1,4 +1,4 @@
-"""Reconstructed volumes: projections along an axis, and the surface around bright voxels."""
+"""Reconstructed volumes: maximum projections and isosurfaces."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ import numpy as np
 
 from .._checks import in_range, one_of
 from ..errors import SamplingError
-from .canvas import new_axes, round_step
+from .canvas import new_axes, round_step, space_ticks
 from .maps import colour_bar
+from .palette import GREY, INK, PALE_GREY, TEAL
 from .rays import dark_viridis
 from .room_parts import floor_grid, triad
-from .stages import INK, add_legend, bar_style, finish_bar, look_at, new_plotter, pyvista
+from .stages import add_legend, bar_style, finish_bar, look_at, new_plotter, pyvista
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,35 +21,50 @@ if TYPE_CHECKING:
 
     from ..transient import VolumeImage
 
-#: Across and up of each view, with the side that it is seen from.
+#: Horizontal axis, vertical axis and title of the view along each axis.
 VIEWS = {
-    "z": ("x", "y", "from the wall"),
-    "y": ("x", "z", "from above"),
-    "x": ("z", "y", "from the side"),
+    "z": ("x", "y", "view from the wall"),
+    "y": ("x", "z", "top view"),
+    "x": ("z", "y", "side view"),
 }
 
 BAR = "distance from the wall (m)"
-BOX, GRID = "#707070", "#a8a8a8"
+BOX, GRID = GREY, PALE_GREY
 FLAT: dict[str, Any] = {"lighting": False}
 
 
 def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> Axes:
-    """Draw the brightest voxels along an axis.
+    """Draw the maximum projection of a volume along an axis.
 
     Parameters
     ----------
     image : VolumeImage
-        What to draw.
+        Volume to draw.
     axis : {"z", "y", "x"}
-        Along which: from the wall into the room, from above, or from the side.
+        Axis of the projection: "z" for the view from the wall, "y" for the top view, "x" for the
+        side view.
     axes : matplotlib Axes, optional
-        Where to draw; a new figure by default.
+        Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        World coordinates in m. Seen from the wall and from above, x grows to the left, so that
-        letters read; colours are relative to the brightest voxel.
+        Axes in world coordinates, m. In the views from the wall and from above x points left, so
+        that letters are readable. Colours are relative to the brightest voxel.
+
+    See Also
+    --------
+    phasor_volume : Isosurface of a volume in 3-D.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics import transient, views
+    >>> axis = np.linspace(-0.5, 0.5, 5)
+    >>> grid = transient.Volume(axis, axis, np.linspace(0.8, 1.2, 3))
+    >>> image = transient.VolumeImage(intensity=np.ones((3, 5, 5)), volume=grid, method="test")
+    >>> views.volume(image, axis="y").get_ylabel()
+    'z (m)'
     """
     one_of("axis", axis, VIEWS)
     across, up, title = VIEWS[axis]
@@ -71,13 +87,14 @@ def volume(image: VolumeImage, *, axis: str = "z", axes: Axes | None = None) -> 
     )
     if across == "x":
         axes.invert_xaxis()
-    colour_bar(axes, drawn, "relative brightness")
+    space_ticks(axes)
+    colour_bar(axes, drawn, "relative intensity")
     axes.set(xlabel=f"{across} (m)", ylabel=f"{up} (m)", title=title)
     return axes
 
 
 def _ends(values: Any) -> tuple[float, float]:
-    """Where the cells of an axis begin and end, m; 1 cm for a single one."""
+    """Return the outer edges of the cells of an axis, m; a single cell is drawn 1 cm wide."""
     half = 0.5 * float(np.diff(values[:2])[0]) if len(values) > 1 else 0.005
     return float(values[0]) - half, float(values[-1]) + half
 
@@ -85,43 +102,46 @@ def _ends(values: Any) -> tuple[float, float]:
 def phasor_volume(
     image: VolumeImage, *, threshold: float = 0.25, plotter: Plotter | None = None
 ) -> Plotter:
-    """Draw the surface around the bright voxels of a volume, coloured by their depth.
+    """Draw the isosurface of a volume in 3-D, coloured by the distance from the wall.
 
     Parameters
     ----------
     image : VolumeImage
-        What to draw, such as a `transient.PhasorImage`.
+        Volume to draw, for example a `transient.PhasorImage`.
     threshold : float
-        Where the surface is, of the brightest voxel, 0.001 to 0.999.
+        Intensity on the surface, relative to the brightest voxel, 0.001 to 0.999.
     plotter : pyvista Plotter, optional
-        Where to draw, such as a room of `scene_3d`; a new one off the screen by default. A volume
-        that it already shows is replaced.
+        Plotter to draw on, for example from `scene_3d`; a new one that renders off screen by
+        default. A volume that it already shows is replaced.
 
     Returns
     -------
     Plotter
-        World coordinates in m, seen from the room's far end where nothing else is drawn: the
-        surface, which runs linearly between voxels, the box of voxel centres, a grid on its floor
-        whose step the legend names, and the axes.
+        Plotter in world coordinates, m. It shows the surface, interpolated linearly between
+        voxels, and the box of the voxel centres. A new plotter also shows a floor grid, whose step
+        the legend states, and the axes x, y and z, all seen from the far end of the room.
 
     Raises
     ------
     MissingExtraError
         If pyvista is not installed.
     SamplingError
-        If the volume is dark, has fewer than two voxels along an axis, or none above the threshold
-        beside one below.
+        If the intensity is zero everywhere, if an axis has fewer than two voxels, or if no voxel is
+        below the threshold.
     """
     in_range("threshold", threshold, 1e-3, 0.999)
     volume = image.volume
     if min(volume.shape) < 2:
         raise SamplingError(
-            f"a volume of {volume.shape} voxels (z, y, x) has no surface; give two or more along "
-            "each axis, or draw views.volume"
+            f"a volume of {volume.shape} voxels (z, y, x) has no surface, which needs two or more "
+            "along each axis; use views.volume instead"
         )
     brightest = float(image.intensity.max())
     if not brightest > 0.0:
-        raise SamplingError("the volume is dark everywhere, so nothing can be drawn")
+        raise SamplingError(
+            "the intensity of the volume is zero everywhere, so that it has no surface; use "
+            "views.volume instead"
+        )
     pv = pyvista()
     axes = (volume.x, volume.y, volume.z)
     low, high = (np.array([float(axis[end]) for axis in axes]) for end in (0, -1))
@@ -130,20 +150,20 @@ def phasor_volume(
         spacing=[float(axis[1] - axis[0]) for axis in axes],
         origin=low,
     )
-    # x runs fastest in both
+    # in both layouts x varies fastest
     grid.point_data["brightness"] = np.asarray(image.intensity, dtype=np.float64).ravel()
     level = threshold * brightest
     surface = grid.contour([level], scalars="brightness", method="flying_edges")
     if not surface.n_cells:
         raise SamplingError(
-            f"no voxel is below threshold = {threshold:g} of the brightest; raise it"
+            f"no voxel is below threshold = {threshold:g} of the brightest; increase the threshold"
         )
     surface.point_data.clear()
     surface.point_data["z"] = np.asarray(surface.points)[:, 2]
     surface = surface.compute_normals(cell_normals=False, auto_orient_normals=False)
     alone = plotter is None
     if plotter is None:
-        plotter = new_plotter(f"Hidden scene by {image.method}")
+        plotter = new_plotter(f"Reconstructed volume, {image.method}")
     if BAR in plotter.scalar_bars:
         plotter.remove_scalar_bar(BAR)
     plotter.add_mesh(
@@ -161,7 +181,7 @@ def phasor_volume(
     finish_bar(plotter, BAR)
     box = pv.Box([value for ends in zip(low, high, strict=True) for value in ends])
     plotter.add_mesh(box.extract_all_edges(), color=BOX, name="volume", **FLAT)
-    legend = {f"{threshold:g} of the brightest voxel or more": "#26828e", "volume": BOX}
+    legend = {f"surface at {threshold:g} of the maximum": TEAL, "volume": BOX}
     if alone:
         step = round_step(float((high - low).max()) / 6)
         floor = floor_grid(low, high, step)
