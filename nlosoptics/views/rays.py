@@ -134,7 +134,7 @@ def _aberrations(
     if wavefront.aberration.shape != detected.shape:
         raise SceneError(
             f"wavefront has {wavefront.aberration.size} nodes, must have {len(detected)} like the "
-            "detected paths; compute it by psf.wavefront_from_rays from these paths"
+            "detected paths; compute it by psf.wavefront_from_rays"
         )
     if not np.isin(chosen, detected).all():
         raise SceneError(
@@ -147,7 +147,7 @@ def _aberrations(
 
 
 def colour_style(colour: str, values: NDArray[Any]) -> dict[str, Any]:
-    """Return pyvista's colour arguments for values; ``bar`` and ``steps`` are for the colour bar."""
+    """Return pyvista's colour arguments, and ``bar`` and ``steps`` for the colour bar."""
     from matplotlib.colors import ListedColormap
 
     low, high = float(values.min()), float(values.max())

@@ -81,8 +81,6 @@ def window() -> Plotter:
     MissingExtraError
         If pyvista is not installed, or there is no display.
     """
-    pass
-
     pyvista()
     kind, fault = _trial()
     if fault or kind in HIDDEN:

@@ -63,7 +63,7 @@ def test_paths_are_counted_and_chosen(scene, capsys, monkeypatch, tmp_path):
         assert run(capsys, scene, *words, "--seed", seed)[0] == 0
     legs = [plotter.actors["ray paths"].mapper.dataset for plotter in drawn]
     assert [mesh.n_cells for mesh in legs] == [5 * 20] * 3
-    assert int(legs[0]["reflections so far"].max()) == 4
+    assert int(legs[0]["preceding reflections"].max()) == 4
     assert legs[0].points.tobytes() == legs[1].points.tobytes()
     assert legs[0].points.tobytes() != legs[2].points.tobytes()
 
@@ -110,7 +110,7 @@ def test_a_png_is_drawn_where_that_works(scene, capsys, tmp_path):
         (
             ["--out", "room.glb", "--bounces", "3", "--colour", "aberration"],
             2,
-            "no path has n_bounces = 3; these have 1",
+            "no path has n_bounces = 3; choose from 1",
         ),
     ],
 )

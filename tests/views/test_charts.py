@@ -47,7 +47,7 @@ def test_transforms_lie_at_their_seconds_and_errors(comparison, assert_drawn):
     full = {line.get_label(): line.get_data() for line in axes.lines}
     assert (full["quadrature"][0][0], full["quadrature"][1][0]) == (0.2, 1e-12)
     assert (full["fft"][0][0], full["fft"][1][0]) == (0.01, 1e-3)
-    assert full["wanted, 0.0001"][1][0] == 1e-4
+    assert full["requested, 0.0001"][1][0] == 1e-4
     hollow = [
         line
         for line in axes.lines
@@ -55,7 +55,10 @@ def test_transforms_lie_at_their_seconds_and_errors(comparison, assert_drawn):
     ]
     assert [(h.get_xdata()[0], h.get_ydata()[0]) for h in hollow] == [(0.01, 1e-5)]
     assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("seconds", "error, max |dI| / max I")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == (
+        "computation time (s)",
+        "error, max |dI| / max I",
+    )
     assert axes.get_title() == "64 x 32 samples of 0.3 µm, best: quadrature"
     assert axes.texts[0].get_text() == "did not run\nairy: the wave is not flat"
     assert_drawn(axes)
@@ -89,7 +92,7 @@ def test_rays_land_where_they_do_about_the_dark_ring(assert_drawn):
     low, high = axes.get_ylim()
     assert low > high  # y grows downward, as on the camera
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x (µm)", "y (µm)")
-    assert f"{1e6 * spots.radius:.3g} µm rms" in axes.get_legend().get_texts()[0].get_text()
+    assert f"rms radius {1e6 * spots.radius:.3g} µm" in axes.get_legend().get_texts()[0].get_text()
     assert_drawn(axes)
     (few,) = views.spot_diagram(spots, most=10).collections
     assert len(few.get_offsets()) <= 10
@@ -114,8 +117,8 @@ def test_a_plan_is_a_bar_for_each_stage(assert_drawn):
     assert [t.get_text() for t in axes.texts] == ["0.5 s, 1e-3", "2 s", "skipped: no occluders"]
     first, last = axes.get_ylim()
     assert first > last  # the first stage is on top
-    assert axes.get_xlabel() == "predicted seconds, one core"
-    assert axes.get_title() == "2.5 s in all, to 0.001 of the peak"
+    assert axes.get_xlabel() == "predicted time on one core (s)"
+    assert axes.get_title() == "total 2.5 s, tolerance 0.001 of the peak"
     assert_drawn(axes)
     assert views.plan(made, axes=axes) is axes
 
@@ -133,8 +136,8 @@ def test_surface_stands_at_its_samples_and_leans_as_the_map(assert_drawn):
     low, high = axes.get_ylim()
     assert low > high
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x (µm)", "y (µm)")
-    assert axes.get_zlabel() == "energy per sample, whole image plane 1"
-    assert axes.figure.axes[1].get_ylabel() == "the same, logarithmic"
+    assert axes.get_zlabel() == "energy per sample (image plane total 1)"
+    assert axes.figure.axes[1].get_ylabel() == "logarithmic colour scale"
     assert_drawn(axes)
     assert views.point_spread(spread(light), scale="surface", axes=axes) is axes
 
@@ -161,7 +164,7 @@ def test_wrong_options_of_a_point_spread_are_refused():
         ({"scale": "cubic"}, "scale = 'cubic' is unknown, must be one of log, linear, surface"),
         ({"decades": 0.0}, "decades = 0 is out of range"),
         ({"half_width": -1e-6}, "half_width = -1e-06 m is out of range"),
-        ({"scale": "surface", "axes": flat}, "axes are flat"),
+        ({"scale": "surface", "axes": flat}, "axes are 2-D axes"),
     ):
         with pytest.raises(SceneError, match=message):
             views.point_spread(light, **options)
@@ -243,9 +246,9 @@ def test_overview_shows_a_whole_run(flat_scene, assert_drawn):
     assert_drawn(axes)
     titles = [drawn.get_title().split(",")[0] for drawn in axes]
     assert titles == [
-        "from above",
+        "top view",
         "wave aberration",
-        "point spread",
+        "point spread function",
         "camera image",
         "reconstruction",
         "ground truth",

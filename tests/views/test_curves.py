@@ -31,7 +31,7 @@ def test_mtf_is_drawn_over_cycles_per_mm(assert_drawn):
     ):
         np.testing.assert_array_equal(lines[name][0], FREQUENCY * 1e-3)
         np.testing.assert_array_equal(lines[name][1], values)
-    assert axes.get_xlabel() == "frequency in the image (cycles/mm)"
+    assert axes.get_xlabel() == "spatial frequency in the image (cycles/mm)"
     assert axes.get_ylabel() == "modulation"
     assert axes.get_xlim() == (0.0, 500.0)
     assert {t.get_text() for t in axes.get_legend().get_texts()} == set(lines)
@@ -58,7 +58,7 @@ def test_radii_that_hold_shares_are_marked(assert_drawn):
     assert "80 % not within 7 µm" in lines
     np.testing.assert_allclose(lines["encircled energy"][0], radius * 1e6)
     assert axes.get_xlabel() == "radius (µm)"
-    assert axes.get_ylabel() == "share of the energy"
+    assert axes.get_ylabel() == "fraction of the energy"
     assert_drawn(axes)
     first = views.encircled_energy([1e-6, 2e-6], [0.6, 0.9], shares=(0.5,))
     assert "50 % within 1 µm" in lines_of(first)
@@ -70,7 +70,7 @@ def test_radii_that_hold_shares_are_marked(assert_drawn):
         (lambda: views.mtf(FREQUENCY, FALLING[:3]), r"along_x has shape \(3,\), must be \(11,\)"),
         (lambda: views.mtf([0.0], [1.0]), r"frequency has shape \(1,\), must be \(n,\)"),
         (lambda: views.mtf(FREQUENCY, FALLING * np.nan), "along_x has 11 of 11 values"),
-        (lambda: views.encircled_energy(FALLING, FALLING), "radius must rise"),
+        (lambda: views.encircled_energy(FALLING, FALLING), "radius must increase"),
         (
             lambda: views.encircled_energy(FREQUENCY, FALLING, shares=(1.5,)),
             "shares = 1.5 is out of range",
@@ -114,8 +114,10 @@ def test_restarts_are_dots_and_training_shares_axes():
 
 
 def test_a_fit_without_records_is_told():
-    with pytest.raises(SceneError, match="kept no records"):
+    with pytest.raises(SceneError, match="history of this fit is empty"):
         views.history(fit(objective=[], residual=[]))
     (axes,) = views.history(fit(change=[1.0]))
-    with pytest.raises(SceneError, match="1 axis for 2 records, objective, relative change"):
+    with pytest.raises(
+        SceneError, match="1 axes were given, must be 2: one each for objective, relative"
+    ):
         views.history(fit(objective=[1.0], change=[1.0]), axes=(axes,))

@@ -52,7 +52,7 @@ def test_streak_and_frames_show_the_light_where_and_when_it_is(capture, assert_d
     np.testing.assert_allclose(y, capture.sensor_points[..., 1])
     assert not frame.xaxis_inverted()
     assert not frame.yaxis_inverted()
-    assert frame.get_title() == "at 2.75 m"
+    assert frame.get_title() == "optical path 2.75 m"
     assert frame.lines[0].get_xydata()[0] == pytest.approx((-0.3, 0.0))
     assert streak.collections[0].norm is frame.collections[0].norm
     assert frame.child_axes[0].get_ylabel() == "irradiance per bin (W/m$^2$)"
@@ -72,10 +72,10 @@ def test_frames_are_taken_where_the_light_comes(capture):
         quantity="counts",
     )
     axes = views.transient(flash)
-    assert [axis.get_title() for axis in axes[1:]] == ["at 3.25 m"] * 3
+    assert [axis.get_title() for axis in axes[1:]] == ["optical path 3.25 m"] * 3
     assert axes[-1].child_axes[0].get_ylabel() == "counts per bin"
     assert views.transient(flash, axes=axes) == axes
-    with pytest.raises(SceneError, match="4 axes for a streak and 1 frame;"):
+    with pytest.raises(SceneError, match="4 axes were given, must be 2"):
         views.transient(flash, at=[3.0], axes=axes)
 
 
@@ -84,7 +84,7 @@ def test_lists_and_single_sensors_have_no_frames(capture, assert_drawn):
     common = {"laser_points": capture.laser_points[0], "delta_t": 0.5, "t_start": 1.0}
     some = TransientCapture(H=capture.H[:, 0].reshape(BINS, -1), sensor_points=points, **common)
     (streak,) = views.transient(some)
-    assert streak.get_xlabel() == "sensor point"
+    assert streak.get_xlabel() == "index of the sensor point"
     light, number, _ = cells(streak.collections[0])
     np.testing.assert_array_equal(light, some.H)
     np.testing.assert_allclose(number[0], np.arange(12), atol=1e-12)
@@ -144,7 +144,7 @@ def test_sensors_of_three_axes_are_refused(capture):
     odd = TransientCapture(
         H=np.ones((2, 3, 2, 2)), laser_points=(0, 0, 0), sensor_points=points, delta_t=1.0
     )
-    with pytest.raises(SamplingError, match=r"shape \(3, 2, 2\) are no grid and no list"):
+    with pytest.raises(SamplingError, match=r"shape \(3, 2, 2\) are neither a grid nor a list"):
         views.transient(odd)
 
 
@@ -176,7 +176,7 @@ def test_films_begin_and_end_where_they_are_told(capture):
         "optical path 2.250 m",
         "optical path 2.750 m",
     ]
-    for between, message in (((3.0, 2.0), "falls"), ((0.0, 2.0), "between = 0 m")):
+    for between, message in (((3.0, 2.0), "decreases"), ((0.0, 2.0), "between = 0 m")):
         with pytest.raises(SceneError, match=message):
             views.transient_film(capture, between=between)
 
@@ -213,14 +213,14 @@ def test_films_are_written_as_gif_and_as_a_page_of_its_own(capture, tmp_path):
     assert not [a for a in found.addresses if not a.startswith("data:")]
     assert "link" not in found.tags
     assert "://" not in page.replace("http://www.w3.org/2000/svg", "")
-    assert {"Light on the relay wall over time", "Frame", "Play"} <= set(found.words)
+    assert {"Transient signal on the relay wall", "Frame", "Play"} <= set(found.words)
     assert page.count("data:image/png;base64") == 5
     assert sorted(path.name for path in tmp_path.iterdir()) == ["light.gif", "light.html"]
 
 
 def test_other_films_are_refused(capture, tmp_path):
     film = views.transient_film(capture)
-    with pytest.raises(SceneError, match="a film is written as .gif, .html"):
+    with pytest.raises(SceneError, match="must be one of .gif, .html for a film"):
         views.save(film, tmp_path / "light.mp4")
     with pytest.raises(SceneError, match="there is no folder"):
         views.save(film, tmp_path / "none" / "light.gif")

@@ -345,7 +345,7 @@ def test_parts_of_a_hybrid_share_one_scale():
     for image, part in zip(images, (coherent, 0 * coherent, diffuse), strict=True):
         assert image.norm.vmin == pytest.approx(5.001e-6, rel=1e-12)
         assert np.asarray(image.get_array()) == pytest.approx(np.maximum(part, 5.001e-6))
-    assert axes[0].get_title() == "coherent, 0.5 in all"
+    assert axes[0].get_title() == "coherent part, total 0.5"
 
 
 def test_feasibility_draws_both_ways_and_their_noise() -> None:
@@ -378,8 +378,8 @@ def test_feasibility_draws_both_ways_and_their_noise() -> None:
     )
     axes = views.feasibility(found)
     lines = {line.get_label(): line for line in axes.get_lines()}
-    assert np.allclose(lines["picture"].get_ydata(), np.maximum(modulation, 1e-5))
+    assert np.allclose(lines["specular image"].get_ydata(), np.maximum(modulation, 1e-5))
     levels = sorted(float(line.get_ydata()[0]) for name, line in lines.items() if "noise" in name)
     assert levels == pytest.approx([1 / 50, 1 / 20])
-    assert float(lines["strokes"].get_xdata()[0]) == pytest.approx(5.0)
+    assert float(lines["stroke frequency"].get_xdata()[0]) == pytest.approx(5.0)
     assert "40 modes" in axes.get_title()

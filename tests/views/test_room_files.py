@@ -234,7 +234,7 @@ def test_page_without_trimeshs_viewer_is_refused_in_one_line(room, monkeypatch):
     from nlosoptics.views import pages
 
     monkeypatch.setattr(pages, "LAST", "something else")
-    with pytest.raises(MissingExtraError, match="trimesh came without the viewer"):
+    with pytest.raises(MissingExtraError, match="trimesh lacks the viewer"):
         views.html_page(room)
 
 
@@ -300,7 +300,7 @@ def test_files_appear_whole_or_not_at_all(room, tmp_path, monkeypatch):
         with pytest.raises(ZeroDivisionError):
             views.save(room, target)
     for name, said in (("room.gif", "has the suffix '.gif'"), ("room", "has the suffix ''")):
-        with pytest.raises(SceneError, match=f"{said}; a picture in 3-D is written as .png, .html"):
+        with pytest.raises(SceneError, match=f"{said}, must be one of .png, .html"):
             views.save(room, tmp_path / name)
     with pytest.raises(SceneError, match="there is no folder"):
         views.save(room, tmp_path / "missing" / "room.glb")

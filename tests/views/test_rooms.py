@@ -29,7 +29,7 @@ from nlosoptics.views.rays import LEGS
 pv = pytest.importorskip("pyvista")
 
 TITLES = {
-    "bounces": "reflections so far",
+    "bounces": "preceding reflections",
     "path_length": "path length from the source (m)",
     "weight": "power of the path (W)",
     "aberration": "wave aberration (waves)",
@@ -86,7 +86,7 @@ def test_legs_run_from_vertex_to_vertex_and_repeated_ends_are_left_out(flat_scen
     # pyvista holds coordinates in single precision
     assert legs(plotter) == pytest.approx(np.array(wanted), abs=1e-6)
     assert np.asarray(lines(plotter)["path"]).tolist() == [0] * 4 + [1] * 3
-    assert np.asarray(lines(plotter)["reflections so far"]).tolist() == [0, 1, 2, 3, 0, 1, 2]
+    assert np.asarray(lines(plotter)["preceding reflections"]).tolist() == [0, 1, 2, 3, 0, 1, 2]
 
 
 def test_filters_keep_what_they_say(flat_scene):
@@ -189,7 +189,7 @@ def test_aberration_is_that_of_the_ray(flat_scene):
                 "colour": "aberration",
                 "wavefront": SimpleNamespace(aberration=np.zeros(7), wavelength=1e-6),
             },
-            "wavefront has 7 nodes for 2 detected paths",
+            "wavefront has 7 nodes, must have 2 like the detected paths",
         ),
         (
             {
@@ -197,9 +197,9 @@ def test_aberration_is_that_of_the_ray(flat_scene):
                 "only_detected": False,
                 "wavefront": SimpleNamespace(aberration=np.zeros(2), wavelength=1e-6),
             },
-            "paths beside the pupil have no aberration",
+            "paths that miss the detector have no aberration",
         ),
-        ({"n_bounces": 7}, "no path has n_bounces = 7; these have 2, 3"),
+        ({"n_bounces": 7}, "no path has n_bounces = 7; choose from 2, 3"),
         ({"most": 0}, "most = 0 is out of range"),
     ],
 )
@@ -221,7 +221,7 @@ def test_no_paths_and_no_detected_paths_are_told_apart(flat_scene):
     with pytest.raises(SceneError, match="keep_paths=True"):
         views.ray_paths(empty, flat_scene)
     lost = replace(made_paths(), status=np.ones(3, dtype=np.int8))
-    with pytest.raises(SceneError, match="none of 3 paths reaches the pupil"):
+    with pytest.raises(SceneError, match="none of 3 paths reaches the detector"):
         views.ray_paths(lost, flat_scene)
 
 
@@ -298,7 +298,7 @@ def test_the_legend_names_what_is_there(flat_scene):
     occluder = np.asarray(plotter.actors["occluders"].mapper.dataset.points)
     assert occluder.mean(axis=0) == pytest.approx((0.5, 0.1, 1.2), abs=1e-6)
     fine = replace(flat_scene, wall=WavyWall(1e-7, 2e-3, size=(1.4, 1.0)))
-    assert legend(views.scene_3d(fine))[0] == "relay wall, waves too fine to draw"
+    assert legend(views.scene_3d(fine))[0] == "relay wall, waviness too fine to draw"
 
 
 @pytest.mark.parametrize(
@@ -394,7 +394,7 @@ def test_the_surface_lies_around_the_bright_voxel():
     assert np.asarray(mapper.dataset["z"]) == pytest.approx(points[:, 2])
     assert list(plotter.scalar_bars.keys()) == ["distance from the wall (m)"]
     assert mapper.scalar_range == (1.0, 2.0)
-    assert legend(plotter)[:2] == ["0.5 of the brightest voxel or more", "volume"]
+    assert legend(plotter)[:2] == ["surface at 0.5 of the maximum", "volume"]
     assert views.phasor_volume(image, plotter=plotter) is plotter
     assert np.ptp(np.asarray(plotter.actors["volume"].mapper.dataset.points), axis=0) == (
         pytest.approx((1.0, 0.4, 1.0))
@@ -420,7 +420,7 @@ def test_volumes_without_a_surface_are_refused():
     with pytest.raises(SamplingError, match=r"\(1, 2, 2\) voxels .* has no surface"):
         views.phasor_volume(flat)
     dark = replace(image, intensity=np.zeros_like(image.intensity))
-    with pytest.raises(SamplingError, match="dark everywhere"):
+    with pytest.raises(SamplingError, match="zero everywhere"):
         views.phasor_volume(dark)
     even = replace(image, intensity=np.ones_like(image.intensity))
     with pytest.raises(SamplingError, match="no voxel is below threshold = 0.25"):
