@@ -225,6 +225,15 @@ def image(
     Axes
         Axes in detector coordinates, mm. The lens inverts the image, so that -y points up. The
         colour bar is in electrons per pixel.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, limits, simulate, views
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(32)
+    >>> result = simulate(scene, seed=0)
+    >>> axes = views.image(result.image, object_scale=limits.object_scale(scene))
+    >>> axes.texts[0].get_text()
+    '0.2 m on the object'
     """
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
@@ -292,6 +301,19 @@ def reconstruction(
         Axes of the truth (if given) and of the reconstruction. The mirror reversal by the wall is
         undone, so that letters are readable; y points up. The colour bar is labelled relative
         brightness if the largest value is 1, and object units otherwise.
+
+    See Also
+    --------
+    history : Draws the convergence of a fit.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, imaging, inverse, simulate, views
+    >>> result = simulate(Scene.load("examples/scenes/letter_flat.toml").resized(32), seed=0)
+    >>> model = imaging.ForwardModel(result.point_spread, shape=(32, 32))
+    >>> (axes,) = views.reconstruction(inverse.wiener(result.image.electrons, model))
+    >>> axes.get_xlabel(), axes.get_ylabel()
+    ('column (pixels)', 'row (pixels)')
     """
     if pitch is not None:
         pitch = positive("pitch", pitch, unit="m")

@@ -38,6 +38,13 @@ def overview(result: Result) -> tuple[Axes, ...]:
     See Also
     --------
     scene_sketch, wavefront, point_spread, image, reconstruction : The single figures.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, simulate, views
+    >>> result = simulate(Scene.load("examples/scenes/letter_flat.toml").resized(32), seed=0)
+    >>> [axes.get_title().split(",")[0] for axes in views.overview(result)]
+    ['top view', 'wave aberration', 'point spread function', 'camera image']
     """
     axes = new_axes(6, width=16.5, height=9.6, columns=3)
     figure: Any = axes[0].get_figure(root=True)

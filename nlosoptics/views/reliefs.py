@@ -63,11 +63,12 @@ def relief(
     )
     figure: Any = on.get_figure(root=True)
     bar = ScalarMappable(norm, "viridis")
-    figure.colorbar(bar, ax=on, label="logarithmic colour scale", shrink=0.7, pad=0.12, aspect=25)
+    figure.colorbar(bar, ax=on, label="logarithmic colour scale", shrink=0.7, pad=0.2, aspect=25)
     on.set(xlabel="x (µm)", ylabel="y (µm)", zlabel=meaning, title=title)
-    # full numbers, as matplotlib would write their common factor over the axis label
+    # full numbers, because matplotlib would write a common factor across the axis label
     on.zaxis.set_major_formatter("{x:.2g}")
-    on.zaxis.labelpad = 24
+    on.tick_params(axis="z", pad=9)
+    on.zaxis.labelpad = 22
     on.locator_params(nbins=5)
     on.invert_yaxis()
     on.view_init(elev=32, azim=-58)
@@ -84,7 +85,7 @@ def spread_norm(spread: PointSpread, decades: float | None) -> Normalize:
 
 def _new_axes_3d() -> Any:
     """Return 3-D axes on a new figure."""
-    (flat,) = new_axes(1, width=6.4, height=4.8)
+    (flat,) = new_axes(1, width=7.2, height=4.8)
     figure: Any = flat.get_figure()
     flat.remove()
     return figure.add_subplot(projection="3d")
