@@ -1,10 +1,10 @@
 """
-Object and wall from two pictures
-=================================
+Object and wall from two images
+===============================
 
-Where the wall's shape is not known, one picture seldom tells it: a blurred letter off a perfect
-wall explains it as well as a sharp letter off a bad one. A second picture with a known change of
-focus breaks the tie, because the same wall must explain both.
+If the shape of the wall is unknown, one image is rarely enough: a blurred letter and a perfect wall
+explain it as well as a sharp letter and an aberrated wall. A second image with a known defocus
+resolves the ambiguity, because the same wall must explain both images.
 """
 
 import matplotlib.pyplot as plt
@@ -16,11 +16,11 @@ from nlosoptics import inverse, psf
 plt.style.use("tableau-colorblind10")
 
 # %%
-# Two pictures
-# ------------
-# A letter by a wall of 0.4 waves rms in twelve Zernike modes, drawn at random, with 1 % of noise.
-# The second picture is half a wave rms out of focus. The pictures are made on a frame twice as
-# large as the one that is fitted.
+# Two images
+# ----------
+# The wall adds a random aberration of 0.4 waves rms in twelve Zernike modes. The images have 1 %
+# noise, and the second one is defocused by half a wave rms. They are simulated on a grid twice as
+# large as that of the fit, so that simulation and fit use different models.
 
 wavelength = 632.8e-9
 modes = tuple(range(4, 16))
@@ -49,9 +49,9 @@ pictures = seen + noise * random.normal(size=seen.shape)
 # %%
 # The fit
 # -------
-# `inverse.evidence_fit` starts from random walls and compares them by the evidence of the
-# pictures, with the object integrated out. It is told the modes, the lengths and the defocus; not
-# the wall, and not the letter.
+# `inverse.evidence_fit` starts from random walls and compares them by their Bayesian evidence, with
+# the object integrated out. It knows the set of modes, the optical system and the defocus, but
+# neither the wall nor the letter.
 
 pupil = inverse.PupilPSF.from_zernike(modes, shape=size, **optics)
 found = inverse.evidence_fit(
@@ -60,16 +60,16 @@ found = inverse.evidence_fit(
 fitted = found.physical_parameters["coefficients"]
 
 # %%
-# Look
-# ----
-# Rows are drawn as the eye reads the letter.
+# Images and fit
+# --------------
+# Rows are drawn upward, so that the letter is upright.
 
 figure, axes = plt.subplots(1, 5, figsize=(17, 3.4), layout="constrained")
 panels = {
-    "truth": letter,
-    "picture in focus": pictures[0],
-    "picture out of focus": pictures[1],
-    f"found: {found.status}": found.object,
+    "ground truth": letter,
+    "image in focus": pictures[0],
+    "image with defocus": pictures[1],
+    f"reconstruction, {found.status}": found.object,
 }
 for axis, (title, values) in zip(axes, panels.items(), strict=False):
     shown = axis.imshow(values, cmap="gray", origin="lower")
@@ -77,13 +77,13 @@ for axis, (title, values) in zip(axes, panels.items(), strict=False):
     figure.colorbar(shown, ax=axis, shrink=0.8, label="relative brightness")
 axes[0].set_ylabel("row (pixels)")
 axes[4].bar(np.array(modes) - 0.2, wall, 0.4, label="true wall")
-axes[4].bar(np.array(modes) + 0.2, fitted, 0.4, label="found")
+axes[4].bar(np.array(modes) + 0.2, fitted, 0.4, label="fitted")
 axes[4].set(xlabel="Zernike mode (Noll)", ylabel="coefficient (waves rms)", xticks=modes[::2])
 axes[4].legend(fontsize=8)
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 wave = psf.Wavefront.from_zernike(
     dict(zip(modes, (fitted - wall) * wavelength, strict=True)),
@@ -93,8 +93,8 @@ wave = psf.Wavefront.from_zernike(
 )
 correlation = inverse.registered_correlation(found, letter)
 print(
-    f"The letter correlates with the truth to {correlation:.3f}, where the picture in focus has "
-    f"{inverse.registered_correlation(pictures[0], letter):.3f}. The wall is found to "
-    f"{psf.rms_aberration(wave) / wavelength:.3f} waves rms of its {np.linalg.norm(wall):.1f}, "
-    f"status {found.status}."
+    f"The reconstruction correlates with the ground truth by {correlation:.3f}, the image in focus "
+    f"by {inverse.registered_correlation(pictures[0], letter):.3f}. The error of the fitted "
+    f"aberration is {psf.rms_aberration(wave) / wavelength:.3f} waves rms, for a wall of "
+    f"{np.linalg.norm(wall):.1f} waves rms. The fit ends with status {found.status}."
 )

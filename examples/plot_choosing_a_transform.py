@@ -2,9 +2,9 @@
 Choosing a transform
 ====================
 
-The integral from wave to point spread can be summed in several ways. Each has waves for which it is
-the fastest and waves for which it errs. `psf.compare` runs all of them, and `psf.point_spread`
-picks one without running the others.
+The diffraction integral from the wavefront to the point spread function can be computed in several
+ways. Each method is the fastest for some wavefronts and inaccurate for others. `psf.compare` runs
+all of them. `psf.point_spread` selects one without running the others.
 """
 
 import matplotlib.pyplot as plt
@@ -14,10 +14,10 @@ from nlosoptics import psf, views
 plt.style.use("tableau-colorblind10")
 
 # %%
-# Three waves
-# -----------
-# Zernike coefficients in metres rms, by Noll's index: none, a quarter of a wave, and two waves of
-# defocus with some coma.
+# Three wavefronts
+# ----------------
+# Zernike coefficients in metres rms, by Noll index: no aberration, a quarter of a wave, and two
+# waves of defocus with some coma.
 
 wavelength = 632.8e-9
 coefficients = {
@@ -33,11 +33,11 @@ waves = {
 }
 
 # %%
-# All transforms of each
-# ----------------------
-# On 128 x 128 pixels of one Airy unit. Full markers are the errors that a transform estimates of
-# itself, hollow ones its difference from the best. Those that cannot take a wave, or would take
-# long, are left out and named.
+# All transforms
+# --------------
+# The image has 128 x 128 pixels of about one wavelength times the F-number. Filled markers show the
+# error that each transform estimates. Hollow markers show its difference from the best one.
+# Transforms that are not valid for a wavefront, or that would take too long, are listed below.
 
 window = {"pitch": 8e-6, "shape": 128, "pixel_integrated": True}
 tables = {name: psf.compare(wave, repeats=2, longest=1.0, **window) for name, wave in waves.items()}
@@ -45,12 +45,13 @@ for name, table in tables.items():
     figure, axis = plt.subplots(figsize=(9, 5.6), layout="constrained")
     views.compare_methods(table, tol=1e-3, axes=axis)
     chosen = psf.point_spread(waves[name], **window)
-    axis.set_title(f"{name}: auto takes {chosen.method}")
+    axis.set_title(f"{name}: auto selects {chosen.method}")
 plt.show()
 
 # %%
-# What to see: the line is the error that is asked for. What auto takes is the transform that it
-# predicts to be the cheapest below it, from the wave alone.
+# The dashed line is the requested error. ``method="auto"`` selects the transform with the lowest
+# predicted cost among those with a predicted error below this line. The prediction uses only the
+# wavefront.
 
 print(tables["2 waves rms"])
 for name, wave in waves.items():

@@ -1,9 +1,10 @@
 """
-Exposure: photons, noise and what they leave
-============================================
+Exposure, noise and reconstruction
+==================================
 
-A longer exposure brings more photons, and their noise grows only as the root of their number. Four
-exposures of one letter show how the image clears up, and the reconstruction with it.
+A longer exposure collects more photons, and photon noise grows only with the square root of their
+number. Four exposures of one letter show how the signal-to-noise ratio of the image improves, and
+the reconstruction with it.
 """
 
 from dataclasses import replace
@@ -20,9 +21,10 @@ plt.style.use("tableau-colorblind10")
 # %%
 # The scene
 # ---------
-# A wavy wall, a stop of 8 mm and incoherent light, so that photons and the camera's own noise are
-# all the noise there is. The laser has 20 mW; only the product of its power and the exposure
-# counts. The point spread does not depend on the exposure, so it is computed once.
+# The wall is wavy and the stop has a diameter of 8 mm. The illumination is incoherent, so that
+# photon noise and camera noise are the only noise. The laser power is 20 mW; only its product with
+# the exposure matters. The point spread function does not depend on the exposure and is computed
+# once.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_speckle.toml").resized(128)
@@ -38,8 +40,9 @@ model = imaging.ForwardModel(spread, shape=scene.camera.shape)
 # %%
 # Images and reconstructions
 # --------------------------
-# Above, the exposures; below, what total variation with the known point spread makes of them. The
-# truth is known here, so that each can be scored by its correlation.
+# The upper row shows the camera images. The lower row shows their reconstructions by deconvolution
+# with total-variation regularisation and the known point spread function. The score is the
+# correlation with the ground truth, which is known here.
 
 exposures = [10e-3, 20e-3, 30e-3, 40e-3]
 figure, axes = plt.subplots(2, 4, figsize=(16, 7.4), layout="constrained")
@@ -51,16 +54,16 @@ for exposure, column in zip(exposures, axes.T, strict=True):
     views.reconstruction(found, axes=[column[1]])
     scores.append(inverse.registered_correlation(found, image.ideal))
     peaks.append(image.signal.max() / image.noise_sigma.max())
-    column[0].set_title(f"image, {1e3 * exposure:.0f} ms")
-    column[1].set_title(f"found, correlation {scores[-1]:.3f}")
+    column[0].set_title(f"camera image, {1e3 * exposure:.0f} ms")
+    column[1].set_title(f"reconstruction, correlation {scores[-1]:.3f}")
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 print(
-    f"From {1e3 * exposures[0]:.0f} to {1e3 * exposures[-1]:.0f} ms the brightest pixel goes from "
-    f"{peaks[0]:.1f} to {peaks[-1]:.1f} times its noise, {peaks[-1] / peaks[0]:.2f}-fold for four "
-    f"times the light. The reconstruction's correlation with the truth goes from {scores[0]:.3f} "
-    f"to {scores[-1]:.3f}."
+    f"From {1e3 * exposures[0]:.0f} to {1e3 * exposures[-1]:.0f} ms the peak signal-to-noise ratio "
+    f"rises from {peaks[0]:.1f} to {peaks[-1]:.1f}, by a factor of {peaks[-1] / peaks[0]:.2f} for "
+    f"{exposures[-1] / exposures[0]:.0f} times the photons. The correlation of the reconstruction "
+    f"with the ground truth rises from {scores[0]:.3f} to {scores[-1]:.3f}."
 )

@@ -1,10 +1,10 @@
 """
-A point spread that changes over the object
-===========================================
+Field-dependent point spread function
+=====================================
 
-A curved wall shows each point of the object from another side, so that no two points have the same
-point spread. A few modes with weights that vary smoothly carry all of them, and an image takes one
-convolution for each mode.
+Light from different object points is reflected by different parts of the relay wall. A curved wall
+therefore gives every object point another point spread function. A few modes with smoothly varying
+weights represent all of them, and an image needs one convolution per mode.
 """
 
 from dataclasses import replace
@@ -21,11 +21,12 @@ from nlosoptics.scene import ConcaveWall
 plt.style.use("tableau-colorblind10")
 
 # %%
-# A field of point spreads
-# ------------------------
-# The wall is a part of a sphere of 2.5 m radius, and the stop is 8 mm wide.
-# `psf.point_spread_field` computes point spreads at nodes over the picture, keeps the fewest modes
-# that carry them within ``tol``, and checks the field at points between the nodes.
+# A field of point spread functions
+# ---------------------------------
+# The wall is part of a sphere of 2.5 m radius, and the stop has a diameter of 8 mm.
+# `psf.point_spread_field` computes point spread functions at nodes over the object. It keeps the
+# smallest number of modes that represent them within ``tol``, and checks the result at points
+# between the nodes.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_flat.toml")
@@ -38,11 +39,11 @@ scene = replace(
 field = psf.point_spread_field(scene, 7, tol=1e-2, pitch=9e-6)
 
 # %%
-# Look
-# ----
-# Left: the point spreads of 5 x 5 points of the picture, arranged as the wall sees the picture,
-# each as the camera shows it. Right: the weights of the strongest modes along the picture's
-# diagonal.
+# Functions and weights
+# ---------------------
+# Left: the point spread functions of 5 x 5 object points, arranged as the object is seen from the
+# wall; each is oriented as in the camera image. Right: the weights of the strongest modes along the
+# diagonal of the object.
 
 places = np.linspace(-1.0, 1.0, 5)
 spreads = {(x, y): field.point_spread(x, y) for y in places for x in places}
@@ -60,7 +61,7 @@ for row, y in zip(axes[::-1], places, strict=True):
         axis.set(xticks=[], yticks=[])
 left.colorbar(shown, ax=axes, label="energy per pixel of 9 µm", shrink=0.8)
 side = 1e6 * field.pitch * (2 * half + 1)
-left.suptitle(f"point spreads over 0.4 m of the object, frames of {side:.0f} µm")
+left.suptitle(f"point spread functions over 0.4 m of the object, windows of {side:.0f} µm")
 
 axis = right.subplots()
 across = np.linspace(-1.0, 1.0, 101)
@@ -68,17 +69,17 @@ weights = field.at(across, across)
 for k in range(4):
     along = np.hypot(*scene.hidden.size) / 2 * across
     axis.plot(along, weights[k] / abs(weights[0]).max(), label=f"mode {k + 1}")
-axis.set(xlabel="place along the object's diagonal (m)", ylabel="weight, over mode 1's largest")
+axis.set(xlabel="position on the object's diagonal (m)", ylabel="weight / maximum of mode 1")
 axis.set_title(f"weights of the strongest of {len(field.modes)} modes")
 axis.legend()
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 brightest = [spread.max() for spread in spreads.values()]
 print(
-    f"The peak changes {max(brightest) / min(brightest):.1f}-fold over the object. "
-    f"{len(field.modes)} modes stand for all point spreads; at points between the nodes they err "
-    f"by {field.error_estimate:.1g} of the peak."
+    f"The peak varies by a factor of {max(brightest) / min(brightest):.1f} over the object. "
+    f"{len(field.modes)} modes represent all point spread functions; the error between the nodes "
+    f"is {field.error_estimate:.1g} of the peak."
 )

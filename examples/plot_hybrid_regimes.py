@@ -1,11 +1,11 @@
 """
-Waves for the core, rays for the rest
-=====================================
+Hybrid point spread function of a rough wall
+============================================
 
-What reaches the lens from one object point has three parts. The core is light that a smooth mirror
-would reflect, and interferes. The halo is what small heights scatter about it. The diffuse light
-has been inside the wall and comes from everywhere. Each part has a method of its own: exact waves,
-a mean over all walls, and traced rays.
+The light from one object point reaches the lens in three parts. The coherent core is reflected
+specularly and interferes. The halo is scattered around the core by the small heights of a rough
+surface. The diffuse part has been scattered inside the wall and arrives from all of it. Each part
+has its own method: wave optics, the statistical mean over rough walls, and ray tracing.
 """
 
 from pathlib import Path
@@ -22,14 +22,15 @@ plt.style.use("tableau-colorblind10")
 # %%
 # One wall, three parts
 # ---------------------
-# The wall has a matt body and a 5 % gloss. The gloss is rough, with heights of 60 nm rms.
+# The wall has a diffuse lobe and a specular lobe of 5 % reflectance, whose surface heights have an
+# rms of 60 nm.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_speckle.toml")
 
 
 def hybrid(height: float, **options: Any) -> psf.HybridPointSpread:
-    """Image of the object's centre by a gloss of this height rms, m."""
+    """Point spread function of the object's centre; ``height`` is the rms height, m."""
     rough = psf.Roughness(height, correlation_length=100e-6) if height else None
     return psf.hybrid_point_spread(
         scene, roughness=rough, pitch=9e-6, normalisation="flux", n_rays=8192, **options
@@ -42,10 +43,10 @@ views.hybrid_parts(example, decades=6, axes=axes)
 plt.show()
 
 # %%
-# The regimes
-# -----------
-# As the heights grow, light moves from the core to the halo; the diffuse part does not care. 1 is
-# what a smooth wall of reflectance 1 would send through the lens.
+# Flux against roughness
+# ----------------------
+# With increasing heights, energy moves from the core to the halo, while the diffuse part is
+# constant. The unit is the flux that a smooth wall of reflectance 1 would send through the lens.
 
 heights = np.linspace(0.0, 120e-9, 13)
 parts = [hybrid(height, shape=9, check=False) for height in heights]
@@ -55,26 +56,25 @@ axis.stackplot(
     [p.coherent_flux for p in parts],
     [p.halo_flux for p in parts],
     [p.diffuse_flux for p in parts],
-    labels=["core, by waves", "halo, mean over walls", "diffuse, by rays"],
+    labels=["core, wave optics", "halo, mean over walls", "diffuse, ray tracing"],
 )
-axis.set(xlabel="height rms of the gloss (nm)", ylabel="light through the lens, mirror 1")
+axis.set(xlabel="rms height of the specular lobe (nm)", ylabel="flux / flux of a perfect mirror")
 axis.legend(loc="upper right")
-axis.set_title("one object point by a matt wall with a 5 % gloss")
+axis.set_title("one object point, diffuse wall with a 5 % specular lobe")
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 total = example.coherent_flux + example.halo_flux + example.diffuse_flux
 apart = abs(total - example.traced_flux) / np.hypot(
     example.diffuse_flux_error, example.traced_flux_error
 )
 print(
-    f"At 60 nm the core has {example.coherent_flux:.4f}, the halo {example.halo_flux:.4f} and the "
-    f"diffuse light {example.diffuse_flux:.4f} +- {example.diffuse_flux_error:.4f}. All lobes "
-    "traced "
-    f"by rays alone bring {example.traced_flux:.4f} +- {example.traced_flux_error:.4f}, which is "
-    f"{apart:.1f} standard errors from the sum. Most of the light is "
-    f"diffuse, but it covers the whole sensor: a pixel has {example.diffuse.mean():.1g} of it, the "
-    f"peak of the core {example.coherent.max():.1g}."
+    f"At 60 nm the flux is {example.coherent_flux:.4f} in the core, {example.halo_flux:.4f} in the "
+    f"halo and {example.diffuse_flux:.4f} +- {example.diffuse_flux_error:.4f} in the diffuse part. "
+    f"Ray tracing of all lobes gives {example.traced_flux:.4f} +- {example.traced_flux_error:.4f}, "
+    f"which differs from the sum by {apart:.1f} standard errors. Most of the flux is diffuse, but "
+    f"it covers the whole sensor: the mean diffuse flux per pixel is {example.diffuse.mean():.1g}, "
+    f"and the peak of the core is {example.coherent.max():.1g}."
 )

@@ -2,9 +2,9 @@
 Aperture of a virtual camera
 ============================
 
-A phasor field turns the relay wall into the lens of a virtual camera. As with any lens, its
-resolution is the wavelength times the distance over the aperture: a larger scan of the wall sees
-finer detail.
+Phasor-field imaging turns the relay wall into the lens of a virtual camera. As with any lens, the
+resolution is proportional to wavelength times distance over aperture: a larger scan of the wall
+resolves finer detail.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,8 @@ plt.style.use("tableau-colorblind10")
 # %%
 # A small target
 # --------------
-# A white square of 2 cm, 1 m from the wall, seen by a confocal scan of 49 x 49 points over 1.96 m.
+# The target is a white square of 2 cm, 1 m from the wall. The confocal scan has 49 x 49 points over
+# 1.96 m.
 
 distance = 1.0
 square = trimesh.creation.box((0.02, 0.02, 1e-3))
@@ -39,8 +40,8 @@ capture = transient.render(
 # %%
 # Four apertures
 # --------------
-# The same capture each time; ``aperture`` cuts a square out of the scan. The virtual wavelength is
-# 16 cm, four times the pitch of the scan, so that no copies of the target appear.
+# One capture is used throughout; ``aperture`` crops the scan to a square. The virtual wavelength is
+# 16 cm, four times the pitch of the scan, which avoids aliased copies of the target.
 
 wl_mean = 0.16
 axis = np.linspace(-0.2, 0.2, 81)
@@ -53,7 +54,7 @@ images = [
 
 
 def width_at_half(values: np.ndarray) -> float:
-    """Full width at half maximum of a profile over ``axis``, m, between samples linearly."""
+    """Full width at half maximum of a profile over ``axis``, m, interpolated linearly."""
     above = np.flatnonzero(values >= values.max() / 2)
     ends = []
     for inside, outside in ((above[0], above[0] - 1), (above[-1], above[-1] + 1)):
@@ -63,11 +64,11 @@ def width_at_half(values: np.ndarray) -> float:
 
 
 # %%
-# Look
-# ----
-# Light goes to the target and back from the same point of the wall, which doubles every phase: the
-# spot is that of a lens at half the wavelength. The line is its law for an aperture whose edge is
-# seen under the angle a.
+# Resolution
+# ----------
+# In a confocal scan the signal travels from each wall point to the target and back, which doubles
+# every phase. The spot is therefore that of a lens at half the wavelength. The line is the theory,
+# where a is the half angle that the aperture subtends at the target.
 
 middle = len(axis) // 2
 widths = [width_at_half(image.intensity[0, middle]) for image in images]
@@ -80,24 +81,24 @@ for aperture, image, drawn_on in zip(apertures, images, axes, strict=False):
     drawn_on.invert_xaxis()
     drawn_on.set(xlabel="x (cm)", aspect="equal", title=f"aperture {aperture:.2f} m")
 axes[0].set_ylabel("y (cm)")
-figure.colorbar(shown, ax=axes[3], label="relative brightness", shrink=0.8)
+figure.colorbar(shown, ax=axes[3], label="relative intensity", shrink=0.8)
 line = np.linspace(apertures[0], apertures[-1], 100)
 law = 0.443 * wl_mean / (2.0 * np.sin(np.arctan(line / 2 / distance)))
 axes[4].plot(apertures, 1e2 * np.array(widths), "o", label="measured")
 axes[4].plot(line, 1e2 * law, label="0.443 wavelength / (2 sin a)")
-axes[4].set(xlabel="aperture (m)", ylabel="width at half maximum (cm)", ylim=(0, None))
+axes[4].set(xlabel="aperture (m)", ylabel="full width at half maximum (cm)", ylim=(0, None))
 axes[4].legend()
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 print(
-    f"From {apertures[0]} to {apertures[-1]} m of aperture the spot shrinks from "
-    f"{1e2 * widths[0]:.1f} to {1e2 * widths[-1]:.1f} cm, {widths[0] / widths[-1]:.1f}-fold; the "
-    f"law says {law[0] / law[-1]:.1f}-fold, less than the apertures' "
-    f"{apertures[-1] / apertures[0]:.1f}, "
-    f"because the edge of the widest is seen under "
-    f"{np.degrees(np.arctan(apertures[-1] / 2 / distance)):.0f} degrees. Of the widest less is "
-    "gained than that, since the far parts of the wall get and send less light."
+    f"From {apertures[0]} to {apertures[-1]} m aperture the spot shrinks from "
+    f"{1e2 * widths[0]:.1f} to {1e2 * widths[-1]:.1f} cm, by a factor of "
+    f"{widths[0] / widths[-1]:.1f}. The theory gives "
+    f"{law[0] / law[-1]:.1f}. This is less than the ratio of the apertures, "
+    f"{apertures[-1] / apertures[0]:.1f}, because the largest one subtends a half angle of "
+    f"{np.degrees(np.arctan(apertures[-1] / 2 / distance)):.0f} degrees. The measured gain is "
+    "smaller still, because distant parts of the wall receive and return less light."
 )

@@ -1,9 +1,10 @@
 """
-Where the light goes
-====================
+Light paths and power budget
+============================
 
-Laser, wall, object, wall, lens: light that the camera can use meets three surfaces on its way.
-Traced rays show these paths in the room, and how little of the light takes them.
+On its way from the laser to the lens, the signal is reflected three times: by the wall, the hidden
+object and the wall again. Ray tracing shows these paths in 3-D, and how little of the laser power
+follows them.
 """
 
 from pathlib import Path
@@ -17,45 +18,45 @@ from nlosoptics import raytrace, views
 plt.style.use("tableau-colorblind10")
 
 # %%
-# Traced light
-# ------------
-# `raytrace.trace` follows light from the laser until it is detected, absorbed or gone. With
-# ``keep_paths`` the detected paths are kept with their vertices.
+# Ray tracing
+# -----------
+# `raytrace.trace` traces rays from the laser until they are detected, absorbed or leave the scene.
+# ``keep_paths=True`` keeps the vertices of the detected paths.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_wavy.toml")
 paths = raytrace.trace(scene, n_rays=8192, max_bounces=3, keep_paths=True, seed=0)
 
 # %%
-# The room
-# --------
-# 300 of the paths, drawn as densely as the light they carry, coloured by their length. The beam
-# comes from the laser on the right, and the letter stands behind it. ``views.save(plotter,
-# "room.html")`` writes a page in which the room can be turned.
+# Paths in 3-D
+# ------------
+# The view shows 300 of the paths, sampled in proportion to power and coloured by path length. The
+# beam comes from the laser on the right, with the letter behind it. ``views.save(plotter,
+# "room.html")`` writes an interactive web page.
 
 plotter = pyvista.Plotter(window_size=(1100, 800))
 views.ray_paths(paths, scene, colour="path_length", most=300, plotter=plotter)
 plotter.show()
 
 # %%
-# The ledger
-# ----------
-# Where the laser's power went, on a logarithmic scale.
+# Power budget
+# ------------
+# The fractions of the laser power by fate, on a logarithmic scale.
 
 shares = {fate: power / scene.laser.power for fate, power in paths.ledger.items() if power > 0}
 figure, axis = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
 bars = axis.barh(list(shares), list(shares.values()))
 axis.bar_label(bars, fmt="%.2g", padding=3)
-axis.set(xscale="log", xlim=(1e-9, 30), xlabel="share of the laser's power")
-axis.set_title("fates of the light within three reflections")
+axis.set(xscale="log", xlim=(1e-9, 30), xlabel="fraction of the laser power")
+axis.set_title("power budget for up to three reflections")
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 print(
-    f"Of {1e3 * scene.laser.power:g} mW the detector gets {paths.flux:.2g} +- "
-    f"{paths.standard_error:.1g} W by way of the letter, one part in "
-    f"{scene.laser.power / paths.flux:.1g}. Those paths are {paths.mean_path_length:.2f} m long on "
-    "average."
+    f"Of {1e3 * scene.laser.power:g} mW laser power, {paths.flux:.2g} +- "
+    f"{paths.standard_error:.1g} W reach the detector via the letter, one part in "
+    f"{scene.laser.power / paths.flux:.1g}. The mean length of these paths is "
+    f"{paths.mean_path_length:.2f} m."
 )

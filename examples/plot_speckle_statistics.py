@@ -1,10 +1,11 @@
 """
-Statistics of speckle
-=====================
+Speckle statistics
+==================
 
-One rough wall does not make the smooth mean of all walls: in coherent light it makes speckle. Where
-the wall is rough enough, intensities follow the exponential law, whose standard deviation is its
-mean, and patterns that add up bring the contrast down as one over the root of their number.
+In coherent light, a single rough wall gives a speckle pattern instead of the smooth mean over all
+walls. If the wall is rough enough, the intensity has an exponential distribution, whose standard
+deviation equals its mean. The contrast of a sum of N independent patterns falls as one over the
+square root of N.
 """
 
 from pathlib import Path
@@ -18,10 +19,10 @@ from nlosoptics import psf, views
 plt.style.use("tableau-colorblind10")
 
 # %%
-# One wall, and the mean of all
-# -----------------------------
-# `psf.sample_point_spread` draws a wall by its seed and sends the wave through it.
-# `psf.mean_point_spread` is what its average over all seeds comes to.
+# One wall, and the mean over all walls
+# -------------------------------------
+# `psf.sample_point_spread` draws a random wall from a seed and propagates the wave via this wall.
+# `psf.mean_point_spread` computes the mean over all seeds.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_flat.toml")
@@ -33,8 +34,8 @@ walls = [psf.sample_point_spread(scene, rough, seed=seed, **window) for seed in 
 # %%
 # Contrast and histogram
 # ----------------------
-# Intensities are taken relative to the mean at the same place, so that the halo's slope does not
-# count as contrast.
+# Intensities are divided by the mean at the same position, so that the slope of the halo does not
+# contribute to the contrast.
 
 relative = np.array([wall.intensity / mean.intensity for wall in walls])
 counts = 2 ** np.arange(6)
@@ -49,12 +50,12 @@ axes[0].set_title("one rough wall")
 bins = np.linspace(0.0, 8.0, 41)
 axes[1].hist(relative.ravel(), bins, density=True, color="#ABABAB", label="32 walls")
 axes[1].semilogy(bins, np.exp(-bins), label="exp(-I/mean)")
-axes[1].set(xlabel="intensity over its mean", ylabel="probability density", ylim=(1e-4, 2))
-axes[1].set_title("exponential law")
+axes[1].set(xlabel="intensity / mean", ylabel="probability density", ylim=(1e-4, 2))
+axes[1].set_title("exponential distribution")
 axes[1].legend()
 axes[2].loglog(counts, contrasts, "o", label="measured")
 axes[2].loglog(counts, counts**-0.5, label=r"$1/\sqrt{N}$")
-axes[2].set(xlabel="patterns N that add up", ylabel="contrast, rms over mean")
+axes[2].set(xlabel="number N of patterns", ylabel="contrast, standard deviation / mean")
 axes[2].set_xticks(counts, [str(n) for n in counts])
 axes[2].set_yticks([0.2, 0.4, 0.6, 1.0], ["0.2", "0.4", "0.6", "1"])
 axes[2].minorticks_off()
@@ -63,13 +64,13 @@ axes[2].legend()
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 dark = float((relative < 0.1).mean())
 print(
-    f"With s = {mean.rayleigh_parameter:.1f} rad no core is left. One pattern has the contrast "
-    f"{contrasts[0]:.3f}, where fully developed speckle has 1; {counts[-1]} of them have "
-    f"{contrasts[-1]:.3f}, where the law has {counts[-1] ** -0.5:.3f}. {100 * dark:.1f} % of the "
-    f"samples are darker than a tenth of the mean; the exponential law says "
+    f"With s = {mean.rayleigh_parameter:.1f} rad no core is left. The contrast of one pattern is "
+    f"{contrasts[0]:.3f}; fully developed speckle has 1. For {counts[-1]} patterns it is "
+    f"{contrasts[-1]:.3f}; theory gives {counts[-1] ** -0.5:.3f}. {100 * dark:.1f} % of the "
+    f"samples are below a tenth of the mean; the exponential distribution gives "
     f"{100 * (1 - np.exp(-0.1)):.1f} %."
 )

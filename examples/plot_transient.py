@@ -1,10 +1,10 @@
 """
-What a pulse brings back
-========================
+Transient signal on the relay wall
+==================================
 
-A short laser pulse lights one spot of a matt wall. Light spreads from there, meets the hidden
-letter and comes back to the wall, at each point at its own time. A picture of these arrivals is
-what time-resolved methods see around the corner with.
+A short laser pulse illuminates one spot of a diffuse wall. The scattered light reaches the hidden
+letter and returns to the wall, with a different delay at every point. Time-resolved methods
+reconstruct the hidden object from these arrivals.
 """
 
 import matplotlib.pyplot as plt
@@ -18,11 +18,12 @@ plt.style.use("tableau-colorblind10")
 # %%
 # A letter of four triangles
 # --------------------------
-# An L of two bars, 0.8 m high and 1 m from the wall. Seen from the wall, +x is on the left.
+# The letter is an L of two bars, 0.8 m high and 1 m from the wall. Seen from the wall, +x is on the
+# left.
 
 
 def bar(left: float, low: float, width: float, height: float) -> trimesh.Trimesh:
-    """A rectangle at z = 1 m; ``left`` and ``low`` as seen from the wall, m."""
+    """Rectangle at z = 1 m; ``left`` and ``low`` are its edges as seen from the wall, m."""
     corners = [(0, 0), (width, 0), (width, height), (0, height)]
     points = [(-left - x, low + y, 1.0) for x, y in corners]
     return trimesh.Trimesh(points, [(0, 1, 2), (0, 2, 3)], process=False)
@@ -33,8 +34,8 @@ letter = [bar(-0.25, -0.4, 0.15, 0.8), bar(-0.1, -0.4, 0.35, 0.15)]
 # %%
 # The capture
 # -----------
-# `transient.render` integrates the three bounces, wall, letter, wall, to a wanted error. Times are
-# lengths of optical path: 1 m is 3.3 ns. The laser lights the middle of the wall.
+# `transient.render` integrates the three bounces (wall, letter, wall) to a requested error. Times
+# are given as optical path: 1 m is 3.3 ns. The laser illuminates the centre of the wall.
 
 capture = transient.render(
     [(part, scene.Lambert(0.8)) for part in letter],
@@ -50,17 +51,18 @@ bins, rows, columns = capture.H.shape
 print(f"{rows} x {columns} points on the wall, {bins} bins of {1e2 * capture.delta_t:.1f} cm")
 
 # %%
-# A streak and three moments
-# --------------------------
-# The streak is the light along one line of the wall over time; beside it the wall at three moments,
-# as seen from the room. The bars of the letter send ellipses of their own, which cross.
+# Streak image and frames
+# -----------------------
+# The streak image shows the signal along one line of the wall over time. The frames show the wall
+# at three times, as seen from the room. Each bar of the letter produces its own wavefront on the
+# wall; the wavefronts cross.
 
 figure, axes = plt.subplots(1, 4, figsize=(16, 4.2), layout="constrained")
 views.transient(capture, at=(2.1, 2.25, 2.4), axes=axes)
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 total = capture.H.sum(axis=(1, 2))
 lit = np.flatnonzero(total > 1e-2 * total.max())
@@ -69,8 +71,8 @@ arrivals = capture.times[(capture.H > 0).argmax(axis=0)]
 nearest = np.unravel_index(arrivals.argmin(), arrivals.shape)
 x, y, _ = capture.sensor_points[nearest]
 print(
-    f"The first light is back after {arrivals.min():.2f} m of path, at x = {x:.2f} m and "
-    f"y = {y:.2f} m; the corners of the wall see it up to {arrivals.max():.2f} m. All of "
-    f"it is within {capture.times[last] - capture.times[first]:.2f} m, or "
+    f"The signal first arrives after an optical path of {arrivals.min():.2f} m, at x = {x:.2f} m "
+    f"and y = {y:.2f} m; at the corners of the wall it starts at up to {arrivals.max():.2f} m. It "
+    f"lasts {capture.times[last] - capture.times[first]:.2f} m, or "
     f"{1e9 * (capture.times[last] - capture.times[first]) / 299792458.0:.1f} ns."
 )

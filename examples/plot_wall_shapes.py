@@ -1,10 +1,9 @@
 """
-One letter off four walls
-=========================
+One letter and four wall shapes
+===============================
 
-The same hidden letter, the same camera, the same light: only the shape of the relay wall changes.
-Each wall gives the light another wave, each wave another point spread, and each point spread
-another image.
+The hidden letter, the camera and the laser are fixed; only the shape of the relay wall changes.
+Every wall gives another wavefront, another point spread function and another image.
 """
 
 from dataclasses import replace
@@ -20,8 +19,8 @@ from nlosoptics.scene import ConcaveWall, ConvexWall, FlatWall, WavyWall
 # %%
 # Four scenes
 # -----------
-# A small letter, 1 m from the wall, seen by a camera with a stop of 8 mm. ``resized`` keeps the
-# field of view and makes the image smaller.
+# A small letter is 1 m from the wall, and the camera has a stop of 8 mm. ``resized`` reduces the
+# number of pixels and keeps the field of view.
 
 scenes = Path(__file__).parent / "scenes"
 small = nlos.Scene.load(scenes / "letter_speckle.toml").resized(128)
@@ -38,11 +37,11 @@ results = {
 }
 
 # %%
-# Waves, point spreads and images
-# -------------------------------
-# Above, the wave aberration at the lens; in the middle, the image of the object's centre, with
-# diffraction resolved; below, one exposure with its noise. The mirror writing is right: a wall
-# shows the letter as a mirror does.
+# Wavefronts, point spread functions and images
+# ---------------------------------------------
+# The rows show the wave aberration at the lens, the point spread function of the object's centre at
+# a pitch that resolves diffraction, and one exposure with noise. The letter is mirror-reversed,
+# because the wall acts as a mirror.
 
 figure, axes = plt.subplots(3, 4, figsize=(16, 11), layout="constrained")
 spots = {}
@@ -51,20 +50,19 @@ for (name, result), column in zip(results.items(), axes.T, strict=True):
     spots[name] = psf.point_spread(result.wavefront, pitch=1e-6, shape=361)
     views.point_spread(spots[name], decades=4, axes=column[1])
     views.image(result.image, axes=column[2])
-    for axis, title in zip(column, (name, "point spread", "image"), strict=True):
+    for axis, title in zip(column, (name, "point spread function", "camera image"), strict=True):
         axis.set_title(title)
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 for name, result in results.items():
     image = result.image
     lit = image.ideal > 0.5 * image.ideal.max()
     height = 1e3 * image.pitch * np.ptp(np.flatnonzero(lit.any(axis=1)))
     print(
-        f"{name:17s}{spots[name].regime.peak_to_valley:4.1f} waves peak to valley; peak of the "
-        "spot "
-        f"{spots[name].intensity.max() / spots['flat'].intensity.max():.3f} of the flat wall's; "
-        f"letter {height:.2f} mm high in the image"
+        f"{name:17s}{spots[name].regime.peak_to_valley:4.1f} waves peak to valley; PSF peak "
+        f"{spots[name].intensity.max() / spots['flat'].intensity.max():.3f} of that of the flat "
+        f"wall; height of the letter in the image {height:.2f} mm"
     )

@@ -1,10 +1,10 @@
 """
-What an image can tell
-======================
+Feasibility of a reconstruction
+===============================
 
-A wall scatters light by its slopes: the rougher its gloss, the wider the blur. Before any fit,
-`limits.feasibility` says from photons, noise and blur up to which frequency an image holds the
-object, and whether a reconstruction can be expected to succeed.
+The slopes of a rough wall blur the image: the wider the specular lobe, the larger the blur.
+`limits.feasibility` predicts from signal, noise and blur up to which spatial frequency an image
+contains information about the object, and whether a reconstruction will succeed.
 """
 
 from dataclasses import replace
@@ -19,9 +19,9 @@ from nlosoptics.scene import OrenNayar, SpecularMicrofacet, SumMaterial
 plt.style.use("tableau-colorblind10")
 
 # %%
-# One wall, rougher and rougher
-# -----------------------------
-# A matt body with a gloss of 5 %, whose slopes have an rms of 0 to 0.08 rad.
+# A wall of increasing roughness
+# ------------------------------
+# The wall has a diffuse lobe and a specular lobe of 5 %, whose rms slope is 0 to 0.08 rad.
 
 scenes = Path(__file__).parent / "scenes"
 scene = nlos.Scene.load(scenes / "letter_flat.toml").resized(64)
@@ -35,24 +35,24 @@ found = {
 }
 
 # %%
-# Look
-# ----
-# Left and middle: modulation against frequency on the object; what lies above the dashed line of
-# its noise can be told, and the grey line is the frequency of the letter's strokes. Right: the
-# expected correlation of a reconstruction, against the slopes.
+# Modulation and score
+# --------------------
+# Left and middle: the modulation against the spatial frequency on the object. Only frequencies with
+# a modulation above the dashed noise limit are detectable. The grey line is the frequency of the
+# strokes of the letter. Right: the predicted correlation of a reconstruction against the rms slope.
 
 figure, axes = plt.subplots(1, 3, figsize=(15, 4.4), layout="constrained")
 for axis, slope in zip(axes, (0.01, 0.04), strict=False):
     views.feasibility(found[slope], axes=axis)
-    axis.set_title(f"slopes {slope:g} rad: {found[slope].verdict.split(':')[0]}")
+    axis.set_title(f"rms slope {slope:g} rad: {found[slope].verdict.split(':')[0]}")
 axes[2].plot(slopes, [one.score for one in found.values()], "o-")
 axes[2].axhline(0.9, color="0.5", lw=1, label="recoverable above")
-axes[2].set(xlabel="slope rms (rad)", ylabel="expected correlation", ylim=(0, 1.05))
+axes[2].set(xlabel="rms slope (rad)", ylabel="predicted correlation", ylim=(0, 1.05))
 axes[2].legend()
 plt.show()
 
 # %%
-# What to see:
+# Result:
 
 for slope, one in found.items():
     print(f"{slope:5.2f} rad: up to {one.limit:4.1f} cycles/m, {one.modes} modes; {one.verdict}")

@@ -108,7 +108,7 @@ def test_script_is_told_in_words(script: Path) -> None:
     assert len(line) == len(title)
     assert len(" ".join(text).split()) > 20
     assert source.count("\n# %%\n# ") >= 3
-    assert "# What to see" in source
+    assert "# Result" in source
 
 
 def test_there_are_ten_or_more() -> None:
