@@ -49,9 +49,9 @@ for name, table in tables.items():
 plt.show()
 
 # %%
-# The dashed line is the requested error. ``method="auto"`` selects the transform with the lowest
-# predicted cost among those with a predicted error below this line. The prediction uses only the
-# wavefront.
+# Result: the dashed line is the requested error. ``method="auto"`` selects the transform with the
+# lowest predicted cost among those with a predicted error below this line. The prediction uses only
+# the wavefront.
 
 print(tables["2 waves rms"])
 for name, wave in waves.items():
