@@ -19,5 +19,5 @@ INK: Final = "#222222"  # text in 3-D views
 GREY: Final = "#767676"  # secondary information; contrast 4.5:1 on white
 PALE_GREY: Final = "#A8A8A8"  # grid lines in 3-D views
 
-SERIES: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+SERIES: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BROWN)
 MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
