@@ -28,7 +28,7 @@ def room(scene: Scene, axes: Axes) -> None:
     axes.plot(camera[0], camera[2], "s", color=BLUE, markersize=11)
     style = {"ha": "center", "fontsize": 12}
     axes.text(0, -0.07, "relay wall", color=BLACK, **style)
-    axes.text(camera[0] - 0.03, camera[2] - 0.09, "camera", color=BLUE, **style)
+    axes.text(camera[0] - 0.16, camera[2] + 0.02, "camera", color=BLUE, **style)
     axes.text(laser[0], laser[2] + 0.1, "laser", color=VERMILION, **style)
     axes.text(hidden[0], hidden[2] + 0.11, "hidden chart", color=GREEN, **style)
     axes.text(-0.05, 1.3, "partition", color=BROWN, fontsize=12, ha="right")

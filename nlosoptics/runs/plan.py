@@ -22,7 +22,7 @@ from .._checks import (
 )
 from .._html import Column, table
 from ..errors import SamplingError, SceneError
-from ..imaging.image_fields import expected_counts, interpolation_errors, picture_frame
+from ..imaging.image_fields import COUNTS, expected_counts, interpolation_errors, picture_frame
 from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
 from ..imaging.objects import object_patches
 from ..imaging.radiometry import background_work, laser_spot
@@ -356,9 +356,8 @@ class _Look:
         """Estimated image error with a single point spread (rms over rms), and wave change, rad.
 
         The wave change is the largest peak-to-valley difference between the waves at the picture's
-        corners and edges and the wave at its centre. The error estimate was fitted to random
-        scenes and is good to a factor of about three. Its terms are the wave change, which wide
-        pixels reduce, and the change of the lobe's blur if that is larger than a pixel.
+        corners and edges and the wave at its centre, less where pixels are wide. The error estimate was fitted to random
+        scenes and is good to a factor of about three. Its terms are the wave change and the change of the lobe's blur if that is larger than a pixel.
         """
         scene, first = self.seen.scene, self.seen.first.residual
         unit, pitch = first.airy_unit, scene.camera.image_pitch
@@ -375,7 +374,9 @@ class _Look:
                 off = float(np.linalg.norm(turns[1] - turns[0]) / np.linalg.norm(turns[0]))
                 turned = max(turned, off)
         blurred = 1.0 + first.rays.reach / unit
-        waves = 2e-3 * swing * min(blurred, 4.0) / max(1.0, pitch / (4 * unit))
+        # a pixel n lambda N wide resolves phase differences across about 1/n of the pupil
+        swing /= max(1.0, pitch / (4 * unit))
+        waves = 2e-3 * swing * min(blurred, 4.0)
         if rough > 0:
             turn = self.seen.view.cos_sum * float(np.linalg.norm(self.seen.view.footprint, 2))
             halo = rough * turn * abs(own.image_distance) / pitch
@@ -477,12 +478,14 @@ def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Sta
     decay = interpolation_errors(scene)
     # the error estimate is uncertain by a factor of 3 either way; take the geometric mean
     found = [expected_counts(doubt * error, swing, tol, decay) for doubt in (1 / 3, 1.0, 3.0)]
-    ends, left = [counts for counts, _ in found], found[1][1]
+    ends = [counts for counts, _ in found]
+    # a fast change of phase may average out within wide pixels; that of the curvature does not
+    left = expected_counts(error, 0.0, tol, decay)[1]
     if left > tol:
         wider = f"use tol = {1.1 * left:.2g}, or" if 1.1 * left < 0.1 else "use"
         raise SamplingError(
-            f"the wall's shape changes too fast over the picture: with {ends[1][-1]} x "
-            f"{ends[1][-1]} point spreads its image would still change by about {left:.2g} of its "
+            f"the wall's shape changes too fast over the picture: with {COUNTS[-1]} x "
+            f"{COUNTS[-1]} point spreads its image would still change by about {left:.2g} of its "
             f"rms, limit tol = {tol:g}; {wider} a smaller picture"
         )
     spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
