@@ -356,8 +356,9 @@ class _Look:
         """Estimated image error with a single point spread (rms over rms), and wave change, rad.
 
         The wave change is the largest peak-to-valley difference between the waves at the picture's
-        corners and edges and the wave at its centre, less where pixels are wide. The error estimate was fitted to random
-        scenes and is good to a factor of about three. Its terms are the wave change and the change of the lobe's blur if that is larger than a pixel.
+        corners and edges and the wave at its centre, less where pixels are wide. The error
+        estimate was fitted to random scenes and is good to a factor of about three. Its terms are
+        the wave change and the change of the lobe's blur if that is larger than a pixel.
         """
         scene, first = self.seen.scene, self.seen.first.residual
         unit, pitch = first.airy_unit, scene.camera.image_pitch
