@@ -391,7 +391,7 @@ def _objects(held: Folder) -> Iterator[Html]:
         yield figure(
             tag("img", src=png(preview), alt="Object so far."),
             tag("b", "Last state kept"),
-            ", in the camera's frame; 0 is black, the brightest pixel white.",
+            ", mirror reversal undone; 0 is black, the brightest pixel white.",
             class_="pixels",
         )
 

@@ -562,13 +562,16 @@ def kept_state(folder: Path, identity: str) -> dict[str, Array]:
 
 
 def write_picture(path: Path, values: Array) -> None:
-    """Write an object as an 8-bit PNG, scaled from 0 to its maximum, atomically."""
+    """Write an object as an 8-bit PNG, scaled from 0 to its maximum, atomically.
+
+    The wall's mirror reversal is undone, so that letters read.
+    """
     from PIL import Image
 
     largest = float(values.max())
     grey = np.clip(values / largest if largest > 0.0 else values, 0.0, 1.0)
     temporary = path.with_name(f".{path.name}")
-    Image.fromarray(np.rint(255.0 * grey).astype(np.uint8)).save(temporary, format="PNG")
+    Image.fromarray(np.rint(255.0 * grey[:, ::-1]).astype(np.uint8)).save(temporary, format="PNG")
     temporary.replace(path)
 
 

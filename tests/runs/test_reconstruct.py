@@ -68,7 +68,7 @@ def test_object_and_report_are_written(method: str, taken: np.ndarray, capsys) -
     # the data's correlation is 0.99 already: the wall is smooth
     assert inverse.registered_correlation(found, taken) > 0.98
     with Image.open("letter/object.png") as picture:
-        drawn = np.asarray(picture) / 255.0
+        drawn = np.asarray(picture)[:, ::-1] / 255.0  # the mirror is undone
     # a picture of 8 bits holds what is not negative, rounded
     assert abs(drawn - np.clip(found / found.max(), 0, 1)).max() <= 0.5 / 255 + 1e-12
     assert call(capsys, *USUAL, *FRAMES, "--method", method)[0] == 0  # over its own files
