@@ -6,7 +6,7 @@
 Sub-folders: ``aperture`` (pupil outlines and nodes), ``wave`` (sampled waves), ``pupil`` (exit
 pupil and wave of a scene), ``window`` (image windows, pixels, error bounds), ``transform`` (from
 wave to PSF), ``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl
-ratio, MTF and others), ``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
+ratio, MTF, best focus and others), ``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
 """
 
 from .aperture.aperture import Aperture
@@ -14,6 +14,7 @@ from .aperture.quadrature_nodes import grid_nodes, polar_nodes
 from .exchange.poppy_files import read_poppy, write_poppy
 from .exchange.prysm_poppy import PrysmPupil, from_prysm, to_prysm
 from .exchange.zernike_tables import ZernikeTable, read_zernikes, write_zernikes
+from .metrics.focus import ThroughFocus, best_focus, focus_shifted, through_focus
 from .metrics.psf_metrics import (
     MetricEstimate,
     encircled_energy,
@@ -77,10 +78,12 @@ __all__ = [
     "ScenePointSpread",
     "SpotDiagram",
     "SurfacePointSpread",
+    "ThroughFocus",
     "WallView",
     "Wavefront",
     "ZernikeTable",
     "band_point_spread",
+    "best_focus",
     "centroid",
     "compare",
     "encircled_energy",
@@ -88,6 +91,7 @@ __all__ = [
     "exit_pupil",
     "facet_wavefront",
     "fit_zernike",
+    "focus_shifted",
     "from_prysm",
     "fwhm",
     "gaussian_band",
@@ -116,6 +120,7 @@ __all__ = [
     "spot_diagram",
     "spot_radius",
     "strehl",
+    "through_focus",
     "to_prysm",
     "two_scale_point_spread",
     "wall_aberration",

@@ -145,8 +145,8 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
         or scattered nodes are used as given.
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are fitted by least squares, weighted by amplitude, and removed first. They are
-        fitted jointly, so ``"defocus"`` (u^2 + v^2) is given together with ``"piston"``. Tilt that
-        is not removed moves the peak away from the reference point.
+        fitted jointly, and always with a piston. Defocus is u^2 + v^2. Tilt that is not removed
+        moves the peak away from the reference point.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     >>> wave = psf.Wavefront.from_zernike(
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
     ... )
-    >>> focused = psf.strehl(wave, remove=("piston", "defocus"))
+    >>> focused = psf.strehl(wave, remove=("defocus",))
     >>> print(f"{psf.strehl(wave):.4f}, {focused:.4f}")
     0.6626, 1.0000
     """
@@ -195,7 +195,9 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     wavefront : Wavefront
         Wave of any layout; the mean is taken over its nodes.
     remove : iterable of {"piston", "tilt", "defocus"}
-        Terms that are fitted jointly by least squares, weighted by amplitude, and removed first.
+        Terms that are fitted jointly by least squares, weighted by amplitude, and removed first;
+        always with the piston, so that the result is a standard deviation. Empty: the root mean
+        square of the aberration as it is.
 
     Returns
     -------
@@ -451,17 +453,16 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
 
 
 def _without(wavefront: Wavefront, remove: Iterable[str]) -> Wavefront:
-    """Return the wavefront without the least-squares fit of the named terms."""
+    """Return the wavefront without the least-squares fit of the named terms and a piston."""
     names = (remove,) if isinstance(remove, str) else tuple(remove)
     for name in names:
         one_of("remove", name, TERMS)
+    if not names:
+        return wavefront
     scale = wavefront.pupil_radius
     u, v = wavefront.u / scale, wavefront.v / scale
     shapes = {"piston": (np.ones_like(u),), "tilt": (u, v), "defocus": (u**2 + v**2,)}
-    terms = [shape for name in dict.fromkeys(names) for shape in shapes[name]]
-    if not terms:
-        return wavefront
-    basis = np.stack(terms)
+    basis = np.stack([s for name in dict.fromkeys(("piston", *names)) for s in shapes[name]])
     fit = fitted_terms(wavefront.aberration, wavefront.amplitude * wavefront.weights, basis)
     return replace(wavefront, aberration=wavefront.aberration - np.tensordot(fit, basis, 1))
 
