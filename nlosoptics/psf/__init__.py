@@ -6,7 +6,8 @@
 Sub-folders: ``aperture`` (pupil outlines and nodes), ``wave`` (sampled waves), ``pupil`` (exit
 pupil and wave of a scene), ``window`` (image windows, pixels, error bounds), ``transform`` (from
 wave to PSF), ``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl
-ratio, MTF, best focus and others), ``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
+ratio, MTF, best focus and others), ``exchange`` (other programs). Import everything from
+``nlosoptics.psf``.
 """
 
 from .aperture.aperture import Aperture

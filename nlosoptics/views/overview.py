@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from ..limits import object_scale
 from .canvas import new_axes
 from .maps import image, point_spread, reconstruction, wavefront
 from .sketch import room_from_above
@@ -46,6 +45,8 @@ def overview(result: Result) -> tuple[Axes, ...]:
     >>> [axes.get_title().split(",")[0] for axes in views.overview(result)]
     ['top view', 'wave aberration', 'point spread function', 'camera image']
     """
+    from ..limits import object_scale  # loads scipy; views alone is light
+
     axes = new_axes(6, width=16.5, height=9.6, columns=3)
     figure: Any = axes[0].get_figure(root=True)
     figure.get_layout_engine().set(w_pad=0.15, h_pad=0.1)

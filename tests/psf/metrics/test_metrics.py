@@ -94,6 +94,20 @@ def test_rms_names_what_it_removes():
     assert psf.rms_aberration(wave) == rms("piston", "tilt")
 
 
+@pytest.mark.parametrize("obscuration", [0.0, 0.5])
+def test_removed_terms_include_the_piston(obscuration):
+    """A variance does not know the piston: a defocus, a tilt and a piston leave nothing."""
+    terms = {1: 7e-8, 2: 3e-8, 4: 5e-8}
+    wave = psf.Wavefront.from_zernike(terms, obscuration=obscuration, **SYSTEM)
+    assert psf.rms_aberration(wave, remove=("defocus", "tilt")) < 1e-20  # rounding
+    assert psf.strehl(wave, remove=("defocus", "tilt")) == approx(1.0, abs=1e-12)
+    only_defocus = psf.Wavefront.from_zernike({4: 5e-8}, obscuration=obscuration, **SYSTEM)
+    assert psf.rms_aberration(only_defocus, remove=("defocus",)) < 1e-20
+    for name in ("tilt", "defocus"):
+        named = psf.rms_aberration(wave, remove=("piston", name))
+        assert psf.rms_aberration(wave, remove=(name,)) == approx(named, rel=1e-12)
+
+
 def test_marechal():
     wave = psf.Wavefront.from_zernike({8: WAVELENGTH / 100}, **SYSTEM)
     # exp(-sigma^2) up to the fourth order, (2 pi/100)^4/4
