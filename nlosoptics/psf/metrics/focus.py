@@ -327,8 +327,11 @@ def _metric(
 
     Larger scores are better. Squares make them parabolas or band-limited functions of defocus.
     """
-    if frequency is not None and criterion != "mtf":
-        raise SceneError(f"frequency = {frequency!r} without criterion='mtf'; leave it out")
+    if criterion != "mtf" and (frequency is not None or azimuth != 0):
+        raise SceneError(
+            f"frequency = {frequency!r}, azimuth = {azimuth!r} without criterion='mtf'; leave them "
+            "out"
+        )
     if callable(criterion):
         return (
             getattr(criterion, "__name__", "criterion"),
