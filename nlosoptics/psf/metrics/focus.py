@@ -230,13 +230,14 @@ def best_focus(
     Notes
     -----
     The variable is the defocus t at the rim R of the pupil, ``(1/d' - 1/d) R^2/2``. The search is
-    centred on the least rms aberration. Its half width is R times the largest slope of what
-    remains there, which places all axial foci of its rays within, plus two wavelengths.
+    centred on the least rms aberration. Its half width is R times the largest slope of the rest,
+    twice what brings the steepest ray of the rim to the axis, plus two wavelengths.
 
-    The Strehl ratio and the square of the MTF are band-limited in t: their periods are at least
+    The Strehl ratio and the square of the MTF are band-limited in t, with periods of at least
     ``lambda`` and ``lambda/(8 x (1 - x))`` for the fraction x of the cutoff frequency. The scan
-    takes four samples per period. A maximum then cannot exceed its nearest sample by more than
-    15 %, so each local maximum within that of the best one is refined, by Brent's method [1]_.
+    takes four samples per period; for a function, per wavelength. By Bernstein's inequality the
+    sample nearest to a maximum then reaches 85 % of it, so all local maxima within 20 % of the
+    range below the best sample are refined, by Brent's method [1]_.
 
     The Strehl ratio is relative to a wave without aberration in the same plane. It therefore
     does not contain the shift of the brightest plane toward the pupil at Fresnel numbers of a few.
