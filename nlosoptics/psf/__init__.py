@@ -5,9 +5,9 @@
 
 Sub-folders: ``aperture`` (pupil outlines and nodes), ``wave`` (sampled waves), ``pupil`` (exit
 pupil and wave of a scene), ``window`` (image windows, pixels, error bounds), ``transform`` (from
-wave to PSF), ``walls`` (PSFs of scenes and fields), ``rough`` (rough walls), ``metrics`` (Strehl
-ratio, MTF, best focus and others), ``exchange`` (other programs). Import everything from
-``nlosoptics.psf``.
+wave to PSF), ``propagation`` (fields between parallel planes), ``walls`` (PSFs of scenes and
+fields), ``rough`` (rough walls), ``metrics`` (Strehl ratio, MTF, best focus and others),
+``exchange`` (other programs). Import everything from ``nlosoptics.psf``.
 """
 
 from .aperture.aperture import Aperture
@@ -35,6 +35,8 @@ from .metrics.spot_diagram import (
     spot_diagram,
     spot_radius,
 )
+from .propagation.propagate import propagate
+from .propagation.scalar_field import PropagatedField, ScalarField
 from .pupil.exit_pupil import ExitPupil, exit_pupil
 from .pupil.facet_wavefront import facet_wavefront, pupil_slopes
 from .pupil.ray_wavefront import wavefront_from_rays
@@ -70,11 +72,13 @@ __all__ = [
     "MetricEstimate",
     "PointSpread",
     "PointSpreadField",
+    "PropagatedField",
     "PrysmPupil",
     "Regime",
     "Removed",
     "RoughPointSpread",
     "Roughness",
+    "ScalarField",
     "SceneOptics",
     "ScenePointSpread",
     "SpotDiagram",
@@ -110,6 +114,7 @@ __all__ = [
     "point_spread",
     "point_spread_field",
     "polar_nodes",
+    "propagate",
     "ptf",
     "pupil_slopes",
     "read_poppy",

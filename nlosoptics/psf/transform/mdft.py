@@ -32,7 +32,7 @@ def intensity_in(
     # Phase in turns per pupil sample and metre of image, with the sign of the image distance.
     rate = grid.pitch / (wave.wavelength * wave.image_distance)
     passes = [
-        _chirp_pass(
+        chirp_pass(
             n,
             grid.centre,
             count,
@@ -46,7 +46,7 @@ def intensity_in(
     return intensity(grid.values, passes[0], passes[1], window.shape, rule)
 
 
-def _chirp_pass(n: int, centre: int, count: int, step: float, offset: float) -> Pass:
+def chirp_pass(n: int, centre: int, count: int, step: float, offset: float) -> Pass:
     """Return a function that maps rows g to ``sum_j g_j exp(-2 pi i j (offset + l step))``.
 
     The result is up to a phase factor per sample l. j counts from ``centre``, l from ``count//2``.

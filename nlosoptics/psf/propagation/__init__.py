@@ -1,0 +1,1 @@
+"""Free-space propagation of sampled complex fields between parallel planes."""
