@@ -175,6 +175,7 @@ MADE: Mapping[str, Any] = {
 DRAWN: Mapping[str, Any] = {
     "Array": lambda: RNG.random((3, 4)),
     "Array | None": lambda: RNG.random((3, 4)),
+    "ComplexArray": lambda: RNG.random((3, 4)) + 1j * RNG.random((3, 4)),
     "Mask": lambda: RNG.random((3, 4)) > 0.5,
     "NDArray[np.int8]": lambda: RNG.integers(0, 2, (3, 4), dtype=np.int8),
     "NDArray[np.int32]": lambda: RNG.integers(0, 99, (3, 4), dtype=np.int32),
@@ -255,6 +256,7 @@ USES: Mapping[type, Any] = {
     psf.Aperture: lambda outline: outline.nodes(5, 5)[2],
     psf.Roughness: lambda rough: rough.correlation(np.geomspace(1e-5, 1e-2, 9)),
     psf.Wavefront: lambda found: psf.point_spread(found, shape=64).intensity,
+    psf.ScalarField: lambda field: field.intensity,
     psf.PointSpreadField: lambda spread: spread.modes,
     imaging.ForwardModel: lambda model: model.forward(np.eye(8, 9)),
     transient.Detector: lambda detector: detector.measure(capture_of_ones(), seed=1).H,

@@ -291,19 +291,51 @@ def by_impulse(
     return np.asarray(field * after[0][:, None] * after[1])
 
 
-def impulse_error(axis: Axis, spectrum: Spectrum, along: int, wavelength: float, z: float) -> float:
-    """Bound the relative error of the Fresnel sum due to the pitch of the input.
+def impulse_error(
+    samples: ComplexArray, axis: Axis, along: int, edge: float, wavelength: float, z: float
+) -> float:
+    """Bound the relative error of the Fresnel sum along one axis due to the pitch of the input.
 
-    Samples at a pitch dx have diffraction orders 1/dx apart. The bound is the energy of the
-    first orders whose rays reach the output, and the tails of the band's edge.
+    Samples at a pitch dx have diffraction orders 1/dx apart. The bound is the energy of the two
+    first orders whose rays reach the output, from the spectra of overlapping tiles of the field,
+    and the tail of the sharp edge of the sampled band.
+
+    Parameters
+    ----------
+    samples : ndarray, (ny, nx)
+        Complex amplitudes.
+    axis : Axis
+        Input and output samples.
+    along : int
+        Array axis of the samples.
+    edge : float
+        Energy per frequency at the band's edge, from `Spectrum.edge`, m.
+    wavelength, z : float
+        Wavelength and distance, above 0, m.
     """
     scale = wavelength * z
-    beyond = scale * (1 / axis.dx - np.abs(spectrum.frequency[along])) - axis.reach
-    share = np.where(beyond < MARGIN * math.sqrt(scale), leak(beyond, scale), 0.0)
-    folded = float(np.sum(spectrum.energy * share**2))
-    gap = max(scale * spectrum.nyquist - axis.reach, math.sqrt(scale))
-    tail = math.sqrt(2 * axis.count * axis.pitch * spectrum.edge[along]) / (math.pi * gap)
-    return math.sqrt(folded) + tail
+    # tiles of a Fresnel width: position and landing point of their rays are equally uncertain
+    hop = int(np.clip(2 * math.sqrt(scale) / axis.dx, 8, max(8, axis.n)))
+    count = math.ceil(axis.n / hop) + 1  # Hann windows with half overlap, whose sum is 1
+    lines = np.zeros((samples.shape[1 - along], (count + 1) * hop), dtype=np.complex128)
+    lines[:, hop : hop + axis.n] = np.moveaxis(samples, along, -1)
+    hann = np.sin(math.pi * (np.arange(2 * hop) + 0.5) / (2 * hop)) ** 2
+    frequency = np.fft.fftfreq(4 * hop, axis.dx)
+    low = -(axis.count // 2) * axis.pitch
+    high = low + (axis.count - 1) * axis.pitch
+    folded = 0.0
+    for tile in range(count):
+        part = lines[:, tile * hop : (tile + 2) * hop] * hann
+        energy = np.sum(np.abs(np.fft.fft(part, 4 * hop)) ** 2, axis=0) / (4 * hop)
+        centre = (axis.first + tile * hop) * axis.dx
+        for order in (-1, 1):
+            land = centre + scale * (frequency + order / axis.dx)
+            beyond = np.maximum(low - land, land - high) - hop * axis.dx
+            folded += float(energy[beyond < math.sqrt(scale)].sum())
+    gap = max(scale / (2 * axis.dx) - axis.reach, math.sqrt(scale))
+    tail = math.sqrt(2 * axis.count * axis.pitch * edge) / (math.pi * gap)
+    # neighbouring tiles overlap and may add up
+    return math.sqrt(2 * folded / float(np.sum(np.abs(samples) ** 2))) + tail
 
 
 def leak(beyond: Array, scale: float) -> Array:

@@ -218,6 +218,8 @@ def _candidates(
 ) -> list[Candidate]:
     """Return the methods that can propagate a field to a lattice, cheapest first."""
     z, wavelength = abs(distance), field.wavelength
+    if z == 0 and step == field.pitch and size == field.shape:
+        return [Candidate(0.0, name, 0.0, 0.0, lambda: field.samples, 0.0) for name in METHODS[:2]]
     # A wave that is traced back is the conjugate of one that travels on.
     samples = field.samples if distance >= 0 else field.samples.conj()
     if field.periodic:
@@ -249,7 +251,9 @@ def _candidates(
             )
         )
     if z > 0:
-        errors = (impulse_error(a, spectrum, k, wavelength, z) for k, a in enumerate(axes))
+        errors = (
+            impulse_error(samples, axes[k], k, spectrum.edge[k], wavelength, z) for k in (0, 1)
+        )
         chirp = Candidate(
             cost=_cost(axes[0].n, size[0], axes[1].n, size[1], 0.0, 0.0),
             method="fresnel_chirp_z",
@@ -375,6 +379,8 @@ def _first_within(
         notes.append(text)
     if too_large is not None:
         raise too_large
+    if not notes:
+        raise SamplingError(f"{method!r} needs a distance above 0 m; use 'angular_spectrum'")
     raise SamplingError(
         f"{', and '.join(notes)}, limit tol = {tol:g}; use "
         + (f"tol = {rounded_up(reached)}" if reached < 1 else "another distance or window")
