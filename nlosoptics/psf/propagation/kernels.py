@@ -83,8 +83,8 @@ class Spectrum:
         energy = np.abs(ducc0.fft.c2c(waves, nthreads=1)) ** 2
         self.energy: Array = energy / energy.sum()
         self.nyquist = 0.5 / dx
-        fy, fx = (np.fft.fftfreq(n, dx) for n in sizes)
-        self.frequency = (fy[:, None], fx[None, :])
+        fy, fx = (np.fft.fftfreq(n, dx).astype(np.float64) for n in sizes)
+        self.frequency: tuple[Array, Array] = (fy[:, None], fx[None, :])
 
     @cached_property
     def edge(self) -> tuple[float, float]:
@@ -348,8 +348,8 @@ def leak(beyond: Array, scale: float) -> Array:
     scale : float
         Wavelength times distance, m^2.
     """
-    width = math.sqrt(scale)
-    return np.asarray(width / np.maximum(beyond, width)) if width else (beyond <= 0) * 1.0
+    width = max(math.sqrt(scale), np.finfo(np.float64).tiny)
+    return np.asarray(width / np.maximum(beyond, width), dtype=np.float64)
 
 
 def dft(n: int, centre: int, count: int, step: float) -> Pass:

@@ -229,14 +229,14 @@ def _candidates(
     paraxial_error, evanescent = _model_errors(spectrum, axes, wavelength, z)
     # Energy of band-limited errors on lattices coarser than their Nyquist pitch
     # (Plancherel-Polya): the band is that of the input, or that of its extent after a chirp.
-    crowd = 1.0
+    folding = 1.0
     for a in axes:
         local = a.n * a.dx * step / (wavelength * z) if z > 0 else math.inf
-        crowd *= math.sqrt(math.ceil(min(step / a.dx, local) - 1e-9))
+        folding *= math.sqrt(math.ceil(min(step / a.dx, local) - 1e-9))
     found = []
     for name, paraxial in (("angular_spectrum", False), ("fresnel_transfer", True)):
         by, bx = (
-            band(a, e, wavelength, z, paraxial, tol / (4 * crowd))
+            band(a, e, wavelength, z, paraxial, tol / (4 * folding))
             for a, e in zip(axes, spectrum.edge, strict=True)
         )
         found.append(
@@ -244,8 +244,8 @@ def _candidates(
                 cost=_cost(axes[0].n, by.count, axes[1].n, bx.count, by.period, bx.period)
                 + _cost(by.count, size[0], bx.count, size[1], by.period, bx.period),
                 method=name,
-                error=crowd * (ROUNDING + math.hypot(by.tail, bx.tail, evanescent)),
-                model=LATTICE * crowd * paraxial_error if paraxial else 0.0,
+                error=folding * (ROUNDING + math.hypot(by.tail, bx.tail, evanescent)),
+                model=LATTICE * folding * paraxial_error if paraxial else 0.0,
                 run=partial(by_transfer, samples, (by, bx), wavelength, z, paraxial),
                 bytes=100.0 * by.count * max(bx.count, size[1], axes[1].n),
             )
@@ -257,8 +257,8 @@ def _candidates(
         chirp = Candidate(
             cost=_cost(axes[0].n, size[0], axes[1].n, size[1], 0.0, 0.0),
             method="fresnel_chirp_z",
-            error=crowd * (ROUNDING + math.hypot(*errors)),
-            model=LATTICE * crowd * paraxial_error,
+            error=folding * (ROUNDING + math.hypot(*errors)),
+            model=LATTICE * folding * paraxial_error,
             run=partial(by_impulse, samples, axes, wavelength, z),
             bytes=100.0 * max(axes[0].n, size[0]) * max(axes[1].n, size[1]),
         )
@@ -272,21 +272,17 @@ def _candidates(
 def _periodic(samples: ComplexArray, dx: float, wavelength: float, z: float) -> list[Candidate]:
     """Return the transfer functions on the discrete frequencies of a periodic field."""
     spectrum = Spectrum(samples, dx, pad=False)
-    paths = [transfer(*spectrum.frequency, wavelength, z, paraxial) for paraxial in (True, False)]
-    differ = float(np.sum(spectrum.energy * np.abs(paths[0] - paths[1]) ** 2))
+    exact, paraxial = (
+        transfer(*spectrum.frequency, wavelength, z, kernel) for kernel in (False, True)
+    )
+    differ = math.sqrt(float(np.sum(spectrum.energy * np.abs(paraxial - exact) ** 2)))
+
+    def run(path: ComplexArray) -> ComplexArray:
+        return np.asarray(np.fft.ifft2(np.fft.fft2(samples) * path))
+
     return [
-        Candidate(
-            cost=0.0,
-            method=name,
-            error=ROUNDING,
-            model=model,
-            run=lambda path=path: np.fft.ifft2(np.fft.fft2(samples) * path),
-            bytes=0.0,
-        )
-        for name, path, model in (
-            ("angular_spectrum", paths[1], 0.0),
-            ("fresnel_transfer", paths[0], math.sqrt(differ)),
-        )
+        Candidate(0.0, "angular_spectrum", ROUNDING, 0.0, partial(run, exact), 0.0),
+        Candidate(0.0, "fresnel_transfer", ROUNDING, differ, partial(run, paraxial), 0.0),
     ]
 
 
@@ -312,7 +308,7 @@ def _model_errors(
     paraxial, exact = (
         transfer(*spectrum.frequency, wavelength, z, kernel) for kernel in (True, False)
     )
-    share = 1.0
+    share = np.ones((1, 1))
     for f, a in zip(spectrum.frequency, axes, strict=True):
         share = share * leak(wavelength * z * np.abs(f) - a.reach, wavelength * z)
     decaying = np.hypot(*spectrum.frequency) * wavelength > 1

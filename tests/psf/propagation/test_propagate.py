@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from pytest import approx
-from scipy.special import fresnel
+from scipy.special import fresnel, j0
 
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
@@ -286,6 +286,32 @@ def test_sampling_error_bounds_what_samples_lose(seed):
     expected = gaussian(found.x[None, :] - shift[0], found.y[:, None] - shift[1], z, waist)
     error = difference(found.samples, expected)
     assert error <= beam_of.sampling_error + found.error_estimate
+
+
+@pytest.mark.parametrize(("waist", "limit"), [(1.5, 1e-10), (0.8, 1e-4)])
+def test_narrow_beam_beyond_the_paraxial_regime(waist, limit):
+    """A Gaussian of one to two wavelengths, by a Hankel transform over angles."""
+    waist *= WAVELENGTH
+    narrow = psf.ScalarField.from_function(
+        lambda x, y: np.exp(-(x**2 + y**2) / waist**2),
+        pitch=0.4 * WAVELENGTH,
+        shape=40,
+        wavelength=WAVELENGTH,
+    )
+    z = 10 * WAVELENGTH
+    found = psf.propagate(narrow, z, method="angular_spectrum", shape=(90, 70), tol=0.5)
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    angle, weights = (nodes + 1) * math.pi / 4, weights * math.pi / 4
+    rho = np.sin(angle) / WAVELENGTH
+    waves = math.pi * waist**2 * np.exp(-((math.pi * waist * rho) ** 2))
+    waves *= weights * rho * np.cos(angle) / WAVELENGTH * 2 * math.pi
+    r = np.hypot(found.x[None, :], found.y[:, None])
+    bessel = j0(2 * math.pi * r[..., None] * rho)
+    expected = bessel @ (waves * np.exp(2j * math.pi * z / WAVELENGTH * np.cos(angle)))
+    error = difference(found.samples, expected)
+    # evanescent waves, exp(-(pi waist/wavelength)^2) of the spectrum's peak, are missing in both
+    assert error <= found.error_estimate + narrow.sampling_error
+    assert error < limit
 
 
 def test_methods_agree():
