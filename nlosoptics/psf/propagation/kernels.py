@@ -22,6 +22,8 @@ ROUNDING: Final = 1e-11
 #: Distance of the band limit's centre from the farthest needed ray, in Fresnel widths sqrt(S)
 #: with S = ds/df. Both the diffraction at the soft limit and its replicas are then below 1e-11.
 MARGIN: Final = 4.0
+#: Largest FFT, whose arrays fit into no memory.
+LARGEST: Final = 2.0**40
 
 
 @dataclass(frozen=True)
@@ -147,7 +149,24 @@ class Band:
         return (np.arange(self.count) - self.count // 2) / (self.period * self.axis.dx)
 
 
-def band(axis: Axis, edge: float, wavelength: float, z: float, paraxial: bool, tol: float) -> Band:
+def is_near(reach: float, wavelength: float, z: float) -> bool:
+    """Whether a distance is so short that a band limit would be wider than the output.
+
+    The rays from all of the input to all of the output are then almost parallel to the planes.
+    """
+    spread = math.sqrt(wavelength * z) * (1 + (reach / z) ** 2) ** 0.75 if z > 0 else 0.0
+    return reach > 2 * z and MARGIN * spread > 4 * reach
+
+
+def band(
+    axis: Axis,
+    edge: float,
+    wavelength: float,
+    z: float,
+    paraxial: bool,
+    tol: float,
+    near: float = 0.0,
+) -> Band:
     """Choose the frequencies of a transfer-function sum along one axis.
 
     Waves of a frequency f are displaced by ``s(f)``. Those displaced by more than the reach of
@@ -167,6 +186,8 @@ def band(axis: Axis, edge: float, wavelength: float, z: float, paraxial: bool, t
         Whether the kernel is that of the Fresnel approximation.
     tol : float
         Largest relative error from waves at the sharp edge of the sampled band.
+    near : float
+        Reach, m, if `is_near`: there is no limit then, and evanescent waves are kept. 0 otherwise.
 
     Returns
     -------
@@ -187,6 +208,10 @@ def band(axis: Axis, edge: float, wavelength: float, z: float, paraxial: bool, t
     # Waves at the sharp edge of the sampled band leave tails ~ 1/(distance from their ray), at
     # both ends of the window.
     strength = math.sqrt(2 * axis.count * axis.pitch * edge) / math.pi
+    if near > 0 and farthest > 2 * near:
+        decay = math.exp(-2 * math.pi * z / wavelength * math.sqrt(max(sine**2 - 1, 0.0)))
+        period = _odd_size(max(4 * near / axis.dx, axis.n))
+        return Band(axis, math.inf, 1.0, period, period, decay * strength / (2 * near))
     if strength == 0:
         tail = 0.0
     elif farthest < limit + gap:
@@ -210,7 +235,7 @@ def band(axis: Axis, edge: float, wavelength: float, z: float, paraxial: bool, t
 
 def _odd_size(least: float) -> int:
     """Return an odd FFT size of at least ``least``."""
-    size = int(ducc0.fft.good_size(math.ceil(least)))
+    size = int(ducc0.fft.good_size(math.ceil(min(least, LARGEST))))
     while size % 2 == 0:
         size = int(ducc0.fft.good_size(size + 1))
     return size
@@ -245,8 +270,8 @@ def by_transfer(
     real = root.real
     for f, b in zip((fy, fx), bands, strict=True):
         sine = wavelength * np.abs(f)
-        if np.max(sine) * z > np.min(real) * (b.limit - 6 * b.width):
-            # 6 widths: erfc has decayed to 2e-17
+        # 6 widths: erfc has decayed to 2e-17
+        if b.limit < math.inf and np.max(sine) * z > np.min(real) * (b.limit - 6 * b.width):
             place = z * sine / np.maximum(real, 1e-9)
             waves *= 0.5 * erfc((place - b.limit) / b.width)
     return _along_both(waves, *back) / (bands[0].period * bands[1].period)

@@ -24,6 +24,7 @@ from .kernels import (
     by_impulse,
     by_transfer,
     impulse_error,
+    is_near,
     leak,
     transfer,
 )
@@ -127,7 +128,8 @@ def propagate(
     ``H = exp(ikz) exp(-i pi lambda z f^2)``. Frequencies whose rays never reach the output are
     removed, since their transfer function is undersampled [2]_; here by a soft limit, so that no
     ripples appear. Chirp-z transforms take the spectrum at as many frequencies as the window
-    needs and to any output pitch. Evanescent waves are removed, and counted in the error.
+    needs and to any output pitch. Evanescent waves are removed, and counted in the error, unless
+    the distance is far below the width of the window. The common phase kz is known to 1e-16 kz.
 
     The sum is exact for a periodic field, and energy is conserved to rounding.
 
@@ -226,25 +228,28 @@ def _candidates(
         return _periodic(samples, field.pitch, wavelength, z)
     samples, axes = _trimmed(samples, field.pitch, size, step)
     spectrum = Spectrum(samples, field.pitch, pad=True)
-    paraxial_error, evanescent = _model_errors(spectrum, axes, wavelength, z)
+    reach = max(a.reach for a in axes)
+    near = reach if is_near(reach, wavelength, z) else 0.0
+    paraxial_error, omitted = _model_errors(spectrum, axes, wavelength, z, near)
     # Energy of band-limited errors on lattices coarser than their Nyquist pitch
     # (Plancherel-Polya): the band is that of the input, or that of its extent after a chirp.
     folding = 1.0
     for a in axes:
         local = a.n * a.dx * step / (wavelength * z) if z > 0 else math.inf
-        folding *= math.sqrt(math.ceil(min(step / a.dx, local) - 1e-9))
+        folding *= math.sqrt(max(1, math.ceil(min(step / a.dx, local) - 1e-9)))
     found = []
     for name, paraxial in (("angular_spectrum", False), ("fresnel_transfer", True)):
         by, bx = (
-            band(a, e, wavelength, z, paraxial, tol / (4 * folding))
+            band(a, e, wavelength, z, paraxial, tol / (4 * folding), 0.0 if paraxial else near)
             for a, e in zip(axes, spectrum.edge, strict=True)
         )
+        lost = 0.0 if paraxial else omitted
         found.append(
             Candidate(
                 cost=_cost(axes[0].n, by.count, axes[1].n, bx.count, by.period, bx.period)
                 + _cost(by.count, size[0], bx.count, size[1], by.period, bx.period),
                 method=name,
-                error=folding * (ROUNDING + math.hypot(by.tail, bx.tail, evanescent)),
+                error=folding * (ROUNDING + math.hypot(by.tail, bx.tail, lost)),
                 model=LATTICE * folding * paraxial_error if paraxial else 0.0,
                 run=partial(by_transfer, samples, (by, bx), wavelength, z, paraxial),
                 bytes=100.0 * by.count * max(bx.count, size[1], axes[1].n),
@@ -299,11 +304,12 @@ def _trimmed(
 
 
 def _model_errors(
-    spectrum: Spectrum, axes: tuple[Axis, Axis], wavelength: float, z: float
+    spectrum: Spectrum, axes: tuple[Axis, Axis], wavelength: float, z: float, near: float
 ) -> tuple[float, float]:
-    """Return the errors of the Fresnel approximation and of omitting evanescent waves.
+    """Return the errors of the Fresnel approximation and of what the exact sum lacks.
 
-    Both are relative to the whole field. Waves whose rays miss the output do not count.
+    Both are relative to the whole field. Waves whose rays miss the output do not count. The sum
+    lacks evanescent waves, or near the input those along it, which return by its period.
     """
     paraxial, exact = (
         transfer(*spectrum.frequency, wavelength, z, kernel) for kernel in (True, False)
@@ -311,9 +317,15 @@ def _model_errors(
     share = np.ones((1, 1))
     for f, a in zip(spectrum.frequency, axes, strict=True):
         share = share * leak(wavelength * z * np.abs(f) - a.reach, wavelength * z)
-    decaying = np.hypot(*spectrum.frequency) * wavelength > 1
+    square = 1 - wavelength**2 * (spectrum.frequency[0] ** 2 + spectrum.frequency[1] ** 2)
+    # no narrower than the resolution of the spectrum
+    ring = max(
+        z**2 / (z**2 + 4 * near**2) if near else 0.0,
+        4 * wavelength * spectrum.nyquist / min(spectrum.energy.shape),
+    )
+    lacking = (np.abs(square) if near else square) < ring
     error = float(np.sum(spectrum.energy * np.abs(share * (paraxial - exact)) ** 2))
-    omitted = float(np.sum(spectrum.energy[decaying] * np.abs(exact[decaying]) ** 2))
+    omitted = float(np.sum(spectrum.energy[lacking] * np.abs(exact[lacking]) ** 2))
     return math.sqrt(error), math.sqrt(omitted)
 
 
