@@ -79,7 +79,7 @@ class Spectrum:
     """
 
     def __init__(self, samples: ComplexArray, dx: float, pad: bool) -> None:
-        sizes = [int(ducc0.fft.good_size(max(2 * n, 64))) if pad else n for n in samples.shape]
+        sizes = [int(ducc0.fft.good_size(max(2 * n, 256))) if pad else n for n in samples.shape]
         waves = np.zeros(sizes, dtype=np.complex128)
         waves[: samples.shape[0], : samples.shape[1]] = samples
         energy = np.abs(ducc0.fft.c2c(waves, nthreads=1)) ** 2
@@ -154,8 +154,8 @@ def is_near(reach: float, wavelength: float, z: float) -> bool:
 
     The rays from all of the input to all of the output are then almost parallel to the planes.
     """
-    spread = math.sqrt(wavelength * z) * (1 + (reach / z) ** 2) ** 0.75 if z > 0 else 0.0
-    return reach > 2 * z and MARGIN * spread > 4 * reach
+    limit, _ = _soft_limit(reach, math.inf, wavelength, z)
+    return 0 < z < reach and limit > 5 * reach
 
 
 def band(
@@ -199,11 +199,7 @@ def band(
     if not paraxial:  # along the band's edge, from its middle to the corner
         nearest = z * sine / math.sqrt(1 - sine**2) if sine < 1 else math.inf
         farthest = z * sine / math.sqrt(1 - 2 * sine**2) if 2 * sine**2 < 1 else math.inf
-    spread, limit = 0.0, reach
-    for _ in range(2):  # the Fresnel width is that at the limit
-        slope = 0.0 if paraxial or z == 0 else min(limit, farthest) / z
-        spread = math.sqrt(wavelength * z * (1 + slope**2) ** 1.5)
-        limit = reach + MARGIN * spread
+    limit, spread = _soft_limit(reach, 0.0 if paraxial else farthest, wavelength, z)
     gap = MARGIN * spread
     # Waves at the sharp edge of the sampled band leave tails ~ 1/(distance from their ray), at
     # both ends of the window.
@@ -231,6 +227,19 @@ def band(
         highest = last / (wavelength * (z if paraxial else math.hypot(z, last)))
     count = min(period, 2 * math.ceil(highest * period * axis.dx) + 1)
     return Band(axis, limit, spread / math.sqrt(math.pi), period, count, tail)
+
+
+def _soft_limit(reach: float, farthest: float, wavelength: float, z: float) -> tuple[float, float]:
+    """Return the displacement at the centre of the band limit, and the Fresnel width there, m.
+
+    ``farthest`` bounds the displacements from which the slope of rays is taken; 0 if paraxial.
+    """
+    limit, spread = reach, 0.0
+    for _ in range(2):
+        slope = min(limit, farthest) / z if z > 0 else 0.0
+        spread = math.sqrt(wavelength * z * (1 + slope**2) ** 1.5)
+        limit = reach + MARGIN * spread
+    return limit, spread
 
 
 def _odd_size(least: float) -> int:

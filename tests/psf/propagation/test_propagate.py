@@ -288,7 +288,7 @@ def test_sampling_error_bounds_what_samples_lose(seed):
     assert error <= beam_of.sampling_error + found.error_estimate
 
 
-@pytest.mark.parametrize(("waist", "limit"), [(1.5, 1e-10), (0.8, 1e-4)])
+@pytest.mark.parametrize(("waist", "limit"), [(1.5, 1e-10), (0.8, 1e-3)])
 def test_narrow_beam_beyond_the_paraxial_regime(waist, limit):
     """A Gaussian of one to two wavelengths, by a Hankel transform over angles."""
     waist *= WAVELENGTH
@@ -333,7 +333,7 @@ def test_near_field(pitch, distance):
         waves = np.exp(2j * math.pi * distance * np.sqrt(1 - f**2 - f[:, None] ** 2 + 0j))
         expected = np.fft.ifft2(np.fft.fft2(wide) * waves)[:n, :n]
         assert difference(found.samples, expected) <= found.error_estimate
-        assert found.error_estimate < (1e-3 if kind == "smooth" else 0.25)
+        assert found.error_estimate < (1e-3 if kind == "smooth" else 0.7)
 
 
 def test_methods_agree():
