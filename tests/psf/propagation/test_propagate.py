@@ -19,7 +19,7 @@ METHODS = (*TRANSFER, "fresnel_chirp_z", "fresnel_one_step")
 
 
 def gaussian(x, y, z=0.0, waist=WAIST):
-    """Paraxial Gaussian beam with its waist at z = 0, Goodman's signs (Siegman, Lasers, ch. 17)."""
+    """Gaussian beam with its waist at z = 0 and phase exp(+ikz) (Siegman, Lasers, ch. 17)."""
     range_ = math.pi * waist**2 / WAVELENGTH
     q = z - 1j * range_
     turns = math.fmod(z / WAVELENGTH, 1.0)
@@ -176,7 +176,7 @@ def test_fresnel_edges():
 
 
 def test_disc_on_axis():
-    """Intensity 4 sin^2(pi N/2) at Fresnel numbers N (Born & Wolf, sec. 8.8.1)."""
+    """Intensity 4 sin^2(pi N/2) at Fresnel numbers N (Born & Wolf, sec. 8.2)."""
     radius, pitch, fine = 0.5e-3, 10e-6, 25
 
     def covered(x, y):
