@@ -6,8 +6,7 @@ Nothing is computed here, and no window opens. matplotlib and pyvista belong to 
 pyplot, so that they need no display and keep no global state; plotters render off screen.
 """
 
-from .comparisons import compare_methods
-from .curves import encircled_energy, history, mtf, spot_diagram
+from .curves import compare_methods, encircled_energy, history, mtf, spot_diagram
 from .films import transient, transient_film
 from .forecasts import feasibility, plan
 from .maps import hybrid_parts, image, irradiance, point_spread, reconstruction, wavefront
