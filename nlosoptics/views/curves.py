@@ -262,9 +262,10 @@ def _value(given: Any) -> Any:
 
 
 def _samples(name: str, values: ArrayLike, *, like: Array | None = None, of: str = "") -> Array:
-    """Return values (n,) as float64; check that they are finite and, if given, as many as ``like``.
+    """Return the values (n,) of a curve as float64, after a check of shape and finiteness.
 
-    ``name`` and ``of`` name the values and ``like`` in error messages.
+    Values must have the shape of ``like``; without it, n must be at least 2. Error messages call
+    the values ``name`` and the array ``like`` by the name in ``of``.
     """
     array = np.asarray(values, dtype=np.float64)
     if like is None and (array.ndim != 1 or array.size < 2):

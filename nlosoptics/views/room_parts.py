@@ -51,7 +51,7 @@ def outline(scene: Scene) -> Array:
 
 
 def object_radius(scene: Scene) -> float:
-    """Return the approximate radius of the hidden object, m."""
+    """Return half the longer side of a planar object, or half the box diagonal of a mesh, m."""
     hidden = scene.hidden
     if isinstance(hidden, PlanarObject):
         return float(max(hidden.size)) / 2

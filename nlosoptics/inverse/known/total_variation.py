@@ -501,7 +501,7 @@ class _Splitting:
         return self._signed[self._frame].double() * (self._scale / self._response)
 
     def background(self) -> float:
-        """Mean of the fitted background in image units."""
+        """Mean over the frame of the fitted background, without the known one, in image units."""
         return self._level + self._background * self._scale
 
     def tv_weight(self) -> float:

@@ -63,7 +63,11 @@ class Curve(Noun):
     def arc(
         cls, centre: ArrayLike, cosine: ArrayLike, sine: ArrayLike, low: float, high: float
     ) -> Curve:
-        """Return the arc ``centre + cosine cos(a) + sine sin(a)``, a from ``low`` to ``high``."""
+        """Return the elliptic arc of given centre and half axes ``cosine`` and ``sine``.
+
+        Points are ``centre + cosine cos(a) + sine sin(a)``, with the angle a from ``low`` to
+        ``high``, rad.
+        """
         base, c, s = (np.asarray(a, dtype=np.float64) for a in (centre, cosine, sine))
         return cls(base, np.zeros(2), c, s, np.asarray(low), np.asarray(high - low))
 

@@ -54,13 +54,14 @@ class PrysmPupil(NamedTuple):
 def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     """Return pupil arrays for ``prysm.propagation.Wavefront.from_amp_and_phase(*pupil)``.
 
-    In prysm, focus the wave over ``1e3 * image_distance`` mm. Terms in ``wavefront.removed`` are
-    not added back.
+    In prysm, focus this pupil with the distance ``1e3 * wavefront.image_distance``, mm. Terms in
+    ``wavefront.removed``, such as tilt, are not added back.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of layout "grid". In rim cells the amplitude is multiplied by the fraction inside.
+        Wave of layout "grid". In cells that the rim cuts, the returned amplitude is multiplied by
+        the fraction of the cell inside the pupil.
 
     Returns
     -------

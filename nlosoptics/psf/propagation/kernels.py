@@ -66,16 +66,17 @@ class Axis:
 
 
 class Spectrum:
-    """Energy of a field at its spatial frequencies, relative to the total energy.
+    """Energy of a sampled field at each spatial frequency, as a fraction of the total energy.
 
     Parameters
     ----------
     samples : ndarray, (ny, nx)
         Complex amplitudes.
     dx : float
-        Distance between them, m.
+        Pitch of the samples, m.
     pad : bool
-        Whether to resolve the spectrum twice as finely; False for a periodic field.
+        Whether to add zeros up to at least twice the extent, which samples the spectrum more
+        finely; False for a periodic field.
     """
 
     def __init__(self, samples: ComplexArray, dx: float, pad: bool) -> None:

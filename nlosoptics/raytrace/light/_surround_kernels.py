@@ -193,7 +193,7 @@ def _plate(world, o, d, low, high):
 
 @njit(cache=True, inline="always")
 def _texel(world, point):
-    """Return the brightness of the planar object at one of its points."""
+    """Return the pixel value of the planar object's picture at a point on the object."""
     plate, picture = world.plate, world.picture
     across = (point[0] - plate[0], point[1] - plate[1], point[2] - plate[2])
     ny, nx = picture.shape

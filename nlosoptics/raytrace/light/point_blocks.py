@@ -303,15 +303,21 @@ class _Block:
         self.task.job.around.clear(rays.starts, rays.ends, on_wall, self.value, rays.counts)
 
     def book(self, bounce: int) -> None:
-        """Add the current values to the sums; they arrive at the detector points ``at``."""
+        """Add the powers in ``value`` to the sums of light after ``bounce`` reflections.
+
+        This light arrives at the detector points in the attribute ``at``.
+        """
         self._book(bounce, self.at)
 
     def book_seen(self, bounce: int) -> None:
-        """Add the current values to the sums; they arrive at the detector points ``seen_at``."""
+        """Add the powers in ``value`` to the sums of light after ``bounce`` reflections.
+
+        This light arrives at the detector points in the attribute ``seen_at``.
+        """
         self._book(bounce, self.seen_at)
 
     def _book(self, bounce: int, at: tuple[Array, Array]) -> None:
-        """Add the current values to the sums of ``bounce`` reflections, and find their pixels."""
+        """Add the powers ``value`` to the sums of ``bounce`` reflections, and find their pixels."""
         task = self.task
         kernels.book(
             self.value,

@@ -19,12 +19,13 @@ LIGHT = 299792458.0  # m/s
 
 @dataclass(kw_only=True)
 class Found:
-    """Values of a capture file, with None for those that the file does not state.
+    """Values read from a capture file; None where the file does not state a value.
 
     Axes of ``H`` are (n_bins, *laser axes, *sensor axes) as in `TransientCapture`, but spatial
-    axes keep the direction of the file. ``needs`` maps an argument of `load_capture` to the reason
-    why the user must give it. ``doubt`` states an unproven assumption, which the user confirms by
-    ``format`` or replaces by giving all arguments in ``instead``.
+    axes still run in the file's direction. ``needs`` maps each argument of `load_capture` that the
+    user must give to the reason. ``doubt`` is an assumption in reading the file that nothing in
+    it proves, or empty. The user confirms it with the argument ``format``, or makes it unnecessary
+    by giving all arguments named in ``instead``.
     """
 
     layout: str

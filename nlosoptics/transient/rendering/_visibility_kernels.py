@@ -184,7 +184,11 @@ def _longer(links, lines):
 
 @njit(cache=True, error_model="numpy")
 def _cast(a, b, row, p, slack, line):
-    """Fill ``line`` with a segment's shadow on a triangle's plane; return False if it has none."""
+    """Project the segment from a to b, as seen from p, onto the plane of the triangle ``row``.
+
+    ``line`` gets the ends (u, v, u, v) of this shadow. Only the part of the segment between the
+    plane and p casts one; without such a part the result is False.
+    """
     n, to_u, to_v = frame(row)
     f = 1.0 / math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
     height = f * (n[0] * (p[0] - row[0]) + n[1] * (p[1] - row[1]) + n[2] * (p[2] - row[2]))
