@@ -102,7 +102,9 @@ each.set_ylabel("x, um")
 plt.show()
 
 # %%
-# What to see: the bright spot is there at every distance and widens with it. The focus is drawn by
+# Result
+# ------
+# The bright spot is there at every distance and widens with it. The focus is drawn by
 # 61 planes of one row each. At half the Talbot distance the grating is shifted by half a period.
 
 half = psf.propagate(grating, talbot / 2, method="fresnel_transfer")

@@ -194,7 +194,7 @@ def test_methods_without_a_state_say_so(frames: np.ndarray, capsys) -> None:
     assert call(capsys, *usual)[0] == 0
     code, _, err = call(capsys, *usual, "--resume")
     assert (code, err.count("\n")) == (2, 1)
-    assert "inverse_filter cannot go on" in err
+    assert "inverse_filter cannot resume" in err
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import Vector, one_of, positive, real, vector, whole
+from ..._checks import Vector, counted, one_of, positive, real, vector, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
@@ -144,8 +144,8 @@ class TransientCapture(Noun, Shown):
         ]:
             if values is not None and len(values) != len(self.H):
                 raise SamplingError(
-                    f"{name} has {len(values)} bins, must be {len(self.H)} like H; crop both to "
-                    "the same bins"
+                    f"{name} has {counted(len(values), 'bin')}, must be {len(self.H)} like H; "
+                    "crop both to the same bins"
                 )
         put(self, "details", MappingProxyType(dict(self.details)))
 

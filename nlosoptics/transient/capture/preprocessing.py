@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import in_range, real, whole
+from ..._checks import counted, in_range, real, whole
 from ...errors import SamplingError, SceneError
 from .capture import TransientCapture
 
@@ -92,8 +92,8 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     bins, grid = whole("bins", bins), whole("grid", grid)
     if capture.n_bins % bins:
         raise SamplingError(
-            f"{capture.n_bins} bins are no multiple of bins = {bins}; crop the capture with "
-            "transient.gated first"
+            f"the capture has {counted(capture.n_bins, 'bin')}, no multiple of bins = {bins}; "
+            "crop the capture with transient.gated first"
         )
     shape = capture.H.shape[1:]
     odd = [n for n in shape if n > 1 and n % grid]

@@ -173,7 +173,7 @@ def test_scenes_without_training_walls_are_refused(scene):
 
 def test_one_pair_is_too_few(pairs):
     one = inverse.TrainingPairs(images=pairs.images[:1], objects=pairs.objects[:1])
-    with pytest.raises(SceneError, match="1 pairs, must be at least 2"):
+    with pytest.raises(SceneError, match="1 pair, must be at least 2"):
         inverse.train_cnn(one)
 
 

@@ -143,7 +143,7 @@ def test_bad_input_is_refused(scene, field):
         psf.point_spread_field(scene, pitch=0.0)
     with pytest.raises(SamplingError, match="at has shapes"):
         ForwardModel(field, shape=(8, 8), at=(np.zeros((8, 7)), np.zeros((8, 8))))
-    with pytest.raises(SamplingError, match="no field"):
+    with pytest.raises(SamplingError, match="is not a field"):
         ForwardModel(np.ones((3, 3)), shape=(8, 8), at=(np.zeros((8, 8)), np.zeros((8, 8))))
 
 

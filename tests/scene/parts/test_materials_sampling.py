@@ -262,8 +262,8 @@ def test_shapes_broadcast_and_draws_address_samples() -> None:
         ),
         (lambda m: m.pdf([math.inf, 0, 0], NORMAL, NORMAL), "incident has length inf"),
         (lambda m: m.pdf(NORMAL, [0.0, 0, 0], NORMAL), "exitant has length 0, must be 1"),
-        (lambda m: m.evaluate([math.nan, 0, 1], NORMAL, NORMAL), "incident is not finite"),
-        (lambda m: m.evaluate(NORMAL, [math.inf, 0, 1], NORMAL), "exitant is not finite"),
+        (lambda m: m.evaluate([math.nan, 0, 1], NORMAL, NORMAL), "incident holds NaN or infinity"),
+        (lambda m: m.evaluate(NORMAL, [math.inf, 0, 1], NORMAL), "exitant holds NaN or infinity"),
         (lambda m: m.evaluate(NORMAL, NORMAL, [0.0, 1]), r"normal has shape \(2,\)"),
     ],
 )
