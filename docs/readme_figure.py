@@ -12,19 +12,23 @@ from nlosoptics.views.canvas import new_axes
 from nlosoptics.views.palette import BLACK, BLUE, BROWN, GREEN, ORANGE, VERMILION
 
 ROOT = Path(__file__).parents[1]
+FLOOR = 1.35  # m from the wall, where the picture ends
 
 
 def room(scene: Scene, axes: Axes) -> None:
     """Draw the room from above, with every part named where it is."""
-    x = np.linspace(-0.6, 0.6, 201)
+    x = np.linspace(-0.5, 0.5, 201) * scene.wall.size[0]
     axes.plot(x, scene.wall.height(x, 0 * x), color=BLACK, linewidth=4)
-    camera, laser = scene.camera.position, scene.laser.position
-    hidden, spot = scene.object_point, scene.laser.aim
-    axes.plot([0, 0], [0.6, 1.35], color=BROWN, linewidth=7, solid_capstyle="butt")
-    axes.plot([laser[0], spot[0]], [laser[2], 0.03], color=VERMILION, linewidth=2)
-    path = np.array([(spot[0], 0.03), (hidden[0], hidden[2]), (0, 0), (camera[0], camera[2])])
-    axes.plot(*path.T, color=ORANGE, linestyle="--")
-    axes.plot(hidden[0] + np.array([-0.12, 0.12]), [1, 1], color=GREEN, linewidth=5)
+    camera, laser, hidden = scene.camera.position, scene.laser.position, scene.object_point
+    spot = np.array([scene.laser.aim[0], 0.0, float(scene.wall.height(*scene.laser.aim[:2]))])
+    low, high = scene.occluding_mesh.bounds
+    partition = [low[2], min(high[2], FLOOR)]
+    axes.plot([(low + high)[0] / 2] * 2, partition, color=BROWN, linewidth=7, solid_capstyle="butt")
+    axes.plot([laser[0], spot[0]], [laser[2], spot[2]], color=VERMILION, linewidth=2)
+    path = np.array([spot, hidden, (0, 0, 0), camera])
+    axes.plot(path[:, 0], path[:, 2], color=ORANGE, linestyle="--")
+    half = scene.hidden.size[0] / 2
+    axes.plot(hidden[0] + np.array([-half, half]), [hidden[2]] * 2, color=GREEN, linewidth=5)
     axes.plot(camera[0], camera[2], "s", color=BLUE, markersize=11)
     style = {"ha": "center", "fontsize": 12}
     axes.text(0, -0.07, "relay wall", color=BLACK, **style)
