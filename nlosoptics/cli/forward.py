@@ -115,6 +115,7 @@ def schema_command(debug: Debug = False) -> None:
 def _write_pictures(result: Result, folder: Path) -> None:
     """Write an overview picture and one PNG for each part of the result."""
     from .. import limits, views
+    from ..views.overview import ground_truth
 
     scale = limits.object_scale(result.scene)
     views.save(views.overview(result), folder / "overview.png")
@@ -124,9 +125,8 @@ def _write_pictures(result: Result, folder: Path) -> None:
     views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
     views.save(views.image(result.image, object_scale=scale), folder / "image.png")
     if result.reconstruction is not None:
-        brightest = result.image.ideal.max()
-        truth = result.image.ideal / brightest if brightest > 0 else None
-        axes = views.reconstruction(result.reconstruction, truth, pitch=scale * result.image.pitch)
+        truth, pitch = ground_truth(result), scale * result.image.pitch
+        axes = views.reconstruction(result.reconstruction, truth, pitch=pitch)
         views.save(axes, folder / "reconstruction.png")
 
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .canvas import new_axes
 from .maps import image, point_spread, reconstruction, wavefront
 from .sketch import room_from_above
@@ -56,15 +59,19 @@ def overview(result: Result) -> tuple[Axes, ...]:
     wavefront(result.wavefront, axes=axes[1])
     point_spread(result.point_spread, scale="linear", axes=axes[2])
     image(result.image, object_scale=scale, axes=axes[3])
-    if result.reconstruction is None:
-        for spare in axes[4:]:
-            spare.remove()
-        return axes[:4]
-    brightest = float(result.image.ideal.max())
-    truth: Any = result.image.ideal / brightest if brightest > 0 else None
-    drawn = axes[5:3:-1] if truth is not None else axes[4:5]
-    reconstruction(result.reconstruction, truth, pitch=scale * result.image.pitch, axes=drawn)
-    if truth is None:
-        axes[5].remove()
-        return axes[:5]
-    return axes
+    used = 4
+    if result.reconstruction is not None:
+        truth = ground_truth(result)
+        used = 5 if truth is None else 6
+        free = axes[used - 1 : 3 : -1]  # the truth comes first, and is drawn on the right
+        reconstruction(result.reconstruction, truth, pitch=scale * result.image.pitch, axes=free)
+    for spare in axes[used:]:
+        spare.remove()
+    return axes[:used]
+
+
+def ground_truth(result: Result) -> NDArray[np.float64] | None:
+    """Return the image without blur and noise, largest value 1; None if it is dark."""
+    ideal = result.image.ideal
+    brightest = float(ideal.max())
+    return ideal / brightest if brightest > 0 else None

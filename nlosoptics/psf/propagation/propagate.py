@@ -16,7 +16,7 @@ from ...errors import MemoryLimitError, SamplingError, SceneError
 from ..window.error_bounds import rounded_up
 from ..window.grids import ComplexArray
 from ..window.window import shape_of
-from .kernels import (
+from .diffraction_sums import (
     ROUNDING,
     Axis,
     Spectrum,
@@ -175,9 +175,9 @@ def propagate(
     best, values, gain, notes = _first_within(field, candidates, method, step, tol)
     # The fraction of a turn is split off, since k z itself has lost the digits of small phases.
     values = values * cmath.exp(2j * math.pi * math.fmod(z / field.wavelength, 1.0))
-    if field.sampling_error > tol:
+    if (unsure := field.sampling_error) > tol:
         notes.append(
-            f"field.sampling_error = {field.sampling_error:.2g} exceeds tol: the continuous wave "
+            f"field.sampling_error = {unsure:.2g} exceeds tol: the continuous wave "
             "may differ more than error_estimate says"
         )
     return PropagatedField(
