@@ -11,11 +11,14 @@ import math
 from numba import njit
 
 from .codes import (
+    BUMPS,
     CYLINDER,
+    FACETS,
     GRID,
     SPHERE,
     WAVE,
 )
+from .relief import bumps, facets
 
 
 @njit(cache=True, inline="always")
@@ -120,6 +123,19 @@ def surface(terms, tables, x, y):
             hyy -= a * ky * ky * cosine
         elif kind == GRID:
             g = _grid(row, tables, x, y)
+            h += g[0]
+            hx += g[1]
+            hy += g[2]
+            hxx += g[3]
+            hxy += g[4]
+            hyy += g[5]
+        elif kind == FACETS:
+            f = facets(row, x, y)
+            h += f[0]
+            hx += f[1]
+            hy += f[2]
+        elif kind == BUMPS:
+            g = bumps(row, x, y)
             h += g[0]
             hx += g[1]
             hy += g[2]

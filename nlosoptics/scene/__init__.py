@@ -11,13 +11,16 @@ from .scene import Scene
 from .walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 from .walls.height_maps import CallableWall, HeightMapWall
 from .walls.mesh_walls import MeshWall
+from .walls.relief import FacetWall, GaussianWall
 
 __all__ = [
     "CallableWall",
     "Camera",
     "ConcaveWall",
     "ConvexWall",
+    "FacetWall",
     "FlatWall",
+    "GaussianWall",
     "HeightMapWall",
     "Lambert",
     "Laser",

@@ -73,6 +73,11 @@ class Wall(Noun):
         return self.max_curvature
 
     @property
+    def _max_crease(self) -> float:
+        """Upper bound on the gradient of the part of the height whose slopes jump; 0 without it."""
+        return 0.0
+
+    @property
     def finest_period(self) -> float:
         """Shortest lateral period of the height, m; infinite if it does not oscillate."""
         return math.inf
@@ -176,7 +181,7 @@ class Wall(Noun):
         -----
         The cell side c follows from the bound b on the second derivatives: every point of half a
         cell is within c / sqrt(2) of the midpoint of its longest side, so that the distance to the
-        surface is at most b c^2 / 4.
+        surface is at most b c^2 / 4. Facets of gradients up to g add at most g c / sqrt(2).
         """
         import trimesh
 
@@ -189,8 +194,11 @@ class Wall(Noun):
         bend = self._max_bend(self.size)
         if math.isinf(bend):
             raise SceneError(f"wall.size = {self.size} m exceeds a summand's radius; shrink it")
-        if bend > 0:
-            cell = min(math.sqrt(4 * max_sag_error / bend), self.finest_period / 4)
+        crease = self._max_crease / math.sqrt(2.0)
+        if max(bend, crease) > 0:
+            # the positive root c of bend c^2 / 4 + crease c = max_sag_error
+            root = math.sqrt(crease * crease + bend * max_sag_error)
+            cell = min(2 * max_sag_error / (crease + root), self.finest_period / 4)
             counts = tuple(math.ceil(extent / cell) + 1 for extent in self.size)  # type: ignore[assignment]
         fits_memory("the wall's mesh", 200.0 * counts[0] * counts[1], "allow a larger sag error")
         x, y = (np.linspace(-s / 2, s / 2, n) for s, n in zip(self.size, counts, strict=True))
@@ -469,6 +477,22 @@ class SumWall(Wall):
     def _max_bend(self, size: tuple[float, float]) -> float:
         """Return the sum of the summands' bounds on the second derivatives, 1/m."""
         return sum(term._max_bend(size) for term in self.terms)
+
+    @property
+    def _max_crease(self) -> float:
+        """Sum of the summands' bounds."""
+        return sum(term._max_crease for term in self.terms)
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Return the sum of the summands' heights, (...), m, positive toward the room.
+
+        Parameters
+        ----------
+        x, y : array_like, (...)
+            World coordinates, m; shapes broadcast.
+        """
+        # not from `derivatives`, since reliefs are much faster at many points together
+        return np.asarray(sum((term.height(x, y) for term in self.terms), 0.0))
 
     @property
     def finest_period(self) -> float:

@@ -1,0 +1,279 @@
+"""Rough walls: unbounded random reliefs, each determined by its seed, without stored heights."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import KW_ONLY, dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..._checks import in_range, positive, whole
+from ..._random import philox
+from ...errors import SceneError
+from ...kernels.codes import BUMPS, EXTREME, FACETS
+from .analytic import Array, Wall, _term
+
+OFFSETS: Final = 303  # stream number of the random generator
+
+
+class _Relief(Wall):
+    """Base class of random reliefs."""
+
+    seed: int
+
+    def _offset(self) -> tuple[float, float]:
+        """Return the random place of the lattice in units of its cell, each in [0, 1)."""
+        address = np.array([0, 0, 0, OFFSETS], dtype=np.uint32)
+        words = philox(address, self.seed).astype(np.float64)
+        along, across = (
+            np.floor(w / 64) * 2.0**27 + np.floor(v / 32) for w, v in (words[:2], words[2:])
+        )
+        return float(along / 2.0**53), float(across / 2.0**53)
+
+    def _row(self, kind: int, length: float, rms: float, offset: tuple[float, float]) -> Array:
+        """Return the relief's height term, (1, 8)."""
+        return _term(kind, length, rms, self.seed & 0xFFFFFFFF, self.seed >> 32, *offset)
+
+    def height(self, x: ArrayLike, y: ArrayLike) -> Array:
+        """Return the height h(x, y), (...), m, positive toward the room.
+
+        It draws each node of the lattice once for all points, unlike `derivatives`, and has the
+        same bits.
+
+        Parameters
+        ----------
+        x, y : array_like, (...)
+            World coordinates, m; shapes broadcast.
+
+        Raises
+        ------
+        SceneError
+            If a coordinate is not finite, or more than 2^31 cells from the origin.
+        """
+        from ...kernels.relief import relief_heights
+
+        x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+        if not (np.isfinite(x).all() and np.isfinite(y).all()):
+            raise SceneError("x or y holds NaN or infinity; give finite coordinates in m")
+        out = np.empty(x.size)
+        relief_heights(self.compiled()[0][0], np.ravel(x), np.ravel(y), out)
+        if not np.isfinite(out).all():
+            i = int(np.argmax(~np.isfinite(out)))
+            raise SceneError(
+                f"x = {x.flat[i]:g} m, y = {y.flat[i]:g} m is more than 2^31 cells of the relief "
+                "from the origin; use larger cells or stay nearer"
+            )
+        return out.reshape(x.shape)
+
+    @property
+    def max_height(self) -> float:
+        """Upper bound on the magnitude of the height, m; no draw exceeds it."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class FacetWall(_Relief):
+    """Wall of plane random facets: the triangles of an equilateral lattice with random nodes.
+
+    Parameters
+    ----------
+    cell : float
+        Side of a triangle, m.
+    slope_rms : float
+        Slope rms per axis, rad, 0 to 1. The slopes of a facet are Gaussian and isotropic.
+    seed : int
+        Seed of the random generator, 0 to 2^64 - 1.
+    size : float or (float, float), optional
+        Full extent in x and y, m; None for an unbounded wall.
+
+    Attributes
+    ----------
+    node_rms : float
+        Height rms of the lattice nodes, m.
+    height_rms : float
+        Height rms over the area, m.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range.
+
+    Notes
+    -----
+    Node heights are independent Gaussian draws of rms s_n. On triangles of side c the slopes per
+    axis have the rms ``sqrt(2) s_n / c``, and heights the rms s_n at a node, s_n/sqrt(3) in the
+    middle of a facet and s_n/sqrt(2) over the area. The draw of a node depends only on the seed and
+    its indices, and the position of the lattice only on the seed; it is uniform, so that the
+    ensemble of all seeds is stationary.
+
+    See Also
+    --------
+    GaussianWall : smooth relief with a Gaussian autocorrelation.
+
+    Examples
+    --------
+    >>> from nlosoptics.scene import FacetWall
+    >>> wall = FacetWall(1e-3, 2e-3, seed=1)
+    >>> round(1e6 * wall.node_rms, 3), round(1e6 * wall.height_rms, 3)
+    (1.414, 1.0)
+    >>> bool(abs(wall.height(0.3, 0.4)) <= wall.max_height)
+    True
+    """
+
+    cell: float
+    slope_rms: float
+    _: KW_ONLY
+    seed: int = 0
+    size: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "cell", positive("wall.cell", self.cell, unit="m"))
+        slope = in_range("wall.slope_rms", self.slope_rms, 0.0, 1.0, unit="rad")
+        object.__setattr__(self, "slope_rms", slope)
+        object.__setattr__(self, "seed", whole("wall.seed", self.seed, 0, 2**64 - 1))
+        self._check_size()
+
+    @property
+    def node_rms(self) -> float:
+        """Height rms of the lattice nodes, m."""
+        return self.cell * self.slope_rms / math.sqrt(2.0)
+
+    @property
+    def height_rms(self) -> float:
+        """Height rms over the area, m."""
+        return self.node_rms / math.sqrt(2.0)
+
+    def compiled(self) -> tuple[Array, Array]:
+        """Return the facets as one height term."""
+        a, b = self._offset()
+        offset = (self.cell * (a + 0.5 * b), self.cell * math.sqrt(0.75) * b)
+        return self._row(FACETS, self.cell, self.node_rms, offset), np.zeros(1)
+
+    @property
+    def max_curvature(self) -> float:
+        """Zero, 1/m: facets are plane. At their edges the slope jumps."""
+        return 0.0
+
+    @property
+    def _max_crease(self) -> float:
+        """Gradient of a facet whose opposite nodes have the extreme draws of both signs."""
+        return 2.0 * EXTREME * self.node_rms / (math.sqrt(0.75) * self.cell)
+
+    @property
+    def max_height(self) -> float:
+        """Upper bound on the magnitude of the height, m; no draw exceeds it."""
+        return EXTREME * self.node_rms
+
+    @property
+    def finest_period(self) -> float:
+        """Shortest period of the node heights, sqrt(3) cells, m; infinite without slopes."""
+        return math.sqrt(3.0) * self.cell if self.slope_rms else math.inf
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether the slope rms is zero."""
+        return self.slope_rms == 0.0
+
+
+@dataclass(frozen=True)
+class GaussianWall(_Relief):
+    """Wall with smooth stationary Gaussian heights, of autocorrelation ``exp(-r^2/l^2)``.
+
+    Parameters
+    ----------
+    height_rms : float
+        Height rms, m.
+    correlation_length : float
+        Lag l at which the autocorrelation has fallen to 1/e, m.
+    seed : int
+        Seed of the random generator, 0 to 2^64 - 1.
+    size : float or (float, float), optional
+        Full extent in x and y, m; None for an unbounded wall.
+
+    Attributes
+    ----------
+    slope_rms : float
+        Slope rms per axis, ``sqrt(2) height_rms / l``, rad.
+
+    Raises
+    ------
+    SceneError
+        If a value is out of range, or the slope rms exceeds 1.
+
+    Notes
+    -----
+    Independent normal draws on a square lattice of pitch l/2 are convolved with the kernel
+    ``exp(-2 r^2/l^2)``. The draw of a node depends only on the seed and its indices, and the
+    position of the lattice only on the seed. For one position the variance ripples by 2e-4,
+    relative, with the period of the lattice. Positions are uniform, so that the ensemble of all
+    seeds is stationary and has the stated autocorrelation exactly.
+
+    See Also
+    --------
+    FacetWall : relief of plane facets.
+    HeightMapWall.random : stored heights on a grid, also with other autocorrelations.
+
+    Examples
+    --------
+    >>> from nlosoptics.scene import GaussianWall
+    >>> wall = GaussianWall(1e-6, 1e-3, seed=1)
+    >>> round(1e3 * wall.slope_rms, 3)
+    1.414
+    """
+
+    height_rms: float
+    correlation_length: float
+    _: KW_ONLY
+    seed: int = 0
+    size: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        height = in_range("wall.height_rms", self.height_rms, 0.0, unit="m")
+        length = positive("wall.correlation_length", self.correlation_length, unit="m")
+        object.__setattr__(self, "height_rms", height)
+        object.__setattr__(self, "correlation_length", length)
+        object.__setattr__(self, "seed", whole("wall.seed", self.seed, 0, 2**64 - 1))
+        if not self.slope_rms <= 1.0:
+            raise SceneError(
+                f"wall.height_rms = {height:g} m with wall.correlation_length = {length:g} m has "
+                f"the slope rms {self.slope_rms:g}, limit 1; use lower heights or a longer length"
+            )
+        self._check_size()
+
+    @property
+    def slope_rms(self) -> float:
+        """Slope rms per axis, rad."""
+        return math.sqrt(2.0) * self.height_rms / self.correlation_length
+
+    def compiled(self) -> tuple[Array, Array]:
+        """Return the bumps as one height term."""
+        length = self.correlation_length
+        a, b = self._offset()
+        offset = (0.5 * length * a, 0.5 * length * b)
+        return self._row(BUMPS, length, self.height_rms, offset), np.zeros(1)
+
+    @property
+    def max_curvature(self) -> float:
+        """Bound on the second derivatives, 1/m: 8.65 times their rms, sqrt(12) height_rms / l^2.
+
+        A correlation area exceeds it with a probability of about 1e-15.
+        """
+        return EXTREME * math.sqrt(12.0) * self.height_rms / self.correlation_length**2
+
+    @property
+    def max_height(self) -> float:
+        """Upper bound on the magnitude of the height, m; no draw exceeds it."""
+        # the weights sum to 2 pi, apart from a ripple of less than 1e-8
+        return 2.0 * math.sqrt(math.pi) * (1.0 + 1e-7) * EXTREME * self.height_rms
+
+    @property
+    def finest_period(self) -> float:
+        """Period beyond which the spectrum is below exp(-pi^2) of its peak: l, m."""
+        return self.correlation_length if self.height_rms else math.inf
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether every height is zero."""
+        return self.height_rms == 0.0
