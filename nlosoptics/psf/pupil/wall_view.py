@@ -30,11 +30,18 @@ class WallView(Noun):
     effective_distance : ndarray, (2, 2)
         Inverse of the path's second derivatives over the wall, m. For a flat wall at normal
         incidence it is ``d1 d2/(d1 + d2)`` times the unit matrix.
+    point : ndarray, (3,)
+        Point at which the chief ray meets the wall, world, m.
+    tangents : ndarray, (2, 3)
+        Unit vectors of the wall's tangent plane at that point, world, in which steps on the wall
+        are given.
     """
 
     footprint: Array
     cos_sum: float
     effective_distance: Array
+    point: Array
+    tangents: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +58,15 @@ class _Chief:
         Second derivatives of the path over the wall's tangent plane, 1/m.
     footprint : ndarray, (n, 2, 2)
         Matrix M from a step in the lens to the step of the wall point that it sees.
+    tangents : ndarray, (n, 2, 3)
+        Unit vectors of the wall's tangent planes, world.
     """
 
     points: Array
     cosines: Array
     bend: Array
     footprint: Array
+    tangents: Array
 
 
 def facet_reach(scene: Scene, *, slope_rms: float) -> tuple[float, float]:
@@ -138,6 +148,8 @@ def _view_of(chief: _Chief, zoom: float) -> WallView:
         footprint=chief.footprint[0] / zoom,
         cos_sum=float(chief.cosines[0]),
         effective_distance=np.linalg.inv(chief.bend[0]),
+        point=np.array(chief.points[0]),
+        tangents=np.array(chief.tangents[0]),
     )
 
 
@@ -170,7 +182,7 @@ def _optics(
     # E_ab = t_a (I - s_o s_o^T) e_b
     across = axes[:2] - (units[1] @ axes[:2].T)[:, :, None] * units[1][:, None, :]
     into = np.einsum("nak,nbk->nab", tangents, across) / lengths[1][:, None, None]
-    return _Chief(points, cosines, total, np.linalg.solve(total, into))
+    return _Chief(points, cosines, total, np.linalg.solve(total, into), tangents)
 
 
 def _wall_frames(wall: Wall, points: Array) -> tuple[Array, Array, Array]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import fits_memory, in_range, one_of, positive
 from ...errors import SamplingError
-from ...scene import Scene
+from ...scene import FacetWall, GaussianWall, Scene
 from ..pupil.scene_optics import SceneOptics
 from ..transform.point_spread import (
     NORMALISATIONS,
@@ -27,12 +27,13 @@ from ..window.error_bounds import rounded_up
 from ..window.window import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
 from .roughness import Roughness
 from .scattered_light import EPSILON, PIXEL_BYTES, scattered_light
-from .view import RoughView, rough_source
+from .source import rough_source
+from .view import RoughView
 
 Array = NDArray[np.float64]
 
-#: Rayleigh parameter beyond which the smooth core, exp(-s^2), is below rounding.
-ALL_DIFFUSE: Final = 6.2
+#: Energy fraction of the smooth core below which it is left out, since it is below rounding.
+NO_CORE: Final = 2e-17
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,13 +47,20 @@ class RoughPointSpread(PointSpread):
         wall's point spread. The rest is `diffuse`.
     rayleigh_parameter : float
         ``s = k (cos_i + cos_o) height_rms``, rad: rms phase due to the heights.
+    coherent_fraction : float, optional
+        Fraction of the energy in the coherent core; by default that of Gaussian heights,
+        ``exp(-s^2)``.
     """
 
     coherent: Array
     rayleigh_parameter: float
+    coherent_fraction: float = math.nan
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if math.isnan(self.coherent_fraction):
+            found = math.exp(-(self.rayleigh_parameter**2))
+            object.__setattr__(self, "coherent_fraction", found)
         coherent = np.array(self.coherent, dtype=np.float64, order="C")
         coherent.setflags(write=False)
         object.__setattr__(self, "coherent", coherent)
@@ -63,19 +71,14 @@ class RoughPointSpread(PointSpread):
         return self.intensity - self.coherent
 
     @property
-    def coherent_fraction(self) -> float:
-        """Fraction of the energy in the coherent core, ``exp(-s^2)``."""
-        return math.exp(-(self.rayleigh_parameter**2))
-
-    @property
     def total_integrated_scatter(self) -> float:
-        """Fraction of the energy scattered into all angles, ``1 - exp(-s^2)``."""
-        return -math.expm1(-(self.rayleigh_parameter**2))
+        """Fraction of the energy scattered into all angles."""
+        return 1.0 - self.coherent_fraction
 
 
 def mean_point_spread(
     source: Wavefront | Scene | SceneOptics,
-    roughness: Roughness,
+    roughness: Roughness | FacetWall | GaussianWall,
     *,
     footprint: ArrayLike | None = None,
     cos_sum: float | None = None,
@@ -92,8 +95,8 @@ def mean_point_spread(
     source : Wavefront, Scene or SceneOptics
         Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
         sampled as finely as ``tol`` requires.
-    roughness : Roughness
-        Statistics of the wall's heights.
+    roughness : Roughness, FacetWall or GaussianWall
+        Statistics of the wall's heights. Of a random wall, all seeds are averaged.
     footprint : float or array_like (2, 2), optional
         Matrix M from a step in the exit pupil to the corresponding step on the wall;
         ``d1/(d1 + d2)`` at normal incidence. Required with a wavefront; a scene defines it
@@ -203,13 +206,13 @@ def detilted_mean(
         "use a larger tol or wider pixels",
     )
     core, part = None, tol
-    if view.rayleigh_parameter < ALL_DIFFUSE:
+    share = view.coherent_fraction
+    if share > NO_CORE:
         if pixel_integrated:
             core = detilted_wide_spread(residual, pitch, shape, tol)
         else:
             core = detilted_point_spread(residual, tol=tol, pitch=pitch, shape=shape)
         part = max(tol - core.error_estimate, tol / 10)  # the errors of both add
-    share = math.exp(-(view.rayleigh_parameter**2))
     coherent = np.zeros(shape) if core is None else share * core.intensity
     diffuse, error = np.zeros(shape), 0.0
     if view.rayleigh_parameter > 0:
@@ -243,6 +246,7 @@ def detilted_mean(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(total.sum()),
         rayleigh_parameter=view.rayleigh_parameter,
+        coherent_fraction=share,
         regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
         reason=_reason(view, core),
     )
@@ -254,9 +258,9 @@ def _reason(view: RoughView, core: PointSpread | None) -> str:
     if s == 0:
         halo = "the wall is smooth"
     else:
-        halo = f"halo of {100 * -math.expm1(-(s**2)):.3g} % of the energy, s = {s:.3g} rad"
+        halo = f"halo of {100 * view.scattered_fraction:.3g} % of the energy, s = {s:.3g} rad"
     if core is None:
-        return f"{halo}; no core: exp(-s^2) is below rounding"
+        return f"{halo}; no core: its energy is below rounding"
     return f"{halo}; core: {core.reason}"
 
 

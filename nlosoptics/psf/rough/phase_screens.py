@@ -57,21 +57,33 @@ class Screens:
     phase_rms: float
     spreading: Array | None
 
+    @property
+    def size(self) -> int:
+        """Lattice points per side, one period."""
+        return int(self.heights.shape[0])
+
     def draw(self, seed: int) -> Iterator[ComplexArray]:
         """Yield fields (n, n) of independent random walls at the pupil points, of mean power 1."""
         random = generator(seed, SCREENS)
-        n = self.heights.shape[0]
+        n = self.size
         turn = None if self.spreading is None else np.exp(-1j * self.spreading)
         while True:
             waves = ducc0.fft.r2c(random.standard_normal((n, n)), nthreads=1)
             waves *= self.heights
             heights = ducc0.fft.c2r(waves, lastsize=n, forward=False, inorm=2, nthreads=1)
             field = np.exp(-1j * self.phase_rms * heights)
-            if turn is not None:
-                ducc0.fft.c2c(field, out=field, nthreads=1)
-                field *= turn
-                ducc0.fft.c2c(field, out=field, forward=False, inorm=2, nthreads=1)
-            yield field
+            yield field if turn is None else propagated(field, turn)
+
+
+def propagated(field: ComplexArray, turn: ComplexArray) -> ComplexArray:
+    """Return a periodic field (n, n) after propagation, computed in place.
+
+    ``turn`` holds the factor of each plane wave, (n, n) in FFT order.
+    """
+    ducc0.fft.c2c(field, out=field, nthreads=1)
+    field *= turn
+    ducc0.fft.c2c(field, out=field, forward=False, inorm=2, nthreads=1)
+    return field
 
 
 def stride(view: RoughView, pitch: float) -> int:
@@ -145,6 +157,19 @@ def spreading_matrix(view: RoughView) -> Array:
     return np.asarray(back @ view.effective_distance @ back.T)
 
 
+def spreading_phase(view: RoughView, n: int, pitch: float, wavelength: float) -> Array:
+    """Return the phase by which propagation to the pupil delays each plane wave, (n, n), rad.
+
+    The lattice has n points of a pitch, m, per side; plane waves are in FFT order. A component of
+    frequency q is delayed by ``pi lambda q^T d_eff q``.
+    """
+    matrix = spreading_matrix(view)
+    u = np.fft.fftfreq(n, pitch)
+    v = u[:, None]
+    form = matrix[0, 0] * u**2 + 2 * matrix[0, 1] * u * v + matrix[1, 1] * v**2
+    return np.asarray(math.pi * wavelength * form)
+
+
 def throw(view: RoughView, halo_angle: float) -> float:
     """Return the distance in the pupil, m, over which the screen spreads a halo of a half angle.
 
@@ -207,10 +232,7 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
     positive /= float(np.sum(positive * twice)) / n**2  # restores the variance
     spreading = None
     if reach > 0:
-        matrix = spreading_matrix(view)
-        u, v = np.meshgrid(steps / (n * pitch), steps / (n * pitch))
-        form = matrix[0, 0] * u**2 + 2 * matrix[0, 1] * u * v + matrix[1, 1] * v**2
-        spreading = math.pi * wavelength * form
+        spreading = spreading_phase(view, n, pitch, wavelength)
     return Screens(np.sqrt(positive), view.rayleigh_parameter, spreading)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import one_of, whole
-from ...errors import SamplingError
+from ...errors import SamplingError, SceneError
 from ...scene import Scene
 from ..pupil.scene_optics import SceneOptics
 from ..transform import mdft
@@ -24,9 +24,11 @@ from ..window.grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from ..window.pixels import PixelRule, pixel_rule
 from ..window.window import Window
 from .mean import image_sampling
-from .phase_screens import Between, screens, stride, throw, widest_pitch
+from .phase_screens import Between, Screens, screens, stride, throw, widest_pitch
+from .relief import RELIEFS, Relief, ReliefScreen, ReliefView, relief_screen, relief_stride
 from .roughness import Roughness
-from .view import RoughView, rough_source
+from .source import rough_source
+from .view import RoughView
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -40,9 +42,9 @@ LEAST_CELLS: Final = 256
 
 def sample_point_spread(
     source: Wavefront | Scene | SceneOptics,
-    roughness: Roughness,
+    roughness: Roughness | Relief,
     *,
-    seed: int,
+    seed: int | None = None,
     independent_patterns: int = 1,
     footprint: ArrayLike | None = None,
     cos_sum: float | None = None,
@@ -60,15 +62,17 @@ def sample_point_spread(
     source : Wavefront, Scene or SceneOptics
         Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
         sampled as finely as the random heights and their halo require.
-    roughness : Roughness
-        Statistics of the wall's heights.
-    seed : int
-        Random seed. The same seed and sampling yield the same wall.
+    roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
+        Statistics of the heights of a random wall, or one wall of given heights over its mean
+        surface, which is the same for every object point, pupil and sampling.
+    seed : int, optional
+        Random seed, with statistics only. The same seed and sampling yield the same wall.
     independent_patterns : int
-        Number of walls whose patterns are averaged; the first one is that of a single wall. This
-        also models an average over time or wavelengths: one pattern per correlation length by
-        which a wall moves during the exposure, or per wavelength step lambda/s, with s the rms
-        phase in rad. Developed speckle has the contrast ``1/sqrt(independent_patterns)``.
+        Number of walls whose patterns are averaged, 1 for given heights; the first one is that of
+        a single wall. This also models an average over time or wavelengths: one pattern per
+        correlation length by which a wall moves during the exposure, or per wavelength step
+        lambda/s, with s the rms phase in rad. Developed speckle has the contrast
+        ``1/sqrt(independent_patterns)``.
     footprint : float or array_like (2, 2), optional
         Matrix M of `mean_point_spread`. Required with a wavefront; a scene defines it.
     cos_sum : float, optional
@@ -130,20 +134,80 @@ def sample_point_spread(
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("propagation", propagation, ("fresnel", "geometric"))
     patterns = whole("independent_patterns", independent_patterns)
-    seed = whole("seed", seed, 0, 2**64 - 1)
-    smooth = rough_source(source, roughness, footprint, cos_sum, effective_distance)
+    seed = _checked_draw(roughness, seed, patterns)
+    smooth = rough_source(source, roughness, footprint, cos_sum, effective_distance, pattern=True)
     view = smooth.view
     pitch, shape = image_sampling(smooth.residual, view, pitch, shape)
-    window = Window.centred(pitch, shape)
-    samples, rule = speckle_samples(smooth.residual, window, pixel_integrated)
+    samples = speckle_samples(smooth.residual, Window.centred(pitch, shape), pixel_integrated)[0]
     residual, grid = smooth.refined(lambda found: (found, speckle_pupil(found, view, samples)))
-    wave = residual.wavefront
-    mean, spill = _patterns(
-        residual, view, grid, samples, rule, seed=seed, patterns=patterns, propagation=propagation
-    )
+    return detilted_sample(
+        residual,
+        grid,
+        view,
+        pitch,
+        shape,
+        seed=seed,
+        patterns=patterns,
+        propagation=propagation,
+        normalisation=normalisation,
+        pixel_integrated=pixel_integrated,
+        reason=f"{propagation} was requested: a phase screen, and one mdft for each pattern",
+    )[0]
+
+
+def detilted_sample(
+    residual: Residual,
+    grid: PupilGrid,
+    view: RoughView,
+    pitch: float,
+    shape: tuple[int, int],
+    *,
+    seed: int = 0,
+    patterns: int = 1,
+    propagation: Propagation = "fresnel",
+    normalisation: Normalisation = "unit-sum",
+    pixel_integrated: bool,
+    reason: str,
+) -> tuple[PointSpread, PupilGrid]:
+    """Compute `sample_point_spread` for a wave already split into piston, tilt and residual.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall.
+    grid : PupilGrid
+        Its pupil function, from `speckle_pupil`.
+    view : RoughView
+        View of the roughness from the wave's pupil.
+    pitch, shape, seed, patterns, propagation, normalisation, pixel_integrated
+        Options of `sample_point_spread`, already checked.
+    reason : str
+        Why this computation was selected.
+
+    Returns
+    -------
+    spread : PointSpread
+        Mean of the patterns.
+    seen : PupilGrid
+        Pupil function of the first wall.
+    """
+    wave, window = residual.wavefront, Window.centred(pitch, shape)
+    samples, rule = speckle_samples(residual, window, pixel_integrated)
+    seen, spill = grid, 0.0
+    if view.rayleigh_parameter == 0:
+        mean = mdft.intensity_in(residual, grid, samples, rule)
+    else:
+        fields, between = wall_fields(residual, view, grid, seed, propagation)
+        first = next(fields)
+        seen, spill = seen_through(grid, first, between), spilled(first)
+        mean = mdft.intensity_in(residual, seen, samples, rule)
+        for field in islice(fields, patterns - 1):
+            one = seen_through(grid, field, between)
+            mean += mdft.intensity_in(residual, one, samples, rule)
+        mean /= patterns
     level = residual.pixel_share(pitch)
     scale = {"unit-sum": level, "flux": level * wave.flux, "ideal-peak": 1.0}[normalisation]
-    return PointSpread(
+    spread = PointSpread(
         intensity=mean * scale,
         pitch=pitch,
         method=f"{propagation} screen + mdft",
@@ -154,8 +218,28 @@ def sample_point_spread(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(mean.sum()) * level,
         regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
-        reason=f"{propagation} was requested: a phase screen, and one mdft for each pattern",
+        reason=reason,
     )
+    return spread, seen
+
+
+def _checked_draw(roughness: Roughness | Relief, seed: int | None, patterns: int) -> int:
+    """Return the seed; refuse to draw where the heights are given, or without a seed."""
+    if not isinstance(roughness, RELIEFS):
+        if seed is None:
+            raise SceneError("seed is missing, which selects the random wall; give seed = 0")
+        return whole("seed", seed, 0, 2**64 - 1)
+    if seed is not None:
+        raise SceneError(
+            f"seed = {seed!r} is given with the heights of one wall; leave it out, or give the "
+            "wall another seed"
+        )
+    if patterns > 1:
+        raise SceneError(
+            f"independent_patterns = {patterns} with the heights of one wall, limit 1; give a "
+            "Roughness, or average over walls of several seeds"
+        )
+    return 0
 
 
 def speckle_samples(
@@ -174,12 +258,17 @@ def speckle_samples(
     return rule.window(pitch, shape), rule
 
 
+def finest_pitch(view: RoughView, wavelength: float) -> float:
+    """Return the widest pupil pitch, m, that resolves the field of a rough wall."""
+    return view.widest_pitch(wavelength) if isinstance(view, ReliefView) else widest_pitch(view)
+
+
 def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> PupilGrid:
     """Return the smooth pupil function on a grid fine enough for the screen, halo and window."""
     wave = residual.wavefront
     halo = view.halo(wave)
     far = max(samples.reach_from(residual.shift)) + residual.rays.reach + halo
-    finest = widest_pitch(view)
+    finest = finest_pitch(view, wave.wavelength)
     scale = wave.wavelength * abs(wave.image_distance)
     if wave.layout == "polar":
         # A period of 3 far keeps the leak of the softened rim outside, see `antialiased_disc`.
@@ -201,28 +290,6 @@ def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> Pupil
             f"more pupil samples (now {n}) or of polar nodes"
         )
     return pupil_grid(residual)
-
-
-def _patterns(
-    residual: Residual,
-    view: RoughView,
-    grid: PupilGrid,
-    samples: Window,
-    rule: PixelRule | None,
-    *,
-    seed: int,
-    patterns: int,
-    propagation: str,
-) -> tuple[Array, float]:
-    """Return the mean of the patterns, 1 at the ideal peak, and the energy of `spilled`."""
-    if view.rayleigh_parameter == 0:
-        return mdft.intensity_in(residual, grid, samples, rule), 0.0
-    fields, between = wall_fields(residual, view, grid, seed, propagation)
-    first = next(fields)
-    total = mdft.intensity_in(residual, seen_through(grid, first, between), samples, rule)
-    for field in islice(fields, patterns - 1):
-        total += mdft.intensity_in(residual, seen_through(grid, field, between), samples, rule)
-    return total / patterns, spilled(first)
 
 
 def wall_fields(
@@ -254,21 +321,28 @@ def wall_fields(
     angle = view.halo(wave) / abs(wave.image_distance)
     reach = throw(view, angle)
     turn = math.pi / wave.wavelength * reach * angle
-    if propagation == "geometric":
-        if turn > LARGEST_TURN:
-            shortest = wave.wavelength / angle
-            raise SamplingError(
-                f"ripples of periods down to {shortest:.3g} m in the pupil change phase by q = "
-                f"{turn:.3g} rad between wall and pupil, limit {LARGEST_TURN} rad for "
-                "propagation='geometric'; use propagation='fresnel'"
-            )
-        reach = 0.0
-    n, step = grid.values.shape[0], stride(view, grid.pitch)
+    if propagation == "geometric" and turn > LARGEST_TURN:
+        shortest = wave.wavelength / angle
+        raise SamplingError(
+            f"ripples of periods down to {shortest:.3g} m in the pupil change phase by q = "
+            f"{turn:.3g} rad between wall and pupil, limit {LARGEST_TURN} rad for "
+            "propagation='geometric'; use propagation='fresnel'"
+        )
+    propagates, n = propagation == "fresnel", grid.values.shape[0]
+    step = 1  # a relief's own phase is not periodic, so that it cannot be interpolated
+    if not isinstance(view, ReliefView):
+        step = stride(view, grid.pitch)
+    elif propagates:
+        step = relief_stride(view, grid.pitch, wave.wavelength)
     # one more point than intervals, so that the lattice encloses the last pupil point
     cells = n if step == 1 else -(-n // step) + 1
-    walls = screens(view, cells, step * grid.pitch, wave.wavelength, reach)
-    fields = walls.draw(seed)
-    return fields, (Between(walls.heights.shape[0], step, n) if step > 1 else None)
+    pitch = step * grid.pitch
+    walls: Screens | ReliefScreen
+    if isinstance(view, ReliefView):
+        walls = relief_screen(view, cells, pitch, wave.wavelength, n // 2 / step, propagates)
+    else:
+        walls = screens(view, cells, pitch, wave.wavelength, reach if propagates else 0.0)
+    return walls.draw(seed), (Between(walls.size, step, n) if step > 1 else None)
 
 
 def seen_through(grid: PupilGrid, field: ComplexArray, between: Between | None) -> PupilGrid:

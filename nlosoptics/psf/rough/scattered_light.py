@@ -205,7 +205,7 @@ class Halo:
         """Return nodes with their weights and phases."""
         wave, pitch = self.residual.wavefront, self.window.pitch
         area = math.pi * lag * steps / abs(float(np.linalg.det(self.view.footprint)))
-        factor = 2 * area * self.view.diffuse_transfer(lag)
+        factor = 2 * area * self.view.scattered_transfer(du, dv)
         factor *= (pitch / (wave.wavelength * wave.image_distance)) ** 2
         if self.pixel_integrated:
             turns = self.per_metre * pitch / (2 * math.pi)
@@ -229,7 +229,7 @@ class Halo:
 
     def _runs(self, last: float) -> list[float]:
         """Return the lags, m, that bound the runs of nodes; several runs if C has a long tail."""
-        length = self.view.roughness.correlation_length
+        length = self.view.length
         edges, end = [0.0], FIRST_RUN / 2 * length
         while 2 * end < last:
             edges.append(end)
@@ -316,7 +316,7 @@ def _with_cells(
     """Compute `scattered_light` by a transfer function from ``cells`` across the pupil."""
     smooth = transfer(residual, cells)
     if pixel_integrated:
-        share = -math.expm1(-(view.rayleigh_parameter**2))
+        share = view.scattered_fraction
         for half in inner_halves(residual, view, window, tol):
             found = _about_the_light(residual, view, window, half, share, smooth, tol, cells)
             if found[1] <= 0.5 * tol * float(np.max(coherent + found[0])):
@@ -334,7 +334,7 @@ def inner_halves(
     reach = ray_reach(residual) + view.halo(residual.wavefront)
     # The tail outside has the energy 2/(pi^2 half), with the relative error reach^2/half^2.
     half = max(reach + FAR * unit, math.cbrt(reach**2 * unit / (math.pi**2 * tol / 4)))
-    if view.roughness.autocorrelation != "gaussian":
+    if view.has_tails:
         # A halo with long tails has the fraction (blur/half)^2 or more outside.
         blur, alone = _blur(residual, view, window.pitch)
         peak = 1 / (1 / alone + 1 / peak_pixel(residual, window.pitch))

@@ -22,7 +22,7 @@ from ..wave.wavefront import Wavefront
 from ..window.error_bounds import rounded_up
 from ..window.grids import PupilGrid, pupil_grid, pupil_grid_from_polar
 from ..window.window import Window
-from .mean import ALL_DIFFUSE, RoughPointSpread, detilted_mean, image_sampling
+from .mean import NO_CORE, RoughPointSpread, detilted_mean, image_sampling
 from .otf import ORDER, LatticeRatio, transfer
 from .roughness import Roughness
 from .sample import (
@@ -35,7 +35,8 @@ from .sample import (
     wall_fields,
 )
 from .scattered_light import Halo, Separations
-from .view import RoughView, rough_source
+from .source import rough_source
+from .view import RoughView
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -256,7 +257,7 @@ class _Walls:
         scattering = None
         for field in chain([first], islice(fields, count - 1)):
             seen = seen_through(grid, field, between)
-            if s < ALL_DIFFUSE:
+            if self.short.coherent_fraction > NO_CORE:
                 coherent += level * mdft.intensity_in(self.residual, seen, samples, rule)
             if s > 0:
                 scattering = scattering or self._scattering(seen, coherent, spilled(first))
@@ -265,7 +266,7 @@ class _Walls:
         peak = float((coherent + diffuse).max())
         if scattering is not None:
             error = scattering.error / peak
-        if s < ALL_DIFFUSE:
+        if self.short.coherent_fraction > NO_CORE:
             drawn = speckle_error(
                 self.residual,
                 grid,

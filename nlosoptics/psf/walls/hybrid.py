@@ -23,7 +23,8 @@ from ..pupil.wall_wavefront import AimedWave
 from ..rough.otf import transfer
 from ..rough.roughness import Roughness
 from ..rough.scattered_light import Halo
-from ..rough.view import RoughView, rough_view
+from ..rough.source import rough_view
+from ..rough.view import RoughView
 from ..transform.point_spread import PointSpread, detilted_point_spread
 from ..wave.regime import regime
 from ..wave.wavefront import Wavefront

@@ -18,7 +18,8 @@ from ..aperture.aperture import Aperture
 from ..pupil.wall_view import WallView, wall_view
 from ..rough.mean import detilted_mean
 from ..rough.roughness import Roughness
-from ..rough.view import RoughView, rough_view
+from ..rough.source import rough_view
+from ..rough.view import RoughView
 from ..transform.point_spread import PointSpread
 from ..transform.wide_pixels import detilted_wide_spread
 from ..wave.detilted import Residual, split

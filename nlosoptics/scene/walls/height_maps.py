@@ -219,6 +219,19 @@ class HeightMapWall(Wall):
         """Upper bound on the second derivatives of the height, 1/m."""
         return grid_limits(self._fit[0][0], self._fit[1])[2]
 
+    @cached_property
+    def height_rms(self) -> float:
+        """Rms deviation of the heights from their mean, m."""
+        return float(self._samples.std())
+
+    @cached_property
+    def slope_rms(self) -> float:
+        """Rms slope per axis between neighbouring heights, rad; a uniform tilt counts as well."""
+        squares = [
+            float(np.mean((np.diff(self._samples, axis=k) / self.pitch) ** 2)) for k in (0, 1)
+        ]
+        return math.sqrt(sum(squares) / 2)
+
     @property
     def finest_period(self) -> float:
         """Shortest period that the grid is taken to resolve: four pitches, m."""

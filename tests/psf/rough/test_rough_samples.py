@@ -13,7 +13,7 @@ from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.psf.rough import sample
 from nlosoptics.psf.rough.phase_screens import screens, throw
-from nlosoptics.psf.rough.view import rough_source
+from nlosoptics.psf.rough.source import rough_source
 
 WAVELENGTH, RADIUS, DISTANCE = 632.8e-9, 12.5e-3, 50e-3
 SYSTEM = {"wavelength": WAVELENGTH, "pupil_radius": RADIUS, "image_distance": DISTANCE}

@@ -11,7 +11,7 @@ from nlosoptics import psf
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.psf.rough.phase_screens import screens
 from nlosoptics.psf.rough.sample import seen_through, speckle_pupil, wall_fields
-from nlosoptics.psf.rough.view import rough_source
+from nlosoptics.psf.rough.source import rough_source
 from nlosoptics.psf.wave.detilted import split
 from nlosoptics.psf.window.window import Window
 

@@ -1,0 +1,117 @@
+"""Mean transfer function of a wall of random facets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...scene import FacetWall
+from ..wave.wavefront import Wavefront
+from . import _facet_kernels as kernels
+from .view import RoughView
+
+Array = NDArray[np.float64]
+
+#: Positions along each side of the lattice cell over which the transfer function is averaged.
+PER_SIDE: Final = 16
+#: Separations and directions at which its decay is tabulated.
+LAGS, DIRECTIONS = 161, 12
+
+
+@dataclass(frozen=True, eq=False)
+class FacetView(RoughView):
+    """View of all walls of random facets with one cell size and slope.
+
+    Parameters
+    ----------
+    roughness : FacetWall
+        One of these walls. Its seed is not used.
+    footprint, rayleigh_parameter, effective_distance
+        As in `RoughView`; the rms phase s is that of the height averaged over the facets.
+
+    Notes
+    -----
+    The heights are Gaussian at every point, but their variance is larger at the lattice nodes than
+    within the facets. The position of the lattice is random. The transfer function is therefore
+    the mean of ``exp(-Var[phase(x) - phase(x + M d)]/2)`` over positions x in a lattice cell. At
+    separations of more than two cells it is periodic: the nodes form a lattice, so that a
+    moderately rough wall also diffracts like a weak grating.
+    """
+
+    roughness: FacetWall  # type: ignore[assignment]
+
+    @property
+    def length(self) -> float:
+        """Side of the lattice, m."""
+        return self.roughness.cell
+
+    @property
+    def has_tails(self) -> bool:
+        """True: creases between facets diffract more widely than Gaussian heights."""
+        return True
+
+    @property
+    def node_variance(self) -> float:
+        """Variance of the phase at a lattice node, rad^2: twice the mean over the facets."""
+        return 2 * self.rayleigh_parameter**2
+
+    @cached_property
+    def coherent_fraction(self) -> float:
+        """Fraction of the energy in the coherent core: the squared mean of ``exp(i phase)``."""
+        a, b = (np.indices((128, 128)) + 0.5) / 128
+        weights = np.where(a + b <= 1, [1 - a - b, a, b], [a + b - 1, 1 - b, 1 - a])
+        return float(np.exp(-0.5 * self.node_variance * (weights**2).sum(axis=0)).mean() ** 2)
+
+    @property
+    def scattered_fraction(self) -> float:
+        """Fraction of the energy outside the core."""
+        return 1.0 - self.coherent_fraction
+
+    def on_wall(self, x: Array, y: Array) -> Array:
+        """Return the scattered part of the transfer function at separations on the wall, m."""
+        cell = self.roughness.cell
+        x, y = np.broadcast_arrays(x, y)
+        out = np.empty(x.size)
+        kernels.pair_terms(
+            np.ravel(x) / cell, np.ravel(y) / cell, self.node_variance, PER_SIDE, out
+        )
+        return out.reshape(x.shape) - self.coherent_fraction
+
+    def scattered_transfer(self, du: Array, dv: Array) -> Array:
+        """Return the scattered part of the transfer function at separations in the pupil, m."""
+        m = self.footprint
+        return self.on_wall(m[0, 0] * du + m[0, 1] * dv, m[1, 0] * du + m[1, 1] * dv)
+
+    @cached_property
+    def _decay(self) -> tuple[Array, Array]:
+        """Separations on the wall, m, and the largest relative transfer function at each."""
+        lags = np.append(0.0, np.geomspace(1e-4, 4.0, LAGS)) * self.roughness.cell
+        turn = 2 * math.pi / 6 * np.arange(DIRECTIONS)[:, None] / DIRECTIONS
+        found = np.abs(self.on_wall(lags * np.cos(turn), lags * np.sin(turn)))
+        return lags, found.max(axis=0) / found[0, 0]
+
+    def last_lag(self, cut: float) -> float:
+        """Return the separation, m, beyond which the scattered part is below ``cut`` of its peak.
+
+        It is infinite where the lattice's periodic part exceeds ``cut``.
+        """
+        lags, found = self._decay
+        above = np.nonzero(found > cut)[0]
+        if not above.size:
+            return float(lags[1])
+        return math.inf if above[-1] == lags.size - 1 else float(lags[above[-1] + 1])
+
+    def halo(self, wave: Wavefront) -> float:
+        """Return the radius of the halo in the image, m: about 3 standard deviations."""
+        if self.rayleigh_parameter == 0:
+            return 0.0
+        lags, found = self._decay
+        lag = lags[int(np.argmax(found < math.exp(-1)))]
+        step = lag / float(np.linalg.norm(self.footprint, 2))
+        scale = wave.wavelength * abs(wave.image_distance)
+        return float(3 * math.sqrt(2) * scale / (2 * math.pi * step))

@@ -1,0 +1,186 @@
+"""Smooth wave and view of a rough wall, from a scene or from a wavefront with its geometry."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..._checks import in_range
+from ...errors import SceneError
+from ...scene import FacetWall, GaussianWall, Scene
+from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
+from ..pupil.wall_view import WallView
+from ..wave.detilted import Residual, split
+from ..wave.wavefront import Wavefront
+from .facets import FacetView
+from .relief import RELIEFS, Relief, ReliefView
+from .roughness import Roughness
+from .view import RoughView
+
+Array = NDArray[np.float64]
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, eq=False)
+class RoughSource:
+    """Smooth wave of a rough wall, and the view of its roughness.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave of the smooth wall. For a scene, at the first set of nodes.
+    view : RoughView
+        View of the roughness from the pupil.
+    seen : PointOptics or None
+        Optics of the scene's reference point; None if a wavefront was given.
+    """
+
+    residual: Residual
+    view: RoughView
+    seen: PointOptics | None = None
+
+    def refined(self, use: Callable[[Residual], Found]) -> Found:
+        """Return ``use(residual)``; for a scene, refine the pupil nodes until it succeeds."""
+        if self.seen is None:
+            return use(self.residual)
+        return self.seen.refined(lambda aimed: use(aimed.residual))[1]
+
+
+def rough_source(
+    source: Wavefront | Scene | SceneOptics,
+    roughness: Roughness | Relief,
+    footprint: ArrayLike | None,
+    cos_sum: float | None,
+    effective_distance: ArrayLike | None = None,
+    *,
+    pattern: bool = False,
+) -> RoughSource:
+    """Return smooth wave and roughness view, from a scene or from a wavefront and its geometry.
+
+    Parameters
+    ----------
+    source : Wavefront, Scene or SceneOptics
+        Wave of the smooth wall, or the scene from which it is computed.
+    roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
+        Statistics of the heights, or the heights of one wall.
+    footprint, cos_sum, effective_distance
+        Geometry of wall and pupil, see `WallView`; with a wavefront only. The chief ray of a
+        wavefront meets the wall at its centre, and steps on the wall are along x and y.
+    pattern : bool
+        Whether a wall stands for its own heights, or else for all walls of its statistics.
+
+    Returns
+    -------
+    RoughSource
+
+    Raises
+    ------
+    SceneError
+        If geometry is missing, given with a scene, or not an invertible matrix.
+    """
+    given = {
+        "footprint": footprint,
+        "cos_sum": cos_sum,
+        "effective_distance": effective_distance,
+    }
+    if isinstance(source, Scene | SceneOptics):
+        for name, value in given.items():
+            if value is not None:
+                raise SceneError(f"{name} is given with a scene, which defines it; leave it out")
+        seen = optics_of(source).reference
+        return RoughSource(
+            seen.first.residual,
+            rough_view(seen.first.wave, seen.view, roughness, pattern=pattern),
+            seen,
+        )
+    if not isinstance(source, Wavefront):
+        raise SceneError(
+            f"source is a {type(source).__name__}; give a Scene, or a Wavefront with its footprint "
+            "and cos_sum"
+        )
+    for name in ("footprint", "cos_sum"):
+        if given[name] is None:
+            raise SceneError(
+                f"{name} is missing, but a wavefront does not hold the wall's geometry; take it "
+                "from psf.wall_view"
+            )
+    m = _matrix("footprint", footprint)
+    cosines = in_range("cos_sum", cos_sum, 0.0, 2.0, open_low=True)
+    distance = None
+    if effective_distance is not None:
+        distance = _matrix("effective_distance", effective_distance)
+        if abs(distance[0, 1] - distance[1, 0]) > 1e-9 * np.abs(distance).max():
+            raise SceneError(
+                f"effective_distance = {distance.tolist()} m is not symmetric; take it from "
+                "psf.wall_view"
+            )
+    view = _view(roughness, m, 2 * math.pi / source.wavelength * cosines, distance, pattern)
+    return RoughSource(split(source), view)
+
+
+def rough_view(
+    wave: Wavefront, seen: WallView, roughness: Roughness | Relief, *, pattern: bool = False
+) -> RoughView:
+    """Return the view of a roughness on a wall from its geometry.
+
+    Parameters
+    ----------
+    wave : Wavefront
+        Wave of the smooth wall.
+    seen : WallView
+        Geometry of wall and pupil.
+    roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
+        Statistics of the heights, or the heights of one wall.
+    pattern : bool
+        Whether a wall stands for its own heights, or else for all walls of its statistics.
+
+    Returns
+    -------
+    RoughView
+    """
+    per_metre = 2 * math.pi / wave.wavelength * seen.cos_sum
+    place = seen.point[:2], seen.tangents[:, :2]
+    return _view(roughness, seen.footprint, per_metre, seen.effective_distance, pattern, *place)
+
+
+def _view(
+    roughness: Roughness | Relief,
+    footprint: Array,
+    per_metre: float,
+    distance: Array | None,
+    pattern: bool,
+    origin: ArrayLike = (0.0, 0.0),
+    axes: ArrayLike = ((1.0, 0.0), (0.0, 1.0)),
+) -> RoughView:
+    """Return the view of a roughness; ``per_metre`` is the phase per height, rad/m."""
+    if pattern and isinstance(roughness, RELIEFS):
+        s = per_metre * roughness.height_rms
+        places = np.array(origin, dtype=np.float64), np.array(axes, dtype=np.float64)
+        return ReliefView(roughness, footprint, s, distance, *places)
+    if isinstance(roughness, FacetWall):
+        return FacetView(roughness, footprint, per_metre * roughness.height_rms, distance)
+    if isinstance(roughness, GaussianWall):
+        roughness = Roughness(roughness.height_rms, roughness.correlation_length)
+    if not isinstance(roughness, Roughness):
+        raise SceneError(
+            f"roughness is a {type(roughness).__name__}, whose statistics are not known; give a "
+            "Roughness, a FacetWall or a GaussianWall"
+        )
+    return RoughView(roughness, footprint, per_metre * roughness.height_rms, distance)
+
+
+def _matrix(name: str, value: ArrayLike | None) -> Array:
+    """Check a 2 x 2 matrix; one number stands for a multiple of the unit matrix."""
+    matrix = np.asarray(value, dtype=np.float64)
+    if matrix.ndim == 0:
+        matrix = float(matrix) * np.eye(2)
+    if matrix.shape != (2, 2) or not np.isfinite(matrix).all():
+        raise SceneError(f"{name} has shape {matrix.shape}; give a number or a finite (2, 2)")
+    if abs(np.linalg.det(matrix)) <= 1e-12 * np.linalg.norm(matrix) ** 2:
+        raise SceneError(f"{name} = {matrix.tolist()} is singular; give an invertible matrix")
+    return matrix
