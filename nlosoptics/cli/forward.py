@@ -122,6 +122,8 @@ def _write_pictures(result: Result, folder: Path) -> None:
     views.save(views.scene_sketch(result.scene), folder / "scene.png")
     views.save(views.scene_sketch(result.scene, stacked=True), folder / "scene_narrow.png")
     views.save(views.wavefront(result.wavefront), folder / "wavefront.png")
+    if result.pupil_field is not None:
+        views.save(views.pupil_field(result.pupil_field), folder / "pupil_phase.png")
     views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
     views.save(views.image(result.image, object_scale=scale), folder / "image.png")
     if result.reconstruction is not None:

@@ -312,7 +312,7 @@ class _View:
             ),
         )
         self.mirror = scene.wall_material.specular_reflectance
-        self.slope = max((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
+        self.slope = max(scene.mirror_slopes, default=0.0)
         self.distance = float(scene.object_point[2])
         self.reach = self._reach()
         self.stroke = self._stroke()

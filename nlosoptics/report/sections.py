@@ -217,6 +217,16 @@ def _spread(held: Folder) -> Iterator[Html]:
                 class_="plot",
             )
         )
+    if phase := held.picture("pupil_phase.png"):
+        picture = tag("img", src=png(phase), alt="Map of the phase over the exit pupil.")
+        shown.append(
+            figure(
+                picture,
+                tag("b", "Phase in the pupil"),
+                " of the light that this rough wall sends to the exit pupil, in radians.",
+                class_="plot",
+            )
+        )
     if spread := held.picture("point_spread.png"):
         picture = tag("img", src=png(spread), alt="Point spread, logarithmic colours.")
         shown.append(

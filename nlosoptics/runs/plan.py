@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -32,6 +32,7 @@ from ..psf.pupil.obstruction import check_cone
 from ..psf.pupil.paraxial import change_over_object
 from ..psf.pupil.scene_optics import PointOptics, SceneOptics
 from ..psf.walls.field import picture_point
+from ..psf.walls.rough_wall import rough_choice, roughness_view
 from ..psf.walls.scene_costs import Cost, grid_samples, point_cost
 from ..psf.walls.scene_psf import point_window
 from ..psf.window.error_bounds import rounded_up
@@ -41,9 +42,14 @@ from ..scene import MeshWall, PlanarObject, Scene
 from .refusals import check_cones, check_laser, check_sight, wave_refusal
 
 FIELD = "field of point spreads"  # name of the stage
+MEAN = "mean point spread"  # name of the stage
 MOST_NODES = 27  # most nodes along each side of a field of point spreads
 MOST_SECONDS = 900.0  # default of max_seconds, s
 LARGEST_TOL = 0.1
+CHECKS = 6  # object points at which a field of patterns is compared with patterns computed there
+# Shift of a speckle pattern, in pupil diameters, at which the correlation of its intensity is one
+# half, and the largest one between the points of a field of patterns.
+HALF_CORRELATED, STEP = 0.231, 0.12
 DIFFUSE_BYTES = 6e7  # bytes for the diffuse transport from one block of patches to the wall
 HELD = 6e7  # bytes of the modules that a run imports
 AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s per pupil node, by kind of wall
@@ -100,6 +106,9 @@ class Plan:
         Exit pupil of the scene, reused by `simulate`.
     budget : Budget
         Limits of memory and time for the run.
+    pattern_nodes : int
+        Object points along each side of the picture at which the speckle pattern of a rough wall is
+        computed for the image. 0 if the image needs no pattern, or uses the mean over walls.
     """
 
     stages: tuple[Stage, ...]
@@ -108,6 +117,7 @@ class Plan:
     waves: float
     exit_pupil: ExitPupil = field(compare=False, repr=False)
     budget: Budget = field(compare=False)
+    pattern_nodes: int = 0
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
@@ -259,7 +269,7 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
             error="exact for a thin lens",
         ),
     ]
-    waves = math.nan
+    waves, pattern = math.nan, None
     if refusal:
         runs = ("wave aberration", "point spread", FIELD, "shadow rays", "image", "reconstruction")
         stages += [_skipped(name, refusal) for name in runs]
@@ -270,12 +280,17 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
         if scene.occluding_mesh is not None:
             check_beam(scene, scene.occluding_mesh, spot)
         look = _Look.at(optics, tol)
+        pattern = _Pattern.at(look, tol, budget.seconds) if own_pattern(scene) else None
+        # over a large picture the image uses the mean over walls, whose field may vary as well
+        imaged = look
+        if pattern is not None and not pattern.nodes:
+            imaged = _Look.at(mean_optics(optics), tol)
         heights = look.seen.first.residual.heights
         waves = (heights.high - heights.low) / scene.laser.wavelength
         stages += [
             *_wave_stages(scene, pupil, look, waves),
             _point_spread_stage(scene, pupil, look, tol),
-            _field_stage(scene, pupil, look, tol),
+            *_image_spread_stages(pupil, look, imaged, pattern, tol),
             *_left_out(scene),
             _shadow_stage(scene),
             image,
@@ -288,6 +303,7 @@ def _plan(scene: Scene, tol: float, reconstruct: bool, budget: Budget) -> tuple[
         waves=waves,
         exit_pupil=pupil,
         budget=budget,
+        pattern_nodes=pattern.nodes if pattern is not None else 0,
     )
     _check_budget(found)
     return found, optics
@@ -363,7 +379,7 @@ class _Look:
         scene, first = self.seen.scene, self.seen.first.residual
         unit, pitch = first.airy_unit, scene.camera.image_pitch
         own = self.seen.first.wave
-        rough = max(lobe.slope_rms for lobe in scene.wall_material.mirror_lobes)
+        rough = max(scene.mirror_slopes)
         swing = turned = 0.0
         for one in self.others:
             found = one.first.wave
@@ -446,8 +462,10 @@ def _spread_cost(scene: Scene, look: _Look, side: int, tol: float) -> Cost:
 
 def _point_spread_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Stage:
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
-    slope = max((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
+    slope = max(scene.mirror_slopes, default=0.0)
     blur = f", blurred by the lobe's slopes of {slope:g} rad" if slope > 0 else ""
+    if scene.wall_roughness is not None:
+        blur = f"; {rough_choice(look.seen, pitch, (look.side, look.side), tol).reason}"
     cost = _spread_cost(scene, look, look.side, tol)
     return Stage(
         name="point spread",
@@ -458,6 +476,117 @@ def _point_spread_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float)
         error=f"{tol:g} of the peak",
         memory=cost.n_bytes,
     )
+
+
+def own_pattern(scene: Scene) -> bool:
+    """Return whether the wall has a roughness whose own speckle pattern is wanted."""
+    rough = scene.wall_roughness
+    return rough is not None and rough.realisation == "pattern"
+
+
+def uses_mean(todo: Plan, scene: Scene) -> bool:
+    """Return whether the image of a plan uses the mean over walls instead of this wall's pattern."""
+    return own_pattern(scene) and todo.pattern_nodes == 0
+
+
+def mean_optics(optics: SceneOptics) -> SceneOptics:
+    """Return the optics of the same scene with the mean over all walls of its roughness."""
+    rough = optics.scene.wall_roughness
+    assert rough is not None
+    scene = replace(optics.scene, wall_roughness=replace(rough, realisation="mean"))
+    return SceneOptics(scene, optics.exit_pupil)
+
+
+@dataclass(frozen=True)
+class _Pattern:
+    """Change of a rough wall's speckle pattern over the picture.
+
+    Parameters
+    ----------
+    nodes : int
+        Object points along each side of the picture at which the pattern is computed; 0 if they
+        would be too many.
+    needed : int
+        Points that would resolve its change.
+    reach : float
+        Distance on the object at which the pattern's correlation has fallen to one half, m.
+    error : float
+        Expected difference between the image by the mean and that of this wall, relative to the
+        image.
+    """
+
+    nodes: int
+    needed: int
+    reach: float
+    error: float
+
+    @classmethod
+    def at(cls, look: _Look, tol: float, seconds: float) -> _Pattern:
+        """Compare the shift of the pattern in the pupil with the pupil's diameter."""
+        seen, scene = look.seen, look.seen.scene
+        rough, hidden = scene.wall_roughness, scene.hidden
+        assert rough is not None
+        if not isinstance(hidden, PlanarObject) or not look.others:
+            return cls(0, 0, math.nan, math.nan)
+        wave, view = seen.first.wave, seen.view
+        back = np.linalg.inv(view.footprint) @ view.tangents
+        shifts = [float(np.linalg.norm(back @ (one.view.point - view.point))) for one in look.others]
+        far = [float(np.linalg.norm(one.object_point - seen.object_point)) for one in look.others]
+        relative = max(shifts) / (2 * wave.pupil_radius)
+        rate = max(s / d for s, d in zip(shifts, far, strict=True)) / (2 * wave.pupil_radius)
+        reach = HALF_CORRELATED / rate
+        needed = max(1, math.ceil(math.pi * relative / STEP))
+        one = _spread_cost(scene, look, look.field_side, tol / 2)
+        fits = needed <= MOST_NODES and (needed**2 + CHECKS) * one.seconds <= seconds / 2
+        # light of few facets in a pixel fluctuates; the picture averages over patterns
+        patch = math.pi * wave.pupil_radius**2 * abs(float(np.linalg.det(view.footprint)))
+        facets = max(1.0, patch / (rough.heights.finest_period**2))
+        halo = roughness_view(seen, pattern=False).halo(wave) / 3 + scene.camera.image_pitch / 2
+        share = min(1.0, scene.camera.image_pitch**2 / (2 * math.pi * halo**2))
+        spot = halo * scene.focus_distance / scene.image_distance
+        averaged = 1.0 + math.pi * spot**2 / reach**2
+        return cls(needed if fits else 0, needed, reach, 1 / math.sqrt(facets * share * averaged))
+
+
+def _image_spread_stages(
+    pupil: ExitPupil, look: _Look, imaged: _Look, pattern: _Pattern | None, tol: float
+) -> Iterator[Stage]:
+    """Yield the stages that compute the point spreads of the image."""
+    scene = look.seen.scene
+    if pattern is None:
+        yield _field_stage(scene, pupil, look, tol)
+        return
+    if pattern.nodes == 1:
+        yield _skipped(FIELD, "one pattern holds over the whole picture")
+        return
+    within = f"the wall's pattern holds within {1e3 * pattern.reach:.2g} mm of the object"
+    if pattern.nodes:
+        one = _spread_cost(scene, look, look.field_side, tol / 2)
+        n = pattern.nodes
+        yield Stage(
+            name=FIELD,
+            runs=True,
+            reason=f"{within}; {n} x {n} patterns, {look.field_side} x {look.field_side} pixels",
+            seconds=(n * n + CHECKS) * one.seconds,
+            error="that of interpolated patterns is measured",
+            memory=40.0 * n * n * look.field_side**2 + one.n_bytes * threads(),
+        )
+        return
+    why = "the object is a mesh"
+    if pattern.needed:
+        why = f"{within}, so that {pattern.needed} x {pattern.needed} patterns would be needed"
+    cost = _spread_cost(imaged.seen.scene, imaged, imaged.side, tol)
+    yield Stage(
+        name=MEAN,
+        runs=True,
+        reason=f"the image uses the mean over all walls of this roughness: {why}",
+        seconds=cost.seconds,
+        error=f"this wall's image differs by about {100 * pattern.error:.2g} %"
+        if pattern.needed
+        else "",
+        memory=cost.n_bytes,
+    )
+    yield _field_stage(imaged.seen.scene, pupil, imaged, tol)
 
 
 def _field_stage(scene: Scene, pupil: ExitPupil, look: _Look, tol: float) -> Stage:

@@ -43,6 +43,7 @@ KNOWN: Final[Mapping[str, type]] = {
         psf.HybridPointSpread,
         psf.Regime,
         psf.PointSpreadField,
+        psf.PupilField,
         imaging.SpeckleImage,
     )
 }

@@ -20,7 +20,7 @@ from .record import now, peak_memory, scene_hash, versions
 if TYPE_CHECKING:
     from ..imaging import SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import PointSpread, PointSpreadField, Wavefront
+    from ..psf import PointSpread, PointSpreadField, PupilField, Wavefront
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -43,6 +43,9 @@ class Result(Noun):
         Point spreads over the object; None if a single one is accurate enough.
     image : SpeckleImage
         Camera image with its parts and its noise.
+    pupil_field : PupilField or None
+        Pupil function of a rough wall at the object's reference point, if the wall's field was
+        propagated to the pupil.
     reconstruction : Reconstruction or None
         Reconstructed object; None if not requested or not possible.
     errors : dict of str to float
@@ -65,6 +68,7 @@ class Result(Noun):
     errors: dict[str, float]
     timings: dict[str, float]
     seed: int
+    pupil_field: PupilField | None = None
 
     def save(self, folder: str | Path) -> None:
         """Save the result to a folder, from which `load_result` restores it bit for bit.

@@ -13,7 +13,7 @@ from .._progress import Progress
 from .._random import checked_seed
 from ..errors import NotWaveGradeError
 from ..scene import MeshWall, PlanarObject, Scene
-from .plan import FIELD, MOST_NODES, MOST_SECONDS, Plan, looked_at
+from .plan import FIELD, MEAN, MOST_NODES, MOST_SECONDS, Plan, looked_at, mean_optics, uses_mean
 from .refusals import wave_refusal
 from .results import Result
 
@@ -132,8 +132,23 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     found = psf.scene_point_spread(optics, tol, progress=begin)
     spread = found.point_spread
     errors = {"point spread": spread.error_estimate}
-    field = None
-    if todo.runs(FIELD):
+    field, shown = None, spread
+    if todo.pattern_nodes > 1:
+        begin(FIELD)
+        field = psf.point_spread_field(
+            optics,
+            todo.pattern_nodes,
+            tol=tol,
+            seed=seed,
+            progress=lambda _, share: tell(FIELD, share),
+        )
+        errors[FIELD] = field.error_estimate
+    elif uses_mean(todo, scene):
+        # the wall's own pattern changes too fast over the picture
+        optics = mean_optics(optics)
+        begin(MEAN)
+        shown = psf.scene_point_spread(optics, tol).point_spread
+    if todo.runs(FIELD) and field is None:
         begin(FIELD)
         field, errors[FIELD] = imaging.image_field(
             optics,
@@ -146,12 +161,12 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
     begin("image")
-    wide = psf.widened(field or spread, tol=tol / 4, shape=scene.camera.shape)
+    wide = psf.widened(field or shown, tol=tol / 4, shape=scene.camera.shape)
     image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
-        reconstruction = _reconstruct(scene, image, field.mean() if field else spread.intensity)
+        reconstruction = _reconstruct(scene, image, field.mean() if field else shown.intensity)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)
@@ -162,6 +177,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         wavefront=found.wavefront,
         point_spread=spread,
         field=field,
+        pupil_field=found.pupil_field,
         image=image,
         reconstruction=reconstruction,
         errors=errors,

@@ -9,7 +9,15 @@ pyplot, so that they need no display and keep no global state; plotters render o
 from .curves import compare_methods, encircled_energy, history, mtf, spot_diagram
 from .films import transient, transient_film
 from .forecasts import feasibility, plan
-from .maps import hybrid_parts, image, irradiance, point_spread, reconstruction, wavefront
+from .maps import (
+    hybrid_parts,
+    image,
+    irradiance,
+    point_spread,
+    pupil_field,
+    reconstruction,
+    wavefront,
+)
 from .overview import overview
 from .pages import html_page
 from .rooms import ray_paths, scene_3d
@@ -32,6 +40,7 @@ __all__ = [
     "phasor_volume",
     "plan",
     "point_spread",
+    "pupil_field",
     "ray_paths",
     "reconstruction",
     "rendering_works",

@@ -11,6 +11,7 @@ from .. import views
 PICTURES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "Scene": lambda noun: views.scene_sketch(noun),
     "Wavefront": lambda noun: views.wavefront(noun),
+    "PupilField": lambda noun: views.pupil_field(noun),
     "PointSpread": lambda noun: views.point_spread(noun),
     "SpeckleImage": lambda noun: views.image(noun),
     "Reconstruction": lambda noun: views.reconstruction(noun),

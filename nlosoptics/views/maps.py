@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from ..imaging import SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import HybridPointSpread, PointSpread, Wavefront
+    from ..psf import HybridPointSpread, PointSpread, PupilField, Wavefront
     from ..raytrace import WallIrradiance
 
 Array = NDArray[np.float64]
@@ -86,6 +86,60 @@ def wavefront(
     colour_bar(axes, drawn, f"wave aberration ({unit})")
     space_ticks(axes)
     axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title="wave aberration")
+    return axes
+
+
+def pupil_field(
+    pupil_field: PupilField,
+    *,
+    quantity: Literal["phase", "amplitude"] = "phase",
+    axes: Axes | None = None,
+) -> Axes:
+    """Draw phase or amplitude of a rough wall's light over the exit pupil.
+
+    Parameters
+    ----------
+    pupil_field : PupilField
+        Pupil function.
+    quantity : {"phase", "amplitude"}
+        Phase, from -pi to pi, or modulus.
+    axes : matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Axes in pupil coordinates, mm. Dark parts are blank.
+
+    See Also
+    --------
+    wavefront : Wave aberration, where it is defined.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics import psf, views
+    >>> field = psf.PupilField(values=np.ones((8, 8), complex), pitch=1e-3)
+    >>> views.pupil_field(field).get_title()
+    'phase in the exit pupil'
+    """
+    one_of("quantity", quantity, ("phase", "amplitude"))
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
+    n = pupil_field.values.shape[0]
+    lit = np.nonzero(np.isfinite(pupil_field.phase).any(axis=0))[0]
+    inside = slice(int(lit.min()), int(lit.max()) + 1) if lit.size else slice(0, n)
+    low, high = ((i - n // 2) * pupil_field.pitch * 1e3 for i in (inside.start, inside.stop - 1))
+    half = pupil_field.pitch * 1e3 / 2
+    extent = (low - half, high + half, low - half, high + half)
+    style: dict[str, Any] = {"cmap": "twilight", "vmin": -np.pi, "vmax": np.pi}
+    if quantity == "amplitude":
+        style = {"cmap": "inferno", "vmin": 0.0}
+    shown = getattr(pupil_field, quantity)[inside, inside]
+    drawn = axes.imshow(shown, origin="lower", extent=extent, interpolation="nearest", **style)
+    colour_bar(axes, drawn, f"{quantity} (rad)" if quantity == "phase" else "relative amplitude")
+    space_ticks(axes)
+    title = f"{quantity} in the exit pupil"
+    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title=title)
     return axes
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .canvas import new_axes
-from .maps import image, point_spread, reconstruction, wavefront
+from .maps import image, point_spread, pupil_field, reconstruction, wavefront
 from .sketch import room_from_above
 
 if TYPE_CHECKING:
@@ -28,8 +28,8 @@ def overview(result: Result) -> tuple[Axes, ...]:
     Returns
     -------
     tuple of Axes
-        Two rows. The upper row shows the room from above, the wave aberration and the point spread
-        function; the lower row the camera image and, where there is one, the reconstruction
+        Two rows. The upper row shows the room from above, the wave aberration (of a rough wall the phase
+        in the pupil) and the point spread function; the lower row the camera image and, where there is one, the reconstruction
         without and with the ground truth.
 
     Raises
@@ -56,7 +56,10 @@ def overview(result: Result) -> tuple[Axes, ...]:
     scale = object_scale(result.scene)
     room_from_above(result.scene, axes[0])
     axes[0].legend(fontsize="small", loc="best")
-    wavefront(result.wavefront, axes=axes[1])
+    if result.pupil_field is None:
+        wavefront(result.wavefront, axes=axes[1])
+    else:
+        pupil_field(result.pupil_field, axes=axes[1])
     point_spread(result.point_spread, scale="linear", axes=axes[2])
     image(result.image, object_scale=scale, axes=axes[3])
     used = 4

@@ -91,7 +91,7 @@ def change_over_object(scene: Scene, pupil: ExitPupil) -> float:
     change = float(np.linalg.norm(bends - bends[0], 2, axis=(1, 2)).max())
     radius, distance = pupil.radius, abs(pupil.image_distance)
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
-    slope = min((lobe.slope_rms for lobe in scene.wall_material.mirror_lobes), default=0.0)
+    slope = min(scene.mirror_slopes, default=0.0)
     pixel = max(pitch, core) + slope * distance
     spot = radius * distance * float(np.linalg.norm(bends, 2, axis=(1, 2)).max())
     phase = math.pi / scene.laser.wavelength * change * radius**2

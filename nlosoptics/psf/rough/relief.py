@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ...errors import SceneError
 from ...scene import FacetWall, GaussianWall, HeightMapWall
 from ..wave.wavefront import Wavefront
 from .phase_screens import propagated, spreading_matrix, spreading_phase
@@ -23,12 +24,14 @@ ComplexArray = NDArray[np.complex128]
 Relief = FacetWall | GaussianWall | HeightMapWall
 RELIEFS: Final = (FacetWall, GaussianWall, HeightMapWall)
 
-#: Steepest slope that the lattice resolves and whose light is followed, in rms slopes per axis.
-STEEPEST: Final = 5.0
+#: Steepest slope whose light is followed, and that the lattice resolves, in rms slopes per axis.
+STEEPEST, RESOLVED = 5.0, 6.0
 #: Fresnel zones, sqrt(lambda d_eff), added to the patch on each side.
 ZONES: Final = 6.0
 #: Width of the band in which the heights fall to 0, in scales of the heights.
 BAND: Final = 6.0
+#: Least number of lattice points per scale of smooth heights.
+SMOOTH: Final = 6.0
 #: Least number of lattice points across a facet; the spectrum of its creases falls slowly.
 CREASE: Final = 16.0
 #: Memory of the screen per lattice point, bytes: heights, coordinates, field and its transform.
@@ -88,12 +91,12 @@ class ReliefView(RoughView):
         if turn == 0:
             return math.inf
         across = float(np.linalg.norm(self.footprint, 2))
-        finest = math.inf
+        finest = self.length / (SMOOTH * across)
         if isinstance(relief, FacetWall):
             finest = relief.cell / (CREASE * across)
         elif isinstance(relief, HeightMapWall):
             finest = relief.pitch / across
-        return min(wavelength / (2 * STEEPEST * turn), finest)
+        return min(wavelength / (2 * RESOLVED * turn), finest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,10 +136,8 @@ class ReliefScreen:
 
     def heights(self) -> Array:
         """Return the wall's heights (size, size), m, in the order of the lattice."""
-        band = (self.size - self.cells) // 2
-        steps = np.arange(self.size) - np.where(
-            np.arange(self.size) < self.cells + band, 0, self.size
-        )
+        band, steps = (self.size - self.cells) // 2, np.arange(self.size)
+        steps[self.cells + band :] -= self.size
         out = np.maximum(np.maximum(-steps, steps - (self.cells - 1)) - self.margin, 0.0)
         fall = np.cos(np.minimum(out / max(1, band - self.margin), 1.0) * math.pi / 2) ** 2
         across = (steps - self.centre) * self.pitch
@@ -148,6 +149,8 @@ class ReliefScreen:
             v = across[start : start + rows, None]
             x = x0 + m[0, 0] * across + m[0, 1] * v
             y = y0 + m[1, 0] * across + m[1, 1] * v
+            if isinstance(relief, HeightMapWall):
+                x, y = _on_map(relief, x, y, (out == 0) & (out[start : start + rows, None] == 0))
             found[start : start + rows] = relief.height(x, y)
         found -= found[self.cells // 2, self.cells // 2]
         found *= fall
@@ -234,3 +237,19 @@ def margins(view: ReliefView, pitch: float, wavelength: float) -> tuple[int, int
     far = wide * STEEPEST * view.turn(wavelength) + ZONES * math.sqrt(wavelength * wide)
     band = BAND * view.length * float(np.linalg.norm(back, 2))
     return math.ceil(far / pitch), math.ceil(max(band / pitch, 16))
+
+
+def _on_map(
+    relief: HeightMapWall, x: Array, y: Array, needed: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return points moved to the edge of a height map; refuse if those needed are outside."""
+    half = [side / 2 * (1 - 1e-12) for side in relief.size]
+    outside = needed & ((np.abs(x) > half[0]) | (np.abs(y) > half[1]))
+    if outside.any():
+        i = int(np.argmax(outside))
+        raise SceneError(
+            f"the height map of {relief.size[0]:.3g} x {relief.size[1]:.3g} m ends before x = "
+            f"{x.flat[i]:.3g} m, y = {y.flat[i]:.3g} m, whose light reaches the pupil; give a "
+            "larger map, or move the object so that its mirror point is nearer to the centre"
+        )
+    return np.clip(x, -half[0], half[0]), np.clip(y, -half[1], half[1])

@@ -10,6 +10,7 @@ from ..._checks import memory_limit
 from ...errors import SamplingError
 from ..pupil.scene_optics import FINER, PointOptics
 from ..pupil.wall_wavefront import AUTO_GRID_SAMPLES
+from ..rough.mean import NO_CORE
 from ..rough.otf import CELL_BYTES
 from ..rough.scattered_light import (
     NODE_BYTES,
@@ -31,6 +32,7 @@ from ..window.grids import grid_size
 from ..window.pixels import pixel_rule
 from ..window.window import Window, peak_pixel
 from .lobe_psf import lobes_of
+from .rough_wall import rough_choice, roughness_view
 
 #: Below the tolerance TIGHT the transfer function usually has to be refined once, which multiplies
 #: the cost by AGAIN.
@@ -84,10 +86,19 @@ def point_cost(
         If the transforms would raise it before they compute anything.
     """
     residual = seen.first.residual
-    lobes = lobes_of(seen.scene, lambda: seen.view)
     if residual.wavefront.layout == "grid":
         cells = cells or len(residual.wavefront.u)
     window = Window.centred(pitch, shape)
+    if seen.scene.wall_roughness is not None:
+        choice = rough_choice(seen, pitch, shape, tol)
+        if choice.regime != "mean":
+            return Cost(choice.seconds, HELD + choice.n_bytes)
+        view = roughness_view(seen)
+        found = [_scattered_cost(residual, view, window, tol, cells)]
+        if view.coherent_fraction > NO_CORE:
+            found.append(smooth_cost(residual, pitch, shape, tol, cells))
+        return Cost(sum(c.seconds for c in found), HELD + max(c.n_bytes for c in found))
+    lobes = lobes_of(seen.scene, lambda: seen.view)
     found = [_scattered_cost(residual, one, window, tol, cells) for one in lobes.views(residual)]
     if not found or lobes.smooth > 0:
         found.append(smooth_cost(residual, pitch, shape, tol, cells))

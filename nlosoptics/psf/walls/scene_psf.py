@@ -17,6 +17,7 @@ from ..transform.point_spread import PointSpread
 from ..wave.wavefront import Wavefront
 from ..window.window import shape_of
 from .lobe_psf import lobes_of
+from .rough_wall import PupilField, rough_image, rough_window
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,12 +32,16 @@ class ScenePointSpread(Noun):
         Wave of the smooth wall in the exit pupil.
     point_spread : PointSpread
         Point spread of that wave, blurred by the slopes of the wall's mirror-like lobes; energy
-        per pixel.
+        per pixel. With a roughness it is that of this wall, or the mean over all such walls.
+    pupil_field : PupilField or None
+        Pupil function of a rough wall, if its field was propagated from the wall. If rays give the
+        wave aberration of the roughness, ``wavefront`` contains it.
     """
 
     exit_pupil: ExitPupil
     wavefront: Wavefront
     point_spread: PointSpread
+    pupil_field: PupilField | None = None
 
 
 def scene_point_spread(
@@ -95,6 +100,12 @@ def scene_point_spread(
     vignettes it or is the stop, it is sampled by a grid (`wavefront`, ``nodes="auto"``). Both are
     refined until a transform reaches ``tol``.
 
+    A wall with `Scene.wall_roughness` is treated in one of four regimes, which
+    ``point_spread.reason`` names. If the scene asks for the mean, it is computed in closed form.
+    Otherwise rays on the roughness give the wave aberration, where diffraction between wall and
+    pupil changes the result by less than ``tol``. Else the wall's field is propagated to the pupil.
+    If its phase screen does not fit into memory or a minute, rays alone give the point spread.
+
     Examples
     --------
     >>> from nlosoptics import Scene, psf
@@ -121,8 +132,14 @@ def scene_point_spread(
         shape, remedy = (side, side), "use a larger tol, a wider pitch or a shape"
     ny, nx = shape
     fits_memory(f"a point spread of {ny:.3g} x {nx:.3g} pixels", 32.0 * ny * nx, remedy)
-    aimed, spread = point_image(seen, pitch, shape, tol)
-    return ScenePointSpread(exit_pupil=optics.exit_pupil, wavefront=aimed.wave, point_spread=spread)
+    if optics.scene.wall_roughness is None:
+        aimed, spread = point_image(seen, pitch, shape, tol)
+        field = None
+    else:
+        aimed, spread, field = rough_image(seen, pitch, shape, tol)
+    return ScenePointSpread(
+        exit_pupil=optics.exit_pupil, wavefront=aimed.wave, point_spread=spread, pupil_field=field
+    )
 
 
 def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
@@ -142,6 +159,8 @@ def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
     int
         Pixels per side.
     """
+    if seen.scene.wall_roughness is not None:
+        return rough_window(seen, pitch, tol)
     lobes = lobes_of(seen.scene, lambda: seen.view)
     return lobes.window(seen.first.residual, pitch, tol, seen.first.outline)
 
@@ -169,5 +188,7 @@ def point_image(
     spread : PointSpread
         Image, energy per pixel.
     """
+    if seen.scene.wall_roughness is not None:
+        return rough_image(seen, pitch, shape, tol)[:2]
     lobes = lobes_of(seen.scene, lambda: seen.view)
     return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol))

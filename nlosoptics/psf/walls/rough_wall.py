@@ -1,0 +1,360 @@
+"""Point spread function of a scene whose wall has a roughness, and the choice of its regime."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import memory_limit
+from ..._html import Figures, Shown
+from ..._nouns import Noun
+from ...errors import CausticError, SamplingError
+from ...scene import FacetWall
+from ..pupil.scene_optics import PointOptics
+from ..pupil.wall_wavefront import AimedWave, aimed_wave
+from ..rough.aberration import aberration_error, rough_wave
+from ..rough.mean import detilted_mean
+from ..rough.relief import SCREEN_BYTES, ReliefView, margins, relief_stride
+from ..rough.relief_rays import ray_counts, ray_image
+from ..rough.sample import detilted_sample, speckle_pupil, speckle_samples
+from ..rough.source import rough_view
+from ..rough.view import RoughView
+from ..transform import costs
+from ..transform.point_spread import PointSpread
+from ..transform.wide_pixels import detilted_wide_spread
+from ..wave.detilted import Residual, split
+from ..wave.regime import regime
+from ..window.grids import grid_size
+from ..window.window import Window, window_side
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Regime = Literal["aberration", "diffraction", "mean", "rays"]
+
+#: Seconds per lattice point of a screen: heights, phases and two Fourier transforms.
+SCREEN_SECONDS: Final = {"FacetWall": 2e-7, "GaussianWall": 5e-7, "HeightMapWall": 5e-7}
+#: Seconds per pupil point to which a coarser screen is interpolated.
+BETWEEN_SECONDS: Final = 4e-7
+#: Longest predicted run time of one pattern, s.
+LONGEST: Final = 60.0
+#: Pupil nodes at which the wave of a relief is sampled: radii and angles, or cells per side.
+RELIEF_NODES: Final = {"polar": (96, 384), "grid": (1024, 1024)}
+#: Seconds per pupil node to find the wall point of its ray.
+RAY_SECONDS: Final = {"FacetWall": 2e-6, "GaussianWall": 8e-5, "HeightMapWall": 1e-5}
+#: Expected error of a phase screen, relative to the peak.
+SCREEN_ERROR: Final = 1e-3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PupilField(Noun, Shown):
+    """Complex pupil function of a scene: amplitude and phase of the light at the exit pupil.
+
+    Parameters
+    ----------
+    values : ndarray, (n, n)
+        Read-only, complex: the pupil function relative to a plane wave, with piston and tilt of the
+        smooth wall's wave removed; rows are v. A smooth wall has the amplitude 1 inside the rim.
+    pitch : float
+        Spacing of the samples in the exit pupil, m; sample [n//2, n//2] is on the axis.
+    """
+
+    values: ComplexArray
+    pitch: float
+
+    def __post_init__(self) -> None:
+        self.values.flags.writeable = False
+
+    def _figures(self) -> Figures:
+        """Return the key figures of the field, for display in notebooks."""
+        n = self.values.shape[0]
+        size = self.amplitude[np.isfinite(self.phase)]
+        contrast = float(np.std(size**2) / np.mean(size**2)) if size.size else 0.0
+        figures = {
+            "samples": f"{n} x {n} of {1e6 * self.pitch:.3g} µm",
+            "contrast of the intensity": f"{contrast:.3g}",
+        }
+        return Figures("Pupil field", figures, "Map of the phase over the exit pupil")
+
+    @property
+    def amplitude(self) -> Array:
+        """Modulus of the pupil function, (n, n)."""
+        return np.abs(self.values)
+
+    @property
+    def phase(self) -> Array:
+        """Phase of the pupil function, (n, n), -pi to pi rad; NaN where it is dark."""
+        size = np.abs(self.values)
+        dark = size <= 1e-3 * float(size.max())
+        return np.where(dark, np.nan, np.angle(self.values))
+
+
+@dataclass(frozen=True)
+class RoughChoice:
+    """How the point spread function of a rough wall is computed, with the predicted cost.
+
+    Parameters
+    ----------
+    regime : {"aberration", "diffraction", "mean", "rays"}
+        Rays on the relief give the wave aberration; or the field is propagated from the wall to the
+        pupil; or the mean over all walls in closed form; or rays alone.
+    cells : int
+        Samples per side: pupil nodes, phase screen or rays; 0 for the mean.
+    pitch : float
+        Pitch of the phase screen in the pupil, m; 0 otherwise.
+    seconds, n_bytes : float
+        Predicted run time on one core, s, and memory, bytes.
+    error : float
+        Expected error relative to the peak.
+    reason : str
+        Regime, sampling and reason in words.
+    """
+
+    regime: Regime
+    cells: int
+    pitch: float
+    seconds: float
+    n_bytes: float
+    error: float
+    reason: str
+
+
+def roughness_view(seen: PointOptics, *, pattern: bool | None = None) -> RoughView:
+    """Return the view of the wall's roughness from the exit pupil.
+
+    ``pattern`` selects this wall or the mean over all walls; by default as the scene says.
+    """
+    rough = seen.scene.wall_roughness
+    assert rough is not None
+    if pattern is None:
+        pattern = rough.realisation == "pattern"
+    return rough_view(seen.first.wave, seen.view, rough.heights, pattern=pattern)
+
+
+def rough_window(seen: PointOptics, pitch: float, tol: float) -> int:
+    """Return the odd side of a window outside which the mean image is below ``tol`` of its peak."""
+    residual = seen.first.residual
+    side = window_side(residual, pitch, tol, seen.first.outline)
+    halo = roughness_view(seen).halo(residual.wavefront) / 3
+    return side + 2 * math.ceil(halo * math.sqrt(2 * math.log(1 / tol)) / pitch)
+
+
+def rough_choice(
+    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float
+) -> RoughChoice:
+    """Choose how the point spread function of a scene's rough wall is computed.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Wanted error, max |dI|/max I.
+
+    Returns
+    -------
+    RoughChoice
+        The first regime that holds: the mean, if the scene asks for it; the wave aberration, if
+        its expected error is within ``tol``; propagation, if its phase screen fits into the memory
+        and a minute; rays otherwise.
+    """
+    view, residual = roughness_view(seen), seen.first.residual
+    if not isinstance(view, ReliefView):
+        return RoughChoice("mean", 0, 0.0, 0.0, 0.0, tol, "mean over all walls in closed form")
+    found = _aberration(residual, view)
+    if found.error <= tol:
+        return found
+    screen = _screen(residual, view, pitch, shape)
+    if screen.seconds <= LONGEST and screen.n_bytes <= memory_limit():
+        return screen
+    return _rays(residual, view, pitch, screen)
+
+
+def _steepness(view: ReliefView) -> str:
+    """Return the slopes of a relief in words."""
+    what = "facets" if isinstance(view.roughness, FacetWall) else "slopes"
+    return f"{what} of {view.roughness.slope_rms:.2g} rad"
+
+
+def _aberration(residual: Residual, view: ReliefView) -> RoughChoice:
+    """Return nodes, cost and error of the wave aberration by rays on the relief."""
+    error = aberration_error(view, residual.wavefront.wavelength)
+    layout = relief_layout(residual.wavefront.layout, view)
+    nodes = float(np.prod(RELIEF_NODES[layout]))
+    n = RELIEF_NODES[layout][0]
+    return RoughChoice(
+        "aberration",
+        n,
+        0.0,
+        RAY_SECONDS[type(view.roughness).__name__] * nodes,
+        2e3 * nodes,
+        error,
+        f"wave aberration of this wall by rays: {_steepness(view)} shift them so little that "
+        f"diffraction between wall and pupil changes {error:.1g} of the peak",
+    )
+
+
+def _rays(residual: Residual, view: ReliefView, pitch: float, screen: RoughChoice) -> RoughChoice:
+    """Return count, cost and error of rays alone, if a screen would take too much."""
+    wave = residual.wavefront
+    n, _ = ray_counts(view, wave.pupil_radius, wave.wavelength)
+    across = float(np.linalg.norm(view.footprint, 2))
+    blur = wave.wavelength * abs(wave.image_distance) * across / (view.length * pitch)
+    return RoughChoice(
+        "rays",
+        n,
+        0.0,
+        RAY_SECONDS[type(view.roughness).__name__] / 20 * n * n + 3e-7 * n * n,
+        2e8,
+        min(1.0, blur),
+        f"rays on this wall without diffraction: {_steepness(view)} would need a phase screen of "
+        f"{screen.cells} x {screen.cells} points, {screen.seconds:.3g} s and "
+        f"{screen.n_bytes / 2**30:.3g} GiB",
+    )
+
+
+def _screen(
+    residual: Residual, view: ReliefView, pitch: float, shape: tuple[int, int]
+) -> RoughChoice:
+    """Return sampling and cost of the propagation from wall to pupil."""
+    wave = residual.wavefront
+    samples = speckle_samples(residual, Window.centred(pitch, shape), True)[0]
+    far = max(samples.reach_from(residual.shift)) + residual.rays.reach + view.halo(wave)
+    scale = wave.wavelength * abs(wave.image_distance)
+    step = min(view.widest_pitch(wave.wavelength), scale / (3 * far), wave.pupil_radius / 128)
+    n = grid_size(wave.pupil_radius, step)
+    stride = relief_stride(view, step, wave.wavelength)
+    size = n // stride + 2 * sum(margins(view, stride * step, wave.wavelength))
+    seconds = SCREEN_SECONDS[type(view.roughness).__name__] * float(size) ** 2
+    seconds += costs.map_sums(n, samples) + (BETWEEN_SECONDS * n * n if stride > 1 else 0.0)
+    held = SCREEN_BYTES * float(size) ** 2 + 48.0 * n * (n + max(samples.shape))
+    reason = (
+        f"this wall's field, propagated from wall to pupil: {_steepness(view)} need a phase screen "
+        f"of {size} x {size} points of {1e6 * stride * step:.3g} um in the pupil"
+    )
+    return RoughChoice("diffraction", size, stride * step, seconds, held, SCREEN_ERROR, reason)
+
+
+def relief_layout(layout: str, view: ReliefView) -> str:
+    """Return the layout of the pupil nodes for a relief; creases of facets need a grid."""
+    return "grid" if isinstance(view.roughness, FacetWall) else layout
+
+
+def rough_image(
+    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float
+) -> tuple[AimedWave, PointSpread, PupilField | None]:
+    """Compute wave, image and pupil function of an object point seen by a rough wall.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Optics of the object point.
+    pitch : float
+        Pixel side, m.
+    shape : (int, int)
+        Pixels (ny, nx).
+    tol : float
+        Wanted error of the image, max |dI|/max I.
+
+    Returns
+    -------
+    aimed : AimedWave
+        Wave at the nodes that were used: that of this wall if it is defined, and of the smooth
+        wall otherwise.
+    spread : PointSpread
+        Image, energy per pixel relative to that of the smooth wall.
+    field : PupilField or None
+        Pupil function of this wall, if it was propagated from the wall.
+    """
+    choice = rough_choice(seen, pitch, shape, tol)
+    if choice.regime == "mean":
+        view = roughness_view(seen)
+
+        def mean(aimed: AimedWave) -> PointSpread:
+            return detilted_mean(aimed.residual, view, tol, pitch, shape, pixel_integrated=True)
+
+        return *seen.refined(mean), None
+    view = roughness_view(seen)
+    assert isinstance(view, ReliefView)
+    if choice.regime == "aberration":
+        try:
+            return *_by_aberration(seen, view, pitch, shape, tol, choice.reason), None
+        except (CausticError, SamplingError):
+            pass  # the relief is too fine for the wave's nodes; propagation samples it as needed
+    if choice.regime == "rays":
+        return seen.first, _by_rays(seen, view, pitch, shape, choice.reason), None
+    return _by_diffraction(seen, view, pitch, shape, choice.reason)
+
+
+def _by_aberration(
+    seen: PointOptics,
+    view: ReliefView,
+    pitch: float,
+    shape: tuple[int, int],
+    tol: float,
+    reason: str,
+) -> tuple[AimedWave, PointSpread]:
+    """Compute the image by the wave aberration of the relief."""
+    layout = seen.first.wave.layout
+    if isinstance(view.roughness, FacetWall):
+        layout = "grid"  # creases have no short series
+    aimed = aimed_wave(seen.scene, seen.exit_pupil, seen.object_point, layout, RELIEF_NODES[layout])
+    wave = rough_wave(aimed.wave, view)
+    spread = detilted_wide_spread(split(wave), pitch, shape, tol)
+    share = wave.flux / aimed.wave.flux
+    spread = replace(
+        spread,
+        intensity=spread.intensity * share,
+        enclosed_energy=spread.enclosed_energy * share,
+        reason=f"{reason}; {spread.reason}",
+    )
+    return replace(aimed, wave=wave), spread
+
+
+def _by_diffraction(
+    seen: PointOptics, view: ReliefView, pitch: float, shape: tuple[int, int], reason: str
+) -> tuple[AimedWave, PointSpread, PupilField]:
+    """Compute the image by propagation of the wall's field to the pupil."""
+    samples = speckle_samples(seen.first.residual, Window.centred(pitch, shape), True)[0]
+    aimed, grid = seen.refined(lambda found: speckle_pupil(found.residual, view, samples))
+    residual, wave = aimed.residual, aimed.wave
+    spread, through = detilted_sample(
+        residual, grid, view, pitch, shape, pixel_integrated=True, reason=reason
+    )
+    # the pupil function's samples add up to 1 for a smooth wall
+    area = float(np.sum(wave.weights * wave.amplitude)) / grid.pitch**2
+    return aimed, spread, PupilField(values=through.values * area, pitch=grid.pitch)
+
+
+def _by_rays(
+    seen: PointOptics, view: ReliefView, pitch: float, shape: tuple[int, int], reason: str
+) -> PointSpread:
+    """Compute the image by rays on the relief, without diffraction."""
+    residual = seen.first.residual
+    wave = residual.wavefront
+    if wave.layout != "polar":
+        raise SamplingError(
+            "the wall's edge cuts the cone of light, so that rays on its relief are not supported; "
+            "use realisation = 'mean', a smaller slope_rms, a larger wall or a smaller stop"
+        )
+    energy, error = ray_image(residual, view, Window.centred(pitch, shape))
+    return PointSpread(
+        intensity=energy,
+        pitch=pitch,
+        method="rays on the relief",
+        error_estimate=error,
+        normalisation="unit-sum",
+        wavelength=wave.wavelength,
+        f_number=wave.f_number,
+        pixel_integrated=True,
+        enclosed_energy=float(energy.sum()),
+        regime=regime(residual, pitch, rayleigh_parameter=view.rayleigh_parameter),
+        reason=reason,
+    )
