@@ -66,23 +66,23 @@ def _bump_place(row, x, y):
 
 
 @njit(cache=True)
-def facet_edge(row, x, y, dx, dy):
-    """Return the distance from (x, y) along (dx, dy) to the next edge of the facet lattice, m.
+def facet_edge(row, x, y, dx, dy, slack):
+    """Return how far (x, y) can move along (dx, dy) until it is past an edge of its facet.
 
-    It is 0 on an edge that the direction leaves downward in lattice coordinates, and infinite for
-    a direction of zero.
+    The edge is passed by ``slack``, m, at least the rounding of x and y, so that a ray that
+    advances by this never stays on an edge. Infinite for a direction of zero.
     """
     _, _, a, b = _facet_place(row, x, y)
     db = dy / (ROW * row[1])
     da = dx / row[1] - 0.5 * db
-    nearest = math.inf
+    past, nearest = slack / row[1], math.inf
     c, dc = a + b, da + db
     # the three families of lines are the integers of a, b and a + b
     for place, speed in ((a, da), (b, db), (c - np.floor(c), dc)):
         if speed > 0.0:
-            nearest = min(nearest, (1.0 - place) / speed)
+            nearest = min(nearest, (1.0 - place + past) / speed)
         elif speed < 0.0:
-            nearest = min(nearest, place / -speed)
+            nearest = min(nearest, (place + past) / -speed)
     return nearest
 
 

@@ -11,12 +11,14 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from ...kernels.codes import CYLINDER, GRID, SPHERE, WAVE
+from ...kernels.codes import BUMPS, CYLINDER, FACETS, GRID, SPHERE, WAVE
 from ...kernels.heights import surface
 from ...kernels.parallel import threaded
+from ...kernels.relief import facet_edge
 
 HIT, MISS, OUTSIDE, UNRESOLVED, BEHIND = 0, 1, 2, 3, 4
 MAX_STEPS = 500
+MAX_FACETS = 100_000  # facets that a grazing ray passes
 BLOCK = 64  # rays processed at once
 OX, OY, OZ, DX, DY, DZ, T, HX, HY, MIDDLE, REACH, ERROR, SINE, P, Q = range(0, 15 * BLOCK, BLOCK)
 ROWS = 15
@@ -126,7 +128,7 @@ def _curvature_bound(terms, grid_bounds, o, d, low, high):
         if row[0] == WAVE:
             k = row[2] * d[0] + row[3] * d[1]
             bound += abs(row[1]) * k * k
-        elif row[0] == GRID:
+        elif row[0] == GRID or row[0] == BUMPS:
             bound += grid_bounds[i] * across
         elif row[0] == SPHERE or row[0] == CYLINDER:
             far = 0.0
@@ -141,12 +143,22 @@ def _curvature_bound(terms, grid_bounds, o, d, low, high):
 
 
 @njit(cache=True)
+def _facet_end(terms, x, y, dx, dy, slack):
+    """Return how far a ray at (x, y) can advance within all its facets; inf without facets."""
+    end = math.inf
+    for i in range(terms.shape[0]):
+        if terms[i, 0] == FACETS:
+            end = min(end, facet_edge(terms[i], x, y, dx, dy, slack))
+    return end
+
+
+@njit(cache=True)
 def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     """Return distance and status of the first crossing with a wall, by a safe march.
 
     f is the height of the ray above the wall and M a bound on |f''|. The step to the root s of
     f + f' s - M s^2/2 cannot pass a root of f, and for f -> 0 it converges quadratically like
-    Newton's method.
+    Newton's method. M does not hold across the edges of facets, so that steps end at them.
     """
     missed = OUTSIDE if d[2] < 0.0 else MISS
     low, high = _search_interval(box, slab, rim, o, d)
@@ -155,9 +167,13 @@ def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
         return math.nan, BEHIND if over and o[2] < slab[0] else missed
     bound = _curvature_bound(terms, grid_bounds, o, d, low, high)
     scale = TOLERANCE * max(math.sqrt(o[0] * o[0] + o[1] * o[1] + o[2] * o[2]), 1e-3)
-    t = low
-    for step in range(MAX_STEPS):
-        h, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
+    creased = False
+    for i in range(terms.shape[0]):
+        creased |= terms[i, 0] == FACETS
+    t, turns = low, 0
+    for step in range(MAX_FACETS):
+        x, y = o[0] + t * d[0], o[1] + t * d[1]
+        h, hx, hy, _, _, _ = surface(terms, tables, x, y)
         f, slope = o[2] + t * d[2] - h, d[2] - hx * d[0] - hy * d[1]
         if not math.isfinite(f):
             return math.nan, UNRESOLVED
@@ -166,7 +182,7 @@ def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
         if f <= scale:
             if slope < 0.0:
                 return max(t - f / slope, 0.0), HIT
-            if t > 0.0:
+            if t > 0.0 and (not creased or f < -scale):
                 return math.nan, UNRESOLVED  # the ray touches the wall without crossing it
             f = 0.0
         if t >= high:
@@ -176,9 +192,18 @@ def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
             advance = 2.0 * f / (root - slope)
         elif bound > 0.0:
             advance = (slope + root) / bound
+        elif creased:
+            advance = math.inf
         else:
             return math.nan, missed
-        if not t + advance > t:
+        end = math.inf
+        if creased:
+            # roundings of a point on the ray; an edge passed by less could be met again
+            slack = 4e-16 * (abs(o[0]) + abs(o[1]) + t)
+            end = max(_facet_end(terms, x, y, d[0], d[1], slack), 4e-16 * t)
+        turns += 0 if end < advance else 1
+        advance = min(advance, end)
+        if turns == MAX_STEPS or not t + advance > t:
             return math.nan, UNRESOLVED
         t = min(t + advance, high)
     return math.nan, UNRESOLVED

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._nouns import Noun
 from ...errors import SceneError
-from ...kernels.codes import CYLINDER, GRID, SPHERE, WAVE
+from ...kernels.codes import BUMPS, CYLINDER, FACETS, GRID, SPHERE, WAVE
 from ...scene.walls.analytic import Wall
 from ...scene.walls.height_maps import CallableWall, grid_limits
+from ...scene.walls.relief import relief_limits
 
 Array = NDArray[np.float64]
 
@@ -85,7 +86,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     Planes, spheres and cylinders have closed forms. On other walls the ray is marched. With f the
     height of the ray above the wall and M a bound on its second derivative along the ray, each
     step is the root s of f + f' s - M s^2/2. Such a step never passes a crossing, and near a
-    crossing it converges like Newton's method.
+    crossing it converges like Newton's method. On a wall of facets no step leaves its facet.
 
     A sum of walls without a size that has a curved term is searched up to 0.999 of its radius.
 
@@ -260,7 +261,7 @@ def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array
     Returns
     -------
     curvature : ndarray, (n,)
-        Upper bound on the curvature of each gridded term, 1/m; 0 for other terms.
+        Upper bound on the curvature of each gridded or random term, 1/m; 0 for other terms.
     box : ndarray, (2,)
         Half sizes in x and y, m; infinite if unbounded.
     slab : ndarray, (2,)
@@ -291,6 +292,9 @@ def search_bounds(wall: Wall, terms: Array, tables: Array) -> tuple[Array, Array
         elif row[0] == GRID:
             low, high, curvature[i] = grid_limits(row, tables)
             slab += (low, high)
+        elif row[0] in (FACETS, BUMPS):
+            height, curvature[i] = relief_limits(row)
+            slab += (-height, height)
     pad = 1e-9 + 1e-12 * np.abs(slab).max()  # m, so that rounding does not cut off a crest
     slab[0] -= pad
     slab[1] += pad

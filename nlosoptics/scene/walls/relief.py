@@ -18,6 +18,20 @@ from .analytic import Array, Wall, _term
 OFFSETS: Final = 303  # stream number of the random generator
 
 
+def relief_limits(row: Array) -> tuple[float, float]:
+    """Return bounds of a relief's term: magnitude of the height, m, and curvature, 1/m.
+
+    No draw exceeds the height. Facets are plane; on bumps the bound is 8.65 times the rms of the
+    second derivative, which a correlation area exceeds with a probability of about 1e-15.
+    """
+    length, rms = row[1], row[2]
+    if row[0] == FACETS:
+        return float(EXTREME * rms), 0.0
+    # the weights of the draws sum to 2 sqrt(pi), apart from a ripple of less than 1e-8
+    height = 2.0 * math.sqrt(math.pi) * (1.0 + 1e-7) * EXTREME * rms
+    return float(height), float(EXTREME * math.sqrt(12.0) * rms / length**2)
+
+
 class _Relief(Wall):
     """Base class of random reliefs."""
 
@@ -70,7 +84,12 @@ class _Relief(Wall):
     @property
     def max_height(self) -> float:
         """Upper bound on the magnitude of the height, m; no draw exceeds it."""
-        raise NotImplementedError
+        return relief_limits(self.compiled()[0][0])[0]
+
+    @property
+    def max_curvature(self) -> float:
+        """Bound on the second derivatives, 1/m: 0 for facets, 8.65 times their rms for bumps."""
+        return relief_limits(self.compiled()[0][0])[1]
 
 
 @dataclass(frozen=True)
@@ -152,19 +171,9 @@ class FacetWall(_Relief):
         return self._row(FACETS, self.cell, self.node_rms, offset), np.zeros(1)
 
     @property
-    def max_curvature(self) -> float:
-        """Zero, 1/m: facets are plane. At their edges the slope jumps."""
-        return 0.0
-
-    @property
     def _max_crease(self) -> float:
         """Gradient of a facet whose opposite nodes have the extreme draws of both signs."""
         return 2.0 * EXTREME * self.node_rms / (math.sqrt(0.75) * self.cell)
-
-    @property
-    def max_height(self) -> float:
-        """Upper bound on the magnitude of the height, m; no draw exceeds it."""
-        return EXTREME * self.node_rms
 
     @property
     def finest_period(self) -> float:
@@ -253,20 +262,6 @@ class GaussianWall(_Relief):
         a, b = self._offset()
         offset = (0.5 * length * a, 0.5 * length * b)
         return self._row(BUMPS, length, self.height_rms, offset), np.zeros(1)
-
-    @property
-    def max_curvature(self) -> float:
-        """Bound on the second derivatives, 1/m: 8.65 times their rms, sqrt(12) height_rms / l^2.
-
-        A correlation area exceeds it with a probability of about 1e-15.
-        """
-        return EXTREME * math.sqrt(12.0) * self.height_rms / self.correlation_length**2
-
-    @property
-    def max_height(self) -> float:
-        """Upper bound on the magnitude of the height, m; no draw exceeds it."""
-        # the weights sum to 2 pi, apart from a ripple of less than 1e-8
-        return 2.0 * math.sqrt(math.pi) * (1.0 + 1e-7) * EXTREME * self.height_rms
 
     @property
     def finest_period(self) -> float:
