@@ -80,10 +80,18 @@ def surface(terms, tables, x, y):
 
     All are NaN where the wall has no height; callers convert that to a status.
     """
+    return partial_surface(terms, tables, x, y, True, True)
+
+
+@njit(cache=True)
+def partial_surface(terms, tables, x, y, smooth, creased):
+    """Return `surface` of the smooth terms, of those with creases, or of both."""
     h = hx = hy = hxx = hxy = hyy = 0.0
     for i in range(terms.shape[0]):
         row = terms[i]
         kind = int(row[0])
+        if not (creased if kind == FACETS else smooth):
+            continue
         if kind == SPHERE:
             c = row[1]  # signed curvature, positive if the rim rises toward the room
             root_sq = 1.0 - c * c * (x * x + y * y)

@@ -12,6 +12,7 @@ from .walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, Wa
 from .walls.height_maps import CallableWall, HeightMapWall
 from .walls.mesh_walls import MeshWall
 from .walls.relief import FacetWall, GaussianWall
+from .walls.roughness import WallRoughness
 
 __all__ = [
     "CallableWall",
@@ -37,6 +38,7 @@ __all__ = [
     "SumWall",
     "TransientScan",
     "Wall",
+    "WallRoughness",
     "Ward",
     "WavyWall",
     "pupil_frame",

@@ -23,6 +23,8 @@ from .parts.occluders import Occluder, checked_occluders, joined
 from .parts.transient_scan import TransientScan
 from .walls.analytic import Array, ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 from .walls.mesh_walls import MeshWall
+from .walls.relief import FacetWall, GaussianWall
+from .walls.roughness import WallRoughness
 
 if TYPE_CHECKING:
     import trimesh
@@ -54,12 +56,15 @@ class Scene(Noun, Shown):
         Scattering of the relay wall; the default is matt paint with a 5 % mirror-like lobe.
     transient : TransientScan, optional
         Time-resolved capture and the volume that is reconstructed from it.
+    wall_roughness : WallRoughness, optional
+        Relief on the wall, which then is the mean surface. It carries the slope of the mirror-like
+        lobes of ``wall_material``, which must have this slope rms or zero.
 
     Raises
     ------
     SceneError
-        If a part has the wrong type, the laser is not aimed at the plane z = 0, or a part lies
-        behind the wall.
+        If a part has the wrong type, the laser is not aimed at the plane z = 0, a part lies
+        behind the wall, or the roughness does not agree with wall or material.
 
     Notes
     -----
@@ -88,6 +93,7 @@ class Scene(Noun, Shown):
     occluders: tuple[Occluder | trimesh.Trimesh, ...] = ()
     wall_material: Material = PAINT
     transient: TransientScan | None = None
+    wall_roughness: WallRoughness | None = None
 
     def __post_init__(self) -> None:
         for name, kind in (
@@ -105,12 +111,21 @@ class Scene(Noun, Shown):
             raise SceneError(
                 f"scene.transient is a {type(self.transient).__name__}; give a TransientScan"
             )
+        if not isinstance(self.wall_roughness, WallRoughness | None):
+            raise SceneError(
+                f"scene.wall_roughness is a {type(self.wall_roughness).__name__}; give a "
+                "WallRoughness"
+            )
         object.__setattr__(self, "occluders", checked_occluders(self.occluders))
         if self.laser.aim[2] != 0.0:
             raise SceneError(
                 f"laser.aim has z = {self.laser.aim[2]:g} m; give a point of the plane z = 0"
             )
+        if self.wall_roughness is not None:
+            self.wall_roughness.check_material(self.wall_material)
         if not _holds_mesh(self.wall):
+            if self.wall_roughness is not None:
+                self.wall_roughness.check_wall(self.wall)
             self.check_in_front(meshes=False)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -181,6 +196,8 @@ class Scene(Noun, Shown):
             "image": f"{nx} x {ny} pixels of {1e6 * camera.image_pitch:.3g} µm",
             "exposure": f"{1e3 * camera.exposure:.3g} ms",
         }
+        if self.wall_roughness is not None:
+            figures["roughness"] = _in_words(self.wall_roughness)
         if isinstance(self.hidden, PlanarObject):
             across, high = self.hidden.size
             figures["hidden"] = f"picture, {across:g} x {high:g} m"
@@ -206,6 +223,35 @@ class Scene(Noun, Shown):
             If ``size`` does not divide the native pixels.
         """
         return replace(self, camera=self.camera.resized(size))
+
+    def with_relief(self) -> Scene:
+        """Return the scene with its roughness as part of wall and material, as rays see it.
+
+        Returns
+        -------
+        Scene
+            Without ``wall_roughness``. For a pattern, the wall is the sum of mean wall and heights,
+            and its mirror-like lobes are smooth. For the mean, the wall is the mean wall, and its
+            mirror-like lobes have the slope rms of the roughness. A scene without roughness is
+            returned as it is.
+
+        Raises
+        ------
+        SceneError
+            If a height map does not cover the wall, or a part lies behind the relief.
+
+        Examples
+        --------
+        >>> from nlosoptics import Scene
+        >>> scene = Scene.load("examples/scenes/letter_rough.toml")
+        >>> rough = scene.with_relief()
+        >>> type(scene.wall).__name__, type(rough.wall).__name__, rough.wall_roughness
+        ('FlatWall', 'SumWall', None)
+        """
+        if self.wall_roughness is None:
+            return self
+        wall, material = self.wall_roughness.added_to(self.wall, self.wall_material)
+        return replace(self, wall=wall, wall_material=material, wall_roughness=None)
 
     def check_in_front(self, *, meshes: bool = True) -> None:
         """Check that laser, camera and hidden object lie in front of the wall's surface.
@@ -280,12 +326,25 @@ def _height_bound(wall: Wall, square: Array) -> Array | None:
         bounds = [_height_bound(term, square) for term in wall.terms]
         known = [bound for bound in bounds if bound is not None]
         return np.sum(known, axis=0) if len(known) == len(bounds) else None
+    if isinstance(wall, FacetWall | GaussianWall):
+        return np.full_like(square, wall.max_height)
     if isinstance(wall, WavyWall):
         return np.full_like(square, abs(wall.amplitude))
     if isinstance(wall, ConcaveWall):
         # the sag r^2/(R + sqrt(R^2 - r^2)) is at most r^2/R
         return square / wall.radius
     return np.zeros_like(square) if isinstance(wall, FlatWall | ConvexWall) else None
+
+
+def _in_words(roughness: WallRoughness) -> str:
+    """Return the roughness in a few words, for display in notebooks."""
+    heights = roughness.heights
+    kind = "height map"
+    if isinstance(heights, FacetWall):
+        kind = f"facets of {1e3 * heights.cell:.3g} mm"
+    elif isinstance(heights, GaussianWall):
+        kind = f"bumps of {1e3 * heights.correlation_length:.3g} mm"
+    return f"{kind}, {1e3 * roughness.slope_rms:.3g} mrad, {roughness.realisation}"
 
 
 def _holds_mesh(wall: Wall) -> bool:

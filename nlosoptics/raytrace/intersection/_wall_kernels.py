@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from ...kernels.codes import BUMPS, CYLINDER, FACETS, GRID, SPHERE, WAVE
-from ...kernels.heights import surface
+from ...kernels.codes import BUMPS, CYLINDER, EXTREME, FACETS, GRID, SPHERE, WAVE
+from ...kernels.heights import partial_surface, surface
 from ...kernels.parallel import threaded
 from ...kernels.relief import facet_edge
 
@@ -143,37 +143,45 @@ def _curvature_bound(terms, grid_bounds, o, d, low, high):
 
 
 @njit(cache=True)
-def _facet_end(terms, x, y, dx, dy, slack):
-    """Return how far a ray at (x, y) can advance within all its facets; inf without facets."""
-    end = math.inf
-    for i in range(terms.shape[0]):
-        if terms[i, 0] == FACETS:
-            end = min(end, facet_edge(terms[i], x, y, dx, dy, slack))
-    return end
+def _begin(terms, grid_bounds, box, slab, rim, o, d):
+    """Return the interval of t of a march, the bound on |d2h/dt2|, the tolerance and a status.
 
-
-@njit(cache=True)
-def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
-    """Return distance and status of the first crossing with a wall, by a safe march.
-
-    f is the height of the ray above the wall and M a bound on |f''|. The step to the root s of
-    f + f' s - M s^2/2 cannot pass a root of f, and for f -> 0 it converges quadratically like
-    Newton's method. M does not hold across the edges of facets, so that steps end at them.
+    The status is that of a ray without a hit. The interval is empty, low > high, for a ray that
+    never is over the wall.
     """
     missed = OUTSIDE if d[2] < 0.0 else MISS
     low, high = _search_interval(box, slab, rim, o, d)
     if not low <= high:
         over = abs(o[0]) <= box[0] and abs(o[1]) <= box[1]
-        return math.nan, BEHIND if over and o[2] < slab[0] else missed
+        return 1.0, 0.0, 0.0, 0.0, BEHIND if over and o[2] < slab[0] else missed
     bound = _curvature_bound(terms, grid_bounds, o, d, low, high)
     scale = TOLERANCE * max(math.sqrt(o[0] * o[0] + o[1] * o[1] + o[2] * o[2]), 1e-3)
-    creased = False
-    for i in range(terms.shape[0]):
-        creased |= terms[i, 0] == FACETS
-    t, turns = low, 0
-    for step in range(MAX_FACETS):
-        x, y = o[0] + t * d[0], o[1] + t * d[1]
-        h, hx, hy, _, _, _ = surface(terms, tables, x, y)
+    return low, high, bound, scale, missed
+
+
+@njit(cache=True, inline="always")
+def _safe_step(f, slope, bound):
+    """Return the step to the positive root s of f + slope s - bound s^2/2; inf without one."""
+    root = math.sqrt(slope * slope + 2.0 * bound * f)
+    if slope < 0.0:
+        return 2.0 * f / (root - slope)
+    return (slope + root) / bound if bound > 0.0 else math.inf
+
+
+@njit(cache=True)
+def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
+    """Return distance and status of the first crossing with a smooth wall, by a safe march.
+
+    f is the height of the ray above the wall and M a bound on |f''|. The step to the root s of
+    f + f' s - M s^2/2 cannot pass a root of f, and for f -> 0 it converges quadratically like
+    Newton's method.
+    """
+    low, high, bound, scale, missed = _begin(terms, grid_bounds, box, slab, rim, o, d)
+    if low > high:
+        return math.nan, missed
+    t = low
+    for step in range(MAX_STEPS):
+        h, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])
         f, slope = o[2] + t * d[2] - h, d[2] - hx * d[0] - hy * d[1]
         if not math.isfinite(f):
             return math.nan, UNRESOLVED
@@ -182,30 +190,68 @@ def marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
         if f <= scale:
             if slope < 0.0:
                 return max(t - f / slope, 0.0), HIT
-            if t > 0.0 and (not creased or f < -scale):
+            if t > 0.0:
                 return math.nan, UNRESOLVED  # the ray touches the wall without crossing it
             f = 0.0
-        if t >= high:
+        advance = _safe_step(f, slope, bound)
+        if t >= high or advance == math.inf:
             return math.nan, missed
-        root = math.sqrt(slope * slope + 2.0 * bound * f)
-        if slope < 0.0:
-            advance = 2.0 * f / (root - slope)
-        elif bound > 0.0:
-            advance = (slope + root) / bound
-        elif creased:
-            advance = math.inf
-        else:
-            return math.nan, missed
-        end = math.inf
-        if creased:
-            # roundings of a point on the ray; an edge passed by less could be met again
-            slack = 4e-16 * (abs(o[0]) + abs(o[1]) + t)
-            end = max(_facet_end(terms, x, y, d[0], d[1], slack), 4e-16 * t)
-        turns += 0 if end < advance else 1
-        advance = min(advance, end)
-        if turns == MAX_STEPS or not t + advance > t:
+        if not t + advance > t:
             return math.nan, UNRESOLVED
         t = min(t + advance, high)
+    return math.nan, UNRESOLVED
+
+
+@njit(cache=True)
+def _facet_end(terms, x, y, dx, dy, slack):
+    """Return how far a ray at (x, y) can advance within all its facets, m."""
+    end = math.inf
+    for i in range(terms.shape[0]):
+        if terms[i, 0] == FACETS:
+            end = min(end, facet_edge(terms[i], x, y, dx, dy, slack))
+    return end
+
+
+@njit(cache=True)
+def faceted_hit(terms, tables, grid_bounds, top, box, slab, rim, o, d):
+    """Return distance and status of the first crossing with a wall that has facets.
+
+    M of `marched_hit` does not hold across the edges of facets, so that steps end there. Above all
+    facets, by more than their largest height ``top``, only the smooth terms count.
+    """
+    low, high, bound, scale, missed = _begin(terms, grid_bounds, box, slab, rim, o, d)
+    if low > high:
+        return math.nan, missed
+    t, turns = low, 0
+    for step in range(MAX_FACETS):
+        x, y = o[0] + t * d[0], o[1] + t * d[1]
+        h, hx, hy, _, _, _ = partial_surface(terms, tables, x, y, True, False)
+        f, slope = o[2] + t * d[2] - h, d[2] - hx * d[0] - hy * d[1]
+        # roundings of a point on the ray; an edge passed by less could be met again
+        slack = 4e-16 * (abs(o[0]) + abs(o[1]) + t)
+        end = max(_facet_end(terms, x, y, d[0], d[1], slack), 4e-16 * t)
+        leap = _safe_step(f - top, slope, bound) if f > top else 0.0
+        if leap < end or leap == 0.0:
+            h, hx, hy, _, _, _ = partial_surface(terms, tables, x, y, False, True)
+            f, slope = f - h, slope - hx * d[0] - hy * d[1]
+            if not math.isfinite(f):
+                return math.nan, UNRESOLVED
+            if step == 0 and f < -scale:
+                return math.nan, BEHIND if low == 0.0 or o[2] < slab[0] else missed
+            if f <= scale:
+                if slope < 0.0:
+                    return max(t - f / slope, 0.0), HIT
+                if f < -scale:
+                    return math.nan, UNRESOLVED
+                f = 0.0  # it starts here, or touches an edge
+            leap = _safe_step(f, slope, bound)
+            turns += 1 if leap <= end else 0
+            leap = min(leap, end)
+        if t >= high or leap == math.inf:
+            return math.nan, missed
+        if turns == MAX_STEPS or not t + leap > t:
+            return math.nan, UNRESOLVED
+        t = min(t + leap, high)
     return math.nan, UNRESOLVED
 
 
@@ -305,7 +351,14 @@ def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     if terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
         t, condition = conic_hit(terms[0], box, o, d)
     else:
-        t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
+        top = 0.0
+        for i in range(terms.shape[0]):
+            if terms[i, 0] == FACETS:
+                top += EXTREME * terms[i, 2]
+        if top > 0.0:
+            t, condition = faceted_hit(terms, tables, grid_bounds, top, box, slab, rim, o, d)
+        else:
+            t, condition = marched_hit(terms, tables, grid_bounds, box, slab, rim, o, d)
     hx = hy = 0.0
     if condition == HIT:
         _, hx, hy, _, _, _ = surface(terms, tables, o[0] + t * d[0], o[1] + t * d[1])

@@ -107,7 +107,8 @@ def wall_irradiance(
     Notes
     -----
     Light vertices are connected to points spread uniformly over the wall. Light that reaches the
-    wall by scattering is counted too. The balance heuristic weights the two strategies.
+    wall by scattering is counted too. The balance heuristic weights the two strategies. On a wall
+    with roughness the irradiance is the power per area of the mean wall.
 
     Examples
     --------

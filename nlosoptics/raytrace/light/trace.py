@@ -180,11 +180,12 @@ def job_of(
     analog: bool = False,
     keep_paths: bool = False,
 ) -> Job:
-    """Check the options common to all tracers, and return the prepared scene."""
+    """Check the options common to all tracers, and return the prepared scene with its relief."""
     from .blocks import Job
 
     if not isinstance(scene, Scene):
         raise SceneError(f"scene is a {type(scene).__name__}; give a Scene, such as Scene.load()")
+    scene = scene.with_relief()
     scene.check_in_front()
     whole("max_bounces", max_bounces, 1, MOST_BOUNCES)
     one_of("sampler", sampler, ("sobol", "philox"))

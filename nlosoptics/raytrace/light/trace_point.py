@@ -186,11 +186,12 @@ def trace_point(
     begun = time.perf_counter()
     one_of("emission", emission, EMISSIONS)
     whole("n_rays", n_rays, 1, MOST)
-    alone = point_scene(scene, object_point)
+    smooth = point_scene(scene, object_point)
+    alone = smooth.with_relief()
     job = job_of(alone, max_bounces, "sobol", seed)
     pitch, (ny, nx), first = _window(alone, pitch, shape, first)
     each = min(max(LEAST, n_rays // (ny * nx) // 2 * 2), LARGEST)
-    image_box, gloss_box = _boxes(alone)
+    image_box, gloss_box = _boxes(smooth)
     matt = alone.wall_material.diffuse
     task = Task(
         job=job,
@@ -308,9 +309,11 @@ def _boxes(scene: Scene) -> tuple[Array, Array]:
     """Return the rectangles of the wall in which the lens sees the point mirrored.
 
     The first is for smooth mirrors, the second for glossy mirror-like lobes. Each holds (low x,
-    low y, width, height), m, and is all zero without such a lobe or mirror image.
+    low y, width, height), m, and is all zero without such a lobe or mirror image. A relief widens
+    the first around the reflection by the mean wall.
     """
-    slopes = [lobe.slope_rms for lobe in scene.wall_material.mirror_lobes]
+    relieved = scene.with_relief()
+    slopes = [lobe.slope_rms for lobe in relieved.wall_material.mirror_lobes]
     none = np.zeros(4)
     if not slopes:
         return none, none
@@ -320,10 +323,14 @@ def _boxes(scene: Scene) -> tuple[Array, Array]:
         return none, none
     middle = lit.points.mean(axis=0)
     legs = [float(np.linalg.norm(p - middle)) for p in (scene.object_point, scene.camera.position)]
-    # a facet slope of three standard deviations shifts the reflection point by this length, m
-    reach = 6.0 * max(slopes) * legs[0] * legs[1] / sum(legs)
+    # a facet shifts the reflection point by its slope times this length, m
+    shift = 2.0 * legs[0] * legs[1] / sum(legs)
+    reach = 3.0 * max(slopes) * shift
+    wider = 0.0
+    if scene.wall_roughness is not None and relieved.wall is not scene.wall:
+        wider = scene.wall_roughness.steepest * shift
     boxes = [none, none]
-    for k, (wanted, more) in enumerate(((min(slopes) == 0.0, 0.0), (reach > 0.0, reach))):
+    for k, (wanted, more) in enumerate(((min(slopes) == 0.0, wider), (reach > 0.0, reach))):
         margin = more + 0.02 * (lit.high - lit.low) + 1e-6
         low, high = lit.low - margin, lit.high + margin
         if scene.wall.size is not None:

@@ -66,7 +66,7 @@ def _problem(problem: Any, model: Any) -> str:
     if kind == "list_type" and isinstance(problem["input"], dict):
         return f"{name} = {value} is one table; write [[{name}]] for each of them"
     last = next((k for k in reversed(keys) if isinstance(k, str)), "")
-    example = tables.example(str(keys[0]), last)
+    example = tables.example(_section(name), last)
     hint = f"; write for example {toml_value(example)}" if example is not None else ""
     if kind == "value_error":
         return f"{name} = {value} {problem['ctx']['error']}{hint}"
@@ -87,15 +87,22 @@ def missing_key(name: str, key: str, *, top: bool = False) -> str:
     """Return the message for a missing key, or with ``top`` for a missing table."""
     if top:
         return f"the table [{name}] is missing; add it with its keys"
-    example = tables.example(name.partition(".")[0], key)
+    example = tables.example(_section(name), key)
     return f"{name} is missing; add for example {key} = {toml_value(example)}"
 
 
+def _section(name: str) -> str:
+    """Return the section of `tables.EXAMPLES` to which a key belongs."""
+    return "roughness" if "roughness." in name else name.partition(".")[0]
+
+
 def _unknown_choice(name: str, section: str, value: Any) -> str:
-    """Return the message for a table whose kind is unclear: its shape, lobe, image or mesh."""
+    """Return the message for a table of unclear kind: its shape, lobe, model, image or mesh."""
     if section == "hidden" and "material" not in name:
         return "hidden.mesh and hidden.image are both given, limit is one of them; remove the other"
     key, choices = ("lobe", tables.LOBES) if "material" in name else ("shape", tables.SHAPES)
+    if "roughness" in name:
+        key, choices = "model", tables.ROUGHNESSES
     if not isinstance(value, dict):
         return f"{name} = {_shown(value)} is not a table; write [{name}] and its keys below"
     if key not in value:

@@ -2,7 +2,8 @@
 
 A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``. It may have
 ``[transient]`` and any number of ``[[occluder]]``. ``[wall.material]`` and ``[hidden.material]``
-are one lobe; with double brackets they are a sum of lobes. ``[camera]`` may name another ``file``
+are one lobe; with double brackets they are a sum of lobes. ``[wall.roughness]`` is a relief on the
+wall. ``[camera]`` may name another ``file``
 with a camera table and override its keys. Paths are relative to the file that contains them.
 """
 
@@ -26,6 +27,8 @@ from ..parts.transient_scan import TransientScan
 from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 from ..walls.height_maps import HeightMapWall
 from ..walls.mesh_walls import MeshWall
+from ..walls.relief import FacetWall, GaussianWall
+from ..walls.roughness import WallRoughness
 from . import tables as _file_tables
 from .errors import located, missing_key, validated
 from .schema import scene_schema
@@ -49,7 +52,7 @@ def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
     scene : callable
         The class `Scene`, passed in because this module must not import it. It is called with
         laser, wall, hidden object, camera and occluders, and with the optional keywords
-        ``wall_material`` and ``transient``.
+        ``wall_material``, ``wall_roughness`` and ``transient``.
 
     Returns
     -------
@@ -75,6 +78,10 @@ def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
         optional: dict[str, Any] = {}
         if tables.wall.material is not None:
             optional["wall_material"] = _material("wall.material", tables.wall.material)
+        if tables.wall.roughness is not None:
+            optional["wall_roughness"] = _roughness(
+                tables.wall.roughness, optional.get("wall_material"), folder
+            )
         if tables.transient is not None:
             optional["transient"] = TransientScan(**_given(tables.transient))
         made = scene(
@@ -178,7 +185,7 @@ def _laser(table: _file_tables.LaserTable) -> Laser:
 
 def _wall(table: Any, folder: Path) -> Wall:
     """Return the wall of a table; paths in it are relative to ``folder``."""
-    values = _given(table, "shape", "material")
+    values = _given(table, "shape", "material", "roughness")
     if table.shape == "mesh":
         return MeshWall(_resolved(folder, values.pop("mesh")), **values)
     if table.shape == "random":
@@ -199,13 +206,60 @@ def _wall(table: Any, folder: Path) -> Wall:
 def _terms(tables: list[Any], folder: Path) -> Iterator[Wall]:
     """Yield the summands of a wall."""
     for index, table in enumerate(tables):
-        if table.material is not None:
-            raise SceneError(
-                f"wall.terms[{index}].material belongs to a summand, which has no material of its "
-                "own; move it to wall.material"
-            )
+        for key in ("material", "roughness"):
+            if getattr(table, key) is not None:
+                raise SceneError(
+                    f"wall.terms[{index}].{key} belongs to a summand, which has no {key} of its "
+                    f"own; move it to wall.{key}"
+                )
         with located(f"wall.terms[{index}].", "wall."):
             yield _wall(table, folder)
+
+
+def _roughness(table: Any, material: Material | None, folder: Path) -> WallRoughness:
+    """Return the roughness of a table; a slope that it omits is that of a mirror-like lobe."""
+    values = _given(table, "model", "realisation")
+    options = _given(table, *values, "model")
+    with located("wall.roughness.", "wall."):
+        heights: FacetWall | GaussianWall | HeightMapWall
+        if table.model == "height_map":
+            heights = HeightMapWall(_resolved(folder, values.pop("heights")), **values)
+        elif table.model == "facets":
+            if "slope_rms" not in values:
+                values["slope_rms"] = _lobe_slope(material, "slope_rms")
+            heights = FacetWall(**values)
+        else:
+            heights = GaussianWall(**_with_height(values, material))
+    with located("wall.roughness.", "wall_roughness."):
+        return WallRoughness(heights, **options)
+
+
+def _with_height(values: dict[str, Any], material: Material | None) -> dict[str, Any]:
+    """Return the keys of Gaussian roughness with ``height_rms`` in place of its slope."""
+    if "height_rms" in values:
+        if "slope_rms" in values:
+            raise SceneError(
+                "height_rms and slope_rms are both given, limit is one of them; remove the other"
+            )
+        return values
+    slope = values.pop("slope_rms", None)
+    if slope is None:
+        slope = _lobe_slope(material, "height_rms or slope_rms")
+    slope = in_range("slope_rms", slope, 0.0, 1.0, unit="rad")
+    length = positive("correlation_length", values["correlation_length"], unit="m")
+    return {**values, "height_rms": slope * length / math.sqrt(2.0)}
+
+
+def _lobe_slope(material: Material | None, missing: str) -> float:
+    """Return the slope of the wall's mirror-like lobe, which replaces the key ``missing``."""
+    lobes = () if material is None else material.mirror_lobes
+    slopes = [lobe.slope_rms for lobe in lobes if lobe.slope_rms > 0.0]
+    if not slopes:
+        raise SceneError(
+            f"{missing} is missing, and no mirror-like lobe of wall.material has a slope; add for "
+            'example slope_rms = "2 mrad"'
+        )
+    return slopes[0]
 
 
 def _hidden(table: Any, folder: Path) -> PlanarObject | MeshObject:

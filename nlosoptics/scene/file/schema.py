@@ -14,6 +14,8 @@ from ..parts.transient_scan import TransientScan
 from ..walls.analytic import ConcaveWall, FlatWall, SumWall, WavyWall
 from ..walls.height_maps import HeightMapWall
 from ..walls.mesh_walls import MeshWall
+from ..walls.relief import FacetWall, GaussianWall
+from ..walls.roughness import WallRoughness
 from . import tables
 
 
@@ -36,6 +38,9 @@ def scene_schema() -> dict[str, Any]:
         "MeshWallTable": MeshWall,
         "HeightMapTable": HeightMapWall,
         "RandomTable": HeightMapWall.random,
+        "FacetsTable": FacetWall,
+        "GaussianTable": GaussianWall,
+        "RoughMapTable": HeightMapWall,
         "PictureTable": PlanarObject,
         "MeshObjectTable": MeshObject,
         "OccluderTable": Occluder,
@@ -48,7 +53,13 @@ def scene_schema() -> dict[str, Any]:
     }
     for name, table in schema["$defs"].items():
         notes = _parameter_notes(inspect.getdoc(documented[name]) or "")
+        notes |= {
+            "realisation": _parameter_notes(inspect.getdoc(WallRoughness) or "")["realisation"]
+        }
         section = "wall" if name in ("HeightMapTable", "RandomTable") else ""
+        section = (
+            "roughness" if name in ("FacetsTable", "GaussianTable", "RoughMapTable") else section
+        )
         for key, value in table["properties"].items():
             _tidy(key, value, notes, section)
     _tidy("", schema, {})

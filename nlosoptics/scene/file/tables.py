@@ -52,6 +52,15 @@ EXAMPLES: dict[str, Any] = {
     "autocorrelation": "gaussian",
     "seed": 0,
     "scale": 1.0,
+    "roughness": {"model": "facets", "cell": "1 mm", "slope_rms": "2 mrad"},
+    "roughness.model": "facets",
+    "roughness.slope_rms": "2 mrad",
+    "roughness.height_rms": "1 um",
+    "roughness.correlation_length": "1 mm",
+    "roughness.pitch": "0.5 mm",
+    "roughness.heights": "../walls/measured.npy",
+    "cell": "1 mm",
+    "realisation": "pattern",
     "material": {"lobe": "lambert", "albedo": 0.7},
     "lobe": "lambert",
     "albedo": 0.7,
@@ -119,6 +128,9 @@ SHAPES = {
     "height_map": "wall:height_map",
     "random": "wall:random",
 }
+
+
+ROUGHNESSES = {name: f"roughness:{name}" for name in ("facets", "gaussian", "height_map")}
 
 
 def _string(kind: Kind) -> dict[str, Any]:
@@ -267,12 +279,56 @@ class LaserTable(Table):
     independent_patterns: int | None = None
 
 
+class _RoughnessTable(Table):
+    """Keys common to all kinds of roughness."""
+
+    seed: int | None = None
+    realisation: Literal["pattern", "mean"] | None = None
+
+
+class FacetsTable(_RoughnessTable):
+    """Plane random facets; slope_rms is by default that of the wall's mirror-like lobe."""
+
+    model: Literal["facets"]
+    cell: LengthText
+    slope_rms: AngleText | None = None
+
+
+class GaussianTable(_RoughnessTable):
+    """Smooth random heights; their slope is by default that of the wall's mirror-like lobe."""
+
+    model: Literal["gaussian"]
+    correlation_length: LengthText
+    height_rms: LengthText | None = None
+    slope_rms: AngleText | None = Field(
+        None, description="slope rms per axis, sqrt(2) height_rms / l; replaces height_rms"
+    )
+
+
+class RoughMapTable(Table):
+    """Measured heights on a grid, read from an .npy file in m."""
+
+    model: Literal["height_map"]
+    heights: str
+    pitch: LengthText
+    realisation: Literal["pattern", "mean"] | None = None
+
+
+RoughnessTable = Annotated[
+    Annotated[FacetsTable, Tag("roughness:facets")]
+    | Annotated[GaussianTable, Tag("roughness:gaussian")]
+    | Annotated[RoughMapTable, Tag("roughness:height_map")],
+    _choose("model", ROUGHNESSES),
+]
+
+
 class _WallTable(Table):
     """Keys common to most walls."""
 
     shape: str
     size: SizeText | None = None
     material: MaterialTable | None = None
+    roughness: RoughnessTable | None = None
 
 
 class FlatTable(_WallTable):
@@ -320,6 +376,7 @@ class MeshWallTable(Table):
     mesh: str
     scale: float | None = None
     material: MaterialTable | None = None
+    roughness: RoughnessTable | None = None
 
 
 class HeightMapTable(_WallTable):
@@ -341,6 +398,7 @@ class RandomTable(Table):
     autocorrelation: Literal["gaussian", "exponential"] | None = None
     seed: int | None = None
     material: MaterialTable | None = None
+    roughness: RoughnessTable | None = None
 
 
 WallTable = Annotated[
@@ -491,6 +549,9 @@ OWNERS: dict[str, type[Table]] = {
     "wall:mesh": MeshWallTable,
     "wall:height_map": HeightMapTable,
     "wall:random": RandomTable,
+    "roughness:facets": FacetsTable,
+    "roughness:gaussian": GaussianTable,
+    "roughness:height_map": RoughMapTable,
     "hidden:picture": PictureTable,
     "hidden:mesh": MeshObjectTable,
 }

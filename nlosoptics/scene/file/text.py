@@ -19,6 +19,8 @@ from ..parts.occluders import Occluder
 from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
 from ..walls.height_maps import HeightMapWall
 from ..walls.mesh_walls import MeshWall
+from ..walls.relief import FacetWall, GaussianWall
+from ..walls.roughness import WallRoughness
 from . import tables as _file_tables
 
 #: Function of a key and its data that returns the file name to write in the scene file. The data
@@ -97,7 +99,12 @@ def _text(scene: Any, named: Naming) -> str:
     laser, camera = scene.laser, scene.camera
     tables = _file_tables.SceneFile.model_construct(
         laser=_file_tables.LaserTable.model_construct(**vars(laser)),
-        wall=_wall_table("wall", scene.wall, named, _material_table(scene.wall_material)),
+        wall=_wall_table("wall", scene.wall, named).model_copy(
+            update={
+                "material": _material_table(scene.wall_material),
+                "roughness": _roughness_table(scene.wall_roughness, named),
+            }
+        ),
         hidden=_hidden_table(scene.hidden, named),
         camera=_file_tables.CameraTable.model_construct(
             **vars(camera) | {"pixels": list(camera.pixels)}
@@ -139,20 +146,46 @@ def _material_table(material: Material) -> Any:
     )
 
 
-def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> Any:
-    """Return the table of a wall; ``key`` is the table's key in the file."""
-    common = {"size": wall.size, "material": material}
+def _roughness_table(roughness: WallRoughness | None, named: Naming) -> Any:
+    """Return the table of a wall's roughness; None without one."""
+    if roughness is None:
+        return None
+    heights, realisation = roughness.heights, roughness.realisation
+    if isinstance(heights, FacetWall):
+        return _file_tables.FacetsTable.model_construct(
+            model="facets",
+            cell=heights.cell,
+            slope_rms=heights.slope_rms,
+            seed=heights.seed,
+            realisation=realisation,
+        )
+    if isinstance(heights, GaussianWall):
+        return _file_tables.GaussianTable.model_construct(
+            model="gaussian",
+            correlation_length=heights.correlation_length,
+            height_rms=heights.height_rms,
+            seed=heights.seed,
+            realisation=realisation,
+        )
+    return _file_tables.RoughMapTable.model_construct(
+        model="height_map",
+        heights=_file("wall.roughness.heights", heights.heights, named),
+        pitch=heights.pitch,
+        realisation=realisation,
+    )
+
+
+def _wall_table(key: str, wall: Wall, named: Naming) -> Any:
+    """Return the table of a wall without its material; ``key`` is the table's key in the file."""
+    common: dict[str, Any] = {"size": wall.size}
     if isinstance(wall, MeshWall):
         return _file_tables.MeshWallTable.model_construct(
             shape="mesh",
             mesh=_file(f"{key}.mesh", wall.mesh, named),
             scale=wall.scale,
-            material=material,
         )
     if isinstance(wall, HeightMapWall) and wall.drawn is not None:
-        return _file_tables.RandomTable.model_construct(
-            shape="random", material=material, **wall.drawn
-        )
+        return _file_tables.RandomTable.model_construct(shape="random", **wall.drawn)
     if isinstance(wall, HeightMapWall):
         return _file_tables.HeightMapTable.model_construct(
             shape="height_map",
@@ -178,6 +211,11 @@ def _wall_table(key: str, wall: Wall, named: Naming, material: Any = None) -> An
             )
         return _file_tables.CylinderTable.model_construct(
             shape=shape, radius=wall.radius, axis=wall.axis, **common
+        )
+    if isinstance(wall, FacetWall | GaussianWall):
+        raise SceneError(
+            f"{type(wall).__name__} cannot be written as a wall in a scene file; give the scene a "
+            "FlatWall and wall_roughness"
         )
     raise SceneError(
         f"{type(wall).__name__} cannot be written in a scene file; save its heights as .npy and "

@@ -38,7 +38,8 @@ def render_scene(
     The laser spot is a point with 1 W (or a pulse of 1 J) on the wall. Laser and camera positions
     are the ends of the outer legs. With five or more bounces, the whole wall also reflects between
     hidden surfaces. A hidden image is converted to a mesh of its white area, on at most 64 cells
-    across, that scatters on both sides. Occluders are black surfaces.
+    across, that scatters on both sides. Occluders are black surfaces. Roughness must have the
+    realisation ``"mean"``, which leaves a Lambertian wall as it is.
 
     Parameters
     ----------
@@ -95,6 +96,12 @@ def render_scene(
     if scan is None:
         raise SceneError(
             "the scene has no [transient]; add the table with side, count, delta_t and n_bins"
+        )
+    roughness, scene = scene.wall_roughness, scene.with_relief()
+    if roughness is not None and not scene.wall.is_flat:
+        raise SceneError(
+            f"wall_roughness.realisation is {roughness.realisation!r}, must be 'mean' for "
+            "time-resolved captures, which need a flat wall"
         )
     albedo = _wall_albedo(scene, scan)
     surfaces = [(_hidden_mesh(scene.hidden), scene.hidden.material)]

@@ -489,9 +489,121 @@ def test_summand_of_a_wall(folder: Path) -> None:
         ('shape = "flat"', 'shape = "sum"'),
         ("[[wall.material]]", wave + '"-1 m"\n[[wall.x]]'),
     )
-    expect(line, "wall.x", "unknown key", "the keys here are shape, size, material, terms")
+    expect(
+        line, "wall.x", "unknown key", "the keys here are shape, size, material, roughness, terms"
+    )
     line = message(folder, ("[[wall.x]]", "[[wall.material]]"), scene="letter_flat")
     expect(line, "wall.terms[0].period", "-1 m", "must be above 0 m")
+
+
+#: What replaces `model = "facets"`, the cell or the seed of letter_rough, and the message.
+ROUGH = {
+    "negative slope": (
+        'cell = "1 mm"',
+        'cell = "1 mm"\nslope_rms = "-2 mrad"',
+        ("wall.roughness.slope_rms = -0.002 rad is out of range, must be from 0 to 1 rad",),
+    ),
+    "slope without a unit": (
+        'cell = "1 mm"',
+        'cell = "1 mm"\nslope_rms = nan',
+        ("wall.roughness.slope_rms = NaN has no unit", '"2 mrad"'),
+    ),
+    "slope that is no number": (
+        'cell = "1 mm"',
+        'cell = "1 mm"\nslope_rms = "nan rad"',
+        ("wall.roughness.slope_rms", "nan rad"),
+    ),
+    "slope above 1": (
+        'cell = "1 mm"',
+        'cell = "1 mm"\nslope_rms = "1.1 rad"',
+        ("wall.roughness.slope_rms = 1.1 rad", "from 0 to 1 rad"),
+    ),
+    "another slope": (
+        'cell = "1 mm"',
+        'cell = "1 mm"\nslope_rms = "3 mrad"',
+        ("mirror-like lobe of slope_rms = 0.002 rad", "has 0.003 rad", "or 0"),
+    ),
+    "no cell": ('cell = "1 mm"', "", ("wall.roughness.cell is missing", 'cell = "1 mm"')),
+    "cell of zero": (
+        'cell = "1 mm"',
+        'cell = "0 mm"',
+        ("wall.roughness.cell = 0 m is out of range, must be above 0 m",),
+    ),
+    "fraction as seed": (
+        "seed = 1",
+        "seed = 1.5",
+        ("wall.roughness.seed = 1.5", "integer", "example 0"),
+    ),
+    "negative seed": ("seed = 1", "seed = -1", ("wall.roughness.seed = -1 is out of range",)),
+    "unknown realisation": (
+        "seed = 1",
+        'realisation = "all"',
+        ("wall.roughness.realisation", "'pattern' or 'mean'"),
+    ),
+    "unknown model": (
+        'model = "facets"',
+        'model = "facet"',
+        ("wall.roughness.model", '"facet" is unknown', 'did you mean "facets"?'),
+    ),
+    "no model": ('model = "facets"', "", ("wall.roughness.model is missing", 'model = "facets"')),
+    "unknown key": (
+        "seed = 1",
+        "cells = 1",
+        ("wall.roughness.cells = 1 is an unknown key; did you mean cell?",),
+    ),
+    "two of Gaussian": (
+        'model = "facets"\ncell = "1 mm"',
+        'model = "gaussian"\ncorrelation_length = "1 mm"\nheight_rms = "1 um"\n'
+        'slope_rms = "1 mrad"',
+        ("wall.roughness.height_rms and slope_rms are both given",),
+    ),
+    "steep Gaussian": (
+        'model = "facets"\ncell = "1 mm"',
+        'model = "gaussian"\ncorrelation_length = "1 mm"\nheight_rms = "1 mm"',
+        ("wall.roughness.height_rms = 0.001 m", "slope rms 1.41421, limit 1"),
+    ),
+    "lobe without slope": (
+        'slope_rms = "2 mrad"',
+        'slope_rms = "0 rad"',
+        ("wall.roughness.slope_rms is missing", "no mirror-like lobe", '"2 mrad"'),
+    ),
+    "GGX": (
+        'slope_rms = "2 mrad"',
+        'slope_rms = "2 mrad"\ndistribution = "ggx"',
+        ("GGX lobe of slope_rms = 0.002 rad", 'distribution = "beckmann"'),
+    ),
+    "no heights": (
+        'model = "facets"\ncell = "1 mm"\nseed = 1',
+        'model = "height_map"\nheights = "none.npy"\npitch = "1 mm"',
+        ("wall.roughness.heights: there is no file", "none.npy"),
+    ),
+    "no table": (
+        '[wall.roughness]\nmodel = "facets"\ncell = "1 mm"\nseed = 1',
+        "[wall.x]",
+        ("wall.x",),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ROUGH)
+def test_wrong_roughness(name: str, folder: Path) -> None:
+    path = folder / "letter_rough.toml"
+    lines = (line.partition("#")[0].rstrip() for line in path.read_text().splitlines())
+    path.write_text("\n".join(line for line in lines if line))
+    old, new, parts = ROUGH[name]
+    expect(message(folder, (old, new), scene="letter_rough"), *parts)
+
+
+def test_roughness_of_a_summand(folder: Path) -> None:
+    rough = (
+        '[[wall.terms]]\nshape = "flat"\n[wall.terms.roughness]\nmodel = "facets"\ncell = "1 mm"'
+    )
+    line = message(
+        folder,
+        ('shape = "flat"', 'shape = "sum"'),
+        ("[hidden]", rough + "\n[hidden]"),
+    )
+    expect(line, "wall.terms[0].roughness belongs to a summand", "move it to wall.roughness")
 
 
 def test_random_wall_on_a_coarse_grid_names_the_file_too(folder: Path) -> None:

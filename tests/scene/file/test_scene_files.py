@@ -21,7 +21,9 @@ from nlosoptics.errors import SceneError
 from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
+    FacetWall,
     FlatWall,
+    GaussianWall,
     HeightMapWall,
     Lambert,
     MeshObject,
@@ -34,6 +36,7 @@ from nlosoptics.scene import (
     SumMaterial,
     SumWall,
     TransientScan,
+    WallRoughness,
     WavyWall,
 )
 from nlosoptics.scene.file.scene_file import scene_files, scene_schema
@@ -146,6 +149,54 @@ def test_every_material_round_trips_exactly(material, flat: Scene, tmp_path: Pat
     hidden = replace(flat.hidden, material=material)
     scene = replace(flat, wall_material=material, hidden=hidden)
     assert saved(scene, tmp_path) == scene
+
+
+ROUGHNESSES = [
+    WallRoughness(FacetWall(1e-3 / 3, 2e-3 / 7, seed=2**64 - 1)),
+    WallRoughness(GaussianWall(1e-6 / 3, 1e-3 / 7, seed=2**33 + 1), "mean"),
+    WallRoughness(HeightMapWall(1e-6 * np.random.default_rng(0).random((90, 120)), 1 / 60)),
+    WallRoughness(
+        HeightMapWall.random(height_rms=1e-6, correlation_length=0.1, size=(1.4, 1.0), pitch=0.02),
+        "mean",
+    ),
+]
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESSES, ids=range(len(ROUGHNESSES)))
+def test_every_roughness_round_trips_exactly(roughness, flat: Scene, tmp_path: Path) -> None:
+    scene = replace(flat, wall_roughness=roughness)
+    assert saved(scene, tmp_path) == scene
+    (tmp_path / "carried").mkdir()
+    for name, content in scene_files(scene).items():
+        (tmp_path / "carried" / name).write_bytes(content)
+    assert Scene.load(tmp_path / "carried" / "scene.toml").wall_roughness == roughness
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    assert replace(scene, wall_roughness=None) == flat
+
+
+def test_roughness_takes_the_slope_of_the_lobe(tmp_path: Path) -> None:
+    path = FOLDER / "letter_rough.toml"
+    scene = Scene.load(path)
+    assert scene.wall_roughness == WallRoughness(FacetWall(1e-3, 2e-3, seed=1))
+    text = path.read_text().replace("../", f"{FOLDER.parent}/")
+    text = text.replace('file = "', f'file = "{FOLDER}/')
+    keys = 'model = "gaussian"\ncorrelation_length = "0.5 mm"\nrealisation = "mean"'
+    old = text[text.index('model = "facets"') : text.index("seed = 1")]
+    for more, slope in (("", 2e-3), ('\nslope_rms = "2 mrad"', 2e-3), ('\nheight_rms = "0 m"', 0)):
+        changed = text.replace(old, keys + more + "\n")
+        if not slope:
+            changed = changed.replace('slope_rms = "2 mrad" ', 'slope_rms = "0 rad" ')
+        (tmp_path / "gaussian.toml").write_text(changed)
+        roughness = Scene.load(tmp_path / "gaussian.toml").wall_roughness
+        assert roughness.slope_rms == approx(slope, rel=1e-15)
+        assert roughness.realisation == "mean"
+        assert (roughness.heights.correlation_length, roughness.heights.seed) == (5e-4, 1)
+
+
+def test_a_wall_of_relief_is_not_written(flat: Scene, tmp_path: Path) -> None:
+    rough = replace(flat, wall_roughness=WallRoughness(FacetWall(1e-3, 2e-3)))
+    with pytest.raises(SceneError, match="FacetWall cannot be written as a wall .* wall_roughness"):
+        rough.with_relief().save(tmp_path / "scene.toml")
 
 
 def test_meshes_round_trip_exactly(flat: Scene, examples: Path, tmp_path: Path) -> None:

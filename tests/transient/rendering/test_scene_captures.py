@@ -12,6 +12,7 @@ from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.scene import (
     Camera,
     ConcaveWall,
+    FacetWall,
     FlatWall,
     Lambert,
     Laser,
@@ -20,6 +21,7 @@ from nlosoptics.scene import (
     Scene,
     SumMaterial,
     TransientScan,
+    WallRoughness,
 )
 from nlosoptics.transient import Volume, render, render_scene, wall_grid
 from nlosoptics.transient.rendering.scene import cut_out
@@ -171,3 +173,14 @@ def test_volume_faces_a_grid():
         Volume.facing(wall_grid(2.0, 4).swapaxes(0, 1), (0.5, 1.0, 0.1))
     with pytest.raises(SceneError, match="far = 0.2 m is before near"):
         Volume.facing(wall_grid(2.0, 4), (0.5, 0.2, 0.1))
+
+
+def test_mean_roughness_leaves_a_matt_wall_as_it_is():
+    facets = FacetWall(1e-3, 0.01)
+    plain = render_scene(scene())
+    assert (render_scene(scene(wall_roughness=WallRoughness(facets, "mean"))).H == plain.H).all()
+    assert (
+        render_scene(scene(wall_roughness=WallRoughness(FacetWall(1e-3, 0.0)))).H == plain.H
+    ).all()
+    with pytest.raises(SceneError, match="realisation is 'pattern', must be 'mean'"):
+        render_scene(scene(wall_roughness=WallRoughness(facets)))
