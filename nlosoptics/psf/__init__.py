@@ -56,8 +56,8 @@ from .walls.diffraction_tail import widened
 from .walls.field import PointSpreadField, isoplanatic_radius, point_spread_field
 from .walls.hybrid import HybridPointSpread, hybrid_point_spread
 from .walls.lobe_psf import lobe_point_spread
-from .walls.rough_wall import PupilField
 from .walls.polychromatic import band_point_spread, gaussian_band
+from .walls.rough_wall import PupilField
 from .walls.scene_psf import ScenePointSpread, scene_point_spread
 from .wave.regime import Regime
 from .wave.wavefront import Removed, Wavefront

@@ -24,12 +24,12 @@ from .._checks import counted
 from .._progress import Progress
 from .._random import checked_seed
 from ..errors import SamplingError, SceneError
-from ..imaging import CameraImage, ForwardModel, camera_image, image_field
-from ..psf import SceneOptics, scene_point_spread
+from ..imaging import CameraImage, ForwardModel, camera_image
+from ..psf import PointSpreadField, SceneOptics
 from ..scene import Scene
-from .plan import FIELD, MOST_NODES, plan
+from .plan import plan
 from .record import PAGE, arrays, now, scene_hash, versions
-from .simulate import veil_shape
+from .simulate import image_spreads, veil_shape
 
 if TYPE_CHECKING:
     from ..inverse import CnnBaseline, Reconstruction
@@ -334,10 +334,8 @@ def known_model(scene: Scene, *, tol: float = 1e-3) -> ForwardModel:
     """
     todo = plan(scene, tol, reconstruct=True)
     optics = SceneOptics(scene, todo.exit_pupil)
-    if todo.runs(FIELD):
-        spread = image_field(optics, tol=tol, most_nodes=MOST_NODES)[0].mean()
-    else:
-        spread = scene_point_spread(optics, tol).point_spread.intensity
+    spreads, _ = image_spreads(todo, optics)
+    spread = spreads.mean() if isinstance(spreads, PointSpreadField) else spreads.intensity
     shape = scene.camera.shape
     middle = tuple(
         slice(max(0, n // 2 - m // 2), n // 2 - m // 2 + m)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +14,16 @@ from .._progress import Progress
 from .._random import checked_seed
 from ..errors import NotWaveGradeError
 from ..scene import MeshWall, PlanarObject, Scene
-from .plan import FIELD, MEAN, MOST_NODES, MOST_SECONDS, Plan, looked_at, mean_optics, uses_mean
+from .patterns import mean_optics, uses_mean
+from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import wave_refusal
 from .results import Result
+from .stages import FIELD, MEAN, MOST_NODES
 
 if TYPE_CHECKING:
     from ..imaging import SpeckleImage
     from ..inverse import Reconstruction
-    from ..psf import SceneOptics
+    from ..psf import PointSpread, PointSpreadField, SceneOptics
 
 Array = NDArray[np.float64]
 
@@ -132,41 +135,21 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
     found = psf.scene_point_spread(optics, tol, progress=begin)
     spread = found.point_spread
     errors = {"point spread": spread.error_estimate}
-    field, shown = None, spread
-    if todo.pattern_nodes > 1:
-        begin(FIELD)
-        field = psf.point_spread_field(
-            optics,
-            todo.pattern_nodes,
-            tol=tol,
-            seed=seed,
-            progress=lambda _, share: tell(FIELD, share),
-        )
-        errors[FIELD] = field.error_estimate
-    elif uses_mean(todo, scene):
-        # the wall's own pattern changes too fast over the picture
-        optics = mean_optics(optics)
-        begin(MEAN)
-        shown = psf.scene_point_spread(optics, tol).point_spread
-    if todo.runs(FIELD) and field is None:
-        begin(FIELD)
-        field, errors[FIELD] = imaging.image_field(
-            optics,
-            tol=tol,
-            most_nodes=MOST_NODES,
-            progress=lambda _, share: tell(FIELD, share),
-        )
+    spreads, found_errors = image_spreads(todo, optics, spread, seed, begin, tell)
+    errors |= found_errors
+    field = spreads if isinstance(spreads, psf.PointSpreadField) else None
+    mean = field.mean() if field else cast("PointSpread", spreads).intensity
     shadows = None
     if todo.runs("shadow rays"):
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
     begin("image")
-    wide = psf.widened(field or shown, tol=tol / 4, shape=scene.camera.shape)
+    wide = psf.widened(spreads, tol=tol / 4, shape=scene.camera.shape)
     image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
     reconstruction = None
     if todo.runs("reconstruction"):
         begin("reconstruction")
-        reconstruction = _reconstruct(scene, image, field.mean() if field else shown.intensity)
+        reconstruction = _reconstruct(scene, image, mean)
     ends = [*list(begun.values())[1:], time.perf_counter()]
     if progress is not None:
         progress("done", 1.0)
@@ -184,6 +167,63 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         timings={name: end - begun[name] for name, end in zip(begun, ends, strict=True)},
         seed=seed,
     )
+
+
+def image_spreads(
+    todo: Plan,
+    optics: SceneOptics,
+    spread: PointSpread | None = None,
+    seed: int = 0,
+    begin: Callable[[str], None] = lambda _: None,
+    tell: Callable[[str, float], None] = lambda _, share: None,
+) -> tuple[PointSpreadField | PointSpread, dict[str, float]]:
+    """Compute the point spreads with which a plan forms the image.
+
+    Parameters
+    ----------
+    todo : Plan
+        Plan of the scene.
+    optics : SceneOptics
+        Optics of the scene.
+    spread : PointSpread, optional
+        Point spread at the object's reference point, computed if needed.
+    seed : int
+        Seed of the object points at which a field of patterns is checked.
+    begin : callable(str)
+        Called at the start of each stage.
+    tell : callable(str, float)
+        Called with a stage's name and its completed fraction.
+
+    Returns
+    -------
+    spreads : PointSpreadField or PointSpread
+        Field over the object, or a single point spread that suffices: ``spread``, or the mean over
+        all walls of a roughness.
+    errors : dict of str to float
+        Estimated error of the field.
+    """
+    from .. import imaging, psf
+
+    nodes = todo.pattern_nodes
+    if nodes > 1:
+        begin(FIELD)
+        field = psf.point_spread_field(
+            optics, nodes, tol=todo.tol, seed=seed, progress=lambda _, share: tell(FIELD, share)
+        )
+        return field, {FIELD: field.error_estimate}
+    if uses_mean(optics.scene, nodes):
+        optics, spread = mean_optics(optics), None
+        begin(MEAN)
+    if not todo.runs(FIELD):
+        return spread or psf.scene_point_spread(optics, todo.tol).point_spread, {}
+    begin(FIELD)
+    field, error = imaging.image_field(
+        optics,
+        tol=todo.tol,
+        most_nodes=MOST_NODES,
+        progress=lambda _, share: tell(FIELD, share),
+    )
+    return field, {FIELD: error}
 
 
 def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruction:

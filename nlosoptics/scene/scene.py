@@ -253,6 +253,14 @@ class Scene(Noun, Shown):
         wall, material = self.wall_roughness.added_to(self.wall, self.wall_material)
         return replace(self, wall=wall, wall_material=material, wall_roughness=None)
 
+    @property
+    def mirror_slopes(self) -> tuple[float, ...]:
+        """Slope rms of each mirror-like lobe, rad; of a wall with roughness that of its heights."""
+        slopes = tuple(lobe.slope_rms for lobe in self.wall_material.mirror_lobes)
+        if self.wall_roughness is None:
+            return slopes
+        return tuple(self.wall_roughness.slope_rms for _ in slopes)
+
     def check_in_front(self, *, meshes: bool = True) -> None:
         """Check that laser, camera and hidden object lie in front of the wall's surface.
 

@@ -28,9 +28,9 @@ def overview(result: Result) -> tuple[Axes, ...]:
     Returns
     -------
     tuple of Axes
-        Two rows. The upper row shows the room from above, the wave aberration (of a rough wall the phase
-        in the pupil) and the point spread function; the lower row the camera image and, where there is one, the reconstruction
-        without and with the ground truth.
+        Two rows. The upper row shows the room from above, the wave aberration (of a rough wall the
+        phase in the pupil) and the point spread function. The lower row shows the camera image and,
+        where there is one, the reconstruction without and with the ground truth.
 
     Raises
     ------

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from ...scene import FacetWall
 from ..wave.wavefront import Wavefront
-from . import _facet_kernels as kernels
 from .view import RoughView
 
 Array = NDArray[np.float64]
@@ -74,6 +73,8 @@ class FacetView(RoughView):
 
     def on_wall(self, x: Array, y: Array) -> Array:
         """Return the scattered part of the transfer function at separations on the wall, m."""
+        from . import _facet_kernels as kernels
+
         cell = self.roughness.cell
         x, y = np.broadcast_arrays(x, y)
         out = np.empty(x.size)

@@ -263,6 +263,18 @@ def finest_pitch(view: RoughView, wavelength: float) -> float:
     return view.widest_pitch(wavelength) if isinstance(view, ReliefView) else widest_pitch(view)
 
 
+def grid_pitch(wave: Wavefront, finest: float, far: float) -> float:
+    """Return the pupil pitch, m, of an image that reaches ``far``, m, from the axis.
+
+    The pitch ``finest``, m, that resolves the wall's field is a multiple of it, so that the field
+    can be computed on the coarser lattice.
+    """
+    # A period of 3 far keeps the leak of the softened rim outside, see `antialiased_disc`.
+    widest = wave.wavelength * abs(wave.image_distance) / (3 * far)
+    pitch = min(finest, widest, 2 * wave.pupil_radius / LEAST_CELLS)
+    return pitch if math.isinf(finest) else finest / math.ceil(finest / pitch * (1 - 1e-9))
+
+
 def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> PupilGrid:
     """Return the smooth pupil function on a grid fine enough for the screen, halo and window."""
     wave = residual.wavefront
@@ -271,9 +283,7 @@ def speckle_pupil(residual: Residual, view: RoughView, samples: Window) -> Pupil
     finest = finest_pitch(view, wave.wavelength)
     scale = wave.wavelength * abs(wave.image_distance)
     if wave.layout == "polar":
-        # A period of 3 far keeps the leak of the softened rim outside, see `antialiased_disc`.
-        pitch = min(finest, scale / (3 * far), 2 * wave.pupil_radius / LEAST_CELLS)
-        return pupil_grid_from_polar(residual, pitch)
+        return pupil_grid_from_polar(residual, grid_pitch(wave, finest, far))
     n = wave.u.shape[0]
     if wave.pupil_pitch > finest * (1 + 1e-9):
         raise SamplingError(

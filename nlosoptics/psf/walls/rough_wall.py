@@ -20,7 +20,7 @@ from ..rough.aberration import aberration_error, rough_wave
 from ..rough.mean import detilted_mean
 from ..rough.relief import SCREEN_BYTES, ReliefView, margins, relief_stride
 from ..rough.relief_rays import ray_counts, ray_image
-from ..rough.sample import detilted_sample, speckle_pupil, speckle_samples
+from ..rough.sample import detilted_sample, grid_pitch, speckle_pupil, speckle_samples
 from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform import costs
@@ -94,7 +94,7 @@ class PupilField(Noun, Shown):
 
 @dataclass(frozen=True)
 class RoughChoice:
-    """How the point spread function of a rough wall is computed, with the predicted cost.
+    """Regime of the point spread function of a rough wall, with sampling and predicted cost.
 
     Parameters
     ----------
@@ -227,8 +227,7 @@ def _screen(
     wave = residual.wavefront
     samples = speckle_samples(residual, Window.centred(pitch, shape), True)[0]
     far = max(samples.reach_from(residual.shift)) + residual.rays.reach + view.halo(wave)
-    scale = wave.wavelength * abs(wave.image_distance)
-    step = min(view.widest_pitch(wave.wavelength), scale / (3 * far), wave.pupil_radius / 128)
+    step = grid_pitch(wave, view.widest_pitch(wave.wavelength), far)
     n = grid_size(wave.pupil_radius, step)
     stride = relief_stride(view, step, wave.wavelength)
     size = n // stride + 2 * sum(margins(view, stride * step, wave.wavelength))
@@ -330,7 +329,11 @@ def _by_diffraction(
     )
     # the pupil function's samples add up to 1 for a smooth wall
     area = float(np.sum(wave.weights * wave.amplitude)) / grid.pitch**2
-    return aimed, spread, PupilField(values=through.values * area, pitch=grid.pitch)
+    # the field is resolved by a coarser lattice than that of the image
+    step = relief_stride(view, grid.pitch, wave.wavelength)
+    kept = slice(grid.centre % step, None, step)
+    values = through.values[kept, kept] * area
+    return aimed, spread, PupilField(values=values, pitch=step * grid.pitch)
 
 
 def _by_rays(

@@ -1,0 +1,349 @@
+"""Stages of a run: which a scene needs, with their predicted time, memory and error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import _cost_model
+from .._checks import (
+    counted,
+)
+from ..errors import SamplingError
+from ..imaging.image_fields import COUNTS, expected_counts, interpolation_errors, picture_frame
+from ..imaging.images import BYTES_PER_PIXEL as IMAGE_BYTES
+from ..imaging.objects import object_patches
+from ..imaging.radiometry import background_work
+from ..imaging.shadows import SHADOW_BYTES
+from ..psf.pupil.exit_pupil import ExitPupil
+from ..psf.pupil.obstruction import check_cone
+from ..psf.pupil.paraxial import change_over_object
+from ..psf.pupil.scene_optics import PointOptics, SceneOptics
+from ..psf.walls.field import picture_point
+from ..psf.walls.rough_wall import rough_choice
+from ..psf.walls.scene_costs import Cost, grid_samples, point_cost
+from ..psf.walls.scene_psf import point_window
+from ..raytrace import ray_plan
+from ..raytrace.intersection.meshes import threads
+from ..scene import MeshWall, PlanarObject, Scene
+from .refusals import check_cones
+
+FIELD = "field of point spreads"  # name of the stage
+MEAN = "mean point spread"  # name of the stage
+MOST_NODES = 27  # most nodes along each side of a field of point spreads
+DIFFUSE_BYTES = 6e7  # bytes for the diffuse transport from one block of patches to the wall
+AIMING = {"flat": 2e-6, "": 7e-6, "callable": 2e-5}  # s per pupil node, by kind of wall
+GRID_SECONDS = 0.9  # s for a wave and its point spread where the wall's edge cuts the cone
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """One step of a plan.
+
+    Parameters
+    ----------
+    name : str
+        Name of the stage, for example ``"point spread"``.
+    runs : bool
+        Whether `simulate` carries it out.
+    reason : str
+        Why it runs or is skipped.
+    seconds : float
+        Predicted run time on one core, s, without compilation; 0 if skipped.
+    error : str
+        Predicted error and the quantity that it refers to.
+    memory : float
+        Predicted peak of the memory that the stage itself allocates, bytes.
+    """
+
+    name: str
+    runs: bool
+    reason: str
+    seconds: float = 0.0
+    error: str = ""
+    memory: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """Waves at a few object points and the window sizes of their point spreads.
+
+    Parameters
+    ----------
+    seen : PointOptics
+        Wave and geometry at the object's reference point.
+    others : tuple of PointOptics
+        Waves and geometry at the picture's corners and edge centres; empty if no field of point
+        spreads can be needed.
+    side, field_side : int
+        Side of the point spread's window at the centre, and of the largest window over the whole
+        picture, pixels.
+    samples : tuple of int
+        Cells across the pupil grids that are tried in turn; empty for polar nodes.
+    """
+
+    seen: PointOptics
+    others: tuple[PointOptics, ...]
+    side: int
+    field_side: int
+    samples: tuple[int, ...]
+
+    @classmethod
+    def at(cls, optics: SceneOptics, tol: float) -> Look:
+        """Compute the waves; raises the same errors as the run if a wave is undefined."""
+        scene, seen = optics.scene, optics.reference
+        pitch = scene.camera.image_pitch
+        side = point_window(seen, pitch, tol)
+        if seen.first.wave.layout == "grid":
+            samples = grid_samples(seen.first.residual, pitch, side, tol)
+            return cls(seen, (), side, side, samples)
+        others: tuple[PointOptics, ...] = ()
+        if isinstance(scene.hidden, PlanarObject) and scene.wall_material.mirror_lobes:
+            places = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y]
+            others = tuple(optics.at(picture_point(scene.hidden, x, y)) for x, y in places)
+        sides = (point_window(one, pitch, tol / 2) for one in others)
+        return cls(seen, others, side, max(sides, default=side), ())
+
+    @property
+    def change(self) -> tuple[float, float]:
+        """Estimated image error with a single point spread (rms over rms), and wave change, rad.
+
+        The wave change is the largest peak-to-valley difference between the waves at the picture's
+        corners and edges and the wave at its centre, less where pixels are wide. The error
+        estimate was fitted to random scenes and is good to a factor of about three. Its terms are
+        the wave change and the change of the lobe's blur if that is larger than a pixel.
+        """
+        scene, first = self.seen.scene, self.seen.first.residual
+        unit, pitch = first.airy_unit, scene.camera.image_pitch
+        own = self.seen.first.wave
+        rough = max(scene.mirror_slopes)
+        swing = turned = 0.0
+        for one in self.others:
+            found = one.first.wave
+            if found.layout == own.layout:
+                other = one.first.residual.aberration - first.aberration
+                swing = max(swing, first.wavenumber * float(np.ptp(other)))
+            if rough > 0:
+                turns = [v.cos_sum * v.footprint for v in (self.seen.view, one.view)]
+                off = float(np.linalg.norm(turns[1] - turns[0]) / np.linalg.norm(turns[0]))
+                turned = max(turned, off)
+        blurred = 1.0 + first.rays.reach / unit
+        # a pixel n lambda N wide resolves phase differences across about 1/n of the pupil
+        swing /= max(1.0, pitch / (4 * unit))
+        waves = 2e-3 * swing * min(blurred, 4.0)
+        if rough > 0:
+            turn = self.seen.view.cos_sum * float(np.linalg.norm(self.seen.view.footprint, 2))
+            halo = rough * turn * abs(own.image_distance) / pitch
+            waves += 0.2 * turned * min(1.0, (halo / 2) ** 4)
+        return min(0.3, waves), swing
+
+    @property
+    def cut(self) -> float:
+        """Fraction of the corner and edge points whose cone of light the wall's edge cuts."""
+        grids = [one.first.wave.layout == "grid" for one in self.others]
+        return sum(grids) / len(grids) if grids else 0.0
+
+
+def skipped(name: str, reason: str) -> Stage:
+    """Return a stage that is left out, with the reason."""
+    return Stage(name=name, runs=False, reason=reason)
+
+
+def mesh_stage(scene: Scene) -> Stage:
+    """Return the stage that fits a smooth surface through a mesh wall."""
+    if not isinstance(scene.wall, MeshWall):
+        return skipped("mesh surface", "the wall is analytic")
+    return Stage(
+        name="mesh surface",
+        runs=True,
+        reason="smooth bicubic surface through the mesh, fitted during planning",
+        seconds=0.001,
+        error=f"{1e9 * scene.wall.fit_residual:.2g} nm; "
+        f"the triangles {1e9 * scene.wall.mesh_error:.2g} nm",
+    )
+
+
+def wave_stages(scene: Scene, pupil: ExitPupil, look: Look, waves: float) -> Iterator[Stage]:
+    """Yield the stages of aiming and of the wave aberration."""
+    flat = scene.wall.is_flat
+    if flat:
+        yield skipped("aiming", "flat wall: hits in closed form")
+    reason = "zero except defocus" if flat else f"rays aimed by Newton; {waves:.2g} waves"
+    nodes = float(look.seen.first.wave.u.size)
+    if look.samples:
+        cut = "the wall's outline is the stop"
+        if pupil.stop == "lens":
+            cut = f"the wall's edge cuts {100 * pupil.vignetting:.2g} % of the cone"
+        reason += f"; on a grid, because {cut}"
+        nodes = float(sum(n**2 for n in look.samples))
+    yield Stage(
+        name="wave aberration",
+        runs=True,
+        reason=reason,
+        seconds=(1 + len(look.others)) * _aiming_seconds(scene, nodes),
+        error="the mesh surface's" if isinstance(scene.wall, MeshWall) else "1e-9 wave",
+        memory=400.0 * max((*look.samples, 48)) ** 2,
+    )
+
+
+def _aiming_seconds(scene: Scene, nodes: float) -> float:
+    """Predicted seconds of aiming a wave at ``nodes`` pupil nodes."""
+    kind = "flat" if scene.wall.is_flat else "" if scene.wall.is_compiled else "callable"
+    return _cost_model.seconds(calls=2e-3, arrays=AIMING[kind] * nodes)
+
+
+def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
+    """Predicted cost of one point spread, including the coarser grids that are tried first."""
+    pitch, shape = scene.camera.image_pitch, (side, side)
+    found = [point_cost(look.seen, pitch, shape, tol, cells=n) for n in look.samples or (0,)]
+    seconds = _cost_model.seconds(transforms=sum(c.seconds for c in found))
+    return Cost(seconds, found[-1].n_bytes)
+
+
+def point_spread_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage:
+    """Return the stage of the point spread at the object's centre."""
+    core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
+    slope = max(scene.mirror_slopes, default=0.0)
+    blur = f", blurred by the lobe's slopes of {slope:g} rad" if slope > 0 else ""
+    if scene.wall_roughness is not None:
+        blur = f"; {rough_choice(look.seen, pitch, (look.side, look.side), tol).reason}"
+    cost = spread_cost(scene, look, look.side, tol)
+    return Stage(
+        name="point spread",
+        runs=True,
+        reason=f"at the object's centre, {look.side} x {look.side} pixels; a pixel is "
+        f"{pitch / core:.3g} lambda N wide{blur}",
+        seconds=cost.seconds,
+        error=f"{tol:g} of the peak",
+        memory=cost.n_bytes,
+    )
+
+
+def field_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage:
+    """Decide whether point spreads at several object points are needed, and estimate how many."""
+    if not isinstance(scene.hidden, PlanarObject):
+        return skipped(FIELD, "one point spread is used for the whole mesh; positions are exact")
+    if not scene.wall_material.mirror_lobes:
+        return skipped(FIELD, "a wall without a mirror-like lobe forms no image")
+    if look.samples:
+        return skipped(
+            FIELD, "one point spread, on a grid, is used for the object; positions are exact"
+        )
+    change = change_over_object(scene, pupil)
+    if change <= tol:
+        return skipped(
+            FIELD, f"one point spread is enough: it changes over the object by {change:.1g} at most"
+        )
+    error, swing = look.change
+    decay = interpolation_errors(scene)
+    # the error estimate is uncertain by a factor of 3 either way; take the geometric mean
+    found = [expected_counts(doubt * error, swing, tol, decay) for doubt in (1 / 3, 1.0, 3.0)]
+    ends = [counts for counts, _ in found]
+    # a fast change of phase may average out within wide pixels; that of the curvature does not
+    left = expected_counts(error, 0.0, tol, decay)[1]
+    if left > tol:
+        wider = f"use tol = {1.1 * left:.2g}, or" if 1.1 * left < 0.1 else "use"
+        raise SamplingError(
+            f"the wall's shape changes too fast over the picture: with {COUNTS[-1]} x "
+            f"{COUNTS[-1]} point spreads its image would still change by about {left:.2g} of its "
+            f"rms, limit tol = {tol:g}; {wider} a smaller picture"
+        )
+    spreads = math.prod(float(sum(n**2 for n in counts)) for counts in ends) ** (1 / 3)
+    waves = spreads + sum(min(n**2, 5) for n in ends[1])
+    counts = ends[-1]
+    check_cones(scene, counts)
+    one = spread_cost(scene, look, look.field_side, tol / 2)
+    each = one.seconds + look.cut * _cost_model.seconds(transforms=GRID_SECONDS)
+    aimed = _aiming_seconds(scene, look.seen.first.wave.u.size)
+    held = 40.0 * counts[-1] ** 2 * look.field_side**2
+    compared = 80.0 * counts[-1] * picture_frame(scene).size  # images computed from the modes
+    return Stage(
+        name=FIELD,
+        runs=True,
+        reason=f"point spreads change over the object; about {ends[1][-1]} x {ends[1][-1]} of "
+        f"them, {look.field_side} x {look.field_side} pixels",
+        seconds=spreads * each + waves * aimed + 5e-10 * held * counts[-1] ** 2,
+        error=f"{tol:g} of the image, rms",
+        memory=held + compared + one.n_bytes * threads(),
+    )
+
+
+def left_out(scene: Scene) -> Iterator[Stage]:
+    """Yield the effects that `simulate` does not compute for this scene."""
+    yield skipped(
+        "interreflection",
+        "wall-to-wall light is not part of the image; raytrace.trace computes its amount"
+        if ray_plan(scene).wall_to_wall
+        else "no part of the wall sees another",
+    )
+    if not ray_plan(scene).embree:
+        yield skipped("embree", "no triangles: the object is a flat picture, without occluders")
+
+
+def shadow_stage(scene: Scene) -> Stage:
+    """Return the stage of the shadow rays."""
+    if not scene.occluders:
+        return skipped("shadow rays", "no occluders")
+    count = len(scene.occluders)
+    reason = f"{counted(count, 'occluder')} between spot, object, wall and lens"
+    if check_cone(scene):
+        reason += "; the object's reference point is hidden"
+    ny, nx = scene.camera.shape
+    return Stage(
+        name="shadow rays",
+        runs=True,
+        reason=reason,
+        seconds=_cost_model.seconds(arrays=0.5 + 1e-5 * nx * ny),
+        error="some hundredths at shadow edges",
+        memory=SHADOW_BYTES * nx * ny,
+    )
+
+
+def image_stage(scene: Scene) -> Stage:
+    """Return the stage of the camera image."""
+    camera = scene.camera
+    ny, nx = camera.shape
+    reason = f"{nx} x {ny} pixels by reverse chief rays"
+    if (n := camera.binning) > 1:
+        across, up = camera.pixels
+        reason += f"; each sums {n} x {n} of the sensor's {across} x {up} (camera.binning = {n})"
+    if scene.wall_material.specular_reflectance == 0:
+        reason += "; background only, because the wall has no mirror-like lobe"
+    return Stage(
+        name="image",
+        runs=True,
+        reason=reason,
+        seconds=_image_seconds(scene),
+        error="1e-3 of the background",
+        memory=IMAGE_BYTES * nx * ny + DIFFUSE_BYTES,
+    )
+
+
+def _image_seconds(scene: Scene) -> float:
+    """Predicted seconds of `form_image`: diffuse transport from the object patches, and pixels."""
+    pixels = float(math.prod(scene.camera.shape))
+    pairs, groups = background_work(scene, object_patches(scene.hidden))
+    if scene.wall.is_flat:
+        return _cost_model.seconds(calls=0.018, arrays=4e-7 * pairs + 1.2e-6 * pixels)
+    arrays = 2.2e-7 * pairs + 4.2e-7 * groups * pixels + 1.6e-6 * pixels
+    return _cost_model.seconds(calls=0.02 + 5e-4 * groups, arrays=arrays)
+
+
+def reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
+    """Return the stage of the reconstruction; ``wanted`` says whether it was requested."""
+    if not wanted:
+        return skipped("reconstruction", "not requested; torch is not loaded")
+    if scene.wall_material.specular_reflectance == 0:
+        return skipped("reconstruction", "a diffuse wall without a mirror-like lobe forms no image")
+    ny, nx = scene.camera.shape
+    return Stage(
+        name="reconstruction",
+        runs=True,
+        reason="total-variation deconvolution with known pose and point spread",
+        seconds=_cost_model.seconds(transforms=1.3 + 3e-6 * nx * ny),
+        memory=2000.0 * nx * ny,
+        error="status and score are reported",
+    )
