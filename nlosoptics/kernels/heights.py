@@ -143,7 +143,7 @@ def partial_surface(terms, tables, x, y, smooth, creased):
             hx += f[1]
             hy += f[2]
         elif kind == BUMPS:
-            g = bumps(row, x, y)
+            g = bumps(row, tables, x, y)
             h += g[0]
             hx += g[1]
             hy += g[2]

@@ -2,7 +2,8 @@
 
 The term of a relief is one row: its kind, FACETS or BUMPS; a length (the side of the lattice
 cell, or the correlation length), m; a height rms (of the nodes, or of the surface), m; the low and
-high 32 bits of the seed; the position of the lattice, x and y, m.
+high 32 bits of the seed; the position of the lattice, x and y, m; and the place of draws in the
+wall's tables, 0 without them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numba import njit, prange
 
-from .codes import FACETS
+from .codes import BUMPS, FACETS
 from .parallel import threaded
 from .random import HALF, SHIFT, _rounds
 
@@ -24,6 +25,7 @@ WINDOW: Final = 16
 BELL = np.exp(-0.5 * np.arange(1 - WINDOW // 2, WINDOW // 2 + 1) ** 2)
 FURTHEST: Final = 2.0**31  # node index beyond which addresses would repeat
 MOST_NODES: Final = 2**27  # nodes of a table
+STORED: Final = 2**24  # nodes that are stored for rays
 CHUNK: Final = 4096  # points or nodes that a thread takes at once
 
 
@@ -131,35 +133,45 @@ def _weigh(place, weights):
 
 
 @njit(cache=True)
-def bumps(row, x, y):
+def bumps(row, tables, x, y):
     """Return (h, hx, hy, hxx, hxy, hyy) of a Gaussian surface; NaN beyond 2^31 nodes.
 
     White noise on a square lattice of half the correlation length is convolved with a Gaussian.
+    The draws come from the part of ``tables`` that `with_draws` appended, if there is one.
     """
     i, j, a, b = _bump_place(row, x, y)
     if not max(abs(i), abs(j)) < FURTHEST:
         return math.nan, math.nan, math.nan, math.nan, math.nan, math.nan
-    low, high = np.uint64(row[3]), np.uint64(row[4])
+    low, high, at = np.uint64(row[3]), np.uint64(row[4]), int(row[7])
     first, start = int(i) + 1 - WINDOW // 2, int(j) + 1 - WINDOW // 2
-    columns, rows = np.empty(WINDOW), np.empty(WINDOW)
+    across, place = 0, 0
+    if at > 0:
+        left, bottom = first - int(tables[at]), start - int(tables[at + 1])
+        across, up = int(tables[at + 2]), int(tables[at + 3])
+        place = at + 4 + bottom * across + left
+        at = at if 0 <= left <= across - WINDOW and 0 <= bottom <= up - WINDOW else 0
+    columns, rows, sums = np.empty(WINDOW), np.empty(WINDOW), np.zeros((3, WINDOW))
     _weigh(a, columns)
     _weigh(b, rows)
+    for q in range(WINDOW):
+        w, t = rows[q], b - (q + 1 - WINDOW // 2)
+        for p in range(WINDOW):
+            if at > 0:
+                c = tables[place + q * across + p] * w
+            else:
+                c = node(low, high, first + p, start + q) * w
+            sums[0, p] += c
+            sums[1, p] -= t * c
+            sums[2, p] += (t * t - 1.0) * c
     h = hx = hy = hxx = hxy = hyy = 0.0
     for p in range(WINDOW):
         w, s = columns[p], a - (p + 1 - WINDOW // 2)
-        g = gy = gyy = 0.0
-        for q in range(WINDOW):
-            t = b - (q + 1 - WINDOW // 2)
-            c = node(low, high, first + p, start + q) * rows[q]
-            g += c
-            gy -= t * c
-            gyy += (t * t - 1.0) * c
-        h += g * w
-        hx -= s * w * g
-        hxx += (s * s - 1.0) * w * g
-        hy += w * gy
-        hxy -= s * w * gy
-        hyy += w * gyy
+        h += sums[0, p] * w
+        hx -= s * w * sums[0, p]
+        hxx += (s * s - 1.0) * w * sums[0, p]
+        hy += w * sums[1, p]
+        hxy -= s * w * sums[1, p]
+        hyy += w * sums[2, p]
     size, rate = row[2] / math.sqrt(math.pi), 2.0 / row[1]
     slope, bend = size * rate, size * rate * rate
     return size * h, slope * hx, slope * hy, bend * hxx, bend * hxy, bend * hyy
@@ -197,13 +209,13 @@ def _facet_heights(row, x, y, first, start, table, out):
 @threaded()
 def _bump_heights(row, x, y, first, start, table, out):
     """Fill ``out`` (n,) with the heights of bumps, from a table of draws unless it is empty."""
-    known = table.size > 0
+    known, flat = table.size > 0, table.reshape(-1)
     size = row[2] / math.sqrt(math.pi)
     for chunk in prange((out.size + CHUNK - 1) // CHUNK):
         sums, columns, rows = np.empty(WINDOW), np.empty(WINDOW), np.empty(WINDOW)
         for n in range(chunk * CHUNK, min(out.size, (chunk + 1) * CHUNK)):
             if not known:
-                out[n] = bumps(row, x[n], y[n])[0]
+                out[n] = bumps(row, flat, x[n], y[n])[0]
                 continue
             i, j, a, b = _bump_place(row, x[n], y[n])
             left, bottom = int(i) + 1 - WINDOW // 2 - first, int(j) + 1 - WINDOW // 2 - start
@@ -219,6 +231,41 @@ def _bump_heights(row, x, y, first, start, table, out):
             for p in range(WINDOW):
                 h += sums[p] * columns[p]
             out[n] = size * h
+
+
+def with_draws(terms: Any, tables: Any, half: Any, evaluations: float) -> tuple[Any, Any]:
+    """Return terms and tables with the draws of bumps over a rectangle, which have the same bits.
+
+    Rays evaluate a wall at scattered points, each of which needs `WINDOW` squared draws.
+
+    Parameters
+    ----------
+    terms : ndarray, (n, 8)
+        Height terms of a wall.
+    tables : ndarray, (m,)
+        Their tables.
+    half : ndarray, (2,)
+        Half sizes of the rectangle in x and y, m; may be infinite.
+    evaluations : float
+        Expected number of points. No draws are stored if drawing on demand takes fewer, or for
+        more than `STORED` nodes.
+    """
+    terms, parts, length = terms.copy(), [tables], len(tables)
+    for row in terms:
+        if row[0] != BUMPS or not np.isfinite(half).all():
+            continue
+        pitch = 0.5 * row[1]
+        corner = np.floor((-half - row[5:7]) / pitch) - WINDOW // 2
+        counts = np.floor((half - row[5:7]) / pitch) + WINDOW // 2 + 1 - corner
+        nodes = float(counts.prod())
+        if nodes > min(STORED, WINDOW * WINDOW * evaluations) or abs(corner).max() > FURTHEST / 2:
+            continue
+        draws = np.empty((int(counts[1]), int(counts[0])))
+        _draw_table(row, int(corner[0]), int(corner[1]), draws)
+        parts += [corner, counts, draws.ravel()]
+        row[7] = length
+        length += 4 + draws.size
+    return terms, np.concatenate(parts)
 
 
 def relief_heights(row: Any, x: Any, y: Any, out: Any) -> None:

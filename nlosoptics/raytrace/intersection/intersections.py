@@ -23,6 +23,7 @@ MISS: Final = 1
 OUTSIDE: Final = 2
 UNRESOLVED: Final = 3
 BEHIND: Final = 4
+MARCH: Final = 8.0  # evaluations of a wall's height that a ray takes
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +104,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
         return _plane(wall, *_rays(origins, directions))
     if isinstance(wall, CallableWall):
         return _callable(wall, *_rays(origins, directions))
+    from ...kernels.relief import with_draws
     from . import _wall_kernels
 
     o, d, shape = flat_rays(origins, directions)
@@ -111,6 +113,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     distance, status = np.empty(count), np.empty(count, dtype=np.int8)
     points, normals = np.empty((count, 3)), np.empty((count, 3))
     curvature, box, slab, rim = search_bounds(wall, terms, tables)
+    terms, tables = with_draws(terms, tables, box, MARCH * count)
     bad = _wall_kernels.intersect(
         terms,
         tables,

@@ -169,10 +169,14 @@ class Surroundings:
         self._wall = scene.wall
         self._walls: Any = None
         if self.plan.wall_hits != "python":
+            from ...kernels.relief import with_draws
+
             terms, tables = (np.zeros((0, 8)), np.zeros(0))
             if not scene.wall.is_flat:
                 terms, tables = scene.wall.compiled()
-            self._walls = (terms, tables, *search_bounds(scene.wall, terms, tables))
+            bounds = search_bounds(scene.wall, terms, tables)
+            terms, tables = with_draws(terms, tables, bounds[1], math.inf)
+            self._walls = (terms, tables, *bounds)
         self._mesh, self._thing_faces = _triangles(scene)
         if self._mesh is not None:
             self._normals = np.array(self._mesh.face_normals, dtype=np.float64)

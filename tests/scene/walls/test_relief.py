@@ -10,8 +10,15 @@ import pytest
 from scipy import stats
 
 from nlosoptics.errors import SceneError
-from nlosoptics.kernels import codes, relief
-from nlosoptics.scene import ConcaveWall, FacetWall, FlatWall, GaussianWall, SumWall
+from nlosoptics.kernels import codes, heights, relief
+from nlosoptics.scene import (
+    ConcaveWall,
+    FacetWall,
+    FlatWall,
+    GaussianWall,
+    HeightMapWall,
+    SumWall,
+)
 
 CELL, SLOPE = 1e-3, 2e-2
 SEEDS = 20
@@ -207,6 +214,29 @@ def test_bulk_heights_have_the_bits_of_the_scalar_ones(wall, monkeypatch):
         numba.set_num_threads(threads)
     assert (wall.height(x[::-7], y[::-7]) == scalar[::-7]).all()
     assert (SumWall(FlatWall(), wall).height(x, y) == scalar).all()
+
+
+def test_stored_draws_have_the_bits_of_those_on_demand():
+    grid = HeightMapWall(1e-5 * np.random.default_rng(0).random((30, 30)), 0.01)
+    wall = SumWall(GaussianWall(1e-6, 2e-3, seed=5), grid, GaussianWall(1e-5, 5e-3), size=0.1)
+    terms, tables = wall.compiled()
+    stored = relief.with_draws(terms, tables, np.array([0.05, 0.05]), 1e6)
+    assert (stored[0][:, 7] > 0).all()
+    assert (terms[[0, 2], 7] == 0).all()
+    x, y = _points(0.06, 500)  # some beyond the stored draws
+    found = []
+    for given in ((terms, tables), stored):
+        found.append(np.empty((500, 6)))
+        heights.surfaces(*given, x, y, found[-1])
+    assert (found[0] == found[1]).all()
+    # a change of the stored draws shows that they are used
+    stored[1][stored[0][0, 7].astype(int) + 4 :] += 1.0
+    heights.surfaces(*stored, x, y, found[1])
+    assert (found[0] != found[1]).any(axis=1).mean() > 0.5
+    for half, evaluations in ((0.05, 1.0), (math.inf, 1e9), (10.0, 1e9)):
+        kept = relief.with_draws(terms, tables, np.full(2, half), evaluations)
+        assert (kept[0] == terms).all()
+        assert len(kept[1]) == len(tables)
 
 
 def test_draws_depend_on_seed_and_indices_alone():
