@@ -101,6 +101,11 @@ def test_all_light_on_rough_walls(gloss):
         assert abs(one.flux - other.flux) < 4 * noise
         assert noise < 0.2 * one.flux
         assert one.ledger["unresolved"] == 0.0
+
+    def flux(scene):
+        return raytrace.trace(scene, n_rays=1 << 10).flux
+
+    assert flux(scene) == flux(scene.with_relief()) != flux(replace(scene, wall_roughness=None))
     assert raytrace.ray_plan(scene).wall_hits == "march"
     smooth = replace(scene, wall_roughness=replace(scene.wall_roughness, realisation="mean"))
     assert raytrace.ray_plan(smooth).wall_hits == "closed form"
