@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -17,7 +18,17 @@ from .view import RoughView
 Array = NDArray[np.float64]
 
 #: Positions along each side of the lattice cell over which the transfer function is averaged.
-PER_SIDE: Final = 16
+PER_SIDE: Final = 24
+#: Distance between rows of an equilateral lattice of side 1.
+ROW: Final = math.sqrt(0.75)
+#: Most separations that are summed directly; more are interpolated from a table.
+FEW: Final = 50_000
+#: Separations, in cells, below which the sum is used, and beyond which the table is periodic.
+CLOSE, OUT = 1.2, 3
+#: Points of the table per cell.
+PER_CELL: Final = 32
+#: Least relative transfer function that is followed. The grating orders below it are negligible.
+LEAST: Final = 1e-9
 #: Separations and directions at which its decay is tabulated.
 LAGS, DIRECTIONS = 161, 12
 
@@ -73,15 +84,54 @@ class FacetView(RoughView):
 
     def on_wall(self, x: Array, y: Array) -> Array:
         """Return the scattered part of the transfer function at separations on the wall, m."""
+        x, y = np.broadcast_arrays(x, y)
+        if x.size <= FEW:
+            return self._summed(x, y)
+        found = np.empty(x.shape)
+        lag = np.hypot(x, y) / self.roughness.cell
+        row = y / (self.roughness.cell * ROW)
+        column = x / self.roughness.cell - 0.5 * row
+        close, far = lag < CLOSE, lag > OUT - 1
+        found[close] = self._summed(x[close], y[close])
+        near = ~close & ~far
+        found[near] = self._near(row[near], column[near])
+        found[far] = self._far(row[far] % 1.0, column[far] % 1.0)
+        return found
+
+    def _summed(self, x: Array, y: Array) -> Array:
+        """Return `on_wall` by the sum over positions in a lattice cell."""
         from . import _facet_kernels as kernels
 
-        cell = self.roughness.cell
-        x, y = np.broadcast_arrays(x, y)
-        out = np.empty(x.size)
+        cell, out = self.roughness.cell, np.empty(x.size)
         kernels.pair_terms(
             np.ravel(x) / cell, np.ravel(y) / cell, self.node_variance, PER_SIDE, out
         )
         return out.reshape(x.shape) - self.coherent_fraction
+
+    @cached_property
+    def _near(self) -> Callable[[Array, Array], Array]:
+        """Interpolated transfer function up to `OUT` cells, of lattice coordinates."""
+        return self._table(np.arange(-OUT * PER_CELL, OUT * PER_CELL + 1) / PER_CELL, "nearest")
+
+    @cached_property
+    def _far(self) -> Callable[[Array, Array], Array]:
+        """Interpolated transfer function beyond, which is periodic in lattice coordinates."""
+        return self._table(2 * OUT + np.arange(PER_CELL) / PER_CELL, "grid-wrap")
+
+    def _table(self, steps: Array, mode: str) -> Callable[[Array, Array], Array]:
+        """Tabulate the transfer function at lattice coordinates and return its interpolation."""
+        from scipy import ndimage
+
+        row, column = np.meshgrid(steps, steps, indexing="ij")
+        cell = self.roughness.cell
+        values = self._summed((column + 0.5 * row) * cell, row * cell * ROW)
+        start = steps[0] % 1.0 if mode == "grid-wrap" else steps[0]
+
+        def at(row: Array, column: Array) -> Array:
+            place = np.stack([row - start, column - start]) * PER_CELL
+            return np.asarray(ndimage.map_coordinates(values, place, order=3, mode=mode))
+
+        return at
 
     def scattered_transfer(self, du: Array, dv: Array) -> Array:
         """Return the scattered part of the transfer function at separations in the pupil, m."""
@@ -102,7 +152,7 @@ class FacetView(RoughView):
         It is infinite where the lattice's periodic part exceeds ``cut``.
         """
         lags, found = self._decay
-        above = np.nonzero(found > cut)[0]
+        above = np.nonzero(found > max(cut, LEAST))[0]
         if not above.size:
             return float(lags[1])
         return math.inf if above[-1] == lags.size - 1 else float(lags[above[-1] + 1])

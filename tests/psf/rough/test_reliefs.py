@@ -69,9 +69,7 @@ def test_mean_over_facet_walls(s, geometry):
 def test_core_and_halo_of_facets_share_the_energy():
     wave = wave_of(2e-3)
     size = {"footprint": 0.5, "cos_sum": 2.0}
-    mean = psf.mean_point_spread(
-        wave, facets(1.0, 1e-3), shape=257, pitch=15e-6, tol=3e-3, **size
-    )
+    mean = psf.mean_point_spread(wave, facets(1.0, 1e-3), shape=257, pitch=15e-6, tol=3e-3, **size)
     # Gaussian height at each point: the mean field is the mean of exp(-variance/2) over a facet
     a, b = (np.indices((400, 400)) + 0.5) / 400
     lower = a + b < 1

@@ -1,0 +1,168 @@
+"""Scenes with a rough wall: regimes, their agreement, plan and run."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nlosoptics import Scene, errors, plan, psf, simulate
+from nlosoptics.psf.walls import rough_wall
+from nlosoptics.runs.patterns import mean_optics
+from nlosoptics.scene import (
+    FacetWall,
+    GaussianWall,
+    SpecularMicrofacet,
+    WallRoughness,
+)
+
+EXAMPLES = Path(__file__).parents[3] / "examples" / "scenes"
+
+
+@pytest.fixture(scope="module")
+def letter():
+    scene = Scene.load(EXAMPLES / "letter_flat.toml").resized(64)
+    return replace(scene, wall_material=SpecularMicrofacet(0.05, 0.0))
+
+
+def rough(scene, heights, realisation="pattern"):
+    return replace(scene, wall_roughness=WallRoughness(heights, realisation))
+
+
+def seen_by(scene):
+    return psf.SceneOptics(scene).at()
+
+
+FACETS = FacetWall(1e-3, 5e-4, seed=1)
+
+
+@pytest.mark.parametrize(
+    "heights, realisation, regime",
+    [
+        (GaussianWall(2e-7, 8e-3, seed=2), "pattern", "aberration"),
+        (FacetWall(5e-3, 1e-7, seed=2), "pattern", "aberration"),
+        (FACETS, "pattern", "diffraction"),
+        (FACETS, "mean", "mean"),
+        (FacetWall(1e-3, 3e-2, seed=1), "pattern", "rays"),
+    ],
+)
+def test_plan_names_the_regime(letter, heights, realisation, regime):
+    scene = rough(letter, heights, realisation)
+    side = rough_wall.rough_window(seen_by(scene), scene.camera.image_pitch, 1e-2)
+    choice = rough_wall.rough_choice(seen_by(scene), scene.camera.image_pitch, (side, side), 1e-2)
+    assert choice.regime == regime
+    stage = next(s for s in plan(scene, tol=1e-2).stages if s.name == "point spread")
+    assert choice.reason in stage.reason
+
+
+def test_one_call_gives_the_pattern_of_this_wall(letter):
+    scene = rough(letter, FACETS)
+    pitch, shape = scene.camera.image_pitch / 8, (25, 25)
+    found = psf.scene_point_spread(scene, tol=1e-2, pitch=pitch, shape=shape)
+    direct = psf.sample_point_spread(scene, FACETS, pitch=pitch, shape=shape, pixel_integrated=True)
+    np.testing.assert_array_equal(found.point_spread.intensity, direct.intensity)
+    assert "propagated from wall to pupil" in found.point_spread.reason
+    field = found.pupil_field
+    # energy through the pupil; the mean over walls is 1, a single wall speckles
+    inside = np.isfinite(field.phase)
+    assert np.mean(field.amplitude[inside] ** 2) == pytest.approx(1.0, abs=0.1)
+    other = rough(letter, replace(FACETS, seed=2))
+    changed = psf.scene_point_spread(other, tol=1e-2, pitch=pitch, shape=shape)
+    peak = found.point_spread.intensity.max()
+    assert np.abs(changed.point_spread.intensity - found.point_spread.intensity).max() > 0.1 * peak
+
+
+def test_rays_and_waves_see_the_same_facets(letter):
+    """Pixels much wider than the diffraction at a facet: both give its light to the same pixels."""
+    scene = rough(letter, FacetWall(4e-3, 2e-3, seed=3))
+    seen, pitch = seen_by(scene), scene.camera.image_pitch / 4
+    side = rough_wall.rough_window(seen, pitch, 1e-2)
+    waves = rough_wall.rough_image(seen, pitch, (side, side), 1e-2)[1].intensity
+    view = rough_wall.roughness_view(seen)
+    rays = rough_wall._by_rays(seen, view, pitch, (side, side), "").intensity
+    assert np.corrcoef(waves.ravel(), rays.ravel())[0, 1] > 0.97
+    assert rays.sum() == pytest.approx(waves.sum(), rel=0.02)
+
+
+def test_aberration_and_propagation_agree(letter):
+    scene = rough(letter, GaussianWall(2e-7, 8e-3, seed=2))
+    pitch, shape = scene.camera.image_pitch / 64, (65, 65)
+    rays = psf.scene_point_spread(scene, tol=1e-3, pitch=pitch, shape=shape)
+    assert rays.pupil_field is None
+    # this wall's aberration, of some waves peak to valley
+    assert np.ptp(rays.wavefront.aberration) > 5e-7
+    waves = psf.sample_point_spread(
+        scene, scene.wall_roughness.heights, pitch=pitch, shape=shape, pixel_integrated=True
+    )
+    off = np.abs(rays.point_spread.intensity - waves.intensity).max() / waves.intensity.max()
+    assert off < 1e-3
+
+
+def test_mean_of_a_scene_is_that_of_its_statistics(letter):
+    scene = rough(letter, FACETS, "mean")
+    pitch, shape = scene.camera.image_pitch / 32, (33, 33)
+    found = psf.scene_point_spread(scene, tol=1e-2, pitch=pitch, shape=shape).point_spread
+    direct = psf.mean_point_spread(
+        scene, FACETS, tol=1e-2, pitch=pitch, shape=shape, pixel_integrated=True
+    )
+    np.testing.assert_allclose(found.intensity, direct.intensity, atol=1e-2 * found.intensity.max())
+
+
+def test_slope_of_the_lobe_is_not_counted_twice(letter):
+    """A lobe with the slope of the roughness gives the same image as a smooth one."""
+    lobe = SpecularMicrofacet(0.05, FACETS.slope_rms)
+    scene = rough(letter, FACETS)
+    twice = replace(scene, wall_material=lobe)
+    pitch, shape = scene.camera.image_pitch, (9, 9)
+    one, other = (
+        psf.scene_point_spread(s, tol=1e-2, pitch=pitch, shape=shape).point_spread.intensity
+        for s in (scene, twice)
+    )
+    np.testing.assert_array_equal(one, other)
+
+
+def test_run_of_a_large_picture_uses_the_mean(letter, tmp_path):
+    scene = rough(letter, FACETS)
+    planned = plan(scene, tol=1e-2)
+    mean = next(s for s in planned.stages if s.name == "mean point spread")
+    assert "patterns would be needed" in mean.reason and "differs by about" in mean.error
+    result = simulate(scene, tol=1e-2)
+    same = simulate(mean_optics(psf.SceneOptics(scene)).scene, tol=1e-2)
+    np.testing.assert_array_equal(result.image.electrons, same.image.electrons)
+    assert result.pupil_field is not None
+    result.save(tmp_path / "out")
+    from nlosoptics import load_result
+
+    loaded = load_result(tmp_path / "out")
+    np.testing.assert_array_equal(loaded.pupil_field.values, result.pupil_field.values)
+
+
+def test_run_of_a_small_picture_uses_patterns(letter):
+    camera = replace(letter.camera, focal_length=0.1)
+    hidden = replace(letter.hidden, size=(4e-3, 4e-3))
+    scene = rough(replace(letter, camera=camera, hidden=hidden), FacetWall(2e-3, 2e-4, seed=1))
+    planned = plan(scene, tol=1e-2)
+    assert planned.pattern_nodes > 1
+    result = simulate(scene, tol=1e-2)
+    assert result.field.weights.shape[1:] == (planned.pattern_nodes,) * 2
+    # patterns computed at other points, relative to their peak
+    assert result.errors["field of point spreads"] < 0.1
+
+
+def test_error_of_the_mean_is_that_of_few_facets(letter):
+    """The predicted difference of the images, against images of several walls by rays."""
+    from nlosoptics.runs.patterns import _mean_error
+
+    scene = rough(letter, FacetWall(2e-3, 2e-3, seed=0))
+    predicted = _mean_error(seen_by(scene), scene.hidden)
+    assert 1e-3 < predicted < 0.1
+    finer = rough(letter, FacetWall(1e-3, 2e-3, seed=0))
+    # four times as many facets: half the difference
+    assert _mean_error(seen_by(finer), finer.hidden) == pytest.approx(predicted / 2, rel=1e-6)
+
+
+def test_a_cut_cone_cannot_be_traced_on_steep_facets(letter):
+    wall = replace(letter.wall, size=(0.02, 0.02))
+    scene = rough(replace(letter, wall=wall, laser=letter.laser), FacetWall(1e-3, 3e-2))
+    with pytest.raises(errors.NlosError, match="realisation = 'mean'|off the wall"):
+        psf.scene_point_spread(scene, tol=1e-2, shape=65)
