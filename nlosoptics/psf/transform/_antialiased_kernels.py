@@ -89,7 +89,8 @@ def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centr
             for column in range(first, last):
                 size[column] *= rim[column]
         else:
-            size[first:last] = rim[first:last]
+            for column in range(first, last):
+                size[column] = rim[column]
         _along_row(coefficients, y * step, step, centre, across, turns[first:last], first)
         for column in range(first, last):
             total += size[column]
@@ -227,7 +228,11 @@ def densest(x, y, energy, reach, side):
     bins = np.zeros((n, n))
     for i in range(x.size):
         bins[int((y[i] + reach) / side + 0.5), int((x[i] + reach) / side + 0.5)] += energy[i]
-    return bins.max()
+    most = 0.0
+    for i in range(n):
+        for j in range(n):
+            most = max(most, bins[i, j])
+    return most
 
 
 @njit(cache=True)
@@ -248,7 +253,11 @@ def rim_errors(distance, period, reach, edges, zones, landing, width, out):
     cells = 0.5 * period
     base = 2.0 * _leak(reach / period, width) / max(math.pi * reach, 1.0) * edges
     for i in range(zones.shape[0]):
-        lands = np.interp(1.0 + zones[i, 0] / cells, landing[0], landing[1])
+        radius, k = 1.0 + zones[i, 0] / cells, 0
+        while k < landing.shape[1] - 2 and landing[0, k + 1] < radius:
+            k += 1
+        slope = (landing[1, k + 1] - landing[1, k]) / (landing[0, k + 1] - landing[0, k])
+        lands = slope * (min(radius, landing[0, k + 1]) - landing[0, k]) + landing[1, k]
         base += zones[i, 1] / cells * _leak(lands / period, width)
     most = 0.0
     for i in range(distance.shape[0]):
@@ -269,7 +278,10 @@ def least_period(least, widest, light, goal, distance, reach, edges, zones, land
     low, high, period = least, widest, least
     while True:
         rim_errors(distance, period, reach, edges, zones, landing, width, error)
-        if np.max(2.0 * light * error + error * error) < goal:
+        enough = True
+        for i in range(error.shape[0]):
+            enough &= 2.0 * light[i] * error[i] + error[i] * error[i] < goal
+        if enough:
             high = period
         else:
             low = period

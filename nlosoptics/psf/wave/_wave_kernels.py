@@ -62,14 +62,20 @@ def polar_fit(values, waves, weights, modes, heights):
     """
     rings, spokes = values.shape
     orders, terms = heights.shape
-    heights[:] = 0.0
+    # Arrays are copied by loops: numba compiles an assignment to a slice ten times slower.
     # The order is the last axis, so that the inner loops are vectorised.
-    turned = np.ascontiguousarray(waves.T)
+    turned, along = np.empty((spokes, orders)), np.empty((rings, terms, orders))
     share, height = np.empty(orders), np.zeros((terms, orders))
-    along = np.ascontiguousarray(weights.transpose(2, 1, 0))
+    for m in range(orders):
+        for j in range(spokes):
+            turned[j, m] = waves[m, j]
+        for k in range(terms):
+            for i in range(rings):
+                along[i, k, m] = weights[m, k, i]
     most = 0.0
     for i in range(rings):
-        share[:] = 0.0
+        for m in range(orders):
+            share[m] = 0.0
         for j in range(spokes):
             value = values[i, j]
             most = max(most, abs(value))
@@ -81,7 +87,8 @@ def polar_fit(values, waves, weights, modes, heights):
     misfit = 0.0
     line = np.empty(spokes)
     for i in range(rings):
-        line[:] = values[i]
+        for j in range(spokes):
+            line[j] = values[i, j]
         for m in range(orders):
             part = 0.0
             for k in range(terms):
@@ -90,7 +97,9 @@ def polar_fit(values, waves, weights, modes, heights):
                 line[j] -= part * waves[m, j]
         for j in range(spokes):
             misfit = max(misfit, abs(line[j]))
-    heights[:] = height.T
+    for m in range(orders):
+        for k in range(terms):
+            heights[m, k] = height[k, m]
     return misfit, most
 
 
@@ -117,14 +126,13 @@ def slopes(powers, rho, cosine, sine, du, dv):
     u, v = np.empty(cosine.shape[0]), np.empty(cosine.shape[0])
     value, slope = np.empty_like(u), np.empty_like(u)
     for k in range(rho.shape[0]):
-        u[:] = rho[k] * cosine
-        v[:] = rho[k] * sine
         along, across = du[k], dv[k]
-        along[:] = 0.0
-        across[:] = 0.0
+        for m in range(u.shape[0]):
+            u[m], v[m] = rho[k] * cosine[m], rho[k] * sine[m]
+            along[m] = across[m] = 0.0
         for i in range(n - 1, -1, -1):
-            value[:] = 0.0
-            slope[:] = 0.0
+            for m in range(u.shape[0]):
+                value[m] = slope[m] = 0.0
             for j in range(n - 1 - i, -1, -1):
                 for m in range(u.shape[0]):
                     slope[m] = slope[m] * v[m] + value[m]

@@ -347,8 +347,11 @@ def wave_hits(row, box, w, state):
 
 @njit(cache=True)
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
-    """Return distance, status and the wall's slopes at the first hit of one ray."""
-    if terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
+    """Return distance, status and the wall's slopes at the first hit of one ray.
+
+    ``grid_bounds`` is None for a single sphere or cylinder if the march shall not be compiled.
+    """
+    if grid_bounds is None or terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
         t, condition = conic_hit(terms[0], box, o, d)
     else:
         top = 0.0
@@ -385,7 +388,7 @@ def intersect(
     """Fill distance (n,), points and normals (n, 3) and status (n,) with the first hits.
 
     Directions may have any length. Returns the number of invalid rays: those with NaN, infinity or
-    a zero direction.
+    a zero direction. ``grid_bounds`` may be None as in `wall_hit`.
     """
     waved = terms.shape[0] == 1 and terms[0, 0] == WAVE
     count = distance.size
@@ -401,8 +404,9 @@ def intersect(
             bad += 0 if math.isfinite(x + y + z + dx + dy + dz) else 1
             w[OX + i], w[OY + i], w[OZ + i] = x, y, z
             w[DX + i], w[DY + i], w[DZ + i] = dx, dy, dz
-        if waved:
-            wave_hits(terms[0], box, w, state)
+        if grid_bounds is not None:
+            if waved:
+                wave_hits(terms[0], box, w, state)
         for i in range(n):
             o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
             t, condition, hx, hy = w[T + i], state[i], w[HX + i], w[HY + i]

@@ -114,10 +114,11 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     points, normals = np.empty((count, 3)), np.empty((count, 3))
     curvature, box, slab, rim = search_bounds(wall, terms, tables)
     terms, tables = with_draws(terms, tables, box, MARCH * count)
+    conic = len(terms) == 1 and terms[0, 0] in (SPHERE, CYLINDER)
     bad = _wall_kernels.intersect(
         terms,
         tables,
-        curvature,
+        None if conic else curvature,  # compiles a shorter function
         box,
         slab,
         rim,
