@@ -10,7 +10,7 @@ from numba import njit
 from ..wave._wave_kernels import phasors
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _profile(r, low, steps, table):
     """Interpolate a softened rim at the radius ``r``, cells, by six points of its table.
 
@@ -36,7 +36,7 @@ def _profile(r, low, steps, table):
     return value
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _cut(y, lows, highs, steps, tables, size):
     """Fill ``size`` (2 centre + 1,) with the pupil's transmission on the line at ``y``, cells.
 
@@ -61,7 +61,7 @@ def _cut(y, lows, highs, steps, tables, size):
     return half
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centre, out):
     """Add a pupil with softened rims to ``out`` (rows, columns), periodically wrapped.
 
@@ -106,7 +106,7 @@ def soft_pupil(coefficients, amplitudes, step, lows, highs, steps, tables, centr
     return total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _along_row(coefficients, y, step, centre, across, out, first):
     """Fill ``out`` with ``sum coefficients[i, j] u^i y^j`` at columns from ``first`` on.
 
@@ -124,7 +124,7 @@ def _along_row(coefficients, y, step, centre, across, out, first):
             out[k] = out[k] * ((first + k - centre) * step) + across[i]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def turned(values, out):
     """Fill ``out`` (columns, n) with the transpose of ``values`` (rows, columns), padded by 0."""
     rows, columns = values.shape
@@ -135,7 +135,7 @@ def turned(values, out):
             out[i, j] = 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def squares(field, scale, out):
     """Fill ``out`` (rows, n) with ``scale |field|^2`` of the first n columns of ``field``."""
     for i in range(out.shape[0]):
@@ -145,7 +145,7 @@ def squares(field, scale, out):
             line[j] = scale * (value.real * value.real + value.imag * value.imag)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def waves(first, step, cosines, sines):
     """Fill ``cosines`` (m, c + 1) and ``sines`` (m, c) of ``2 pi x k``, x = first, first + step...
 
@@ -163,7 +163,7 @@ def waves(first, step, cosines, sines):
         sines[i] = imaginary
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def folded(values, even, odd):
     """Fill ``even`` (c + 1, n) and ``odd`` (c, n) with sums and differences of opposite rows.
 
@@ -178,7 +178,7 @@ def folded(values, even, odd):
             odd[k, j] = one[j] - other[j]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def refolded(even, odd, out_even, out_odd):
     """Combine even and odd parts (m, 2 c + 1) of the first pass and fold them along the other axis.
 
@@ -204,7 +204,7 @@ def refolded(even, odd, out_even, out_odd):
             other[below] = complex(p.real - q.imag, p.imag + q.real)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def split_squares(even, odd, scale, above, below):
     """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the sum.
 
@@ -221,7 +221,7 @@ def split_squares(even, odd, scale, above, below):
             down[j] = scale * (real * real + imaginary * imaginary)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def densest(x, y, energy, reach, side):
     """Return the largest energy in a bin of ``side``, for bins that cover -reach to reach."""
     n = int(2.0 * reach / side + 0.5) + 2
@@ -235,13 +235,13 @@ def densest(x, y, energy, reach, side):
     return most
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _leak(s, width):
     """Evaluate `antialiased_disc.leak` for one distance ``s``, in periods, and a step width."""
     return 0.5 * math.erfc((0.5 - s) / width)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def rim_errors(distance, period, reach, edges, zones, landing, width, out):
     """Fill ``out`` (n,) with a bound of the field error within each of the increasing distances.
 
@@ -267,7 +267,7 @@ def rim_errors(distance, period, reach, edges, zones, landing, width, out):
         out[i] = most + base
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def least_period(least, widest, light, goal, distance, reach, edges, zones, landing, width):
     """Find the smallest period, within 1 %, whose `rim_errors` change the intensity by < ``goal``.
 
@@ -290,7 +290,7 @@ def least_period(least, widest, light, goal, distance, reach, edges, zones, land
         period = math.sqrt(low * high)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def block_maxima(intensity, first, pitch, strongest, far):
     """Fill ``strongest`` (blocks, blocks) with the largest intensity in each block of an image.
 
