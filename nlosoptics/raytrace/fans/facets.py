@@ -128,7 +128,11 @@ def material_slope(scene: Scene) -> float:
 def _draw(
     columns: NDArray[np.int64], rows: NDArray[np.int64], slope_rms: float, seed: int
 ) -> Array:
-    """Return random slopes (ny, nx, 2), each determined by the seed and its cell's indices."""
+    """Return random facet slopes (ny, nx, 2), without unit, of the wall's lattice cells.
+
+    ``columns`` (nx,) and ``rows`` (ny,) are the integer indices of the cells. A facet depends only
+    on the seed and its own indices, so that overlapping patches of wall agree.
+    """
     j, i = (a.ravel() for a in np.meshgrid(columns, rows))
     slopes = np.empty((len(i), 2))
     waiting, attempt = np.arange(len(i)), 0

@@ -121,7 +121,12 @@ def _mirror_box(wall: Wall, o: Array, camera: Camera) -> tuple[Array, Array]:
 
 
 def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -> Array:
-    """Return the corners (n, 3) of the lit cells of a rectangle, as points on the wall."""
+    """Return wall points (n, 3), m, close to those that reflect light of the object into the lens.
+
+    The rectangle from ``low`` to ``high``, (2,), m, is divided into cells, and cells whose
+    reflected light overlaps the lens are subdivided. The points are the corners of the last cells.
+    ``o`` (3,) is the object point, m.
+    """
     radius = camera.stop_diameter / 2
     counts = _counts(wall, low, high)
     _fit(float(counts.prod()))
@@ -153,12 +158,16 @@ def _lit_points(wall: Wall, o: Array, camera: Camera, low: Array, high: Array) -
 
 
 def _counts(wall: Wall, low: Array, high: Array) -> Array:
-    """Return the cells in x and y: at least 8 per period, since coarser corners miss the waves."""
+    """Return the number of cells along x and y of a search rectangle, (2,).
+
+    There are at least 8 cells per period of the wall, because coarser corners would miss its waves.
+    ``low`` and ``high`` (2,) are the rectangle's corners, m.
+    """
     return np.asarray(np.maximum(CELLS, np.ceil(8 * (high - low) / wall.finest_period)))
 
 
 def _fit(n_cells: float) -> None:
-    """Raise `MemoryLimitError` if so many cells would not fit in memory."""
+    """Raise `MemoryLimitError` if ``n_cells`` search cells would not fit in memory."""
     fits_memory(f"{n_cells:.3g} wall cells", 1000.0 * n_cells, "use a smoother or smaller wall")
 
 

@@ -147,7 +147,11 @@ def _lattice(n: int, seed: int) -> Array:
 
 
 def _met_again(scene: Scene, starts: Array, directions: Array, reach: Array) -> NDArray[np.bool_]:
-    """Return whether reflected rays meet the wall again before the plane of the lens, (n,)."""
+    """Return a mask (n,) of the rays that hit the wall a second time before the lens plane.
+
+    ``starts`` (n, 3) are their reflection points, m, ``directions`` (n, 3) unit vectors after the
+    reflection, and ``reach`` (n,) the distances to the plane of the lens, m.
+    """
     if scene.wall.is_flat or not len(starts):
         return np.zeros(len(starts), dtype=bool)
     second = intersect(scene.wall, starts, directions)
@@ -163,7 +167,11 @@ def _with_ledger(
     status: NDArray[np.int8],
     solid_angle: float,
 ) -> RayPaths:
-    """Return the paths with the power balance of a source of 1 W/sr."""
+    """Return `RayPaths` with the power balance of an isotropic source of 1 W/sr.
+
+    Each ray carries the same part of ``solid_angle``, sr. Arrays hold one row per ray: points (m),
+    path length (m), number of reflections and status.
+    """
     n = len(status)
     counts = np.bincount(status, minlength=len(STATUS))
     share = counts / n

@@ -38,9 +38,10 @@ def _across(d):
 
 @njit(cache=True, error_model="numpy")
 def _entry(boxes, node, o, inverse, low, high):
-    """Return the distance between low and high at which a ray enters a box; inf if it misses.
+    """Return the distance at which a ray enters an axis-parallel box, m; inf if it misses the box.
 
-    ``inverse`` is 1 / d, infinite for a component of d that is zero.
+    Row ``node`` of ``boxes`` (n, 6) holds the low and the high corner. Only distances from ``low``
+    to ``high`` count. ``inverse`` (3,) is 1 / d, infinite for a component of d that is zero.
     """
     for k in range(3):
         near, far = boxes[node, k] - o[k], boxes[node, k + 3] - o[k]
@@ -56,10 +57,11 @@ def _entry(boxes, node, o, inverse, low, high):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _bin(x, y, z, dx, dy, dz):
-    """Return the cell by which a ray is sorted; rays of one cell hit much the same triangles.
+    """Return the number of the cell, 0 to SIDE^2 - 1, by which a ray is sorted.
 
-    The point where the ray leaves a sphere around the scene is mapped to a square by unfolding an
-    octahedron (Meyer et al. 2010).
+    Rays of one cell pass through much the same part of the mesh. The point (x, y, z), scaled to the
+    mesh's size, is moved along the unit vector (dx, dy, dz) to a sphere around the mesh. The sphere
+    is mapped to a square by unfolding an octahedron (Meyer et al. 2010).
     """
     b, c = x * dx + y * dy + z * dz, x * x + y * y + z * z
     t = math.sqrt(max(b * b - c + 1.5, 0.0)) - b
@@ -75,7 +77,10 @@ def _bin(x, y, z, dx, dy, dz):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _landing(row, o, d, t):
-    """Return hit point and unit normal of a ray at distance t; the normal is on the ray's side."""
+    """Return hit point (m) and unit normal of a ray at the distance t, m, on the triangle ``row``.
+
+    ``row`` (9,) holds a corner and two sides. The normal points to the side the ray comes from.
+    """
     nx = row[4] * row[8] - row[5] * row[7]
     ny = row[5] * row[6] - row[3] * row[8]
     nz = row[3] * row[7] - row[4] * row[6]
@@ -87,10 +92,11 @@ def _landing(row, o, d, t):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _head(w, centre, half):
-    """Normalise the directions of a block; return how many of its rays start outside the box.
+    """Normalise the directions of a block of rays, and count the rays that start outside a box.
 
-    The result is NaN if a ray is invalid. ``w`` holds rows of BLOCK numbers. Fixed distances
-    between the rows and loops without branches let the compiler vectorise over rays.
+    The box has the centre ``centre`` and the half sides ``half``, both (3,), m. The count is NaN if
+    a ray is invalid. ``w`` holds rows of BLOCK numbers at the offsets OX, OY, and so on. Fixed
+    distances between the rows and loops without branches let the compiler vectorise over rays.
     """
     outside = bad = 0.0
     for i in range(BLOCK):
@@ -105,7 +111,12 @@ def _head(w, centre, half):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _prepare(w, centre, shrink, aside, cells):
-    """Fill the starts of a block of rays for Embree (PX to PZ of ``w``) and their sorting cells."""
+    """Compute the displaced starts of a block of rays for Embree, and their sorting cells.
+
+    The starts go to the rows PX, PY and PZ of ``w``, in units of 1 / ``shrink`` about ``centre``
+    (3,). They are displaced by ``aside``, m, sideways and by 8 times as much backward. ``cells``
+    (BLOCK,) receives the numbers of `_bin`.
+    """
     for i in range(BLOCK):
         d, back = (w[DX + i], w[DY + i], w[DZ + i]), w[T + i] - 8.0 * aside
         e = _across(d)
@@ -179,10 +190,10 @@ def enter(origins, directions, limits, centre, scale, aside, desk, loose, bins, 
 
 @njit(cache=True)
 def _facet(row, o, d):
-    """Return the signed volumes u, v, w of a ray and a triangle, their sum, and the distance.
+    """Return three signed volumes that locate a ray on a triangle, their sum, and the distance.
 
-    The volumes divided by their sum are barycentric coordinates: the ray hits the triangle
-    ``row`` = (a, b - a, c - a) if none is negative.
+    The volumes divided by their sum are barycentric coordinates: the ray hits the triangle ``row``
+    = (a, b - a, c - a) if none is negative. The distance is in m.
     """
     sx, sy, sz = o[0] - row[0], o[1] - row[1], o[2] - row[2]
     ax, ay, az, bx, by, bz = row[3], row[4], row[5], row[6], row[7], row[8]
@@ -199,7 +210,7 @@ def _facet(row, o, d):
 
 @njit(cache=True)
 def _row(numbers, start, step):
-    """Return nine numbers of a flat array as a tuple.
+    """Return nine numbers of a flat array, ``step`` apart from index ``start`` on, as a tuple.
 
     Array views would be reference-counted by atomic operations, which slow down parallel threads.
     """
@@ -218,11 +229,12 @@ def _row(numbers, start, step):
 
 @njit(cache=True, inline="always", error_model="numpy")
 def _land(w):
-    """Fill distance, smallest signed volume, normal and point of a block of rays on triangles.
+    """Compute where the rays of a block meet the planes of their triangles.
 
-    ``w`` holds rows of BLOCK numbers: OX to FACET, and from FACET on the nine numbers of each
-    triangle. Fixed distances between the rows and a loop without branches let the compiler
-    vectorise over rays.
+    In ``w``, rows of BLOCK numbers, the rows OX to DZ hold the rays and nine rows from FACET on the
+    triangles. The results are distance (T, m), smallest signed volume of `_facet` (DEPTH), unit
+    normal (NX to NZ) and point (PX to PZ, m). Fixed distances between the rows and a loop without
+    branches let the compiler vectorise over rays.
     """
     for i in range(BLOCK):
         o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
@@ -237,11 +249,12 @@ def _land(w):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place(facets, edges, names, desk, rays, ids, margin, nearest, farthest):
-    """Accept the triangles found by Embree where float64 confirms them beyond doubt.
+    """Accept the triangles that Embree found if float64 arithmetic confirms them beyond doubt.
 
-    Rows of ``desk`` are filled with the hits. ``margin`` is the largest lateral error of Embree,
-    m, and ``farthest`` the largest distances, or empty without a limit. The doubtful rays, and
-    those without a triangle, are moved to the front of ``rays`` and ``ids``; their number is
+    Rows of ``desk`` receive the hits. ``ids`` (n,) are the positions in ``facets`` of the triangles
+    found, or -1. ``margin`` is the largest lateral error of Embree, m. ``nearest``, m, and
+    ``farthest`` (n,), m, limit the distance; an empty ``farthest`` is no limit. Doubtful rays and
+    rays without a triangle are moved to the front of ``rays`` and ``ids``; their number is
     returned.
     """
     doubtful = 0
@@ -291,7 +304,10 @@ def finish(desk, distance, points, normals, triangle, status):
 
 @njit(cache=True, nogil=True)
 def aside(rays, shift, turn, out):
-    """Fill ``out`` with copies of rays displaced sideways by ``shift`` at the azimuth ``turn``."""
+    """Fill ``out`` (n, 6) with copies of rays that are displaced sideways by ``shift``.
+
+    ``turn`` is the azimuth of the displacement, rad. ``shift`` has the unit of the rays' starts.
+    """
     cosine, sine = math.cos(turn), math.sin(turn)
     for j in range(rays.shape[0]):
         d = (rays[j, 3], rays[j, 4], rays[j, 5])
@@ -305,7 +321,10 @@ def aside(rays, shift, turn, out):
 
 @njit(cache=True, inline="always")
 def after(node):
-    """Return the node that follows the subtree of ``node`` in depth-first order; -1 at the end."""
+    """Return the node that follows the subtree of ``node`` in depth-first order; -1 at the end.
+
+    The nodes of the complete binary tree are numbered level by level from the root, 0.
+    """
     while node > 0 and node & 1 == 0:  # a second child ends the subtree of its parent too
         node = (node >> 1) - 1
     return node + 1 if node > 0 else -1
@@ -313,7 +332,10 @@ def after(node):
 
 @njit(cache=True, error_model="numpy")
 def _strike(row, edge, o, d):
-    """Return the distance to a triangle including its edges and corners; NaN if it is missed."""
+    """Return the distance to a triangle, m, including its edges and corners; NaN if it is missed.
+
+    ``edge`` is the length of the triangle's longest side, m, which scales the rounding error.
+    """
     u, v, w, det, t = _facet(row, o, d)
     away = abs(o[0] - row[0]) + abs(o[1] - row[1]) + abs(o[2] - row[2])
     # the rounding error of the volumes, so that no ray passes between adjacent triangles
@@ -323,10 +345,11 @@ def _strike(row, edge, o, d):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def search(facets, edges, names, boxes, desk, index, nearest, farthest):
-    """Find the first triangle of each ray of ``index`` between its limits, entirely in float64.
+    """Find the first triangle of each ray of ``index`` within its distance limits, in float64 only.
 
-    Rows of ``desk`` are filled with the hits. ``boxes`` (n, 6) is a complete binary tree of low and
-    high corners, with four triangles per leaf. Among triangles at the same distance, the first one
+    Rows of ``desk`` receive the hits. ``boxes`` (m, 6) is a complete binary tree of low and high
+    corners, with four triangles per leaf. ``nearest``, m, and ``farthest`` (n,), m, limit the
+    distance; an empty ``farthest`` is no limit. Among triangles at the same distance, the first one
     in ``facets`` is taken.
     """
     first_leaf, corners = boxes.shape[0] // 2, facets.reshape(-1)
@@ -370,7 +393,10 @@ def search(facets, edges, names, boxes, desk, index, nearest, farthest):
 
 @njit(cache=True, error_model="numpy")
 def _blur(row, edge, o, d):
-    """Return the rounding error of a hit's distance, m, with the sign of the side that is hit."""
+    """Return the rounding error of a hit's distance, m, with the sign of the triangle's side.
+
+    ``edge`` is the length of the triangle's longest side, m.
+    """
     nx = row[4] * row[8] - row[5] * row[7]
     ny = row[5] * row[6] - row[3] * row[8]
     nz = row[3] * row[7] - row[4] * row[6]
@@ -381,9 +407,11 @@ def _blur(row, edge, o, d):
 
 @njit(cache=True, nogil=True)
 def _once(hits, begin, end):
-    """Remove repeated hits from the sorted rows ``begin`` to ``end``; return the new end.
+    """Remove repeated hits of one ray from the rows ``begin`` to ``end``; return the new end.
 
-    A hit is repeated if an earlier one is on the same side at the same distance to rounding.
+    Rows of ``hits`` are (distance, signed rounding error, triangle), sorted by distance. A hit is
+    repeated if an earlier one is on the same side at the same distance within rounding, as on the
+    common edge of two triangles.
     """
     kept = begin
     for j in range(begin, end):

@@ -27,11 +27,11 @@ TOLERANCE = 1e-13  # height above the wall that counts as 0, relative to the ray
 
 @njit(cache=True)
 def conic_hit(row, box, o, d):
-    """Return distance and status of one ray at a single sphere or cylinder.
+    """Return distance, m, and status of one ray at a wall that is a single sphere or cylinder.
 
-    With curvature c, the surface is g = c |p|^2 - 2 z = 0, where p holds the curved coordinates and
-    z. On the room side g < 0, so that the hit is the root at which g increases. This form does not
-    lose accuracy for c -> 0.
+    ``row`` is the wall's row of ``terms``, see `kernels.heights`. With curvature c, the surface is
+    g = c |p|^2 - 2 z = 0, where p holds the curved coordinates and z. On the room side g < 0, so
+    that the hit is the root at which g increases. This form does not lose accuracy for c -> 0.
     """
     curvature = row[1]
     oo, od, dd = o[2] * o[2], o[2] * d[2], d[2] * d[2]
@@ -86,7 +86,11 @@ def conic_hit(row, box, o, d):
 
 @njit(cache=True)
 def _span(half, o, d, low, high):
-    """Return the part of the interval [low, high] of t in which |o + t d| <= half."""
+    """Return the part of the interval [low, high] of t in which |o + t d| <= half.
+
+    ``o`` and ``d`` are one coordinate of origin and direction. The part is empty, low > high, if
+    the ray never comes that close.
+    """
     if d == 0.0:
         return (low, high) if abs(o) <= half else (1.0, 0.0)
     first, last = (-half - o) / d, (half - o) / d
@@ -95,9 +99,9 @@ def _span(half, o, d, low, high):
 
 @njit(cache=True)
 def _search_interval(box, slab, rim, o, d):
-    """Return the interval of t in which the ray is over the wall and within its height limits.
+    """Return the interval of t, m, in which the ray is over the wall and within its height limits.
 
-    It is empty, low > high, for a ray that never is.
+    It is empty, low > high, if the ray does not pass through this region.
     """
     low, high = 0.0, math.inf
     for i in range(2):
@@ -120,7 +124,7 @@ def _search_interval(box, slab, rim, o, d):
 
 @njit(cache=True)
 def _curvature_bound(terms, grid_bounds, o, d, low, high):
-    """Return an upper bound on |d2h/dt2| along the ray between t = low and high, 1/m."""
+    """Return an upper bound, 1/m, on |d2h/dt2| of the wall's height h between t = low and high."""
     across = d[0] * d[0] + d[1] * d[1]
     bound = 0.0
     for i in range(terms.shape[0]):
@@ -347,9 +351,10 @@ def wave_hits(row, box, w, state):
 
 @njit(cache=True)
 def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
-    """Return distance, status and the wall's slopes at the first hit of one ray.
+    """Return distance (m), status and the wall's slopes dh/dx, dh/dy at the first hit of one ray.
 
-    ``grid_bounds`` is None for a single sphere or cylinder if the march shall not be compiled.
+    If the wall is a single sphere or cylinder, ``grid_bounds`` may be None. Then numba does not
+    compile the march, which takes seconds.
     """
     if grid_bounds is None or terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
         t, condition = conic_hit(terms[0], box, o, d)

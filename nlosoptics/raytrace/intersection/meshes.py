@@ -253,7 +253,11 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
 def _in_parts(
     work: Callable[[slice], T], count: int, origins: ArrayLike, directions: ArrayLike
 ) -> list[T]:
-    """Return the results of ``work`` for consecutive slices of rays, computed on all cores."""
+    """Return the results of ``work`` for consecutive slices of the rays, computed on all cores.
+
+    ``count`` is the number of rays. ``origins`` and ``directions``, (n, 3), are only used for an
+    error that names an invalid ray.
+    """
     pieces = -(-count // CHUNK)
     ends = [count * k // max(pieces, 1) for k in range(pieces + 1)]
     parts = [slice(a, b) for a, b in itertools.pairwise(ends)]

@@ -27,13 +27,20 @@ TURNS: Final = (0.0, 2 * math.pi / 3, 4 * math.pi / 3)  # azimuths of the displa
 
 
 class _Room(threading.local):
-    """Buffers of one thread, kept between calls: new memory would cost a fifth of a trace."""
+    """Buffers of one thread, kept between calls.
+
+    Allocating them anew would add a fifth to the time of a mesh intersection.
+    """
 
     count = -1
     kept: tuple[NDArray[Any], ...] = ()
 
     def arrays(self, count: int) -> tuple[NDArray[Any], ...]:
-        """Return buffers for ``count`` rays: desk, unsorted rays, their bins, and sorted rays."""
+        """Return four buffers for ``count`` rays.
+
+        These are the working rows ``desk`` of `_triangle_kernels`, the unsorted rays, their sorting
+        cells, and the sorted rays.
+        """
         if count > self.count:
             self.count = count
             self.kept = (
@@ -179,9 +186,10 @@ class Facets:
         return desk
 
     def _near(self, rays: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Return whether rays that Embree found to miss pass close to an edge, (n,).
+        """Return a mask (n,) of rays close to a triangle's edge, for rays without a hit by Embree.
 
-        Displaced copies of each ray are tested; a ray is close to an edge if one of them hits.
+        Rows of ``rays`` are as in `_triangle_kernels.enter`. Displaced copies of each ray are
+        tested; a ray is close to an edge if one of them hits.
         """
         from . import _triangle_kernels
 
@@ -243,7 +251,10 @@ def _along_a_curve(points: Array, low: Array, high: Array) -> NDArray[np.int64]:
 
 
 def _tree(corners: Array, rounding: float) -> Array:
-    """Return the boxes (m, 6) of a complete binary tree, root first, four triangles per leaf."""
+    """Return the boxes (m, 6) of a complete binary tree, root first, four triangles per leaf.
+
+    ``corners`` (n, 3, 3) are the triangles' corners, m. Each box is enlarged by ``rounding``, m.
+    """
     leaves = 1 << max(0, math.ceil(math.log2(max(1, math.ceil(len(corners) / 4)))))
     # empty leaves are filled with a corner of the last triangle, which enlarges no box
     fill = np.broadcast_to(corners[-1, 0], (4 * leaves - len(corners), 3))

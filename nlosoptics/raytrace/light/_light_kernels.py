@@ -50,16 +50,17 @@ SUMS = 11
 
 @njit(cache=True, inline="always")
 def _sums(path_sums, first, i):
-    """Return the row of sums for the unit and group of ray ``first + i``.
+    """Return the row of ``path_sums`` to which the power of ray ``first + i`` is added.
 
-    ``first`` is a multiple of UNIT.
+    Rays are summed in units of UNIT rays, and each unit in groups for the standard error. ``first``
+    is the number of the block's first ray, a multiple of UNIT.
     """
     return path_sums[i // UNIT * GROUPS + (first + i) % GROUPS]
 
 
 @njit(cache=True, inline="always")
 def _lobes(world, kind):
-    """Return the lobes of the wall or of the hidden object."""
+    """Return the table of lobes (n, 4) of the surface ``kind``: the wall or the hidden object."""
     return world.wall if kind == WALL else world.thing
 
 
@@ -81,10 +82,11 @@ def tangents(n):
 
 @njit(cache=True)
 def _chance(lobes, j, total, eye):
-    """Return the probability of drawing lobe j.
+    """Return the probability of drawing lobe ``j`` of a table of lobes.
 
-    Light paths draw lobes in proportion to their strength, to follow the power. Eye paths do so
-    for one half and choose uniformly for the other, since a faint mirror can form the whole image.
+    ``total`` is the sum of their strengths. Light paths (``eye`` False) draw lobes in proportion to
+    their strength, to follow the power. Eye paths do so for one half and choose uniformly for the
+    other, since a faint mirror can form the whole image.
     """
     strength = lobes[j, 1] * lobes[j, 3]
     if strength <= 0.0:
@@ -99,7 +101,11 @@ def _chance(lobes, j, total, eye):
 
 @njit(cache=True)
 def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
-    """Return the density of `_lobe_direction` without mirrors, 1/sr."""
+    """Return the probability density, 1/sr, with which `_lobe_direction` draws a direction.
+
+    Smooth mirrors are excluded. ``mu_i`` and ``mu_o`` are the cosines of incidence and exitance,
+    ``cos_between`` that of the angle between both directions.
+    """
     total = total_strength(lobes)
     density = 0.0
     for j in range(lobes.shape[0]):
@@ -111,7 +117,11 @@ def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
 
 @njit(cache=True)
 def _lobe_direction(lobes, incident, n, u, v, w, eye):
-    """Draw a direction from the lobes; return it, and the weight of a chosen mirror, else -1."""
+    """Draw a direction from the lobes; return it with the weight of a chosen mirror, else -1.
+
+    ``incident`` and ``n`` are unit vectors, toward the previous vertex and along the normal. ``u``,
+    ``v`` and ``w`` are random numbers from 0 to 1.
+    """
     a, b = tangents(n)
     ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
     total = total_strength(lobes)
@@ -136,7 +146,7 @@ def _lobe_direction(lobes, incident, n, u, v, w, eye):
 
 @njit(cache=True, inline="always")
 def _aimed(world, vertex, eye):
-    """Return the share of the rays leaving a vertex that is aimed at the object."""
+    """Return the fraction, 0 to 1, of the rays leaving ``vertex`` that are aimed at the object."""
     if vertex[SURFACE] != WALL:
         return 0.0
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
@@ -144,9 +154,10 @@ def _aimed(world, vertex, eye):
 
 @njit(cache=True, inline="always")
 def _far(world, p):
-    """Return whether only aimed rays are to reach the object from p.
+    """Return whether only rays aimed at the hidden object may reach it from the point ``p``.
 
-    That is so without glossy lobes and beyond 1.5 radii of the sphere around the object.
+    That is so if no lobe is glossy and ``p`` is more than 1.5 radii from the centre of the sphere
+    around the object.
     """
     ball = world.ball
     away = (p[0] - ball[0], p[1] - ball[1], p[2] - ball[2])
@@ -202,11 +213,11 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
 
 @njit(cache=True, inline="always")
 def _passed_on(world, leave, distance, kind, normal, scale):
-    """Return the weight of a ray drawn by `scatter`, and the density of its end, 1/m^2.
+    """Return the weight of a ray drawn by `scatter`, and the density at its end, 1/m^2.
 
-    Sampling by lobes and by aiming are combined with the one-sample balance heuristic. Far from the
-    object and without glossy lobes only aimed rays may reach the object. The weight is then a
-    smooth function of the random numbers.
+    ``leave`` is the ray's row from `scatter`; the others describe what it hits. Sampling by lobes
+    and by aiming at the object are combined with the one-sample balance heuristic. If only aimed
+    rays may reach the object, the weight is a smooth function of the random numbers.
     """
     d, aimed = three(leave, 0), leave[AIMED]
     if leave[MIRROR] >= 0.0:
@@ -232,7 +243,11 @@ def _passed_on(world, leave, distance, kind, normal, scale):
 
 @njit(cache=True)
 def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, density):
-    """Fill the vertex ``new`` at which a ray from the vertex ``old`` arrives."""
+    """Fill the vertex ``new`` at which a ray from the vertex ``old`` arrives.
+
+    ``power`` and ``density`` become its POWER and DENSITY; the other arguments describe ray and
+    hit.
+    """
     for k in range(3):
         new[k] = origin[k] + distance * direction[k]
         new[3 + k], new[6 + k] = normal[k], -direction[k]
@@ -245,9 +260,9 @@ def _arrive(old, new, origin, direction, distance, kind, normal, scale, power, d
 
 @njit(cache=True)
 def _end(old, new, origin, direction, distance, power):
-    """Fill point, power and length of a vertex at which a path may end.
+    """Fill point, power and length of a vertex at which a path ends unless it is continued.
 
-    A path that leaves the scene ends after 1 m.
+    The end of a path that leaves the scene is drawn 1 m from its last vertex.
     """
     t = distance if distance < math.inf else 1.0
     for k in range(3):
@@ -257,7 +272,10 @@ def _end(old, new, origin, direction, distance, power):
 
 @njit(cache=True, nogil=True)
 def thin(sampler, first, share, vertices):
-    """Keep a random share of the vertices and divide their power by the share."""
+    """Keep a random part of the vertices and divide their power by its fraction ``share``.
+
+    The expected power is unchanged (Russian roulette).
+    """
     for i in range(vertices.shape[0]):
         if vertices[i, SURFACE] >= 0.0:
             ray = first + i
@@ -272,11 +290,11 @@ def thin(sampler, first, share, vertices):
 def land(
     world, sampler, first, settings, old, leave, origins, directions, hits, new, path_sums, fates
 ):
-    """Fill the next vertices of light paths, and add the lost power to the ledger.
+    """Fill the next vertices of light paths, and add lost power to the power balance.
 
     ``settings`` is (bounce, max_bounces, analog, number of the draw for Russian roulette or -1).
-    ``hits`` is (distance, kind, normal, scale). ``fates`` is filled with the status of paths that
-    end, else -1.
+    ``hits`` is (distance, kind, normal, scale). ``fates`` receives the status of paths that end,
+    else -1.
     """
     bounce, most, analog, roulette = settings
     distance, kind, normal, scale = hits
@@ -333,11 +351,11 @@ def land(
 
 @njit(cache=True, inline="always")
 def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
-    """Add light that reaches the lens by scattering to the sums; return its detected power.
+    """Add light that hits the lens after scattering to the sums; return its detected power, W.
 
     Unless the trace is analog, connections already account for this light. The exception is light
     from a mirror if its vertex or the one before was determined by a mirror or the laser, since
-    connections cannot find such paths.
+    connections cannot find such paths. ``sent`` is the power that left the vertex, W.
     """
     d = three(leave, 0)
     point = (old[0] + distance * d[0], old[1] + distance * d[1], old[2] + distance * d[2])
@@ -356,7 +374,11 @@ def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
 
 @njit(cache=True, nogil=True)
 def start(world, first, most, origins, directions, hits, new, path_sums, fates):
-    """Fill the first vertices of the laser's light, and add the lost power to the ledger."""
+    """Fill the first vertices of the laser's light, and add lost power to the power balance.
+
+    ``most`` is the largest number of reflections. ``fates`` receives the status of paths that end
+    here, else -1.
+    """
     distance, kind, normal, scale = hits
     source = np.zeros(VERTEX)
     source[HISTORY], source[BEFORE], source[SURFACE] = 1.0, NOTHING, NOTHING
@@ -393,7 +415,11 @@ def start(world, first, most, origins, directions, hits, new, path_sums, fates):
 
 @njit(cache=True, nogil=True)
 def look(origins, directions, powers, densities, hits, new):
-    """Fill the first vertices of eye paths."""
+    """Fill the first vertices of eye paths, which are paths traced backward from the lens.
+
+    ``powers`` (n,) are detected powers per unit radiance, m^2 sr, and ``densities`` (n,) the
+    densities of the directions, 1/sr.
+    """
     distance, kind, normal, scale = hits
     source = np.zeros(VERTEX)
     source[BEFORE], source[SURFACE] = NOTHING, NOTHING
@@ -409,7 +435,7 @@ def look(origins, directions, powers, densities, hits, new):
 
 @njit(cache=True, nogil=True)
 def look_on(world, old, leave, origins, directions, hits, new):
-    """Fill the second vertices of eye paths, after scattering at the first."""
+    """Fill the second vertices of eye paths, after scattering at the first ones ``old``."""
     distance, kind, normal, scale = hits
     for i in range(new.shape[0]):
         new[i, SURFACE] = NOTHING
@@ -430,7 +456,10 @@ def look_on(world, old, leave, origins, directions, hits, new):
 
 @njit(cache=True, inline="always")
 def reflected(world, vertex, direction, cosine):
-    """Return f_r of a vertex toward a direction, times its brightness, without mirrors, 1/sr."""
+    """Return f_r times brightness of a vertex toward a unit vector, 1/sr; smooth mirrors excluded.
+
+    ``cosine`` is that of the angle between direction and normal.
+    """
     kind = int(vertex[SURFACE])
     incident = three(vertex, 6)
     mu = dot(incident, three(vertex, 3))
@@ -440,7 +469,11 @@ def reflected(world, vertex, direction, cosine):
 
 @njit(cache=True, inline="always")
 def next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
-    """Return the density with which `scatter` would continue from a vertex to a target, 1/m^2."""
+    """Return the density, 1/m^2, with which `scatter` continues a path to the point of a target.
+
+    ``incident`` and ``direction`` are unit vectors toward the previous vertex and the target,
+    ``cosine`` and ``target_cosine`` the cosines at both ends, ``square`` the squared distance, m^2.
+    """
     kind = int(vertex[SURFACE])
     n = three(vertex, 3)
     mu, between = dot(incident, n), dot(incident, direction)
@@ -454,7 +487,7 @@ def next_density(world, vertex, incident, direction, cosine, target, target_cosi
 
 @njit(cache=True)
 def between(a, b):
-    """Return the unit vector from vertex a to b, the squared distance, and the cosines at both."""
+    """Return the unit vector from vertex a to b, the squared distance (m^2), and both cosines."""
     d = (b[0] - a[0], b[1] - a[1], b[2] - a[2])
     square = dot(d, d)
     if square == 0.0:
@@ -552,7 +585,11 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
 
 @njit(cache=True, nogil=True)
 def book(light, eye, bounce, most, first, value, length, path_sums):
-    """Add connections to the flux of their number of reflections, or to the stray light."""
+    """Add the power of connections to the sums of their number of reflections, or to stray light.
+
+    Light that has never met the hidden object is stray light. ``value`` (n,) is in W and ``length``
+    (n,) in m.
+    """
     for i in range(value.size):
         if value[i] > 0.0:
             sums = _sums(path_sums, first, i)

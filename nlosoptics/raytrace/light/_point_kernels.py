@@ -45,9 +45,9 @@ from ._surround_kernels import (
 
 @njit(cache=True, nogil=True)
 def glow(world, sampler, first, power, new):
-    """Fill vertices on the object's front, drawn by area times brightness, lit at normal incidence.
+    """Fill vertices on the hidden object's front, as if lit at normal incidence.
 
-    Each gets the same ``power``.
+    Their points are drawn by area times brightness, and each gets the same ``power``, W.
     """
     for i in range(new.shape[0]):
         ray = first + i
@@ -63,7 +63,10 @@ def glow(world, sampler, first, power, new):
 
 @njit(cache=True)
 def spots(sampler, first, corner, size, xy):
-    """Fill ``xy`` (n, 2) with points distributed uniformly over a rectangle, m."""
+    """Fill ``xy`` (n, 2) with points spread uniformly over a rectangle, m.
+
+    ``corner`` (2,) is its lowest x and y and ``size`` (2,) its sides, m.
+    """
     for i in range(xy.shape[0]):
         ray = first + i
         group, index = ray % GROUPS, ray // GROUPS
@@ -74,9 +77,10 @@ def spots(sampler, first, corner, size, xy):
 
 @njit(cache=True, nogil=True)
 def to_wall(world, light, targets, value, starts, ends):
-    """Fill the power that light vertices send to wall points ``targets`` of known DENSITY.
+    """Fill the power, W, that light vertices send directly to chosen wall points.
 
-    The balance heuristic weights it against light that reaches the wall by scattering.
+    The ``targets`` are vertices with known DENSITY. The balance heuristic weights this light
+    against light that reaches the wall by scattering; see `arrivals`.
     """
     for i in range(light.shape[0]):
         value[i] = 0.0
@@ -97,10 +101,10 @@ def to_wall(world, light, targets, value, starts, ends):
 
 @njit(cache=True, nogil=True)
 def arrivals(vertices, evenly, power):
-    """Fill the power of light that reaches the wall by scattering, weighted against `to_wall`.
+    """Fill the power, W, of light that reaches the wall by scattering, weighted against `to_wall`.
 
-    ``evenly`` is the density of its points per mean-plane area, 1/m^2. The wall's cosine, column 5
-    of a vertex, converts it to the density per wall area.
+    ``evenly`` is the density of the points of `to_wall` per area of the mean plane, 1/m^2. The
+    wall's cosine, column 5 of a vertex, converts it to the density per wall area.
     """
     for i in range(vertices.shape[0]):
         power[i] = 0.0
@@ -113,9 +117,11 @@ def arrivals(vertices, evenly, power):
 
 @njit(cache=True, nogil=True)
 def cells_of(points, power, first, corner, step, shape, cells, powers):
-    """Fill map cells and powers of light that arrives at points; return their number.
+    """Find the map cells of light that arrives at wall points; return how many lie on the map.
 
-    A cell is (group, row, column) as one number.
+    ``cells`` and ``powers`` (n,) are filled for the points on the map; a cell is (group, row,
+    column) as one number. ``corner`` and ``step``, (2,), m, are the map's lowest corner and cell
+    sides.
     """
     count = 0
     ny, nx = shape
@@ -132,7 +138,7 @@ def cells_of(points, power, first, corner, step, shape, cells, powers):
 
 @njit(cache=True, inline="always")
 def _intensity(source, d):
-    """Return the radiant intensity of a source along a direction, W/sr."""
+    """Return the radiant intensity, W/sr, of a source of 1 W along the unit vector d."""
     if source[6] > 0.0:
         return 0.25 / math.pi
     return max(0.0, dot(d, three(source, 3))) / math.pi
@@ -150,11 +156,12 @@ def _along(a, b, n, x, y, z):
 
 @njit(cache=True, nogil=True)
 def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
-    """Draw directions of light that leaves a source, or wall points (x, y) that it is aimed at.
+    """Draw directions of light that leaves a source, or the wall points at which it is aimed.
 
-    A ``share`` of the rays is aimed at the part ``box`` = (low x, low y, width, height) of the
-    wall. The others are aimed uniformly at the whole wall, ``whole``, or follow the emission of the
-    source if ``whole`` has no width. ``aimed`` marks the rays with a point in ``aims``.
+    A fraction ``share`` of the rays is aimed at the part ``box`` = (low x, low y, width, height),
+    m, of the wall. The others are aimed uniformly at the whole wall, ``whole``, or follow the
+    emission of the source if ``whole`` has no width. ``aimed`` marks the rays with a point (x, y)
+    in ``aims``.
     """
     n = three(source, 3)
     a, b = tangents(n)
@@ -186,7 +193,11 @@ def shine(sampler, first, source, whole, box, share, directions, aims, aimed):
 
 @njit(cache=True, nogil=True)
 def toward(source, aims, aimed, directions, reach, live):
-    """Fill the directions and distances from a source to wall points (n, 3) that are aimed at."""
+    """Fill directions and distances, m, from a source to the wall points at which it is aimed.
+
+    ``aims`` (n, 3) are the points, m, and ``aimed`` (n,) marks their rays. ``live`` is cleared for
+    rays aimed at points where the wall has no height.
+    """
     for i in range(live.size):
         live[i], reach[i] = True, -1.0
         if not aimed[i]:
@@ -249,10 +260,10 @@ def _lens_point(camera, sampler, group, index, ray):
 
 @njit(cache=True, inline="always")
 def _landing(camera, point, d):
-    """Return the point of the detector plane, m, that a ray reaches through a point of the lens.
+    """Return the point (x, y) of the detector plane, m, at which light along a ray is imaged.
 
-    ``d`` is the direction from the lens back along the ray. Its point in the plane in focus is
-    projected through the centre of the lens.
+    ``point`` is a point of the lens and ``d`` the unit vector from there back along the ray. The
+    ray's point in the plane in focus is projected through the centre of the lens.
     """
     cosine = dot(d, three(camera, 9))
     apart = (point[0] - camera[0], point[1] - camera[1], point[2] - camera[2])
@@ -266,7 +277,7 @@ def _landing(camera, point, d):
 
 @njit(cache=True, nogil=True)
 def look_around(world, sampler, first, origins, directions, powers):
-    """Fill rays from the lens, cosine-weighted over its front hemisphere.
+    """Fill rays from random lens points, with cosine-weighted directions over its front hemisphere.
 
     ``powers`` are the transmitted powers per unit radiance, m^2 sr.
     """
@@ -345,7 +356,7 @@ def mirrored(world, eye, origins, directions, powers, live):
 
 @njit(cache=True, nogil=True)
 def from_source(source, lobes, eye, value, starts, ends):
-    """Fill the detected power of connections between a source and eye vertices on the wall."""
+    """Fill the detected power, W, of connections between a source and eye vertices on the wall."""
     for i in range(value.size):
         value[i] = 0.0
         b = eye[i]
@@ -366,7 +377,11 @@ def from_source(source, lobes, eye, value, starts, ends):
 
 @njit(cache=True, inline="always")
 def _imaged(lobes, matt, mu, cosine, turn, f):
-    """Return the share of ``f``, the sum of all lobes, that is due to mirror-like lobes."""
+    """Return the part of ``f``, the sum of all lobes (1/sr), that is due to mirror-like lobes.
+
+    ``matt`` are the other lobes; ``mu``, ``cosine`` and ``turn`` the cosines of incidence, of
+    exitance, and between both directions.
+    """
     if matt.shape[0] == lobes.shape[0] or f <= 0.0:
         return 0.0
     return 1.0 - material(matt, mu, cosine, turn) / f
@@ -374,10 +389,11 @@ def _imaged(lobes, matt, mu, cosine, turn, f):
 
 @njit(cache=True, nogil=True)
 def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, x, y, imaged):
-    """Fill power, detector position and imaged share of light from wall vertices to lens points.
+    """Fill power, detector position and imaged fraction of connections from the wall to the lens.
 
-    ``counted`` is (all lobes to count, those of them that are not mirror-like). If ``glossy``, the
-    balance heuristic weights it against light that reaches the lens by scattering.
+    The imaged fraction is what mirror-like lobes reflect. ``counted`` is (all lobes to count, those
+    of them that are not mirror-like). If ``glossy``, the balance heuristic weights this light
+    against light that reaches the lens by scattering.
     """
     lobes, matt = counted
     camera = world.camera
@@ -411,7 +427,7 @@ def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, 
 
 @njit(cache=True, nogil=True)
 def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
-    """Fill power and detector position of mirror-reflected rays that enter the lens."""
+    """Fill power (W) and detector position (m) of mirror-reflected rays that enter the lens."""
     camera, axis = world.camera, three(world.camera, 9)
     distance, kind = hits[0], hits[1]
     for i in range(value.size):
@@ -430,7 +446,7 @@ def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
 def lens_hits(
     world, counted, glossy, first_one, old, leave, new, fates, by_mirrors, value, x, y, imaged
 ):
-    """Fill power, detector position and imaged share of light that reaches the lens by scattering.
+    """Fill power, detector position and imaged fraction of scattered rays that hit the lens.
 
     Light sent by a smooth mirror counts only if it has met nothing but mirrors (``by_mirrors``,
     updated here) and has at least two reflections. `image_hits` counts the first reflection, and
@@ -468,7 +484,7 @@ def lens_hits(
 
 @njit(cache=True, nogil=True)
 def connect(world, light, eye, value, starts, ends):
-    """Fill the detected power of connections between light vertices and eye vertices."""
+    """Fill the detected power, W, of connections between light vertices and eye vertices."""
     for i in range(value.size):
         value[i] = 0.0
         a, b = light[i], eye[i]
@@ -486,16 +502,17 @@ def connect(world, light, eye, value, starts, ends):
 
 @njit(cache=True, nogil=True)
 def landings(world, points, directions, x, y):
-    """Fill the detector positions of light that arrives along rays traced from the lens, m."""
+    """Fill the detector positions, m, of light that arrives along rays traced from the lens."""
     for i in range(x.size):
         x[i], y[i] = _landing(world.camera, three(points[i], 0), three(directions[i], 0))
 
 
 @njit(cache=True, nogil=True)
 def book(value, x, y, window, rows, bounce, most, first, path_sums, cells):
-    """Add light to the sum of its number of reflections, and fill its pixel.
+    """Add power to the sum of its number of reflections, and find its pixels.
 
-    Light outside the window of pixels gets the pixel -1 and is added to the sum of missed light.
+    ``value`` (n,) is in W; ``x`` and ``y`` (n,) are detector positions, m. Light outside the window
+    of pixels gets the pixel -1 and is added to the sum of missed light.
     """
     low_x, low_y, pitch, columns = window
     for i in range(value.size):

@@ -119,7 +119,7 @@ def beam(world, sampler, first, origins, directions):
 
 @njit(cache=True, nogil=True)
 def sight(world, sampler, first, origins, directions, powers, densities):
-    """Fill rays from the lens into the scene, uniform over lens and detector (or baffle disc).
+    """Fill rays from the lens into the scene, uniform over lens and detector (or field stop).
 
     ``powers`` are the detected powers per unit radiance, m^2 sr; ``densities`` are the sampling
     densities per solid angle, 1/sr.
@@ -176,7 +176,7 @@ def on_detector(camera, point, direction):
 
 @njit(cache=True, inline="always")
 def _plate(world, o, d, low, high):
-    """Return the distance between low and high at which a ray hits the plate, else inf."""
+    """Return the distance, m, from low to high at which a ray hits the planar object, else inf."""
     plate = world.plate
     along = dot(d, three(plate, 9))
     if along == 0.0:
@@ -204,7 +204,7 @@ def _texel(world, point):
 
 @njit(cache=True, inline="always")
 def _lens(world, o, d, low, high):
-    """Return the distance between low and high at which a ray hits the lens, else inf.
+    """Return the distance, m, from low to high at which a ray hits the lens, else inf.
 
     Hits from both sides count.
     """
@@ -223,9 +223,10 @@ def _lens(world, o, d, low, high):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def wall_hits(walls, origins, directions, live, distance, kind, normal):
-    """Fill distance, kind and normal of live rays that hit a compiled wall.
+    """Fill distance, kind and normal of those ``live`` rays that hit a compiled wall.
 
-    Rays without a hit keep their values. ``walls`` holds the terms, tables and search bounds.
+    Rays without a hit keep their values. ``walls`` holds the terms, tables and search bounds of
+    `_wall_kernels`.
     """
     terms, tables, grid_bounds, box, slab, rim = walls
     flat = terms.shape[0] == 0
@@ -268,7 +269,7 @@ def wall_hits(walls, origins, directions, live, distance, kind, normal):
 
 @njit(cache=True, nogil=True)
 def settle(walls, points, on_wall):
-    """Replace z of points that lie on a compiled wall by the wall's exact height."""
+    """Replace z of the points (n, 3) marked ``on_wall`` by the compiled wall's exact height, m."""
     terms, tables = walls[0], walls[1]
     for i in range(on_wall.size):
         if on_wall[i]:
@@ -279,7 +280,7 @@ def settle(walls, points, on_wall):
 
 @njit(cache=True, nogil=True)
 def plate_and_lens(world, origins, directions, live, distance, kind, normal, scale):
-    """Replace the hits of live rays by nearer ones on the plate and on the lens."""
+    """Replace the hits of ``live`` rays by nearer ones on the planar object and on the lens."""
     has_plate = world.plate.size > 0
     for i in range(distance.size):
         if not live[i]:
@@ -356,7 +357,10 @@ def object_point(world, u, v):
 
 @njit(cache=True, nogil=True)
 def clear(world, starts, ends, value):
-    """Set to zero the values of connections that the plate or the lens blocks."""
+    """Set to zero the values of connections that the planar object or the lens blocks.
+
+    ``starts`` and ``ends`` (n, 3) are the connections' ends, m, and ``value`` (n,) their powers.
+    """
     has_plate = world.plate.size > 0
     for i in range(value.size):
         if value[i] <= 0.0:

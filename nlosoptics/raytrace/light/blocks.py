@@ -53,12 +53,12 @@ class Job:
 
     @property
     def columns(self) -> int:
-        """Number of sums: one per number of reflections, and those of the ledger."""
+        """Number of sums: one per number of reflections, and those of the power balance."""
         return self.max_bounces + 1 + kernels.SUMS
 
 
 def traced(job: Job, first: int, end: int) -> Traced:
-    """Trace the rays from ``first`` up to ``end``."""
+    """Trace the rays with the numbers ``first`` to ``end - 1``, and return their sums and paths."""
     block = Rays(job, first, end - first)
     light = block.from_laser()
     if not job.analog:
@@ -106,7 +106,7 @@ class Rays:
         self.kept: list[Kept] = []
 
     def from_laser(self) -> Array:
-        """Return the first vertices of the light paths."""
+        """Return the first vertices of the light paths, where the laser's rays hit a surface."""
         job, rays = self.job, (self.origins, self.directions)
         surround.beam(self.around.world, job.sampler, self.first, *rays)
         self.walked.append(self.origins.copy())
@@ -120,7 +120,10 @@ class Rays:
         return new
 
     def look(self) -> None:
-        """Compute the first vertices of the eye paths, and with glossy lobes the second ones."""
+        """Compute the first vertices of the eye paths, and with glossy lobes the second ones.
+
+        Eye paths are traced backward from the lens.
+        """
         job, world, rays = self.job, self.around.world, (self.origins, self.directions)
         powers, densities = np.empty((2, self.n))
         surround.sight(world, job.sampler, self.first, *rays, powers, densities)
@@ -136,7 +139,7 @@ class Rays:
             self._settle(self.further)
 
     def onward(self, light: Array, bounce: int) -> Array:
-        """Return the next vertices of the light paths, after scattering at ``light``."""
+        """Return the next vertices of the light paths, after scattering at those in ``light``."""
         job, number = self.job, surround.DRAW_FIRST
         if bounce > 1:
             number = surround.DRAW_NEXT + surround.DRAWS_A_BOUNCE * (bounce - 2)
@@ -195,14 +198,14 @@ class Rays:
         )
 
     def _settle(self, vertices: Array) -> None:
-        """Move vertices exactly onto the wall, if it sees itself."""
+        """Move vertices exactly onto the wall, if light may travel from wall to wall."""
         if not self.around.plan.wall_to_wall:
             return
         on_wall = vertices[:, kernels.SURFACE] == surround.WALL
         self.around.settle(vertices[:, kernels.P], on_wall)
 
     def _hits(self, left: Array | None) -> Any:
-        """Return the first hits of live rays that start at the vertices ``left``, or elsewhere."""
+        """Return the first hits of live rays; ``left`` are the vertices they start at, or None."""
         on_wall = np.zeros(self.n, dtype=bool)
         if left is not None:
             np.equal(left[:, kernels.SURFACE], surround.WALL, out=on_wall)
@@ -211,7 +214,11 @@ class Rays:
         )
 
     def _book(self, light: Array, eye: Array, bounce: int, seen: tuple[Array, ...]) -> None:
-        """Add the power of unblocked connections to the sums, and keep their paths if wanted."""
+        """Add the power of unblocked connections to the sums, and store their paths if wanted.
+
+        ``light`` and ``eye`` are the connected vertices and ``bounce`` the number of reflections.
+        ``seen`` holds the later vertices of the eye paths, for stored paths.
+        """
         on_wall = light[:, kernels.SURFACE] == surround.WALL
         self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
         kernels.book(
@@ -231,7 +238,7 @@ class Rays:
             self._keep(rows, parts, self.length, self.value, bounce, status)
 
     def _keep_ended(self, new: Array, bounce: int) -> None:
-        """Keep the paths of an analog trace that ended in this step."""
+        """Store the paths of an analog trace that ended at the vertices ``new``."""
         if self.job.keep_paths and self.job.analog:
             rows = np.flatnonzero(self.fates >= 0)
             parts = [*self.walked, new[:, kernels.P]]
@@ -247,7 +254,10 @@ class Rays:
         bounce: int,
         status: NDArray[np.int8],
     ) -> None:
-        """Store paths; shorter ones repeat their last point."""
+        """Store the paths of the rays ``rows``; shorter paths repeat their last point.
+
+        ``parts`` are the paths' points, m, ``length`` is in m and ``power`` in W.
+        """
         points = np.stack([part[rows] for part in parts], axis=1)
         missing = self.job.max_bounces + 2 - points.shape[1]
         points = np.concatenate([points, np.repeat(points[:, -1:], missing, axis=1)], axis=1)

@@ -163,7 +163,10 @@ def wall_irradiance(
 
 
 def _upright(scene: Scene, x: Array, y: Array) -> Array:
-    """Return the cosine of the wall's tilt at the cell centres, (ny, nx); 1 without a height."""
+    """Return the cosine of the wall's tilt at the map's cell centres, (ny, nx).
+
+    ``x`` (nx,) and ``y`` (ny,) are in m. It is 1 where the wall has no height.
+    """
     if scene.wall.is_flat:
         return np.ones((len(y), len(x)))
     xs, ys = np.meshgrid(x, y)
@@ -179,7 +182,11 @@ def _arrivals(
     max_bounces: int,
     grid: tuple[Array, Array, tuple[int, int]],
 ) -> tuple[NDArray[np.int64], Array]:
-    """Return cell numbers and powers of all arrivals of a block of rays, by reflection."""
+    """Return map cells and powers, W, of all light that a block of rays brings to the wall.
+
+    The rays ``first`` to ``end - 1`` are traced. A cell is (group, row, column) as one number.
+    ``grid`` is the map's lowest corner (2,), its cell sides (2,), m, and its shape.
+    """
     from . import _light_kernels as kernels
     from . import _point_kernels as arriving
     from . import _surround_kernels as surround
@@ -201,7 +208,7 @@ def _arrivals(
     found, power = [], np.empty(n)
 
     def collect(points: Array, power: Array) -> None:
-        """Append the cells and powers of light that arrives at points."""
+        """Append the map cells and powers, W, of light that arrives at wall points (n, 3), m."""
         cells, powers = np.empty(n, dtype=np.int64), np.empty(n)
         count = arriving.cells_of(points, power, first, *grid, cells, powers)
         found.append((cells[:count], powers[:count]))

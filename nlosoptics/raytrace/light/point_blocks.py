@@ -170,7 +170,11 @@ def pixels_of(task: Task, first: int, end: int) -> tuple[Array, Array, Counter[s
 
 
 def _seen_by_pixels(task: Task, first: int, n: int) -> tuple[Array, Counter[str]]:
-    """Return the power estimate of each pixel ray, (n,), W, and numbers of intersection tests."""
+    """Return an estimate of the pixel's power from each ray, (n,), W, and the test counts.
+
+    The rays have the numbers ``first`` to ``first + n - 1``. The counts are numbers of intersection
+    tests by kind of surface.
+    """
     block, world = _Block(task, first, n), task.job.around.world
     most = task.job.max_bounces
     eyes = [block.look_at_pixels()]
@@ -218,11 +222,14 @@ class _Block:
         self.keep()
 
     def start(self) -> Array:
-        """Return the first vertices of the point's light."""
+        """Return the first vertices, (n, VERTEX), of the object point's light."""
         return self._shine(self.task.gloss_box, AIM if self.task.gloss_box.all() else 0.0)
 
     def _shine(self, box: Array, share: float) -> Array:
-        """Return first vertices on the wall, a ``share`` of the rays being aimed at ``box``."""
+        """Return first vertices on the wall; a fraction ``share`` of the rays is aimed at ``box``.
+
+        ``box`` is (low x, low y, width, height), m.
+        """
         task, rays, n = self.task, self.rays, self.n
         aims, aimed = np.zeros((n, 3)), np.zeros(n, dtype=bool)
         where = (task.whole, box, share)
@@ -251,7 +258,7 @@ class _Block:
         return self._seen(powers)
 
     def look_at_pixels(self) -> Array:
-        """Return vertices seen by the pixels, ``each`` per pixel."""
+        """Return the vertices that the pixels see, with `Task.each` rays per pixel."""
         task, rays, powers = self.task, self.rays, np.empty(self.n)
         kernels.look_at_pixels(
             task.job.around.world,
@@ -274,7 +281,11 @@ class _Block:
             yield eye
 
     def _seen(self, powers: Array, left: Array | None = None) -> Array:
-        """Return the vertices that eye rays of the given powers hit, starting at ``left``."""
+        """Return the vertices that eye rays hit.
+
+        The rays start at the vertices ``left``, or at the lens if it is None. ``powers`` (n,) are
+        their detected powers per unit radiance, m^2 sr.
+        """
         rays, new = self.rays, np.zeros((self.n, light_kernels.VERTEX))
         np.greater(powers, 0.0, out=rays.live)
         hits = rays._hits(left)
@@ -295,7 +306,10 @@ class _Block:
         return self.value
 
     def clear(self, starts: Array | None) -> None:
-        """Set blocked connections to zero; ``starts`` are their first vertices or None."""
+        """Set the powers of blocked connections to zero.
+
+        ``starts`` are the vertices from which the connections start, or None for the object point.
+        """
         on_wall = np.zeros(self.n, dtype=bool)
         if starts is not None:
             np.equal(starts[:, light_kernels.SURFACE], surround.WALL, out=on_wall)
@@ -317,7 +331,10 @@ class _Block:
         self._book(bounce, self.seen_at)
 
     def _book(self, bounce: int, at: tuple[Array, Array]) -> None:
-        """Add the powers ``value`` to the sums of ``bounce`` reflections, and find their pixels."""
+        """Add the powers in the attribute ``value`` to a sum, and find their pixels.
+
+        ``bounce`` is the number of reflections and ``at`` the pair (x, y) of detector positions, m.
+        """
         task = self.task
         kernels.book(
             self.value,
@@ -332,7 +349,7 @@ class _Block:
         )
 
     def keep(self) -> None:
-        """Keep group, pixel and power of the part of the last values that forms the image."""
+        """Store group, pixel and power of the light that mirror-like lobes image."""
         rows = np.flatnonzero((self.cells >= 0) & (self.imaged > 0.0))
         if len(rows):
             pixels = self.task.rows * self.task.window[3]

@@ -243,8 +243,9 @@ def in_blocks(
 
 
 def mean_of(sums: Array, rays: int) -> tuple[float, float]:
-    """Return the mean over the rays and its standard error, from the sums of the groups.
+    """Return the mean over the rays and its standard error, in the unit of the sums.
 
+    ``sums`` (units, groups) are sums over groups of rays, and ``rays`` is the number of all rays.
     With g groups, the error contains the factor sqrt((g - 1)/(g - 3)) of Student's distribution.
     Deviations divided by it then have unit variance.
     """

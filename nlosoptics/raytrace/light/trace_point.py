@@ -233,9 +233,10 @@ def trace_point(
 
 
 def _mean_map(landed: Array, n_rays: int) -> tuple[Array, Array]:
-    """Return the mean power per pixel and its variance from the sums of groups, (groups, n).
+    """Return the mean power per pixel, W, and its variance, W^2, both (n,).
 
-    The variance contains Student's factor as in `mean_of`.
+    ``landed`` (groups, n) are the powers summed over each group of rays. The variance contains the
+    factor of Student's distribution of `trace.mean_of`.
     """
     groups = min(n_rays, GROUPS)
     mean, spread = landed.sum(axis=0) / n_rays, np.zeros(landed.shape[1])
@@ -295,9 +296,9 @@ def point_normal(scene: Scene) -> Array:
 
 
 def _whole(scene: Scene) -> Array:
-    """Return the rectangle of the wall (low x, low y, width, height), m, to sample uniformly.
+    """Return the wall's rectangle (low x, low y, width, height), m, for uniform sampling.
 
-    All zero for a wall too wide for that.
+    It is all zero for a wall too wide to be sampled uniformly.
     """
     size, distance = scene.wall.size, float(scene.object_point[2])
     if size is None or max(size) > WIDE * distance:
