@@ -356,7 +356,8 @@ def wall_hit(terms, tables, grid_bounds, box, slab, rim, o, d):
     If the wall is a single sphere or cylinder, ``grid_bounds`` may be None. Then numba does not
     compile the march, which takes seconds.
     """
-    if grid_bounds is None or terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER):
+    conic = terms.shape[0] == 1 and (terms[0, 0] == SPHERE or terms[0, 0] == CYLINDER)
+    if grid_bounds is None or conic:
         t, condition = conic_hit(terms[0], box, o, d)
     else:
         top = 0.0
@@ -409,9 +410,8 @@ def intersect(
             bad += 0 if math.isfinite(x + y + z + dx + dy + dz) else 1
             w[OX + i], w[OY + i], w[OZ + i] = x, y, z
             w[DX + i], w[DY + i], w[DZ + i] = dx, dy, dz
-        if grid_bounds is not None:
-            if waved:
-                wave_hits(terms[0], box, w, state)
+        if grid_bounds is not None and waved:
+            wave_hits(terms[0], box, w, state)
         for i in range(n):
             o, d = (w[OX + i], w[OY + i], w[OZ + i]), (w[DX + i], w[DY + i], w[DZ + i])
             t, condition, hx, hy = w[T + i], state[i], w[HX + i], w[HY + i]
