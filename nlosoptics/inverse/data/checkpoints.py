@@ -27,18 +27,27 @@ from .measurement import real_array
 
 
 def joined(parts: Sequence[Tensor]) -> Tensor:
-    """Values of several tensors in one vector, (n,)."""
-    # torch's own vector of parameters takes no channels_last
+    """Concatenate the values of several tensors to one vector, (n,)."""
+    # torch.nn.utils.parameters_to_vector does not accept tensors in channels_last layout
     return torch.cat([part.detach().reshape(-1) for part in parts])
 
 
 def spread(name: str, values: Any, parts: Sequence[Tensor]) -> None:
-    """Write a vector of values, (n,), into tensors.
+    """Write a vector of values into tensors, in their order.
+
+    Parameters
+    ----------
+    name : str
+        Name of the values in the error message.
+    values : array_like, (n,)
+        Values for all tensors.
+    parts : sequence of Tensor
+        Tensors with n elements together; changed in place.
 
     Raises
     ------
     SamplingError
-        If it has more or fewer values than they.
+        If the number of values differs from the number of elements.
     """
     vector = torch.from_numpy(np.array(values)).reshape(-1)
     sizes = [part.numel() for part in parts]
@@ -53,14 +62,19 @@ def spread(name: str, values: Any, parts: Sequence[Tensor]) -> None:
 
 
 def adam_state(name: str, adam: torch.optim.Adam) -> dict[str, Tensor]:
-    """Values that Adam moves, their moments, and the steps that were made.
+    """Return values, moments and step count of an Adam optimiser as tensors.
 
     Parameters
     ----------
     name : str
-        What the values are, for the keys.
+        Prefix of the keys, which says what the values are.
     adam : Adam
-        All of whose values move in every step.
+        Optimiser that updates all its values in every step.
+
+    Returns
+    -------
+    dict of str to Tensor
+        Vectors, (n,), under ``name``, ``name_exp_avg`` and ``name_exp_avg_sq``, and ``name_steps``.
     """
     values = _values(adam)
     found = {name: joined(values)}
@@ -72,14 +86,23 @@ def adam_state(name: str, adam: torch.optim.Adam) -> dict[str, Tensor]:
 
 
 def take_up_adam(name: str, adam: torch.optim.Adam, state: Mapping[str, Any]) -> None:
-    """Set values and moments to those of `adam_state`.
+    """Restore an Adam optimiser from a dict of `adam_state`.
+
+    Parameters
+    ----------
+    name : str
+        Prefix of the keys.
+    adam : Adam
+        Optimiser; its values and moments are changed in place.
+    state : mapping
+        State with the entries of `adam_state`.
 
     Raises
     ------
     SceneError
         If the state holds no such values.
     SamplingError
-        If it holds more or fewer.
+        If it holds more or fewer values than the optimiser.
     """
     if name not in state:
         raise SceneError(f"start holds no {name}; give a state of the same solver, or leave it out")
@@ -112,16 +135,18 @@ class Stop(Exception):
 
 
 def goes_on(progress: Progress | None, text: str, fraction: float, snapshot: Snapshot) -> bool:
-    """Tell a callback where a fit stands; False where it asks to stop.
+    """Call a progress callback; return False if it asks to stop.
 
     Parameters
     ----------
     progress : callable or None
+        Callback of the user, or None.
     text : str
+        Description of the fit's current state.
     fraction : float
-        Share done, 0 to 1.
+        Completed fraction, 0 to 1.
     snapshot : callable
-        Makes the solver's state as arrays.
+        Returns the solver's state as a dict of arrays.
     """
     if progress is None:
         return True
@@ -136,7 +161,7 @@ def goes_on(progress: Progress | None, text: str, fraction: float, snapshot: Sna
 
 
 def state_of(level: Tensor, **more: Any) -> State:
-    """State of a solver: the object in image units, and what else it starts from."""
+    """Return a solver's state as a dict of arrays: the object in image units, and ``more``."""
     arrays = {"object": level.detach().to(device="cpu", dtype=torch.float64).numpy().copy()}
     for name, value in more.items():
         if isinstance(value, Tensor):
@@ -146,7 +171,10 @@ def state_of(level: Tensor, **more: Any) -> State:
 
 
 def kept_numbers(state: Mapping[str, Any], count: int, solver: str) -> list[float]:
-    """The numbers of a state of a solver, finite and as many as it keeps."""
+    """Return the entry ``numbers`` of a saved state, checked to be ``count`` finite values.
+
+    ``solver`` names the solver in the error message.
+    """
     numbers: list[float] = real_array("start's numbers", state["numbers"]).ravel().tolist()
     if len(numbers) != count or not np.isfinite(numbers).all():
         raise SceneError(
@@ -157,21 +185,23 @@ def kept_numbers(state: Mapping[str, Any], count: int, solver: str) -> list[floa
 
 
 def started_from(start: Any, shape: tuple[int, int], device: torch.device) -> Tensor | None:
-    """The object to start from, (H, W) float64 in image units; None for the solver's own start.
+    """Return the initial object (H, W), float64 in image units; None for the solver's own start.
 
     Parameters
     ----------
     start : array_like, mapping or None
-        An object, or a state that holds one.
+        Object, or a saved state that holds one.
     shape : (int, int)
+        Shape (H, W) of the model.
     device : torch.device
+        Device of the result.
 
     Raises
     ------
     SamplingError
-        If its shape is not that of the model.
+        If the object's shape is not that of the model.
     SceneError
-        If it holds no object, or one that is not finite.
+        If the state holds no object, or one that is not finite.
     """
     if start is None:
         return None

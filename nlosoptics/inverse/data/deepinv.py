@@ -1,7 +1,7 @@
-"""The image model as a physics of deepinv, whose solvers then run on it unchanged.
+"""The image model as a physics of deepinv, so that deepinv's solvers can be applied to it.
 
-deepinv is an optional extra, loaded with the first look at `NlosPhysics`; this module imports
-without it.
+deepinv is an optional extra that is loaded when `NlosPhysics` is first accessed; this module can be
+imported without it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def __getattr__(name: str) -> Any:
 
 @cache
 def _physics_class() -> type[Any]:
-    """`NlosPhysics`, made where deepinv is first needed, or the error that names the extra."""
+    """Create the class `NlosPhysics`; raise an error that names the extra if deepinv is missing."""
     try:
         from deepinv.physics import LinearPhysics
     except (ImportError, RuntimeError) as error:
@@ -46,14 +46,14 @@ def _physics_class() -> type[Any]:
         Parameters
         ----------
         model : ForwardModel or TorchForwardModel
-            Of one point spread; of a numpy model the twin in single precision.
+            Model of one point spread. A numpy model is converted to torch in single precision.
         **options
             Passed on to deepinv's ``LinearPhysics``, such as ``noise_model``.
 
         Notes
         -----
-        Objects and images are (B, C, H, W), (H, W) being the model's shape; channels are seen by
-        the same wall.
+        Objects and images are (B, C, H, W), where (H, W) is the model's shape. All channels have
+        the same point spread.
         """
 
         def __init__(self, model: ForwardModel | TorchForwardModel, **options: Any) -> None:
@@ -63,13 +63,13 @@ def _physics_class() -> type[Any]:
             self.model = model
 
         def A(self, x: Tensor, **parameters: Any) -> Tensor:
-            """Image (B, C, H, W) of an object; deepinv's parameters of other physics: none here."""
+            """Return the image (B, C, H, W) of an object; it accepts no further parameters."""
             _none(parameters)
             image: Tensor = self.model(x)
             return image
 
         def A_adjoint(self, y: Tensor, **parameters: Any) -> Tensor:
-            """Transpose of `A`."""
+            """Apply the transpose of `A` to an image (B, C, H, W)."""
             _none(parameters)
             return self.model.adjoint(y)
 

@@ -14,22 +14,22 @@ from ...imaging.forward_model import ForwardModel, padded_grid
 
 
 def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, int], Tensor]:
-    """FFT grid of a frame, and ``rfft2`` of kernels on it.
+    """Return the FFT grid for a frame, and the transfer functions of kernels on it.
 
     Parameters
     ----------
-    kernel : Tensor
-        (..., ky, kx), centre at [ky//2, kx//2].
+    kernel : Tensor, (..., ky, kx)
+        Point spreads with the centre at [ky//2, kx//2].
     frame : (int, int)
         Rows and columns of object and image.
 
     Returns
     -------
     grid : (int, int)
-        As of `imaging.ForwardModel`.
-    transfer : Tensor
-        (..., rows, columns//2 + 1), origin at sample [0, 0]. What cannot reach from one edge of
-        the frame to the other is left out.
+        Rows and columns of the grid, equal to that of `imaging.ForwardModel`.
+    transfer : Tensor, (..., rows, columns//2 + 1)
+        ``rfft2`` of the kernels with their centre at sample [0, 0]. Parts of a kernel longer than
+        the frame are omitted, since no light of the frame reaches the frame through them.
     """
     sides = kernel.shape[-2:]
     grid = padded_grid(tuple(sides), frame)
@@ -179,7 +179,7 @@ class TorchForwardModel(nn.Module):
 def torch_model(
     model: ForwardModel | TorchForwardModel, device: torch.device, dtype: torch.dtype
 ) -> TorchForwardModel:
-    """Either kind of model, at a device and a precision, without changing the one given."""
+    """Return a torch model on a device in a precision; the given model is not changed."""
     if isinstance(model, TorchForwardModel):
         if model._transfer.device == device and model._transfer.dtype == dtype:
             return model
@@ -195,7 +195,7 @@ def torch_model(
 
 
 def model_shape(model: Any) -> tuple[int, int]:
-    """Frame of either kind of model, or the error that says that it is none."""
+    """Return the shape (H, W) of a numpy or torch image model; raise for any other object."""
     if not isinstance(model, (ForwardModel, TorchForwardModel)):
         raise SceneError(
             f"model of type {type(model).__name__} is not an image model; "
@@ -205,7 +205,7 @@ def model_shape(model: Any) -> tuple[int, int]:
 
 
 def one_kernel_shape(model: Any) -> tuple[int, int]:
-    """Frame of either kind of model, or the error that its point spread varies over the field."""
+    """Return the shape (H, W) of a model; raise if its point spread varies over the field."""
     shape = model_shape(model)
     if model.weights is not None:
         raise SamplingError(

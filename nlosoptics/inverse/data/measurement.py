@@ -23,24 +23,25 @@ _FLOAT32_NOISE = 1e-4
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Measurement:
-    """An image without its known background, and the noise in it.
+    """Image with its known background subtracted, and its noise.
 
     Parameters
     ----------
-    data : Tensor
-        (H, W) float64, image minus the known background; its mean where a pixel does not count.
+    data : Tensor, (H, W)
+        Image minus the known background, float64. Excluded pixels hold the weighted mean.
     sigma : float
         Reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
-    weights : Tensor or None
-        (sigma/noise_sigma)^2, mean 1; None where the noise is the same everywhere. 0 for a pixel
-        of infinite noise, which does not count.
+    weights : Tensor or None, (H, W)
+        (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels, which have infinite
+        noise, have weight 0.
     sigma_estimated : bool
+        Whether the noise was estimated from the image.
     fit_background : bool
-        Whether the strength of a further background is unknown.
-    background_shape : Tensor or None
-        (H, W) float64, mean 1, shape of that background; None where it is uniform.
+        Whether there is a further background of unknown strength.
+    background_shape : Tensor or None, (H, W)
+        Shape of that background, mean 1; None if it is uniform.
     template : Tensor or None
-        The tensor that was given; None for an array.
+        The image as given if it was a tensor; None for an array.
     """
 
     data: Tensor
@@ -53,15 +54,16 @@ class Measurement:
 
     @property
     def counted(self) -> int:
-        """Pixels that count: all but those of infinite noise."""
+        """Number of pixels with finite noise; the others are excluded from fits."""
         if self.weights is None:
             return self.data.numel()
         return int(torch.count_nonzero(self.weights))
 
     def noise_power(self) -> float:
-        """Expected squares of what is no light of the object, summed over all pixels.
+        """Return the expected sum of squares of noise and of excluded pixels, over all pixels.
 
-        A pixel that does not count holds the mean, which errs by the image's own spread.
+        An excluded pixel holds the mean of the others. Its error has the variance of the image
+        itself.
         """
         if self.weights is None:
             return self.sigma**2 * self.data.numel()
@@ -72,15 +74,15 @@ class Measurement:
         return noise + missing * float(values.var(correction=0))
 
     def weighted(self, values: Tensor) -> Tensor:
-        """Values times the pixel weights."""
+        """Return values (H, W) times the pixel weights."""
         return values if self.weights is None else values * self.weights
 
     def weighted_mean(self, values: Tensor) -> float:
-        """Mean of values with the pixel weights, whose own mean is 1."""
+        """Return the mean of values (H, W) with the pixel weights, which have mean 1."""
         return total(self.weighted(values)) / values.numel()
 
     def background_strength(self, values: Tensor) -> float:
-        """Strength of the unknown background that fits values best; 0 if all of it is known."""
+        """Return the best-fitting strength of the unknown background; 0 if it is known."""
         if not self.fit_background:
             return 0.0
         shape = self.background_shape
@@ -89,11 +91,11 @@ class Measurement:
         return total(self.weighted(shape * values)) / total(self.weighted(shape * shape))
 
     def background(self, strength: float) -> Tensor | float:
-        """The unknown background at a given strength, which is its mean."""
+        """Return the unknown background for a given strength, which is its mean over the image."""
         return strength if self.background_shape is None else strength * self.background_shape
 
     def border_strength(self) -> float:
-        """Strength of the unknown background at the frame's border; 0 if all of it is known."""
+        """Return the strength of the unknown background at the image's border; 0 if it is known."""
         if not self.fit_background:
             return 0.0
         values = _border(self.data)
@@ -104,28 +106,28 @@ class Measurement:
         return float((values[lit] / shape[lit]).median()) if bool(lit.any()) else 0.0
 
     def span(self) -> float:
-        """Brightest minus darkest pixel, or the noise where that is more."""
+        """Return the brightest minus the darkest pixel, at least the noise."""
         return max(float(self.data.max()) - float(self.data.min()), self.sigma)
 
     def working_dtype(self) -> torch.dtype:
-        """Single precision unless the noise is near its rounding in the transforms."""
+        """Return float32, or float64 if the noise is close to rounding errors of float32 FFTs."""
         return torch.float32 if self.sigma > _FLOAT32_NOISE * self.span() else torch.float64
 
     def score(self, explained: Tensor | float) -> float:
-        """Weighted rms of data minus ``explained``, over the noise."""
+        """Return the weighted rms of data minus ``explained``, divided by the noise."""
         residual = self.data - explained
         rms = math.sqrt(total(self.weighted(residual * residual)) / self.counted)
         return rms / self.sigma if self.sigma > 0.0 else rms
 
     def is_background(self) -> bool:
-        """Whether the background alone explains the data to within three standard errors."""
+        """Return whether the background alone explains the data within three standard errors."""
         return self.is_noise_about(self.background(self.background_strength(self.data)))
 
     def is_noise_about(self, explained: Tensor | float) -> bool:
-        """Whether ``explained`` leaves of the data the noise, to within three standard errors.
+        """Return whether data minus ``explained`` is noise, within three standard errors.
 
-        The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the
-        measured spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
+        The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the measured
+        spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
         """
         if self.sigma == 0.0:
             return True
@@ -133,7 +135,7 @@ class Measurement:
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
     def like_input(self, values: Tensor) -> Any:
-        """A result as the kind of thing the image was."""
+        """Convert a result to the input's kind: array, or tensor of the same type and device."""
         if self.template is None:
             return values.detach().to(device="cpu", dtype=torch.float64).numpy()
         dtype = self.template.dtype if self.template.is_floating_point() else torch.float32
@@ -141,7 +143,10 @@ class Measurement:
 
 
 def total(values: Tensor) -> float:
-    """Sum of a picture in double precision, rows first: no thread count changes a bit."""
+    """Return the sum of an image in double precision.
+
+    Rows are summed first, so that the result has the same bits for any number of threads.
+    """
     return float(values.sum(dim=-1, dtype=torch.float64).sum())
 
 
@@ -154,7 +159,10 @@ def measurement(
     fit_background: bool,
     background_shape: Any,
 ) -> Measurement:
-    """Check an image against a model's shape and gather its noise."""
+    """Check an image against a model's shape (H, W), and return it with its noise.
+
+    The keyword arguments are those of the solvers, for example `tv_deconvolve`.
+    """
     template = image if isinstance(image, Tensor) else None
     device = torch.device("cpu") if template is None else template.device
     data = _picture("image", image, shape, device)
@@ -183,7 +191,7 @@ def measurement(
         weights = sigmas.pow(-2)
         sigma = (total(weights) / weights.numel()) ** -0.5
         weights = weights * sigma**2
-        # what a pixel that does not count happens to read must not set the image's range
+        # an excluded pixel must not affect the range of the image
         mean = total(weights * data) / weights.numel()
         data = torch.where(weights > 0.0, data, torch.full_like(data, mean))
     return Measurement(
@@ -198,12 +206,19 @@ def measurement(
 
 
 def real_array(name: str, value: Any) -> NDArray[np.float64]:
-    """Values of an array, a tensor or nested sequences as float64.
+    """Return an array, a tensor or nested sequences as a float64 array.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument in error messages.
+    value : array_like or Tensor
+        Real numbers.
 
     Raises
     ------
     SceneError
-        If they are no real numbers, or rows differ in length.
+        If values are not real numbers, or rows differ in length.
     """
     try:
         if isinstance(value, Tensor):
@@ -221,7 +236,14 @@ def real_array(name: str, value: Any) -> NDArray[np.float64]:
 
 
 def shape_of(name: str, value: Any) -> tuple[int, ...]:
-    """Shape of a number, an array, a tensor or nested sequences.
+    """Return the shape of a number, an array, a tensor or nested sequences.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument in error messages.
+    value : array_like or Tensor
+        Value to examine.
 
     Raises
     ------

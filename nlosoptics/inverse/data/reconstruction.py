@@ -81,7 +81,7 @@ class Reconstruction(Noun, Shown):
 
 
 def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float64]]:
-    """Records of a fit as read-only arrays."""
+    """Return the records of a fit as read-only arrays."""
     records = {name: np.array(values, dtype=np.float64) for name, values in history.items()}
     for record in records.values():
         record.flags.writeable = False
@@ -100,24 +100,28 @@ def assemble(
     started: float,
     **parameters: Any,
 ) -> Reconstruction:
-    """Reconstruction from an object in image units (gain 1).
+    """Return the `Reconstruction` for an object in image units.
 
     Parameters
     ----------
     data : Measurement
-    level : Tensor
-        (H, W), object times gain.
+        Image and noise.
+    level : Tensor, (H, W)
+        Object times gain, image units.
     model : ForwardModel or TorchForwardModel
+        Image model.
     background : float
         Fitted strength of the unknown background, image units.
     gain : float or None
-        None: the object's largest value becomes 1.
+        Image units per object unit; if None, the object's maximum becomes 1.
     status : {"converged", "trivial", "unconverged", "too_few_photons"}
+        How the fit ended.
     history : mapping of str to sequence of float
+        Records of the iterations.
     started : float
         ``time.perf_counter()`` at the start.
     **parameters : float or ndarray
-        More physical parameters.
+        Further entries of ``physical_parameters``.
     """
     level = level.to(torch.float64)
     explained = torch_model(model, level.device, torch.float64)(level)
@@ -143,7 +147,11 @@ def assemble(
 def beside(
     data: Measurement, level: Tensor, model: ForwardModel | TorchForwardModel
 ) -> tuple[float, float]:
-    """Strength of the unknown background that fits best beside an object, and the score of both."""
+    """Fit the unknown background for a given object.
+
+    Returns its strength, image units, and the rms residual of object and background over the noise.
+    ``level`` (H, W) is the object in image units.
+    """
     seen = torch_model(model, level.device, torch.float64)(level)
     strength = data.background_strength(data.data - seen)
     return strength, data.score(seen + data.background(strength))

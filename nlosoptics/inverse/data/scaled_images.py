@@ -1,4 +1,4 @@
-"""An image in a unit of its own, and what is left of it once an object's light is taken out."""
+"""Image in scaled units, and its residual for a given object at the best gain and background."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ _LEAST_CONTRAST = 0.1
 
 
 class ScaledImage:
-    """An image in single precision, with gain and background at their least-squares values.
+    """Image in single precision; gain and background are set by least squares.
 
     Parameters
     ----------
     data : Measurement
+        Image and noise.
     unit : float
-        Image units that become 1.
+        Value of the image that becomes 1.
 
     Attributes
     ----------
-    image : Tensor
-        (H, W) float32, without the background that alone explains it best.
+    image : Tensor, (H, W)
+        Image in this unit, float32, minus the background that best fits it alone.
     unit : float
+        Value of the image that became 1.
     """
 
     def __init__(self, data: Measurement, unit: float) -> None:
@@ -41,9 +43,9 @@ class ScaledImage:
         self._power = self.weighted(self.image * self.image).sum()
 
     def misfit(self, seen: Tensor) -> tuple[Tensor, Tensor]:
-        """Gain at which ``seen`` explains the image best, and the residual (H, W); differentiable.
+        """Return the best gain of a modelled image ``seen`` (H, W), and the residual (H, W).
 
-        Light is never negative: if the fitted gain is negative or tiny, it is clamped to a tenth of
+        Both are differentiable. If the fitted gain is negative or tiny, it is clamped to a tenth of
         the image contrast, to keep a useful gradient.
         """
         seen = self._without_background(seen)
@@ -53,11 +55,11 @@ class ScaledImage:
         return gain, self.image - gain * seen
 
     def weighted(self, values: Tensor) -> Tensor:
-        """Values times the pixel weights, whose mean is 1."""
+        """Return values (H, W) times the pixel weights, which have mean 1."""
         return values if self._weights is None else values * self._weights
 
     def mean_square(self, residual: Tensor) -> Tensor:
-        """Weighted mean square of a residual over the pixels that count."""
+        """Return the weighted mean square of a residual (H, W), without excluded pixels."""
         mean: Tensor = self.weighted(residual * residual).mean() * self._per_counted
         return mean
 
@@ -69,9 +71,10 @@ class ScaledImage:
 
 
 def total_variation(picture: Tensor, smooth: Tensor | float) -> Tensor:
-    """Isotropic total variation of a picture (..., H, W) within its frame.
+    """Return the isotropic total variation of an image (..., H, W), without its borders.
 
-    Gradients under ``smooth`` count quadratically: the root's own slope at 0 is infinite.
+    Gradients below ``smooth`` enter quadratically, since the square root has an infinite slope at
+    0.
     """
     down = torch.diff(picture, dim=-2)[..., :, :-1]
     along = torch.diff(picture, dim=-1)[..., :-1, :]

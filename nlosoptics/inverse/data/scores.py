@@ -178,7 +178,7 @@ def registered_scores(
 
 
 def _structural_similarity(first: Array, second: Array, offset: float, peak: float) -> float:
-    """Mean SSIM of two images that lack an offset."""
+    """Return the mean SSIM of two mean-free images, whose common mean is ``offset``."""
 
     def local_mean(picture: Array) -> Array:
         smooth = ndimage.gaussian_filter(picture, 1.5, truncate=3.5)
@@ -194,7 +194,11 @@ def _structural_similarity(first: Array, second: Array, offset: float, peak: flo
 
 
 def _placed(first: Array, second: Array, upsampling: int, flip: bool) -> tuple[float, Array]:
-    """Largest circular cross-correlation over all shifts, and the first image so moved."""
+    """Shift the first image to its best match with the second.
+
+    Returns the largest circular cross-correlation and the shifted image. If ``flip``, the image
+    turned by half a turn is tried too.
+    """
     best, moved = -math.inf, first
     for candidate in (first, first[::-1, ::-1])[: 2 if flip else 1]:
         height, shift = _highest_peak(candidate, second, upsampling)
@@ -206,7 +210,7 @@ def _placed(first: Array, second: Array, upsampling: int, flip: bool) -> tuple[f
 def _highest_peak(
     first: Array, second: Array, upsampling: int
 ) -> tuple[float, tuple[float, float]]:
-    """Largest circular cross-correlation of two images, and the shift where it is."""
+    """Return the largest circular cross-correlation of two images and its shift (rows, columns)."""
     spectrum = np.conj(fft.fft2(first)) * fft.fft2(second)
     correlation = fft.ifft2(spectrum).real
     row, column = np.unravel_index(int(np.argmax(correlation)), correlation.shape)
@@ -221,7 +225,10 @@ def _highest_peak(
 def _refined_peak(
     spectrum: Any, peak: tuple[Any, ...], upsampling: int
 ) -> tuple[float, tuple[float, float]]:
-    """Largest cross-correlation within a pixel of its peak, in steps of 1/upsampling pixel."""
+    """Search the peak of a cross-correlation in steps of 1/``upsampling`` pixel.
+
+    ``spectrum`` is its 2-D FFT and ``peak`` the best whole shift. Returns value and shift.
+    """
     steps = np.arange(-upsampling, upsampling + 1) / upsampling
     rows, columns = spectrum.shape
     row_shifts = peak[0] + steps
@@ -235,7 +242,7 @@ def _refined_peak(
 
 
 def _shifted(picture: Array, shift: tuple[float, float]) -> Array:
-    """An image moved by a band-limited, periodic shift, rows and columns."""
+    """Shift an image by (rows, columns), periodically; fractions by its Fourier series."""
     if shift[0].is_integer() and shift[1].is_integer():
         return np.roll(picture, (int(shift[0]), int(shift[1])), (0, 1))
     ramp = [
@@ -245,7 +252,7 @@ def _shifted(picture: Array, shift: tuple[float, float]) -> Array:
 
 
 def _pair(reconstruction: Any, truth: Any) -> tuple[Array, Array]:
-    """Both images about their means, of one shape."""
+    """Return both images minus their means, checked to have the same shape."""
     if isinstance(reconstruction, Reconstruction):
         reconstruction = reconstruction.object
     first = _mean_free("reconstruction", reconstruction)
@@ -273,7 +280,7 @@ def _values(name: str, image: Any) -> Array:
 def _mean_free(name: str, image: Any) -> Array:
     values = _values(name, image)
     centred: Array = values - values.mean()
-    # What rounding leaves of a uniform image is not structure.
+    # Rounding errors of a uniform image must not count as structure.
     if np.abs(centred).max() <= 1e-14 * np.abs(values).max():
         centred[:] = 0.0
     return centred

@@ -123,7 +123,11 @@ def inverse_filter(
 def _divided(
     data: Measurement, model: TorchForwardModel, guard: float | None
 ) -> tuple[Tensor, float]:
-    """Object in image units, and the guard that was used."""
+    """Return the inverse-filtered object (H, W) in image units, and the guard that was used.
+
+    The guard is the smallest transfer modulus, relative to its maximum, that is divided by; None
+    for the automatic one.
+    """
     rows, columns = model.shape
     clean = data.data - data.background(data.border_strength())
     spectrum = torch.fft.rfft2(clean, s=model.grid)
@@ -139,7 +143,11 @@ def _divided(
 
 
 def _noise_guard(data: Measurement, spectrum: Tensor, size: Tensor, grid: tuple[int, int]) -> float:
-    """Largest guard below which the image carries no more than the noise in all."""
+    """Return the largest guard at which the omitted frequencies carry no more power than the noise.
+
+    ``spectrum`` is the ``rfft2`` of the image on ``grid``, and ``size`` the transfer modulus
+    relative to its maximum, both (rows, columns//2 + 1).
+    """
     power = spectrum.real**2 + spectrum.imag**2
     # A half spectrum holds every column but the first, and the last of an even grid, once for two.
     power[:, 1 : (grid[1] + 1) // 2] *= 2.0

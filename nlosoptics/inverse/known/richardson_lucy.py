@@ -131,7 +131,7 @@ def richardson_lucy(
 
 
 class _Maximisation:
-    """State of the iteration; inside, the image is divided by its range."""
+    """State of the Richardson-Lucy iteration. Internally the image is divided by its range."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class _Maximisation:
             self._image += self._sigma * self._shape
         self._strength = self._best_strength = self._sigma
         self._ceiling = self._model.adjoint(self._weighted(torch.ones_like(image)))
-        # A pixel that no light reaches the frame from has no say in the image, and stays dark.
+        # An object pixel without light in the frame cannot be determined; it stays dark.
         self._reached = self._ceiling > 1e-6 * self._ceiling.max()
         reached = self._reached.to(dtype)
         flat = total(image.clamp_min(0.0)) / total(self._model(reached))
@@ -174,7 +174,10 @@ class _Maximisation:
         self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
     def run(self, max_iterations: int, tolerance: float, progress: Progress | None) -> bool:
-        """Iterate to the noise, to a standstill or to the end; whether one of the first two."""
+        """Iterate until the residual equals the noise or the object stops changing.
+
+        Returns False if the iterations ran out, or the callback stopped the fit, before that.
+        """
         before = self._object
         moves: list[Tensor] = []
         least = math.inf
@@ -211,11 +214,14 @@ class _Maximisation:
         return False
 
     def background(self) -> float:
-        """Mean of the fitted background in image units."""
+        """Return the mean of the fitted background in image units."""
         return self._level + (self._best_strength - self._sigma) * self.scale
 
     def _misfit(self) -> tuple[Tensor, float, float]:
-        """Weighted image over model, divergence, and rms residual over the noise."""
+        """Return weighted ratio image/model (H, W), divergence, and rms residual over the noise.
+
+        The divergence is the weighted generalised Kullback-Leibler divergence of image and model.
+        """
         model = self._model(self._object) + self._pedestal
         if self._shape is not None:
             model = model + self._strength * self._shape
@@ -228,12 +234,12 @@ class _Maximisation:
         return self._weighted(ratio), divergence, math.sqrt(squares) / self._sigma
 
     def _step(self, ratio: Tensor) -> Tensor:
-        """The next object."""
+        """Return the next object: the current one times the back-projected ``ratio`` (H, W)."""
         drawn = self._model.adjoint(ratio).clamp_min_(0.0)
         return torch.where(self._reached, self._object * drawn / self._ceiling, 0.0)
 
     def _background_step(self, ratio: Tensor) -> float:
-        """Factor of the background's strength."""
+        """Return the factor by which an iteration changes the strength of the background."""
         if self._shape is None:
             return 1.0
         return total(self._shape * ratio) / total(self._weighted(self._shape))

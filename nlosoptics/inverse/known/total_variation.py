@@ -20,25 +20,28 @@ from ..data.forward import TorchForwardModel, model_shape, torch_model
 from ..data.measurement import Measurement, measurement, real_array, total
 from ..data.reconstruction import Reconstruction, assemble, without_object
 
-# Each solve starts at the last one's object, which moves little: the residual falls by this much,
-# or as far as single precision lets it.
+# Factor by which each solve reduces the residual, within _MOST_STEPS steps and single precision. It
+# starts from the previous object, which changes little.
 _FALL = 0.1
 _MOST_STEPS = 6
 
 
 class FieldStep:
-    """Objects x that minimise ``p |A x - a|^2 + x' R x - 2 x' b``, one after another.
+    """Solver of the linear object step for a field of point spreads.
 
-    A is a field's convolution over the whole FFT grid, R diagonal in Fourier space. Outside the
-    frame, where the object is nothing in the end, weights are their means.
+    It minimises ``p |A x - a|^2 + x' R x - 2 x' b`` over objects x, where A is the convolution with
+    the field on the whole FFT grid and R is diagonal in Fourier space. Outside the frame, where the
+    final object is zero, each weight of the field is replaced by its mean. Each solution is the
+    start of the next one.
 
     Parameters
     ----------
     model : TorchForwardModel
-        With weights, float64.
+        Model of a field, float64.
     response : float
-        What the transfer functions are divided by.
+        Factor by which the transfer functions are divided.
     dtype : torch.dtype
+        Real type of the computation.
     """
 
     def __init__(self, model: TorchForwardModel, response: float, dtype: torch.dtype) -> None:
@@ -59,16 +62,16 @@ class FieldStep:
     def solve(
         self, image: Tensor, pull: Tensor, penalty: float, rest: Tensor, inverse: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """Object and its image.
+        """Return the minimising object and its image, both on the FFT grid.
 
         Parameters
         ----------
-        image, pull : Tensor
-            a and b, on the grid.
+        image, pull : Tensor, (rows, columns)
+            The vectors a and b.
         penalty : float
-            p.
-        rest, inverse : Tensor
-            Half spectra of R, and of the preconditioner, which is positive.
+            The factor p.
+        rest, inverse : Tensor, (rows, columns//2 + 1)
+            Half spectra of R and of the preconditioner, which is positive.
         """
         free, seen = self._free.clone(), self._image.clone()
         residual = penalty * self._adjoint(image - seen) + pull - self._filtered(free, rest)
@@ -118,7 +121,7 @@ _ADAPT_UNTIL = 100
 # Weight of the residual mismatch in the stopping criterion.
 _RESIDUAL_SHARE = 0.05
 
-# What an iteration starts from, beside the image.
+# Attributes that, together with the image, determine the next iteration.
 _PICTURES = ("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual")
 _NUMBERS = ("background", "multiplier", "data_penalty", "edge_penalty", "sign_penalty")
 
@@ -238,7 +241,7 @@ def tv_deconvolve(
     converged = False
     for iteration in range(first, max_iterations):
         change = splitting.iterate()
-        # The first step moves by the data alone, which a large weight leaves no say.
+        # The first change is due to the data alone and is tiny if the weight is large.
         converged = change <= tolerance and iteration > 0
         last = converged or iteration + 1 == max_iterations
         told = last or iteration % 10 == 9
@@ -263,10 +266,11 @@ def tv_deconvolve(
 
 
 class _Splitting:
-    """State of the method of multipliers; multipliers are held over their penalties.
+    """State of the alternating direction method of multipliers (ADMM) for total variation.
 
-    Inside, the image is divided by its range and the kernel by its largest transfer. Total
-    variation has weight 1 and half the squared residual has ``multiplier``.
+    Dual variables are scaled by their penalties. Internally the image is divided by its range and
+    the kernel by its largest transfer modulus. Total variation has weight 1, and half the squared
+    residual has the weight ``multiplier``.
     """
 
     def __init__(
@@ -280,7 +284,7 @@ class _Splitting:
         self._sigma = data.sigma / self._scale
         dtype = data.working_dtype()
         self._fit_background = data.fit_background
-        # A background far above the noise would use up single precision.
+        # A background far above the noise would exhaust single precision, so it is subtracted.
         self._level = data.border_strength()
         self._background = 0.0
         shape = data.background_shape
@@ -317,10 +321,11 @@ class _Splitting:
         self._changes: list[float] = []
 
     def _start(self, level: Tensor | None) -> None:
-        """First object: a mild inverse filter, without what is negative or outside the frame.
+        """Set the initial object, from ``level`` (H, W) in image units or by a mild inverse filter.
 
-        A level that is given takes its place. The prediction stays the image itself: one that fits
-        the level would leave nothing to do in the first step, and that would pass for the end.
+        Negative values and values outside the frame are removed. The predicted image starts as the
+        image itself. The image of ``level`` would leave nothing to do in the first step, and the
+        iteration would appear to have converged.
         """
         self._predicted = torch.zeros(
             self._grid, dtype=self._image.dtype, device=self._image.device
@@ -349,7 +354,7 @@ class _Splitting:
         self._filter = self._data_penalty * self._transfer.conj() * self._inverse
 
     def iterate(self) -> float:
-        """One round; what `tv_deconvolve` compares with its tolerance."""
+        """Run one iteration; return the change that `tv_deconvolve` compares with its tolerance."""
         wanted = self._predicted.clone()
         wanted[self._frame] -= self._data_dual
         pull = _transposed_gradient(self._edges - self._edge_dual) * self._edge_penalty
@@ -365,7 +370,11 @@ class _Splitting:
         return max(change, distance, _RESIDUAL_SHARE * abs(self._residuals[-1] - expected))
 
     def _object_step(self, wanted: Tensor, pull: Tensor) -> tuple[Tensor, Tensor]:
-        """Object whose image and slopes are nearest to the wanted ones, and its image."""
+        """Return the object whose image and gradients best match their targets, and its image.
+
+        ``wanted`` is the target image and ``pull`` the target gradients and values, transposed and
+        times their penalties, on the FFT grid.
+        """
         if self._field is not None:
             return self._field.solve(wanted, pull, self._data_penalty, self._rest, self._inverse)
         spectrum = torch.fft.rfft2(wanted) * self._filter
@@ -374,7 +383,10 @@ class _Splitting:
         return free, torch.fft.irfft2(spectrum * self._transfer, s=self._grid)
 
     def _data_step(self, predicted: Tensor) -> None:
-        """Move the prediction toward the image until the residual is the noise."""
+        """Move the predicted image toward the measured one until the residual equals the noise.
+
+        The background and, if searched for, the multiplier are updated too.
+        """
         residual = predicted[self._frame] - self._image + self._shaped(self._background)
         squared = total(self._weighted(residual * residual))
         self._residuals.append(math.sqrt(squared / self._count) / self._sigma)
@@ -391,17 +403,20 @@ class _Splitting:
         self._predicted = relaxed
 
     def _shrinkage(self) -> Tensor | float:
-        """Part of a misfit that the data step leaves."""
+        """Return the factor, 0 to 1, by which the data step reduces a misfit."""
         if self._weights is None:
             return self._data_penalty / (self._data_penalty + self._multiplier)
         return self._data_penalty / (self._data_penalty + self._multiplier * self._weights)
 
     def _shaped(self, strength: float) -> Tensor | float:
-        """Background of a given strength."""
+        """Return the background of a given strength, as a number or as an image (H, W)."""
         return strength if self._shape is None else strength * self._shape
 
     def _strength(self, misfit: Tensor) -> float:
-        """Strength of the background in a misfit as the data step weighs it."""
+        """Return the background strength that best fits a misfit (H, W).
+
+        Pixels are weighted as in the data step.
+        """
         if self._weights is not None:
             weights = self._weights * self._shrinkage()
             if self._shape is None:
@@ -413,7 +428,7 @@ class _Splitting:
         return total(self._shape * misfit) / total(self._shape * self._shape)
 
     def _seek_multiplier(self, misfit: Tensor) -> None:
-        """Multiplier at which what is left of a misfit has the rms of the noise."""
+        """Set the multiplier for which the residual after the data step equals the noise, rms."""
         target = self._target
         if self._weights is None:
             norm = math.sqrt(total(misfit * misfit))
@@ -431,7 +446,7 @@ class _Splitting:
             self._multiplier = max(self._multiplier + step, 0.0)
 
     def _edge_step(self, gradient: Tensor) -> float:
-        """Shrink the gradients; the total variation that is left."""
+        """Shrink the gradients (soft threshold); return their total variation."""
         relaxed = _relaxed(gradient, self._edges) + self._edge_dual
         # vector_norm over the first axis is ten times slower on a processor.
         length = torch.addcmul(relaxed[0].square(), relaxed[1], relaxed[1]).sqrt_()
@@ -441,7 +456,11 @@ class _Splitting:
         return total(left)
 
     def _sign_step(self, free: Tensor) -> tuple[float, float]:
-        """Non-negative copy; its change, and its distance from the object, both relative."""
+        """Update the non-negative object.
+
+        Returns its change and its distance from the unconstrained object ``free``, both relative to
+        its norm.
+        """
         relaxed = _relaxed(free, self._signed) + self._sign_dual
         before, self._signed = self._signed, self._allowed(relaxed)
         self._sign_dual = relaxed - self._signed
@@ -449,7 +468,10 @@ class _Splitting:
         return _norm(self._signed - before) / norm, _norm(free - self._signed) / norm
 
     def report(self, progress: Progress | None, done: float, count: int) -> bool:
-        """Tell a callback where the fit stands; False where it asks to stop."""
+        """Call the progress callback; return False if it asks to stop.
+
+        ``done`` is the completed fraction and ``count`` the number of iterations.
+        """
         return goes_on(
             progress,
             f"total variation: residual {self._residuals[-1]:.3f}, change "
@@ -459,13 +481,16 @@ class _Splitting:
         )
 
     def _state(self, count: int) -> State:
-        """All that the next iteration starts from."""
+        """Return everything that the iteration after the first ``count`` starts from."""
         numbers = [getattr(self, f"_{name}") for name in _NUMBERS]
         pictures = {name: getattr(self, f"_{name}") for name in _PICTURES}
         return state_of(self.level(), **pictures, numbers=[*numbers, count])
 
     def go_on(self, state: Mapping[str, Any]) -> int:
-        """Take up a state; the iterations behind it, 0 where it is an object alone."""
+        """Resume from a saved state; return the number of its iterations.
+
+        A state that holds an object alone counts as 0 iterations.
+        """
         if not {*_PICTURES, "numbers"} <= set(state):
             return 0
         *numbers, count = kept_numbers(state, len(_NUMBERS) + 1, "tv_deconvolve")
@@ -484,12 +509,12 @@ class _Splitting:
         for name, number in zip(_NUMBERS, numbers, strict=True):
             setattr(self, f"_{name}", number)
         if not self._sought:
-            self._multiplier = given  # the state's may be of another weight
+            self._multiplier = given  # the saved one may belong to another weight
         self._factorise()
         return int(count)
 
     def adapt(self) -> None:
-        """Let the data penalty follow the multiplier."""
+        """Adapt the data penalty to the multiplier, by at most a factor of 3."""
         ratio = _DATA_SHARE * self._multiplier / self._data_penalty
         ratio = min(max(ratio, 1.0 / 3.0), 3.0)
         self._data_penalty *= ratio
@@ -497,19 +522,23 @@ class _Splitting:
         self._factorise()
 
     def level(self) -> Tensor:
-        """Object in image units."""
+        """Return the object (H, W) in image units."""
         return self._signed[self._frame].double() * (self._scale / self._response)
 
     def background(self) -> float:
-        """Mean over the frame of the fitted background, without the known one, in image units."""
+        """Return the mean of the fitted background in image units, without the known background."""
         return self._level + self._background * self._scale
 
     def tv_weight(self) -> float:
-        """Dimensionless weight that the multiplier stands for."""
+        """Return the dimensionless weight of total variation that corresponds to the multiplier."""
         return self._response / (self._sigma * max(self._multiplier, 1e-30))
 
     def history(self) -> dict[str, list[float]]:
-        """Records by iteration; the objective at the weight now, for some steps have none."""
+        """Return the records of all iterations.
+
+        The objective is computed with the final weight, since in some steps the weight is
+        undefined.
+        """
         price = self.tv_weight() / (self._response * self._sigma)
         objective = [
             0.5 * self._count * residual**2 + price * variation
@@ -535,7 +564,7 @@ def _norm(values: Tensor) -> float:
 
 
 def _gradient(picture: Tensor) -> Tensor:
-    """Forward differences along y and x, periodic, (2, H, W)."""
+    """Return periodic forward differences along y and x, (2, H, W)."""
     return torch.stack((picture.roll(-1, 0) - picture, picture.roll(-1, 1) - picture))
 
 
@@ -544,7 +573,7 @@ def _transposed_gradient(field: Tensor) -> Tensor:
 
 
 def _laplacian(grid: tuple[int, int], device: torch.device) -> Tensor:
-    """Transfer function of the transposed gradient of the gradient."""
+    """Return the transfer function of the negative discrete Laplacian, (rows, columns//2 + 1)."""
     rows = torch.arange(grid[0], dtype=torch.float64, device=device) * (2.0 * math.pi / grid[0])
     columns = torch.arange(grid[1] // 2 + 1, dtype=torch.float64, device=device)
     columns *= 2.0 * math.pi / grid[1]

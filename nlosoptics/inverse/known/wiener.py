@@ -127,24 +127,32 @@ def wiener(
 
 
 def background_estimate(data: Measurement, model: TorchForwardModel) -> float:
-    """Strength of the unknown background beside the Wiener filter's object; 0 if it is known."""
+    """Return the fitted strength of the unknown background, image units; 0 if it is known.
+
+    It is the background that explains what the image of the Wiener-filtered object leaves.
+    """
     if not data.fit_background:
         return 0.0
     problem = _NormalEquations(data, model)
-    # Where the background stands to a tenth of the noise; fine detail takes ten times longer.
+    # The background is then within a tenth of the noise; fine detail takes ten times longer.
     level, _, _ = _conjugate_gradients(problem, 300, 1e-4, None, None)
     return data.background_strength(data.data - model(level))
 
 
 class _NormalEquations:
-    """``A' W A + sigma^2 S^-1`` over the objects that lie in the frame, background eliminated."""
+    """Normal equations of the Wiener filter, with the background eliminated.
+
+    The matrix is ``A' W A + sigma^2 S^-1`` for objects inside the frame, with image model A, pixel
+    weights W and prior spectrum S.
+    """
 
     def __init__(self, data: Measurement, model: TorchForwardModel) -> None:
         self.data = data
         self.model = model
         rows, columns = model.grid
         device = data.data.device
-        # Of a field, its mean: what preconditions it, and what it passes of the prior.
+        # The mean transfer function of a field of point spreads is used for preconditioning and
+        # for the scale of the prior.
         transfer = model.mean_transfer
         power = transfer.real**2 + transfer.imag**2
         row_frequencies = torch.fft.fftfreq(rows, dtype=torch.float64, device=device)[:, None]
@@ -159,11 +167,11 @@ class _NormalEquations:
             twice[-1] = 1.0
         of_mean = float(power[0, 0] * prior[0, 0])
         passed = total(power * prior * twice) - of_mean
-        # The object's mean is no part of the prior's variance, whoever explains it.
+        # The object's mean is not counted as variance of the prior.
         steady: Tensor | float = data.weighted_mean(data.data)
         if data.fit_background:
             steady = data.background(data.background_strength(data.data))
-        elif data.is_noise_about(steady):  # then there is nothing else to match the prior to
+        elif data.is_noise_about(steady):  # only the mean is left to scale the prior
             steady, passed = 0.0, passed + of_mean
         if passed <= _ROUNDING * of_mean:  # an even kernel over a periodic frame, or one pixel
             passed = of_mean
@@ -176,20 +184,20 @@ class _NormalEquations:
         self.right_side = model.adjoint(self.cleaned(data.data))
 
     def cleaned(self, image: Tensor) -> Tensor:
-        """Weighted image without the background that fits it."""
+        """Return the weighted image minus its best-fitting background."""
         image = image - self.data.background(self.data.background_strength(image))
         return self.data.weighted(image)
 
     def normal(self, seen: Tensor, penalised: Tensor) -> Tensor:
-        """Left side for an object with its image and what `penalised` makes of it."""
+        """Return the matrix times an object, given its image and the result of `penalised`."""
         return self.model.adjoint(self.cleaned(seen)) + penalised
 
     def penalised(self, level: Tensor) -> Tensor:
-        """Noise over prior, applied to an object."""
+        """Return ``sigma^2 S^-1`` times an object, with the prior spectrum S."""
         return self._filtered(level, self._penalty)
 
     def preconditioned(self, residual: Tensor) -> Tensor:
-        """The Wiener filter of a periodic frame with even noise."""
+        """Apply the Wiener filter of a periodic frame with uniform noise, as a preconditioner."""
         return self._filtered(residual, self._preconditioner)
 
     def _filtered(self, picture: Tensor, response: Tensor) -> Tensor:
@@ -206,7 +214,10 @@ def _conjugate_gradients(
     first: Tensor | None,
     progress: Progress | None,
 ) -> tuple[Tensor, dict[str, list[float]], bool]:
-    """Object in image units, history, and whether the tolerance was met."""
+    """Solve the normal equations; return object, history, and whether the tolerance was met.
+
+    The object is in image units. ``first`` is the initial object, or None for zero.
+    """
     history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
     data = problem.data
     level = torch.zeros_like(data.data) if first is None else first.clone()

@@ -1,4 +1,4 @@
-"""Images of one object through unknown walls, as a fit of the walls sees them."""
+"""Images of one object via unknown walls, prepared for a fit of object and walls."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from ..data.measurement import Measurement, measurement, real_array, shape_of
 from .pupil_psf import MOST_DEFOCUS, PupilPSF
 from .pupil_waves import ZernikeWaves
 
-#: Grid over frame, so that what leaves the frame over one edge does not come in at the other.
+#: Ratio of FFT grid to frame, so that light leaving at one edge does not re-enter at the other.
 _PADDING = 1.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Frames:
-    """Checked images on the grid of their point spreads.
+    """Checked images and the grid of their point spreads, for K images of (H, W) pixels.
 
     Parameters
     ----------
     measured : tuple of Measurement
-        One for each image.
+        The images with their noise.
     images : Tensor, (K, H, W)
-        Without their known background, over ``scale``.
+        Images minus their known background, divided by ``scale``.
     precision : Tensor, (K, H, W) or (K, 1, 1)
         1/sigma^2 in these units.
     shapes : Tensor, (K, H, W) or (K, 1, 1)
-        Of the unknown background, mean 1.
+        Shape of the unknown background, mean 1.
     scale : float
-        Image units.
+        Largest range of an image, image units.
     pupil : PupilPSF
-        On the grid, (rows, columns) no smaller than (H, W).
+        Point spread on the FFT grid of (rows, columns), not smaller than (H, W).
     walls : Tensor of int, (K,)
-        Which set of coefficients belongs to each image.
+        Number of the wall, hence of the set of coefficients, of each image.
     defocus : Tensor, (K,)
-        m rms.
+        Known additional defocus, m rms.
     """
 
     measured: tuple[Measurement, ...]
@@ -60,22 +60,25 @@ class Frames:
 
     @property
     def counted(self) -> int:
-        """Pixels that count, of all images."""
+        """Number of pixels with finite noise, over all images."""
         return sum(one.counted for one in self.measured)
 
     @property
     def fit_background(self) -> bool:
-        """Whether each image has an unknown background."""
+        """Whether each image has a further background of unknown strength."""
         return self.measured[0].fit_background
 
     def transfer(self, coefficients: Tensor) -> Tensor:
-        """Transfer functions (B, K, rows, columns//2 + 1) of coefficients (B, n_walls, M)."""
+        """Return the transfer functions for coefficients (B, n_walls, M).
+
+        Their shape is (B, K, rows, columns//2 + 1).
+        """
         each = coefficients[:, self.walls]
         turns = self.pupil.waves(each) + self.pupil.defocus_turns(self.defocus.to(each))
         return self.pupil.optics.transfer(turns)
 
     def seen(self, level: Tensor, transfer: Tensor) -> Tensor:
-        """Images (B, K, H, W) of objects (B, H, W)."""
+        """Return the images (B, K, H, W) of objects ``level`` (B, H, W)."""
         grid = self.pupil.shape
         spectrum = torch.fft.rfft2(level, s=grid).unsqueeze(-3) * transfer
         rows, columns = self.images.shape[-2:]
@@ -83,7 +86,7 @@ class Frames:
         return seen[..., :rows, :columns]
 
     def backgrounds(self, misfit: Tensor) -> Tensor:
-        """Strength (B, K, 1, 1) of the background that fits best."""
+        """Return the best-fitting background strengths (B, K, 1, 1) of a misfit (B, K, H, W)."""
         if not self.fit_background:
             return torch.zeros_like(misfit[..., :1, :1])
         weighted = self.precision * self.shapes
@@ -91,12 +94,15 @@ class Frames:
         return (weighted * misfit).sum((-2, -1), keepdim=True) / norm
 
     def residual(self, seen: Tensor) -> Tensor:
-        """Images minus what is seen and the best background."""
+        """Return measured minus modelled images ``seen`` and best background, (B, K, H, W)."""
         misfit = self.images - seen
         return misfit - self.backgrounds(misfit) * self.shapes
 
     def mean_square(self, residual: Tensor) -> Tensor:
-        """Squared residual over squared noise, mean over the pixels that count, (B,)."""
+        """Return the mean squared residual over the noise variance, (B,).
+
+        Pixels with infinite noise are excluded.
+        """
         return (self.precision * residual.square()).sum((-3, -2, -1)) / self.counted
 
 
@@ -112,7 +118,7 @@ def frames_of(
     background_shape: Any,
     boundary: str,
 ) -> Frames:
-    """Check images and what is known of them; arguments as of `pcin`."""
+    """Check images and the information about them; the arguments are those of `pcin`."""
     if not isinstance(pupil_psf, PupilPSF):
         raise SceneError(
             f"pupil_psf of type {type(pupil_psf).__name__} is not a point spread with an unknown "
@@ -178,7 +184,11 @@ def _stack(images: Any) -> Any:
 
 
 def _per_image(name: str, value: Any, count: int, ndim: int) -> list[Any]:
-    """One value for each image, of one for all, (K,), (H, W) or (K, H, W)."""
+    """Return one value for each of ``count`` images.
+
+    ``value`` is common to all, a number or (H, W), or has one entry per image, (K,) or (K, H, W).
+    ``ndim`` is that of the stack of images.
+    """
     dimensions = len(shape_of(name, value))
     if dimensions in (0, ndim - 1):
         return [value] * count
@@ -206,7 +216,7 @@ def _wall_numbers(walls: Any, count: int) -> Tensor:
 
 
 def known_defoci(defocus: Any, count: int) -> Tensor:
-    """Known further defocus of each image, (K,) float64, m rms; 0 where none is given."""
+    """Return the known additional defocus of each image, (K,) float64, m rms; 0 by default."""
     values = np.zeros(count) if defocus is None else real_array("defocus", defocus)
     if values.shape != (count,):
         raise SamplingError(
@@ -220,13 +230,13 @@ def known_defoci(defocus: Any, count: int) -> Tensor:
 
 
 def padded_shape(shape: tuple[int, int]) -> tuple[int, int]:
-    """Samples of a point spread for images with room around them."""
+    """Return the FFT grid (rows, columns) that surrounds frames of a shape with a margin."""
     rows, columns = (2 * round(_PADDING * side / 2) for side in shape)
     return rows, columns
 
 
 def _on_grid(pupil_psf: PupilPSF, shape: tuple[int, int], boundary: str) -> PupilPSF:
-    """The point spread over a period that holds the frame, with room around it if padded."""
+    """Return the point spread on the FFT grid: the frame, or a larger grid if padded."""
     one_of("boundary", boundary, ("padded", "circular"))
     own = pupil_psf.shape
     if own[0] < shape[0] or own[1] < shape[1]:

@@ -1,4 +1,4 @@
-"""From the wave in a round pupil to its point spread, in torch: the transforms alone."""
+"""Differentiable transforms from the wave in a circular pupil to its point spread, in torch."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ROUNDING = 1e-9
 
 
 class ImageOptions(TypedDict, total=False):
-    """Options of `PupilOptics` that every kind of wave takes."""
+    """Options of `PupilOptics` that do not depend on how the wave is parametrised."""
 
     method: Method
     samples: int | None
@@ -37,36 +37,40 @@ class ImageOptions(TypedDict, total=False):
 
 
 class PupilOptics(nn.Module):
-    """Fraunhofer transform of a round pupil, point spread and transfer function, differentiable.
+    """Fraunhofer transform of a circular pupil to point spread and transfer function.
+
+    All results are differentiable with respect to the wave.
 
     Parameters
     ----------
     wavelength, pupil_radius, image_distance, pitch : float
-        m; the pitch is the image's.
+        Wavelength, radius, distance from pupil to image, and pixel pitch of the image, m.
     shape : int or (int, int)
         Rows H and columns W of the image.
     method : {"fft", "mdft"}
-        "fft": the image is one period. "mdft": matrix products, the image a window of a longer
-        period.
+        "fft": the image is one period of the transform. "mdft": matrix products; the image is a
+        window of a longer period.
     samples : int, optional
         For "mdft": pupil cells per side. By default the period is twice the window.
     pixel_integrated : bool
-        Whether values are integrals over square pixels of side ``pitch``, which may then be any;
-        point samples need a pitch of at most lambda |d|/(4 radius).
+        Whether values are integrals over square pixels of side ``pitch``, which may then be any
+        length; point samples need a pitch of at most lambda |d|/(4 radius).
     transmission : callable, optional
-        Relative amplitude at u, v, m; by default 1.
-    device, dtype
+        Relative amplitude as a function of u, v, m; by default 1.
+    device : torch.device or str
+        Device of the tensors.
+    dtype : torch.dtype
         ``torch.float32`` or ``torch.float64``.
 
     Attributes
     ----------
-    u, v : ndarray
-        Coordinates of the pupil's cells, m: (n_u,) along columns and (n_v,) along rows, sample
-        [n_v//2, n_u//2] on the axis.
+    u, v : ndarray, (n_u,) and (n_v,)
+        Coordinates of the pupil's cells, m, along columns and rows; cell [n_v//2, n_u//2] is on the
+        axis.
     share : ndarray, (n_v, n_u)
-        Part of each cell that lies in the pupil.
+        Fraction of each cell that lies in the pupil.
     amplitude : ndarray, (n_v, n_u)
-        The share times what is transmitted there.
+        This fraction times the transmission.
     """
 
     _amplitude: Tensor
@@ -137,12 +141,12 @@ class PupilOptics(nn.Module):
         return self._amplitude.device
 
     def point_spread(self, turns: Tensor) -> Tensor:
-        """Point spread (..., H, W) of waves (..., n_v, n_u), centre at [H//2, W//2].
+        """Return point spreads (..., H, W), centre at [H//2, W//2].
 
         Parameters
         ----------
-        turns : Tensor
-            Aberration over wavelength.
+        turns : Tensor, (..., n_v, n_u)
+            Wave aberration divided by the wavelength.
         """
         if self.method == "mdft":
             return self._by_matrices(turns)
@@ -152,7 +156,10 @@ class PupilOptics(nn.Module):
         return _centred(spread)
 
     def transfer(self, turns: Tensor) -> Tensor:
-        """``rfft2`` of the point spread, (..., H, W//2 + 1), origin at sample [0, 0]."""
+        """Return ``rfft2`` of the point spreads, (..., H, W//2 + 1), their centre at sample [0, 0].
+
+        ``turns`` (..., n_v, n_u) is the wave aberration divided by the wavelength.
+        """
         if self.method == "mdft":
             spread = self._by_matrices(turns)
             rows, columns = self.shape
@@ -171,7 +178,7 @@ class PupilOptics(nn.Module):
         return spectrum
 
     def steepest(self, turns: Tensor) -> float:
-        """Largest step of waves (..., n_v, n_u) between neighbouring cells of the pupil."""
+        """Return the largest difference, in waves, between neighbouring cells of ``turns``."""
         lit = torch.from_numpy(self.share > 0).to(turns.device)
         steps = []
         for axis in (-2, -1):
@@ -181,7 +188,7 @@ class PupilOptics(nn.Module):
         return max(steps)
 
     def warn_of_steps(self, turns: Tensor) -> None:
-        """Warn of a slope that the cells cannot hold."""
+        """Warn if the wave changes by more than the cells can sample."""
         step = self.steepest(turns)
         if step > 0.5:
             warnings.warn(
@@ -192,9 +199,10 @@ class PupilOptics(nn.Module):
             )
 
     def _periodic(self, turns: Tensor) -> Tensor:
-        """Intensity over one period of fine samples, origin at sample [0, 0].
+        """Return the intensity over one period of fine samples, centre at sample [0, 0].
 
-        The pupil's corner is taken for its centre, a phase that the intensity does not see.
+        The origin of the pupil is moved from its centre to its corner, which changes only the phase
+        in the image.
         """
         rows, columns = self._grid
         field = torch.fft.fft(self._pupil(turns), n=columns, dim=-1)
@@ -208,12 +216,15 @@ class PupilOptics(nn.Module):
         return self._mean_y @ spread @ self._mean_x
 
     def _pupil(self, turns: Tensor) -> Tensor:
-        """Amplitude times exp(2 pi i turns), conjugate for a pupil behind the image."""
+        """Return the pupil function: amplitude times exp(2 pi i turns).
+
+        It is conjugated if the pupil lies behind the image.
+        """
         phase = turns * math.copysign(2 * math.pi, self.image_distance)
         return torch.complex(self._amplitude * phase.cos(), self._amplitude * phase.sin())
 
     def _cells(self, samples: int | None) -> tuple[Array, Array]:
-        """Cell centres along v and u, m."""
+        """Return the cell centres along v and u, m."""
         if not self.pixel_integrated and self.pitch > self.nyquist_pitch * (1 + _ROUNDING):
             raise SamplingError(
                 f"pitch = {self.pitch:.6g} m, limit for point samples (Nyquist) "
@@ -230,7 +241,7 @@ class PupilOptics(nn.Module):
         return self._period_axis(0), self._period_axis(1)
 
     def _period_axis(self, side: int) -> Array:
-        """Cells of which the image along one side is a whole period."""
+        """Return cell centres, m, for which ``side`` image pixels are exactly one period."""
         cell = self._spread / (self.shape[side] * self.pitch)
         if cell > self.pupil_radius:
             need = math.ceil(self._spread / (self.pupil_radius * self.pitch))
@@ -243,7 +254,7 @@ class PupilOptics(nn.Module):
         return np.arange(-reach, reach + 1, dtype=np.float64) * cell
 
     def _matrix_axis(self, samples: int | None) -> Array:
-        """Cells on which a disc just fits, for matrix products."""
+        """Return the centres, m, of cells that just cover the pupil, for matrix products."""
         longest = max(self.shape) * self.pitch
         if samples is None:
             samples = max(32, 1 + math.ceil(4 * self.pupil_radius * longest / self._spread))
@@ -259,7 +270,7 @@ class PupilOptics(nn.Module):
         return (np.arange(samples, dtype=np.float64) - samples // 2) * cell
 
     def _samples(self) -> tuple[int, tuple[int, int]]:
-        """Samples per pixel and in all, once they are known to fit in memory."""
+        """Return fine samples per pixel and their number (rows, columns), checked for memory."""
         finer = 1
         if self.method == "fft" and self.pixel_integrated:
             finer = math.ceil(self.pitch / self.nyquist_pitch * (1 - _ROUNDING))
@@ -273,7 +284,7 @@ class PupilOptics(nn.Module):
         return finer, grid
 
     def _prepare(self, device: torch.device | str, dtype: torch.dtype) -> None:
-        """Tensors of the chosen transform."""
+        """Allocate the tensors of the chosen transform."""
         cell = math.sqrt(math.prod(self.pupil_pitch))
         # Parseval: all samples of a period sum to 1
         scale = self.pitch * cell / (self._spread * math.sqrt(np.sum(self.amplitude**2)))
@@ -300,13 +311,16 @@ class PupilOptics(nn.Module):
 
 
 def _kernel(turns: Array) -> Array:
-    """exp(-2 pi i turns) as pairs of reals: Module.to(dtype) would drop the imaginary part."""
+    """Return exp(-2 pi i turns) as pairs of real numbers.
+
+    A complex tensor would lose its imaginary part in ``Module.to(dtype)``.
+    """
     turns = 2 * np.pi * (turns - np.round(turns))
     return np.stack([np.cos(turns), -np.sin(turns)], axis=-1)
 
 
 def _means(rule: PixelRule, count: int) -> Array:
-    """Matrix (pixels, fine samples) of pixel means."""
+    """Return the matrix (``count`` pixels, fine samples) that averages samples over pixels."""
     matrix = np.zeros((count, count * rule.factor + 2 * rule.margin))
     for row in range(count):
         matrix[row, row * rule.factor : row * rule.factor + rule.taps.size] = rule.taps
@@ -314,7 +328,7 @@ def _means(rule: PixelRule, count: int) -> Array:
 
 
 class _SquaredModulus(torch.autograd.Function):
-    """|z|^2, whose gradient at 0 is 0; torch's own squares of parts take three times as long."""
+    """|z|^2 with gradient 0 at 0; three times as fast as the squares of both parts in torch."""
 
     generate_vmap_rule = True
 

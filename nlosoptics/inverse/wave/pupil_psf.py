@@ -520,7 +520,7 @@ class PupilPSF(nn.Module):
     def _turns(
         self, coefficients: Tensor | None, defocus: Tensor | Sequence[float] | None
     ) -> Tensor:
-        """Aberration over wavelength."""
+        """Return the wave aberration divided by the wavelength, (..., n_v, n_u)."""
         if coefficients is None:
             coefficients = self.coefficients
         turns: Tensor = self.waves(self._checked(coefficients))

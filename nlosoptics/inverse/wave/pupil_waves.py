@@ -1,4 +1,4 @@
-"""Waves on pupil cells from few numbers, each linear in them, in torch."""
+"""Waves on pupil cells as linear functions of few coefficients, in torch."""
 
 from __future__ import annotations
 
@@ -26,22 +26,23 @@ DEFOCUS = 4
 
 
 class ZernikeWaves(nn.Module):
-    """Sums of Zernike polynomials.
+    """Sums of Zernike polynomials on the pupil's cells.
 
     Parameters
     ----------
     modes : iterable of int
-        Noll indices, each once, not 1: piston moves nothing.
+        Distinct Noll indices, without 1, since piston does not affect the image.
     optics : PupilOptics
-    rest : ndarray, optional
-        (n_v, n_u), m, an aberration that is added as it is.
+        Transform with the pupil's cells.
+    rest : ndarray, (n_v, n_u), optional
+        Fixed aberration that is added, m.
 
     Attributes
     ----------
     leaf_shape : (int,)
-        Shape of one set of coefficients: waves rms over the full disc.
-    rest : Tensor or None
-        (n_v, n_u), what is added, over the wavelength.
+        Shape of one set of coefficients, in waves rms over the full disc.
+    rest : Tensor or None, (n_v, n_u)
+        Fixed aberration divided by the wavelength.
     """
 
     _basis: Tensor
@@ -72,12 +73,15 @@ class ZernikeWaves(nn.Module):
         self.register_buffer("_phase", None if phase is None else like(optics, phase))
 
     def forward(self, coefficients: Tensor) -> Tensor:
-        """Aberration over wavelength, (..., n_v, n_u), up to whole turns, 0 outside the pupil."""
+        """Return aberration over wavelength, (..., n_v, n_u), modulo whole waves.
+
+        It is 0 outside the pupil.
+        """
         turns = self._sum(coefficients)
         return turns if self._phase is None else turns + self._phase
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
-        """Return the aberration over wavelength with its whole turns, (..., n_v, n_u)."""
+        """Return aberration over wavelength, (..., n_v, n_u), including whole waves."""
         turns = self._sum(coefficients)
         return turns if self.rest is None else turns + self.rest
 
@@ -87,22 +91,23 @@ class ZernikeWaves(nn.Module):
 
 
 class SlopeWaves(nn.Module):
-    """Least-squares waves of slopes on a square grid, with splines between its nodes.
+    """Waves integrated from slopes on a square grid by least squares, interpolated by splines.
 
     Parameters
     ----------
     count : int
-        Nodes per side; [count//2, count//2] is on the axis.
+        Nodes per side; node [count//2, count//2] is on the axis.
     slope_pitch : float
-        Between nodes, m.
+        Distance of the nodes, m.
     optics : PupilOptics
+        Transform with the pupil's cells.
 
     Attributes
     ----------
     leaf_shape : (int, int, 2)
         Shape of one set of slopes dW/du, dW/dv, in waves per pupil radius.
     modes : tuple
-        Empty.
+        Empty, since no Zernike polynomials are used.
     """
 
     _left: Tensor
@@ -134,7 +139,7 @@ class SlopeWaves(nn.Module):
             self.register_buffer(name, like(optics, values))
 
     def forward(self, coefficients: Tensor) -> Tensor:
-        """Aberration over wavelength, (..., n_v, n_u), 0 outside the pupil."""
+        """Return aberration over wavelength, (..., n_v, n_u), 0 outside the pupil."""
         along, up = coefficients.unbind(-1)
         # a square grid has the same cosines both ways
         sources = self._cosines @ along @ self._sources.T + self._sources @ up @ self._cosines.T
@@ -142,12 +147,15 @@ class SlopeWaves(nn.Module):
         return surface * self._lit
 
     def unwrapped(self, coefficients: Tensor) -> Tensor:
-        """Return the aberration over wavelength; `forward` removes no turns here."""
+        """Return aberration over wavelength, (..., n_v, n_u); equal to `forward`."""
         turns: Tensor = self(coefficients)
         return turns
 
     def curl_residual(self, coefficients: Tensor) -> float:
-        """Rms over all pairs of neighbours of what no wave has, in the coefficients' unit."""
+        """Return the rms part of the slopes that no wave can have, waves per pupil radius.
+
+        The rms is over all pairs of neighbouring nodes.
+        """
         tables = coefficients.detach().double().cpu().numpy().reshape(-1, *self.leaf_shape)
         whole_grid = np.ones(self.leaf_shape[:2], dtype=bool)
         squares = [integrated_slopes(table, 1.0, whole_grid)[1] ** 2 for table in tables]
@@ -170,14 +178,17 @@ def fitted_modes(
 
 
 def on_cells(series: PolarSpectrum | CellSpectrum, u: Array, v: Array) -> Array:
-    """A polar wave's function at points of the pupil, m."""
+    """Evaluate a series of a wave at pupil points; ``u`` and ``v`` in m, the result in m."""
     if isinstance(series, CellSpectrum):
         raise SamplingError("the wave is sampled on cells, not on polar nodes; use polar ones")
     return values_at(series, None, u, v, 1e-13)[0]
 
 
 def checked_slopes(slopes: Any, slope_pitch: float, optics: PupilOptics) -> Array:
-    """Slopes (g, g, 2), rad, of a grid that covers the pupil."""
+    """Return slopes (g, g, 2), rad, checked to be finite and to cover the pupil.
+
+    ``slope_pitch`` is the distance of the nodes, m.
+    """
     try:
         values = np.asarray(slopes, dtype=np.float64)
     except (TypeError, ValueError):
@@ -199,7 +210,10 @@ def checked_slopes(slopes: Any, slope_pitch: float, optics: PupilOptics) -> Arra
 
 
 def _spline(nodes: Array, cells: Array) -> Array:
-    """Matrix of the interpolating cubic spline, or of the highest degree that few nodes allow."""
+    """Return the matrix (cells, nodes) of cubic spline interpolation.
+
+    With fewer than four nodes the degree is the highest possible one.
+    """
     from scipy.interpolate import make_interp_spline
 
     spline = make_interp_spline(nodes, np.eye(nodes.size), k=min(3, nodes.size - 1))
@@ -207,20 +221,20 @@ def _spline(nodes: Array, cells: Array) -> Array:
 
 
 def noll_mode(mode: int, optics: PupilOptics) -> Array:
-    """Zernike polynomial on the pupil's cells, rms 1 over the disc, (n_v, n_u)."""
+    """Return a Zernike polynomial (Noll index) on the cells, (n_v, n_u), rms 1 over the disc."""
     v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
     values = zernike(mode, np.hypot(u, v) / optics.pupil_radius, np.arctan2(v, u))
     return np.where(optics.share > 0, values, 0.0)
 
 
 def like(optics: PupilOptics, values: Any) -> Tensor:
-    """Tensor of an array, where and as precise as the optics."""
+    """Convert an array to a tensor with device and precision of the optics."""
     array = np.ascontiguousarray(np.asarray(values, dtype=np.float64))
     return torch.tensor(array, device=optics.device, dtype=optics.dtype)
 
 
 def start_values(modes: Sequence[int] | Mapping[int, float], wavelength: float) -> list[float]:
-    """Coefficients in waves of a mapping from mode to metres; 0 for a sequence."""
+    """Return initial coefficients in waves, from a mapping of mode to metres; else zeros."""
     if not isinstance(modes, Mapping):
         return [0.0] * len(modes)
     return [real(f"modes[{mode}]", value) / wavelength for mode, value in modes.items()]

@@ -200,7 +200,7 @@ class SceneLeaves(nn.Module):
         return self.optics.transfer(turns) * torch.exp(-(slope**2) * self._frequencies)
 
     def _object_axes(self) -> Tensor:
-        """Rows right and up of the object, world, (2, 3)."""
+        """Return the object's unit vectors right and up, world frame, (2, 3)."""
         hidden = self.scene.hidden
         yaw, pitch = self._value("object_tilt")
         one, zero = torch.ones((), dtype=torch.float64), torch.zeros((), dtype=torch.float64)
@@ -214,7 +214,7 @@ class SceneLeaves(nn.Module):
         return unturned @ (about_y @ about_x @ rolled).T
 
     def _path(self, object_point: Tensor) -> Tensor:
-        """W of one object point on the pupil's cells, m."""
+        """Return the wave aberration W, m, of an object point (3,), m, on the pupil's cells."""
         centre = self._value("camera_position")
         line = torch.tensor(self.scene.camera.aim, dtype=torch.float64) - centre
         axis = line / line.norm()
@@ -239,7 +239,7 @@ class SceneLeaves(nn.Module):
 
 
 def _longer(line: Tensor, offsets: Tensor) -> Tensor:
-    """|line - offset| - |line| without cancellation."""
+    """Return |line - offset| - |line|, m, without cancellation; vectors (..., 3), m."""
     change = (offsets * offsets).sum(dim=-1) - 2 * offsets @ line
     length = line.norm()
     longer: Tensor = change / ((length**2 + change).sqrt() + length)
@@ -247,7 +247,10 @@ def _longer(line: Tensor, offsets: Tensor) -> Tensor:
 
 
 def _frame(axis: Tensor) -> Tensor:
-    """Rows e1 and e2 of `scene.pupil_frame`, (2, 3)."""
+    """Return the pupil's unit vectors e1 and e2, (2, 3), for an optical axis (3,).
+
+    They equal those of `scene.pupil_frame`.
+    """
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     if float(torch.linalg.cross(up, axis.detach()).norm()) < 1e-12:
         up = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
@@ -257,7 +260,10 @@ def _frame(axis: Tensor) -> Tensor:
 
 
 def _plane_fit(u: Array, v: Array, weights: Array) -> tuple[Tensor, Tensor]:
-    """Piston and tilts at the cells, (3, n), and the matrix of their weighted fit, (3, n)."""
+    """Prepare the removal of piston and tilts from a wave on n pupil cells.
+
+    Returns these functions at the cells, (3, n), and the matrix of their weighted fit, (3, n).
+    """
     terms = np.stack([np.ones_like(u), u / np.abs(u).max(), v / np.abs(v).max()])
     fit = np.linalg.solve((terms * weights) @ terms.T, terms * weights)
     return torch.from_numpy(terms), torch.from_numpy(fit)
@@ -309,7 +315,10 @@ def _checked_names(
 
 
 def _lobe_frequencies(leaves: SceneLeaves) -> Array:
-    """2 pi^2 |(cos_i + cos_o) d_i M f|^2 on the half spectrum."""
+    """Return the exponent of a lobe's Gaussian transfer function per squared slope rms.
+
+    It is 2 pi^2 |(cos_i + cos_o) d_i M f|^2 on the half spectrum of frequencies f.
+    """
     optics, view = leaves.optics, wall_view(leaves.scene)
     rows, columns = optics.shape
     fy = np.fft.fftfreq(rows, optics.pitch)[:, None]

@@ -1,4 +1,4 @@
-"""Paths by a curved wall, with derivatives by all that moves them."""
+"""Path lengths via a curved wall, with derivatives by radius, object and pupil points."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ CurvedWall = ConcaveWall | ConvexWall
 
 
 class WallPaths(torch.autograd.Function):
-    """Path lengths O - wall - p over the distance from the mirrored O, as `psf.wall_aberration`.
+    """Path lengths object - wall - pupil minus the distance from the mirrored object point.
 
-    ``apply(radius, object_point, points, axis, wall)`` with tensors of shape (), (3,), (n, 3) and
-    (3,), float64, world, m, gives the paths (n,), m, and their wall points (n, 3), which have no
-    gradient; nor has the axis, the pupil plane's normal. The radius replaces that of a
-    `ConcaveWall` or `ConvexWall`, other walls stay.
+    ``apply(radius, object_point, points, axis, wall)`` takes float64 tensors of shape (), (3,),
+    `(n, 3)` and (3,), world, m; ``axis`` is the pupil plane's normal. It returns the excess (n,),
+    m, as in `psf.wall_aberration`, and the wall points (n, 3), m. Wall points and axis have no
+    gradient. The radius replaces that of a `ConcaveWall` or `ConvexWall`; other walls are
+    unchanged.
 
     Notes
     -----
-    A path is stationary in its wall point H (Fermat), so that its derivative is the explicit one
-    at fixed H: unit vectors along the legs by O and by p, and by the radius the sum of the legs'
-    cosines times what the wall's height changes by under H.
+    A path is stationary at its wall point H (Fermat), so that its derivative is the explicit one at
+    fixed H. With respect to O and p this is a unit vector along the leg. With respect to the radius
+    it is the sum of the legs' cosines times the change of the wall's height at H.
     """
 
     @staticmethod
     def forward(
         radius: Tensor, object_point: Tensor, points: Tensor, axis: Tensor, wall: Wall
     ) -> tuple[Tensor, Tensor]:
-        """Excess paths (n,), and where they meet the wall (n, 3)."""
+        """Return path excess (n,), m, and wall points (n, 3), m."""
         wall = with_radius(wall, float(radius))
         o, nodes, normal = (tensor.detach().numpy() for tensor in (object_point, points, axis))
         rays = aim(wall, o, np.ascontiguousarray(nodes), normal)
@@ -45,7 +46,7 @@ class WallPaths(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
-        """Keep what the explicit derivative needs."""
+        """Save the tensors that the gradient needs."""
         radius, object_point, points, _, ctx.wall = inputs
         ctx.mark_non_differentiable(output[1])
         ctx.save_for_backward(radius, object_point, points, output[1])
@@ -53,7 +54,7 @@ class WallPaths(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, gradient: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients by radius, object point and pupil points."""
+        """Return the gradients with respect to radius, object point and pupil points."""
         radius, object_point, points, hits = ctx.saved_tensors
         mirror = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
         to_object, to_points = _unit(object_point - hits), _unit(points - hits)
@@ -72,12 +73,15 @@ class WallPaths(torch.autograd.Function):
 
 
 def with_radius(wall: Wall, radius: float) -> Wall:
-    """The wall, with another radius if it is a sphere or cylinder."""
+    """Return the wall with another radius, m; walls without a radius are unchanged."""
     return replace(wall, radius=radius) if isinstance(wall, CurvedWall) else wall
 
 
 def height_by_radius(wall: Wall, radius: float, hits: Array) -> Array:
-    """Derivative of a wall's height by its radius at points (n, 3), (n,); 0 of other walls."""
+    """Return the derivative of the wall's height by its radius, (n,), at wall points (n, 3).
+
+    It is 0 for walls without a radius.
+    """
     if not isinstance(wall, CurvedWall):
         return np.zeros(len(hits))
     square = np.sum(hits[:, :2] ** 2, axis=1)
