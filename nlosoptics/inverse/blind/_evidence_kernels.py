@@ -1,8 +1,8 @@
-"""Loops of the evidence fit over batches of starts: each reads its arrays once.
+"""Compiled loops of the evidence fit over batches of starts, which read each array only once.
 
-Shapes: b starts, k frames, p x p samples of the padded period of which the first n x n are the
-frame, q = p//2 + 1 columns of half spectra. Arrays are contiguous, float32 or float64 with the
-complex kind to match.
+In the shapes of arrays, b counts starts and k images. The padded FFT grid has p x p samples, of
+which the first n x n are the image; half spectra have q = p//2 + 1 columns. Arrays are contiguous,
+float32 or float64, or complex of the same precision.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numba import njit
 
 @njit(cache=True)
 def intensity(field, out):
-    """Squared modulus, (b, k, p, p)."""
+    """Fill ``out`` with the squared modulus of ``field``, (b, k, p, p)."""
     for b in range(field.shape[0]):
         for k in range(field.shape[1]):
             for i in range(field.shape[2]):
@@ -24,9 +24,10 @@ def intensity(field, out):
 
 @njit(cache=True)
 def predict(transfer, pixel, objects, out):
-    """Multiply transfer (b, k, p, q) by the detector's, in place, and by the objects' (b, p, q).
+    """Fill ``out`` (b, k, p, q) with the spectra of the predicted images.
 
-    ``pixel`` (k, p, q) is the transfer function of a pixel times the frame's weight.
+    ``transfer`` (b, k, p, q) is multiplied in place by ``pixel`` (k, p, q), which is the transfer
+    function of a pixel times the image's weight, and then by the objects' spectra (b, p, q).
     """
     for b in range(transfer.shape[0]):
         for k in range(transfer.shape[1]):
@@ -41,7 +42,11 @@ def predict(transfer, pixel, objects, out):
 
 @njit(cache=True)
 def residuals(predicted, images, fit_background, squares, background):
-    """Prediction minus images in the frame and 0 outside, in place; its squares, (b, k)."""
+    """Subtract the images (k, n, n) from the predictions (b, k, p, p), in place.
+
+    The result is 0 outside the image. If ``fit_background``, its mean is subtracted and stored in
+    ``background`` (b, k). ``squares`` (b, k) receives the sums of squares.
+    """
     n = images.shape[1]
     zero = predicted.dtype.type(0.0)
     for b in range(predicted.shape[0]):
@@ -67,9 +72,12 @@ def residuals(predicted, images, fit_background, squares, background):
 
 @njit(cache=True)
 def roughness(objects, variances, kappa, gradient, weights, energy, want_energy):
-    """Gradient of the scale-mixture prior, (b, n, n), and its mean weights along x and y, (b, 2).
+    """Compute the prior of the objects' differences and its gradient (b, n, n).
 
-    Outside the frame the object is 0.
+    The prior is a Gaussian scale mixture with strength ``kappa``. ``variances`` (b, 2) are
+    posterior variances of the differences along x and y, and ``weights`` (b, 2) receives the mean
+    weights along x and y. ``energy`` (b,) receives the prior's energy if wanted. Outside the image
+    the object is 0.
     """
     count, n = objects.shape[0], objects.shape[1]
     real = objects.dtype.type
@@ -128,11 +136,13 @@ def spectra(
     transfer, residual, objects, pixel, steps, weights, inverse_variance, share,
     toward_object, variances, energy, want_energy,
 ):  # fmt: skip
-    """Posterior covariance, and both gradients as spectra.
+    """Compute the posterior covariance, and the gradients of the energy as half spectra.
 
-    ``residual`` (b, k, p, q) becomes the gradient with respect to the transfer function before the
-    detector's; ``toward_object`` (b, p, q) that with respect to the object; ``variances`` (b, 2)
-    the posterior variances of the differences along x and y.
+    ``residual`` (b, k, p, q) is replaced by the gradient with respect to the transfer function
+    without the detector's. ``toward_object`` (b, p, q) receives the gradient with respect to the
+    object, and ``variances`` (b, 2) the posterior variances of its differences along x and y.
+    ``inverse_variance`` (b,) is 1 over the noise variance and ``share`` the image's fraction of the
+    grid. ``energy`` (b,) receives the energy of the covariance if wanted.
     """
     frames, p, q = transfer.shape[1:]
     real = steps.dtype.type
@@ -165,7 +175,7 @@ def spectra(
             for j in range(q):
                 row_x += covariance[j] * steps[j]
                 row_y += covariance[j]
-            # columns 0 and p/2 stand for themselves, all others for their mirrors too
+            # columns 0 and p/2 of a half spectrum count once, all others twice
             last = covariance[q - 1] if p % 2 == 0 else real(0.0)
             sum_x += 2.0 * row_x - covariance[0] * steps[0] - last * steps[q - 1]
             sum_y += (2.0 * row_y - covariance[0] - last) * dy
@@ -189,7 +199,10 @@ def spectra(
 
 @njit(cache=True)
 def pull_back(field, weight, scale, out):
-    """Field times real weight times scale, (b, k, p, p)."""
+    """Fill ``out`` (b, k, p, p) with ``field`` times the real ``weight`` times ``scale``.
+
+    This is the gradient of an intensity with respect to its field.
+    """
     factor = weight.dtype.type(scale)
     for b in range(field.shape[0]):
         for k in range(field.shape[1]):
@@ -202,7 +215,11 @@ def pull_back(field, weight, scale, out):
 
 @njit(cache=True)
 def phase_gradient(pupil, toward, out):
-    """Gradient with respect to the phase, summed over frames, (b, cells)."""
+    """Fill ``out`` (b, cells) with the gradient with respect to the pupil's phase.
+
+    ``pupil`` and ``toward`` (b, k, cells) are pupil function and gradient with respect to it. The
+    gradients of all images are added.
+    """
     for b in range(out.shape[0]):
         out[b] = 0.0
         for k in range(pupil.shape[1]):
@@ -213,7 +230,7 @@ def phase_gradient(pupil, toward, out):
 
 @njit(cache=True)
 def softly_positive(free, softness, out):
-    """Positive values of free parameters, (x + sqrt(x^2 + softness^2))/2."""
+    """Fill ``out`` with positive values of free parameters x: (x + sqrt(x^2 + softness^2))/2."""
     source, target = free.ravel(), out.ravel()
     square, half = source.dtype.type(softness * softness), source.dtype.type(0.5)
     for i in range(source.size):
@@ -222,7 +239,11 @@ def softly_positive(free, softness, out):
 
 @njit(cache=True)
 def object_step(free, data_gradient, prior_gradient, first, second, softness, rate, bias):
-    """One step of Adam on the free parameters of the object, all in place."""
+    """Make one Adam step on the free parameters (b, n, n) of the objects, in place.
+
+    ``first`` and ``second`` are the moments of the gradient, ``rate`` the step and ``bias`` the
+    bias correction of the second moment.
+    """
     real = free.dtype.type
     square, half, lr = real(softness * softness), real(0.5), real(rate)
     root_bias, tiny, one = real(1.0 / np.sqrt(bias)), real(1e-10), real(1.0)

@@ -19,25 +19,26 @@ _DARKEST = 0.01
 
 
 class Energy:
-    """Variational free energy of batches of objects and coefficients.
+    """Variational free energy of batches of objects and wall coefficients.
 
-    The object is Gaussian about its estimate, with a covariance C that is diagonal in Fourier
-    space; its gradients have a sparse density, a Gaussian scale mixture of sharpness a. Summed
-    over images k, pixels i, directions d and frequencies f, for the noise s,
+    The object is Gaussian about its estimate m, with a covariance C that is diagonal in Fourier
+    space. Its gradients have a sparse density, a Gaussian scale mixture of sharpness a. Summed over
+    images k, pixels i, directions d and frequencies f, for the noise s,
 
-    ``F = 1/2 {sum |H_k m - I_k|^2/s^2 + sum [w_di ((D_d m)_i^2 + v_d) - a log w_di]
-    + sum [C sum_k |H_k|^2/s^2 - log C]}``, with ``w_di = a/((D_d m)_i^2 + v_d)``,
-    ``C = 1/(sum_k |H_k|^2/s^2 + sum_d mean(w_d) |D_d|^2)`` and v_d the variance of C along d.
+    ``F = 1/2 {sum |H_k m - I_k|^2/s^2 + sum [w_di ((D_d m)_i^2 + v_d) - a log w_di] + sum [C sum_k
+    |H_k|^2/s^2 - log C]}``, with ``w_di = a/((D_d m)_i^2 + v_d)``, ``C = 1/(sum_k |H_k|^2/s^2 +
+    sum_d mean(w_d) |D_d|^2)`` and v_d the variance of C along d.
 
-    The third sum costs a sharp point spread what it gains by fitting noise: without it no blur at
-    all explains every image best [1]_. w, C and v are set to their best values at each call and
-    take no part in the gradient, which by their being best is that of F.
+    The third sum compensates what a sharp point spread gains by fitting noise. Without it, a point
+    spread without blur would explain every image best [1]_. Each call sets w, C and v to their
+    optimal values. The gradient treats them as constants, which is exact at the optimum.
 
     Parameters
     ----------
     frames : Frames
-    support : Tensor or None
-        (H, W), 0 where the object is known to be dark.
+        Images with their noise and point spread.
+    support : Tensor or None, (H, W)
+        0 where the object is known to be dark.
 
     References
     ----------
@@ -80,11 +81,14 @@ class Energy:
         return _SOFTNESS * (ratio + torch.log(-torch.expm1(-ratio)))
 
     def first_variances(self, count: int) -> Tensor:
-        """Variances v before the first call, (B, 2, 1, 1)."""
+        """Return the initial variances v, (B, 2, 1, 1), for ``count`` starts."""
         return torch.full((count, 2, 1, 1), _FIRST_VARIANCE).to(self.frames.images)
 
     def wiener(self, transfer: Tensor, factor: float) -> Tensor:
-        """Objects (B, H, W) by the transfer functions, smooth gradients supposed."""
+        """Return Wiener-filtered objects (B, H, W) for given transfer functions.
+
+        ``factor`` is the ratio of the assumed noise to the actual one.
+        """
         frames = self.frames
         misfit = frames.images
         if frames.fit_background:
@@ -106,16 +110,20 @@ class Energy:
         factor: float,
         gains: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Free energies (B,) and mean squared residuals over noise (B,); updates variances.
+        """Return free energies (B,) and mean squared residuals over the noise variance (B,).
 
         Parameters
         ----------
         level : Tensor, (B, H, W)
+            Objects, in the unit of the images.
         transfer : Tensor, (B, K, rows, columns//2 + 1)
+            Transfer functions.
         variances : Tensor, (B, 2, 1, 1)
+            Posterior variances of the objects' differences along y and x; updated.
         factor : float
-            By which the noise is taken for larger than it is.
+            Ratio of the assumed noise to the actual one.
         gains : Tensor, (B, K, 1, 1), optional
+            Relative brightness of the images.
         """
         fit = self.squares(level, transfer, gains)
         slopes = torch.stack(
@@ -139,7 +147,7 @@ class Energy:
         return 0.5 * energy, fit.detach() / self.frames.counted
 
     def squares(self, level: Tensor, transfer: Tensor, gains: Tensor | None) -> Tensor:
-        """Sum of squared residuals over the noise, (B,)."""
+        """Return the sum of squared residuals over the noise variance, (B,)."""
         frames = self.frames
         seen = frames.seen(level, transfer)
         residual = frames.residual(seen if gains is None else gains * seen)
@@ -147,12 +155,14 @@ class Energy:
 
 
 class KnownObjectEnergy(Energy):
-    """Half the squared residual over the noise, for an object that is known up to its brightness.
+    """Half the squared residual over the noise variance, for a known object of unknown brightness.
 
     Parameters
     ----------
     frames : Frames
+        Images with their noise and point spread.
     known : Tensor, (H, W)
+        The object.
     """
 
     def __init__(self, frames: Frames, known: Tensor) -> None:
@@ -160,15 +170,15 @@ class KnownObjectEnergy(Energy):
         self._known = known / known.abs().max()
 
     def level(self, theta: Tensor) -> Tensor:
-        """The known object, times the mean brightness that fits."""
+        """Return the known object times the fitted brightness, (B, H, W)."""
         return self._known * theta[..., :1, :1]
 
     def theta(self, level: Tensor) -> Tensor:
-        """Brightness 1 for each start."""
+        """Return a brightness of 1 for each start."""
         return torch.ones_like(level)
 
     def wiener(self, transfer: Tensor, factor: float) -> Tensor:
-        """The known object."""
+        """Return the known object for each start, (B, H, W)."""
         return self._known.expand(transfer.shape[0], *self._known.shape).clone()
 
     def __call__(
@@ -179,7 +189,10 @@ class KnownObjectEnergy(Energy):
         factor: float,
         gains: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
-        """Return the terms of the energy, with the arguments and results of `Energy`."""
+        """Return energies (B,) and mean squared residuals over the noise variance (B,).
+
+        The arguments are those of `Energy`; ``variances`` is not used.
+        """
         fit = self.squares(level, transfer, gains)
         return 0.5 * fit / factor**2, fit.detach() / self.frames.counted
 

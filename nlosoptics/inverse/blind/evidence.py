@@ -191,7 +191,7 @@ def evidence_fit(
 
 
 class _Search:
-    """Rounds of one fit and what they have found."""
+    """State of one evidence fit: options, current round and best result."""
 
     def __init__(
         self,
@@ -219,7 +219,7 @@ class _Search:
         self._history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
     def of_frames(self, rounds: int) -> Starts:
-        """The best wall of frames with different defoci."""
+        """Return the best wall for images of different defocus, after up to ``rounds`` rounds."""
         pool = self._kept(frames=True)
         for turn in range(min(self._behind, rounds - 1), rounds):
             self._rounds = turn
@@ -253,7 +253,7 @@ class _Search:
         return pool
 
     def of_one(self, rounds: int) -> Starts:
-        """The best wall where no blur is an answer too."""
+        """Return the best wall for a single image, which a wave without blur explains too."""
         reference = without_blur(self._energy, self._random)
         floor = float(reference.energy[0])
         levels = (floor, float(sharp(self._energy, self._random).energy[0]))
@@ -286,7 +286,7 @@ class _Search:
         return pool
 
     def status(self, best: Starts) -> Status:
-        """Whether the answer can be trusted, without the truth."""
+        """Return the status of the answer; the truth is not used."""
         if self._ended:
             return "unconverged"
         if self.diverse:
@@ -298,7 +298,7 @@ class _Search:
         return "trivial" if weak or self._margin == 0.0 else "unconverged"
 
     def _sure_of_one(self) -> bool:
-        """Whether the free energy off one frame tells the answer from all that is wrong."""
+        """Return whether the free energy for one image excludes all known wrong answers."""
         pixels = self._frames.images[0].numel()
         finer = max(0.0, math.log(_SHARP_NOISE / self._energy.sigma))
         limit = pixels * (_SHARP_MARGIN[0] + _SHARP_MARGIN[1] * finer)
@@ -347,7 +347,7 @@ class _Search:
         )
 
     def _on_grid(self, padding: float) -> FreeEnergy:
-        """Free energy with some room around the frame."""
+        """Return the free energy on an FFT grid ``padding`` times as wide as the image."""
         n = int(self._frames.images.shape[-1])
         return FreeEnergy(
             self._frames.images.double().cpu().numpy(),
@@ -370,7 +370,7 @@ class _Search:
         return tuple(self._strength * factor for factor in _AROUND)
 
     def _better(self, pool: Starts | None, found: Starts) -> Starts:
-        """The one of least energy; notes how far the search has come."""
+        """Return the start of least energy, and record it in the history."""
         best = found.best(1)
         if pool is not None and pool.energy[0] <= best.energy[0]:
             best = pool
@@ -389,18 +389,24 @@ class _Search:
         return math.sqrt(max(float(beyond.mean()), 0.0))
 
     def _model_limit(self, best: Starts) -> float:
-        """Model error that is let pass; three standard errors of the mean square come to it."""
+        """Return the largest accepted `_model_error`.
+
+        It includes three standard errors of the mean squared residual.
+        """
         count = self._frames.images[0].numel() * len(self._sigmas)
         noise = 3.0 * math.sqrt(2.0 / count) * float(np.mean(self._sigmas**2))
         length = min(float(np.linalg.norm(best.coefficients[0])), 1.0)
         return math.sqrt((_MODEL_ERROR[0] + _MODEL_ERROR[1] * length) ** 2 + noise)
 
     def _share_of(self, turn: int, rounds: int, first: float, last: float = 1.0) -> Watch:
-        """Reports of a part of one round as parts of all."""
+        """Return a callback that converts progress within part of a round to overall progress.
+
+        The part extends from ``first`` to ``last``, fractions of round ``turn``.
+        """
         return lambda text, done: self._tell(text, (turn + first + (last - first) * done) / rounds)
 
     def _kept(self, *, frames: bool) -> Starts | None:
-        """The wall of the state that the search goes on from, if any."""
+        """Return the result of the wall in the saved state, or None without a saved state."""
         return None if self._start is None else self._finished(self._start, frames=frames)
 
     def _finished(self, wall: Floats, *, frames: bool) -> Starts:
@@ -420,7 +426,7 @@ class _Search:
         return self._best
 
     def _state(self) -> State:
-        """The best wall and its object; the rounds that are done."""
+        """Return the state to resume from: best wall, its object, number of completed rounds."""
         best = self._best
         if best is None:
             best = self._energy.starts(np.zeros((1, self._energy.modes)), 3.0)
@@ -430,19 +436,19 @@ class _Search:
         )
 
     def _tell(self, text: str, done: float) -> bool:
-        """Report, and say whether to stop: by the callback's wish, or because time is up."""
+        """Report progress; return whether to stop, by the callback's request or the time limit."""
         if not self._ended:
             self._ended = not goes_on(self._progress, f"evidence: {text}", done, self._state)
         return self._ended or time.perf_counter() > self._deadline
 
     def _tell_end(self) -> None:
-        """Report that all is done, which no wish changes."""
+        """Report the end of the search; a request to stop has no effect any more."""
         if not self._ended:
             goes_on(self._progress, "evidence: done", 1.0, self._state)
 
 
 def _from_state(start: Mapping[str, Any] | None, modes: int) -> tuple[int, Floats | None]:
-    """Rounds and wall (M,) of a state."""
+    """Return the number of completed rounds and the wall (M,) of a saved state."""
     if start is None:
         return 0, None
     if not isinstance(start, Mapping) or not {"coefficients", "rounds"} <= set(start):

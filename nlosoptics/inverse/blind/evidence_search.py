@@ -10,38 +10,39 @@ from numpy.random import Generator
 
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
 
-#: Told what a search does and how far it is, 0 to 1; true: stop now and return the best so far.
+#: Progress callback with a text and the completed fraction. If it returns True, the search stops
+#: and returns its best result so far.
 Watch = Callable[[str, float], bool]
 
-# Several frames: strong noise first, so that all starts see one broad basin.
+# Several images. A strong assumed noise at first gives all starts one broad basin of the energy.
 _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave_rate=0.016)
 _GATHER_SLOWLY = Stage(iterations=500, kappa=1.0, first=60.0, last=3.0, share=0.9, wave_rate=0.016)
 _SETTLE = Stage(iterations=250, kappa=0.5, first=3.0, last=1.0, share=0.5, wave_rate=0.01)
 _FINISH = Stage(iterations=250, kappa=0.5, first=1.5, last=1.0, share=0.3, wave_rate=0.006)
-#: Gain of energy by a generation under which the next is not worth its time.
+#: Decrease of the energy per generation below which the search ends.
 _STANDSTILL = 5.0
 
-# One frame. Answers are compared at 1.5 times the noise: what the model lacks (higher modes, change
-# over the field) then costs the truth less than no blur gains by following the noise.
+# One image. Answers are compared at 1.5 times the noise. Errors of the model (higher modes, change
+# over the field) then penalise the truth less than fitting the noise favours a wave without blur.
 _TRIVIAL = Stage(iterations=400, kappa=0.5, first=3.0, last=1.5, share=0.3, wave_rate=0.008)
 _REFINE = Stage(iterations=200, kappa=1.0, first=4.0, last=1.5, share=0.8, wave_rate=0.008)
 _COMPARE = Stage(iterations=250, kappa=0.5, first=5.0, last=1.5, share=0.6, wave_rate=0.01)
 _FREE = Stage(iterations=200, kappa=0.5, first=2.0, last=1.5, share=0.3, wave_rate=0.005)
 
-#: Length of a wall that blurs nothing, waves rms.
+#: Norm of the coefficients of a wall without noticeable blur, waves rms.
 _SHARP = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class Breeding:
-    """Mutation of coefficients from one generation to the next.
+    """Random changes of coefficients from one generation to the next.
 
     Parameters
     ----------
     flips : float
         Probability that a coefficient changes its sign.
     noise : float
-        Length of a random change over the parent's.
+        Norm of a random change relative to the norm of the parent's coefficients.
     """
 
     flips: float
@@ -49,7 +50,10 @@ class Breeding:
 
 
 def random_walls(count: int, modes: int, lengths: Floats, random: Generator) -> Floats:
-    """Coefficients of random directions and given lengths in turn, (count, modes)."""
+    """Return coefficients (count, modes) with random directions and given norms.
+
+    The norms ``lengths``, waves rms, are used in turn.
+    """
     walls = random.normal(size=(count, modes))
     walls *= np.resize(lengths, count)[:, None] / np.linalg.norm(walls, axis=1, keepdims=True)
     return walls
@@ -58,23 +62,26 @@ def random_walls(count: int, modes: int, lengths: Floats, random: Generator) -> 
 def children(
     parents: Starts, count: int, twin: Floats, breeding: Breeding, random: Generator
 ) -> Floats:
-    """Coefficients like those of the best parents, (count, M).
+    """Return coefficients (count, M) that vary those of the best parents.
 
     Parameters
     ----------
     parents : Starts
-        Least energy first; each is likelier than the next.
+        Parents by increasing energy; a better one is chosen with higher probability.
     count : int
+        Number of children.
     twin : ndarray, (M,)
-        Signs that turn a wall into the one with the same point spread, W(x) -> -W(-x).
+        Signs that convert a wall to the one with the same point spread, W(x) -> -W(-x).
     breeding : Breeding
+        Size of the changes.
     random : Generator
+        Source of random numbers.
 
     Notes
     -----
-    A third takes each coefficient from one of two parents, whose twins count as themselves; a third
-    flips signs; the rest moves in a random direction; a few change all signs, which mirrors the
-    point spread.
+    A third of the children takes each coefficient from one of two parents, of which the second is
+    replaced by its twin if that is closer. A third changes signs. Most others move in a random
+    direction. A few change all signs, which mirrors the point spread.
     """
     walls = parents.coefficients.astype(np.float64)
     chances = np.linspace(1.0, 0.2, len(walls))
@@ -110,24 +117,25 @@ def _direction(size: int, random: Generator) -> Floats:
 
 @dataclass(frozen=True, kw_only=True)
 class Island:
-    """Strengths of the prior, steps and noise that one search of a single frame runs with.
+    """Settings of one search for a single image.
 
     Parameters
     ----------
     radius : float
-        Length that the coefficients are held at, waves rms: free ones drift to no blur.
+        Fixed norm of the coefficients, waves rms. Without it they would drift to a wave without
+        blur.
     kappa : float
         Strength of the object's prior.
     first : float
-        Assumed noise over the true one, at the start.
+        Initial ratio of the assumed noise to the actual one.
     wave_rate : float
         Largest step of a coefficient, waves.
     population : int
-        Walls that are kept.
+        Number of walls kept after each generation.
     litter : int
-        Children of a generation.
+        Number of children per generation.
     generations : (int, int)
-        Under strong noise, then under weak.
+        Number of generations with strong and with weak assumed noise.
     """
 
     radius: float
@@ -142,17 +150,20 @@ class Island:
 def gather(
     energy: FreeEnergy, lengths: Floats, count: int, *, slow: bool, random: Generator
 ) -> Starts:
-    """Walls of frames that no blur cannot explain: the best of random ones, least energy first.
+    """Fit random walls to images of different defocus; return the best quarter by energy.
 
     Parameters
     ----------
     energy : FreeEnergy
+        Energy of the images, which a wave without blur cannot explain.
     lengths : ndarray
-        Of the coefficients at the start, in turn, waves rms.
+        Initial norms of the coefficients, used in turn, waves rms.
     count : int
+        Number of random walls.
     slow : bool
-        Give the noise more time to fall, which strong walls need.
+        Whether the assumed noise decreases slowly, which strong walls need.
     random : Generator
+        Source of random numbers.
     """
     stage = _GATHER_SLOWLY if slow else _GATHER
     walls = random_walls(count, energy.modes, lengths, random)
@@ -160,14 +171,14 @@ def gather(
 
 
 def without_blur(energy: FreeEnergy, random: Generator) -> Starts:
-    """Fit from no blur and from nearly none; return the starts by increasing energy."""
+    """Fit from a wave without blur and from three weak ones; return results by energy."""
     walls = random_walls(4, energy.modes, np.array([0.1]), random)
     walls[0] = 0.0
     return energy.descend(energy.starts(walls, _TRIVIAL.first), _TRIVIAL).best(4)
 
 
 def sharp(energy: FreeEnergy, random: Generator) -> Starts:
-    """Fit with coefficients kept near 0, so that the image itself serves as the object."""
+    """Fit with coefficients fixed near 0, so that the image itself serves as the object."""
     walls = random_walls(1, energy.modes, np.array([_SHARP]), random)
     return energy.descend(energy.starts(walls, _TRIVIAL.first, _SHARP), _TRIVIAL)
 
@@ -175,16 +186,22 @@ def sharp(energy: FreeEnergy, random: Generator) -> Starts:
 def evolve(
     energy: FreeEnergy, island: Island, twin: Floats, random: Generator, watch: Watch
 ) -> Starts:
-    """Walls of one frame, held at one length: the best of random ones and of their children.
+    """Search walls for one image at a fixed norm of the coefficients; return the best.
+
+    Random walls are fitted first, then several generations of their children.
 
     Parameters
     ----------
     energy : FreeEnergy
+        Energy of the image.
     island : Island
+        Settings of the search.
     twin : ndarray, (M,)
-        As of `children`.
+        Signs that convert a wall to the one with the same point spread; see `children`.
     random : Generator
-    watch : Watch
+        Source of random numbers.
+    watch : callable
+        Progress callback; if it returns True, the search stops.
     """
     coarse = Stage(
         iterations=200,
@@ -228,28 +245,33 @@ def refine(
     watch: Watch,
     frames: bool = False,
 ) -> Starts:
-    """Walls under the prior that orders answers, and children near them; least energy first.
+    """Fit walls with the prior that ranks answers, and children of the best; sort by energy.
 
-    A descent alone stops in side valleys whose objects are right within a few per cent; children
-    of their walls, from objects of their own, get out.
+    The descent alone can stop in a local minimum whose object is right within a few per cent.
+    Children with objects of their own can leave it.
 
     Parameters
     ----------
     energy : FreeEnergy
+        Energy of the images.
     pool : Starts
-        Least energy first.
+        Walls by increasing energy.
     twin : ndarray, (M,)
-        As of `children`.
+        Signs that convert a wall to the one with the same point spread; see `children`.
     random : Generator
+        Source of random numbers.
     least_length : float
-        Of the coefficients, waves rms; shorter ones are on their way to no blur and are dropped.
+        Smallest norm of the coefficients, waves rms. Walls below it approach no blur and are
+        dropped.
     generations : int
+        Largest number of generations of children.
     enough : callable
-        Whether the best wall needs no more of them.
-    watch : Watch
+        Returns whether the best wall needs no further generation.
+    watch : callable
+        Progress callback; if it returns True, the search stops.
     frames : bool
-        Several frames that no blur cannot explain: their lengths are not guessed, and answers are
-        compared at the noise itself.
+        Whether there are images of different defocus. Then the norms are known better, and answers
+        are compared at the actual noise.
     """
     compare, finish = (_SETTLE, _FINISH) if frames else (_COMPARE, _FREE)
     found = energy.descend(pool.best(8).held(np.inf), compare).best(8)
@@ -257,7 +279,7 @@ def refine(
         if enough(found) or watch("near the best walls", turn / generations):
             break
         walls = children(found[:4], 12, twin, Breeding(flips=0.03, noise=0.25), random)
-        # a radius is a guess, rather too large than too small: the first look further down
+        # the assumed norm is usually too large, so the first generations also try smaller ones
         least = 0.8 if turn < 2 and not frames else 0.95
         walls *= random.uniform(least, 1.05, size=(len(walls), 1))
         both = joined([found, energy.descend(energy.starts(walls, compare.first), compare)])

@@ -1,8 +1,8 @@
 """Variational free energy of images by an unknown wave, with the object integrated out.
 
-The object's posterior is a Gaussian whose covariance is diagonal in Fourier space; its prior is a
-scale mixture on differences of neighbours. Every sum is over one padded period of which the frame
-is a part: what leaves the frame is lost, and outside it the object is dark.
+The object's posterior is a Gaussian whose covariance is diagonal in Fourier space. Its prior is a
+Gaussian scale mixture for differences of neighbouring pixels. Sums extend over the padded FFT grid
+that contains the image. Light that leaves the image is lost, and the object is dark outside.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ Floats = NDArray[Any]
 _SOFTNESS = 0.1
 #: Starts that are worked on at once: their arrays stay in the processor's cache.
 _CHUNK = 8
-#: Pitch over Nyquist's that is still taken for Nyquist's: 2 % beyond it the transfer is under 1e-3.
+#: Largest pitch relative to Nyquist's that is treated as Nyquist's: the transfer function 2 % below
+#: the cutoff is less than 1e-3.
 _NYQUIST_SLACK = 1.02
-#: rms of a known wave beside the modes, waves, that still changes no answer.
+#: Largest rms, waves, of a known wave in addition to the modes that does not affect the answer.
 _MOST_REST = 0.05
 _LEAST_VARIANCE = 1e-6
 _SHRINK = np.array([0.9, 0.99])
@@ -38,20 +39,22 @@ _SHRINK = np.array([0.9, 0.99])
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One descent.
+    """Settings of one descent.
 
     Parameters
     ----------
     iterations : int
+        Number of iterations.
     kappa : float
         Strength of the object's prior; 0.5 to compare answers, 1 to 1.5 to search.
     first, last : float
-        Assumed noise over the true one, from the beginning to ``share`` of the iterations.
+        Ratio of the assumed noise to the actual one, at the start and from ``share`` on.
     share : float
+        Fraction of the iterations after which ``last`` is reached.
     wave_rate : float
         Largest step of a coefficient, waves.
     object_rate : float
-        Largest step of an object value, over the image's maximum.
+        Largest step of an object value, relative to the image's maximum.
     """
 
     iterations: int
@@ -63,34 +66,34 @@ class Stage:
     object_rate: float = 0.05
 
     def noise(self, iteration: int) -> float:
-        """Assumed noise over the true one."""
+        """Return the ratio of the assumed noise to the actual one in an iteration."""
         done = min(1.0, iteration / (self.share * self.iterations))
         return self.first * math.exp(done * math.log(self.last / self.first))
 
     def pace(self, iteration: int) -> float:
-        """Part of the rates: 1 for half of the iterations, then a cosine to 5 %."""
+        """Return the factor of both rates: 1 in the first half, then a cosine down to 5 %."""
         late = max(0.0, 2.0 * iteration / self.iterations - 1.0)
         return 0.05 + 0.95 * 0.5 * (1.0 + math.cos(math.pi * late))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Starts:
-    """Walls and objects in the making, one a row.
+    """Walls and objects during a fit, one per row.
 
     Parameters
     ----------
     coefficients : ndarray, (B, M)
-        Waves rms.
+        Zernike coefficients of the walls, waves rms.
     free : ndarray, (B, n, n)
-        What the object's positive values are made of.
+        Free parameters from which `softly_positive` computes the objects.
     variances : ndarray, (B, 2)
-        Posterior variances of the object's differences along x and y.
+        Posterior variances of the objects' differences along x and y.
     energy : ndarray, (B,)
         Free energy at the end of the last stage, infinite before.
     chi_square : ndarray, (B, K)
-        Mean squared residual of each frame over the noise.
+        Mean squared residual of each image over its noise variance.
     radius : ndarray, (B,)
-        Length that the coefficients are held at; infinite where they are free.
+        Fixed norm of the coefficients, waves rms; infinite if it is free.
     """
 
     coefficients: Floats
@@ -107,7 +110,7 @@ class Starts:
         return Starts(**{name: values[rows] for name, values in vars(self).items()})
 
     def held(self, radius: Floats | float) -> Starts:
-        """Return these starts with other bounds of the coefficient norm; infinity removes them."""
+        """Return these starts with another fixed norm of the coefficients; infinite: free."""
         return replace(self, radius=np.broadcast_to(np.float64(radius), len(self)).copy())
 
     def best(self, count: int) -> Starts:
@@ -116,38 +119,39 @@ class Starts:
 
 
 def joined(parts: Iterable[Starts]) -> Starts:
-    """All starts of several sets."""
+    """Concatenate several sets of starts."""
     parts = list(parts)
     return Starts(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in vars(parts[0])})
 
 
 class FreeEnergy:
-    """Free energy of frames as a function of the wall and the object's mean.
+    """Free energy of images as a function of wall coefficients and mean object.
 
     Parameters
     ----------
     images : ndarray, (K, n, n)
-        Divided by their maximum.
+        Images divided by their maximum.
     sigmas : ndarray, (K,)
-        Noise, in the same unit.
+        Noise in the same unit.
     pupil_psf : PupilPSF
-        Of any shape; Zernike leaves.
+        Point spread with Zernike coefficients, of any shape.
     defocus : ndarray, (K,)
-        Known extra Noll-4 of each frame, m rms.
+        Known additional defocus (Noll 4) of each image, m rms.
     grid : int
-        Samples p of the padded period along each side, at least n.
+        Samples p along each side of the padded FFT grid, at least n.
     fit_background : bool
-        Whether each frame has an unknown even background.
+        Whether each image has an unknown uniform background.
     dtype : type
         ``numpy.float32`` or ``numpy.float64``.
 
     Notes
     -----
-    With residuals r, prior weights w, variances v and posterior covariance C [1]_::
+    With residuals r, noise s, prior strength kappa, differences D, mean object m, variances v,
+    transfer functions H and posterior covariance C [1]_::
 
         2 F = sum r^2/s^2 + sum kappa log((D m)^2 + v) + (n/p)^2 sum_f (C |H|^2/s^2 - log C)
 
-    The gradient holds w and C, by which F is already least.
+    The gradient treats v and C as constants, since F is minimal with respect to them.
 
     References
     ----------
@@ -194,19 +198,20 @@ class FreeEnergy:
 
     @property
     def modes(self) -> int:
-        """Coefficients of a wall."""
+        """Number of coefficients of a wall."""
         return int(self._basis.shape[0])
 
     def starts(self, coefficients: Floats, noise: float, radius: Any = np.inf) -> Starts:
-        """Starts with walls as given and objects by Wiener's filter.
+        """Return starts with given walls and Wiener-filtered objects.
 
         Parameters
         ----------
         coefficients : ndarray, (B, M)
+            Coefficients of the walls, waves rms.
         noise : float
-            Assumed noise over the true one.
+            Ratio of the assumed noise to the actual one.
         radius : float or ndarray, (B,)
-            Length that the coefficients are held at; infinite: free.
+            Fixed norm of the coefficients, waves rms; infinite: free.
         """
         wall: Floats = np.ascontiguousarray(coefficients, dtype=self._dtype)
         found = []
@@ -224,12 +229,12 @@ class FreeEnergy:
         )
 
     def descend(self, starts: Starts, stage: Stage) -> Starts:
-        """Starts after one stage, with their energies."""
+        """Run one stage; return the resulting starts with their energies."""
         rows = range(0, len(starts), _CHUNK)
         return joined(self._descend(starts[row : row + _CHUNK], stage) for row in rows)
 
     def objects(self, starts: Starts) -> Floats:
-        """Mean objects, (B, n, n), in the images' unit."""
+        """Return the mean objects, (B, n, n), in the images' unit."""
         mean = np.empty_like(starts.free)
         kernels.softly_positive(starts.free, _SOFTNESS, mean)
         return mean
@@ -237,28 +242,32 @@ class FreeEnergy:
     def evaluate(
         self, starts: Starts, wall: Floats, noise: float, kappa: float, want_energy: bool
     ) -> tuple[dict[str, Floats], Floats, Floats, Floats]:
-        """Energies and gradients at one place.
+        """Return energies and gradients for given walls.
 
         Parameters
         ----------
         starts : Starts
+            Objects and variances.
         wall : ndarray, (B, M)
-            Coefficients in place of the starts' own.
+            Coefficients, used instead of those of ``starts``.
         noise : float
-            Assumed noise over the true one.
+            Ratio of the assumed noise to the actual one.
         kappa : float
+            Strength of the object's prior.
         want_energy : bool
+            Whether to compute the energies.
 
         Returns
         -------
-        dict
-            ``energy`` (B,), 0 if it is not wanted; ``squares`` (B, K) of the residuals over the
-            noise; ``background`` (B, K), weighted; ``variances`` (B, 2), the posterior's.
-        ndarray, (B, p, p)
-            Gradient by the data with respect to the mean object, in its first n x n.
-        ndarray, (B, n, n)
-            The same by the prior.
-        ndarray, (B, M)
+        values : dict
+            ``energy`` (B,), without meaning if not wanted; ``squares`` (B, K), the squared
+            residuals over the noise variance; ``background`` (B, K), times the images' weights;
+            ``variances`` (B, 2).
+        by_data : ndarray, (B, p, p)
+            Gradient of the data term with respect to the mean object, in its first n x n samples.
+        by_prior : ndarray, (B, n, n)
+            Gradient of the prior with respect to the mean object.
+        by_wall : ndarray, (B, M)
             Gradient with respect to the coefficients.
         """
         mean, grid = self.objects(starts), (self._grid, self._grid)
@@ -294,7 +303,7 @@ class FreeEnergy:
         return values, by_data, by_prior, self._wall_gradient(residual, pupil, field)
 
     def background(self, starts: Starts) -> Floats:
-        """Light that is everywhere in a frame, (B, K), in the images' unit."""
+        """Return the fitted uniform background of each image, (B, K), in the images' unit."""
         values = self.evaluate(starts, starts.coefficients, 1.0, 0.5, False)[0]
         level: Floats = values["background"] / self._weights
         return level
@@ -338,7 +347,10 @@ class FreeEnergy:
         )
 
     def _objects(self, wall: Floats, noise: float) -> Floats:
-        """Objects by Wiener's filter, (B, n, n), at least 0.01."""
+        """Return Wiener-filtered objects, (B, n, n), at least 0.01 of the image's maximum.
+
+        ``noise`` is the ratio of the assumed noise to the actual one.
+        """
         n, grid = self._images.shape[1], (self._grid, self._grid)
         transfer = self._transfer(wall)[0] * self._pixel
         level = np.zeros(len(self._images))
@@ -355,7 +367,10 @@ class FreeEnergy:
         return bright
 
     def _transfer(self, wall: Floats) -> tuple[Floats, Tensor, Floats]:
-        """Transfer functions before the detector, (B, K, p, q), pupils and fields."""
+        """Return transfer functions (B, K, p, q), pupil functions, and image fields.
+
+        The transfer functions do not contain that of the detector's pixels.
+        """
         count, frames, p = len(wall), len(self._images), self._grid
         phase = (torch.from_numpy(wall) @ self._basis)[:, None] + self._known
         pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
@@ -379,7 +394,10 @@ class FreeEnergy:
 
 
 def _pupil(pupil_psf: PupilPSF, grid: int) -> tuple[PupilOptics, Floats]:
-    """The pupil on cells of a longer period, and phases of its leaves, (M, cells), rad per wave."""
+    """Return the pupil sampled for the padded grid, and the phases of its modes.
+
+    The phases are (M, cells), rad per wave of the coefficient.
+    """
     given = pupil_psf.optics
     waves = pupil_psf.waves
     if not isinstance(waves, ZernikeWaves):

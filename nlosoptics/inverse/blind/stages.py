@@ -1,4 +1,4 @@
-"""Rounds of a fit of object and walls: what moves, by what steps, and which starts go on."""
+"""Stages of a blind fit: number of starts, assumed noise, and steps of object and coefficients."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ _OBJECT_STEP = 0.05
 _GAIN_STEP = 0.01
 _BETAS = (0.9, 0.99)
 _CHECK_EVERY = 25
-#: What a batch of fits is made of.
+#: Tensors that make up a batch of fits.
 BATCH = ("theta", "coefficients", "log_gains", "variances", "energy", "square")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """One round of the fit.
+    """Settings of one stage of the fit.
 
     Parameters
     ----------
     starts : int
-        How many of the best go in.
+        Number of best starts that are continued.
     iterations : int
+        Number of iterations.
     noise : (float, float)
-        Factor by which the noise is taken for larger, first and last; geometric between, reached
-        after 0.7 of the iterations.
+        First and last ratio of the assumed noise to the actual one. In between it changes
+        geometrically, and the last value is reached after 0.7 of the iterations.
     step : float
-        Of the coefficients, waves; 0 keeps them.
+        Step of the coefficients, waves; 0 keeps them fixed.
     """
 
     starts: int
@@ -49,7 +50,7 @@ class Stage:
 
 
 def near_stages(starts: int) -> tuple[Stage, ...]:
-    """Rounds for coefficients that are known to some tenth of a wave."""
+    """Return the stages for coefficients known to some tenths of a wave."""
     return (
         Stage(starts=starts, iterations=200, noise=(5.0, 5.0), step=0.0),
         Stage(starts=starts, iterations=400, noise=(5.0, 1.0), step=0.01),
@@ -58,7 +59,7 @@ def near_stages(starts: int) -> tuple[Stage, ...]:
 
 
 def far_stages(starts: int) -> tuple[Stage, ...]:
-    """Rounds for walls of which nothing is known."""
+    """Return the stages for unknown walls."""
     return (
         Stage(starts=starts, iterations=200, noise=(30.0, 4.0), step=0.016),
         Stage(starts=max(1, starts // 4), iterations=300, noise=(4.0, 1.0), step=0.016),
@@ -68,7 +69,7 @@ def far_stages(starts: int) -> tuple[Stage, ...]:
 
 @dataclass(eq=False, kw_only=True)
 class State:
-    """A batch of fits."""
+    """Batch of B fits with objects, coefficients, image gains, energies and history."""
 
     theta: Tensor
     coefficients: Tensor
@@ -82,7 +83,7 @@ class State:
     settled: bool = False
 
     def chosen(self, which: Tensor) -> State:
-        """Some of the fits."""
+        """Return the fits with the indices ``which``."""
         return State(
             theta=self.theta.detach()[which].clone(),
             coefficients=self.coefficients.detach()[which].clone(),
@@ -118,7 +119,11 @@ class BlindFit:
         self._stiffness = first.shape[-1] / (2.0 * start_error**2)
 
     def begin(self, coefficients: Tensor, factor: float) -> State:
-        """Objects by the start's point spreads."""
+        """Return the initial batch, with objects Wiener-filtered by their point spreads.
+
+        ``coefficients`` (B, n_walls, M) are in waves; ``factor`` is the ratio of assumed to actual
+        noise.
+        """
         count = len(coefficients)
         with torch.no_grad():
             level = self.energy.wiener(self.frames.transfer(coefficients), factor)
@@ -136,17 +141,20 @@ class BlindFit:
         )
 
     def best(self, state: State, count: int) -> State:
-        """The fits of lowest energy."""
+        """Return the ``count`` fits of lowest energy."""
         if count >= len(state.theta):
             count = len(state.theta)
         return state.chosen(state.energy.argsort()[:count])
 
     def held(self, coefficients: Tensor) -> Tensor:
-        """Free energy of coefficients (B, n_walls, M) by their distance from the start, (B,)."""
+        """Return the prior energy (B,) of coefficients (B, n_walls, M).
+
+        It increases with the squared distance from the initial coefficients.
+        """
         return self._stiffness * (coefficients - self.first).square().sum((-2, -1))
 
     def gains(self, state: State) -> Tensor | None:
-        """Relative brightness of the images, their logarithms' mean 0, (B, K, 1, 1)."""
+        """Return the relative brightness of the images, (B, K, 1, 1), with geometric mean 1."""
         if not self.fit_gains:
             return None
         logs = state.log_gains - state.log_gains.mean(-1, keepdim=True)
@@ -160,7 +168,7 @@ class BlindFit:
         report: Report,
         kept: Mapping[str, Any] | None = None,
     ) -> State:
-        """One stage, from its start or, within it, from what `Report` kept."""
+        """Run one stage, from its beginning or from the saved state ``kept``."""
         moves = stage.step > 0.0
         groups: list[dict[str, Any]] = [
             {"params": [state.theta.requires_grad_()], "lr": _OBJECT_STEP}
@@ -228,9 +236,9 @@ class NoBlur:
     Parameters
     ----------
     energy : float
-        Free energy, its coefficients free.
+        Free energy, without a prior of the coefficients.
     held : float
-        What `BlindFit.held` would add.
+        Energy that the prior of the coefficients would add; see `BlindFit.held`.
     """
 
     energy: float = math.nan
@@ -238,22 +246,23 @@ class NoBlur:
 
 
 class Report:
-    """Fraction done, told now and then, with a state to go on from.
+    """Progress reports of a staged fit, with states to resume from.
 
     Parameters
     ----------
     progress : callable or None
+        Callback of the user.
     total : int
-        Iterations of all stages.
+        Number of iterations of all stages.
 
     Attributes
     ----------
     stage : int
-        The one that runs.
+        Number of the current stage.
     no_blur : NoBlur
-        What a fit from no blur comes to.
+        Result of the fit that starts without blur.
     ended : bool
-        Whether the callback asked the fit to end.
+        Whether the callback asked the fit to stop.
     """
 
     def __init__(self, progress: Progress | None, total: int) -> None:
@@ -261,7 +270,7 @@ class Report:
         self.stage, self.no_blur, self.ended = 0, NoBlur(), False
 
     def skip(self, iterations: int) -> None:
-        """Count iterations that were made before."""
+        """Count iterations that a resumed fit has completed before."""
         self._done += iterations
 
     def tell(
@@ -272,7 +281,7 @@ class Report:
         adam: torch.optim.Adam,
         place: tuple[int, float],
     ) -> bool:
-        """After each iteration; False where the fit is to end."""
+        """Count one iteration and report now and then; return False if the fit is to stop."""
         self._done += 1
         if self._done % _CHECK_EVERY:
             return True
@@ -289,7 +298,7 @@ class Report:
     def _state(
         self, fit: BlindFit, state: State, adam: torch.optim.Adam, place: tuple[int, float]
     ) -> checkpoints.State:
-        """The object of the best start; all that the next iteration begins with."""
+        """Return the state to resume from, with the object of the best start."""
         at = int(state.energy.argmin())
         with torch.no_grad():
             level = fit.energy.level(state.theta)[at] * fit.frames.scale
@@ -314,12 +323,19 @@ class NoBlurReport(Report):
 
 
 def taken_up(state: State, kept: Mapping[str, Any]) -> State:
-    """A batch as `Report` kept it.
+    """Restore a batch of fits from a saved state.
+
+    Parameters
+    ----------
+    state : State
+        Batch of the new fit; its tensors are replaced.
+    kept : mapping
+        Saved state.
 
     Raises
     ------
     SamplingError
-        If it is of other images or walls.
+        If the saved state belongs to other images or walls.
     """
     for name in BATCH:
         mine = getattr(state, name)
@@ -334,7 +350,7 @@ def taken_up(state: State, kept: Mapping[str, Any]) -> State:
 
 
 def _pace(done: float) -> float:
-    """Share of the step: all of it for half of the stage, then a cosine down to 5 %."""
+    """Return the factor of the steps: 1 in the first half of a stage, then a cosine to 5 %."""
     if done < 0.5:
         return 1.0
     return 0.05 + 0.475 * (1.0 + math.cos(2.0 * math.pi * (done - 0.5)))

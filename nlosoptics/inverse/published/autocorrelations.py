@@ -1,4 +1,4 @@
-"""An object's autocorrelation and spectrum from the image by a speckle-like wall."""
+"""Autocorrelation and spectrum of an object, from its image via a wall with a speckle-like PSF."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ from ..data.measurement import Measurement
 
 Array = NDArray[np.float64]
 
-# Lags further out than this part of the array tell background and noise; object lags that stand
-# out of it by so many standard deviations, after a mean over 3 x 3 lags, belong to the object.
+# Lags beyond this fraction of the array determine background and noise. Lags, averaged over 3 x 3,
+# that exceed the background by this many standard deviations belong to the object.
 _FAR = 0.85
 _STANDS_OUT = 3.0
-# Room around the extent: where few pairs of lit pixels meet, the lags' edge is lost in the noise.
+# Margin factor of the extent: at large lags few pairs of bright pixels contribute, so that the edge
+# is hidden by noise.
 _ROOM = 1.4
 
 
@@ -31,12 +32,13 @@ class SpectrumModulus:
 
     Parameters
     ----------
-    modulus : ndarray
-        (g_y, g_x//2 + 1) float64, of the object's ``rfft2`` on a grid at least 1.5 times the lags
-        of the object, any scale.
+    modulus : ndarray, (g_y, g_x//2 + 1)
+        Modulus of the object's ``rfft2``, float64, any scale. The grid is at least 1.5 times as
+        wide as the object's autocorrelation.
     grid : (int, int)
+        Rows and columns (g_y, g_x) of the grid.
     object_size : (int, int)
-        Rows and columns of the box that holds the object.
+        Rows and columns of the rectangle that contains the object.
     """
 
     modulus: Array
@@ -45,15 +47,15 @@ class SpectrumModulus:
 
 
 def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
-    """Autocorrelation of an image about its mean, zero lag at the centre, odd counts.
+    """Return the autocorrelation of an image minus its mean, with the zero lag at the centre.
 
-    Without a model each lag is the mean over the pairs of counting pixels that the frame holds.
-    With one the power spectrum is divided by the wall's, where that carries more than the noise.
+    Both sides are odd. Without a model each lag is the mean over all pairs of valid pixels. With a
+    model the power spectrum is divided by that of the point spread, where this exceeds the noise.
     """
     clean = (data.data - data.data.mean()).cpu().numpy()
     counts = np.ones(clean.shape)
     if data.weights is not None:
-        # a pixel that does not count holds the mean of those that do, by their weights
+        # excluded pixels hold the weighted mean of the others
         counts = (data.weights > 0.0).cpu().numpy().astype(np.float64)
         clean = np.where(counts > 0.0, clean - clean[counts > 0.0].mean(), 0.0)
     if model is None:
@@ -66,7 +68,7 @@ def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
         power = np.abs(fft.rfft2(clean, s=grid)) ** 2
         passed = torch.abs(model.transfer).cpu().numpy() ** 2
         noise = data.noise_power()
-        # the Wiener filter of the power: signal over noise is told by the image's own mean
+        # Wiener filter of the power; the image's mean power gives the signal-to-noise ratio
         floor = noise / max(power.mean() - noise, 1e-12 * power.mean()) * passed.mean()
         lags = fft.irfft2(np.maximum(power - noise, 0.0) * passed / (passed**2 + floor**2), s=grid)
     reach = [min((n - 1) // 2, (g - 1) // 2) for n, g in zip(clean.shape, grid, strict=True)]
@@ -74,23 +76,24 @@ def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
 
 
 def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> SpectrumModulus:
-    """Modulus of the object's spectrum from its autocorrelation on a background.
+    """Estimate the modulus of the object's spectrum from an autocorrelation with background.
 
     Parameters
     ----------
-    lags : ndarray
-        (odd, odd), zero lag at the centre, where it may hold noise or nothing.
+    lags : ndarray, (odd, odd)
+        Autocorrelation with the zero lag at the centre. The zero lag itself is not used.
     object_size : (int, int) or None
-        Rows and columns of the object; None: half of what stands out of the lags' background.
+        Rows and columns of the object; None: half the extent of the lags above the background.
 
     Returns
     -------
     SpectrumModulus
+        Modulus, its grid and the object's size.
 
     Raises
     ------
     SamplingError
-        If no lags stand out, or those of the object do not fit the array.
+        If no lags exceed the background, or the object's lags do not fit the array.
     """
     if min(lags.shape) < 3:
         raise SamplingError(
@@ -99,7 +102,7 @@ def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> Spectr
         )
     centre = tuple(n // 2 for n in lags.shape)
     lags = lags.copy()
-    # The zero lag holds the noise's variance, or nothing; its neighbours are the object's.
+    # The zero lag contains the noise variance, or nothing, so its neighbours replace it.
     neighbours = [(centre[0] + i, centre[1] + j) for i, j in ((0, 1), (0, -1), (1, 0), (-1, 0))]
     lags[centre] = np.mean([lags[place] for place in neighbours])
     if object_size is None:
@@ -130,7 +133,7 @@ def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> Spectr
 
 
 def checked_lags(autocorrelation: Any) -> Array:
-    """An autocorrelation made even about its centre, or the error that says what is wrong."""
+    """Return an autocorrelation as an array made symmetric about its centre; raise if invalid."""
     try:
         if isinstance(autocorrelation, torch.Tensor):
             autocorrelation = autocorrelation.detach().cpu().numpy()
@@ -159,7 +162,7 @@ def checked_lags(autocorrelation: Any) -> Array:
 
 
 def _object_size(lags: Array) -> tuple[int, int]:
-    """Half the extent of what stands out around the centre, with some room."""
+    """Estimate the object's size: half the extent of the lags above the background, plus margin."""
     smooth = ndimage.uniform_filter(lags, 3)
     axes = [np.abs(np.arange(n) - n // 2) / (n // 2) for n in lags.shape]
     far = np.maximum(axes[0][:, None], axes[1]) > _FAR
@@ -181,5 +184,5 @@ def _object_size(lags: Array) -> tuple[int, int]:
 
 
 def _centred(lags: Array, reach: list[int]) -> Array:
-    """Lags up to ``reach`` either way, out of the transform's order."""
+    """Return the lags up to ``reach``, reordered from FFT order to the zero lag at the centre."""
     return lags[np.ix_(*(np.arange(-r, r + 1) for r in reach))]

@@ -365,7 +365,7 @@ def train_cnn(
 
 
 def _tensors(pairs: TrainingPairs) -> tuple[Tensor, Tensor]:
-    """Images and objects in single precision, checked."""
+    """Return the training images and objects as checked single-precision tensors."""
     images, objects = (
         torch.tensor(np.asarray(values), dtype=torch.float32)
         for values in (pairs.images, pairs.objects)
@@ -386,7 +386,7 @@ def _tensors(pairs: TrainingPairs) -> tuple[Tensor, Tensor]:
 
 
 def _validation(made: CnnBaseline, images: Tensor, objects: Tensor, batch: int) -> float:
-    """Mean squared error over pairs that were not shown."""
+    """Return the mean squared error over pairs that were not used for training."""
     total = 0.0
     with torch.no_grad():
         for part, wanted in zip(

@@ -210,7 +210,7 @@ def _guide(
     model: ForwardModel | TorchForwardModel,
     seed: int,
 ) -> tuple[Tensor, float, float]:
-    """Return the network's input, its gain and the weight of the total variation."""
+    """Return the network's input, its gain (image units), and the total-variation weight."""
     known: dict[str, Any] = {
         "noise_sigma": data.sigma if data.weights is None else data.sigma / data.weights.sqrt(),
         "fit_background": data.fit_background,
@@ -231,7 +231,7 @@ def _guide(
 
 
 class _Fit:
-    """Weights of a network on their way to an image, in units of the noise."""
+    """State of the fit of a network's weights to an image in units of its noise."""
 
     def __init__(
         self,
@@ -255,9 +255,9 @@ class _Fit:
         self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
     def run(self, first: int, max_iterations: int, progress: Progress | None) -> bool:
-        """Step until the residual is what the noise leaves, or to the last iteration.
+        """Iterate until the residual equals the expected noise, or to the last iteration.
 
-        False where the callback ended it before.
+        Returns False if the callback stopped the fit before.
         """
         before = self._best[1]
         for iteration in range(first, max_iterations):
@@ -285,7 +285,7 @@ class _Fit:
         return True
 
     def _state(self, count: int) -> State:
-        """All that the next iteration starts from."""
+        """Return everything that the iteration after the first ``count`` starts from."""
         more = {} if self._average is None else {"average": self._average}
         objective, level = self._best
         return state_of(
@@ -297,7 +297,7 @@ class _Fit:
         )
 
     def go_on(self, state: Mapping[str, Any]) -> int:
-        """Take up a state; the iterations behind it."""
+        """Resume from a saved state; return the number of its iterations."""
         if not isinstance(state, Mapping) or not {"numbers", "best"} <= set(state):
             raise SceneError(
                 "start holds no network; give a state of deep_image_prior, or leave it out"
@@ -315,13 +315,14 @@ class _Fit:
         return level.to(image)
 
     def lean_on(self, level: Tensor, share: float) -> None:
-        """Let a part of what is chosen be another answer, image units."""
+        """Mix a fraction ``share`` of another object, image units, into the result."""
         self._known = level, share
 
     def chosen(self) -> Tensor:
-        """Running average or best iterate, whichever has the lower objective, and what it leans on.
+        """Return the resulting object in image units.
 
-        Image units.
+        It is the running average or the best iterate, whichever has the lower objective, mixed with
+        the object of `lean_on`.
         """
         objective, level = self._best
         if self._average is not None:
@@ -333,7 +334,7 @@ class _Fit:
         return level if self._known is None else level.lerp(*self._known)
 
     def _step(self) -> tuple[float, float, Tensor]:
-        """One step of Adam; objective, residual and level of the object before it."""
+        """Make one step of Adam; return objective, residual and object before the step."""
         self._adam.zero_grad()
         objective, square, level = self._objective(self._network())
         objective.backward()  # type: ignore[no-untyped-call]
@@ -341,7 +342,7 @@ class _Fit:
         return objective.item(), math.sqrt(square.item()), level.detach()
 
     def _objective(self, picture: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Objective per pixel, mean squared residual, and object times gain."""
+        """Return the objective per pixel, the mean squared residual, and the object times gain."""
         gain, residual = self._image.misfit(self._model(picture))
         level = gain * picture
         objective = 0.5 * self._image.weighted(residual * residual).mean()

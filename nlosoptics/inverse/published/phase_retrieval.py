@@ -221,7 +221,7 @@ def object_from_autocorrelation(
 
 
 class _Search:
-    """Checked options, and the restarts that they ask for."""
+    """Options of a phase retrieval, and the random restarts."""
 
     def __init__(
         self,
@@ -251,7 +251,11 @@ class _Search:
     def run(
         self, lags: Any, shape: tuple[int, ...], device: torch.device
     ) -> tuple[Tensor, float, Any, dict[str, Any]]:
-        """Object in its frame, correlation of the halves, errors, parameters."""
+        """Return object, correlation of two halves of the restarts, errors, and parameters.
+
+        ``lags`` is the autocorrelation and ``shape`` that of the returned object. The errors, one
+        per restart, are rms differences of the spectra's moduli, relative.
+        """
         spectrum = spectrum_modulus(lags, self._object_size)
         modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
 
@@ -284,13 +288,13 @@ class _Search:
         return frame, score, errors.double().cpu().numpy(), parameters
 
     def status(self, score: float) -> Status:
-        """Whether two halves of all restarts agree."""
+        """Return "converged" if the objects of two halves of the restarts agree."""
         return "converged" if score >= _AGREED and not self._ended else "unconverged"
 
     def _objects(
         self, spectrum: SpectrumModulus, modulus: Tensor, watch: Callable[[float, Tensor], bool]
     ) -> tuple[Tensor, Tensor]:
-        """Return objects (R, g_y, g_x) of all restarts and their Fourier errors; fewer if ended."""
+        """Return objects (R, g_y, g_x) and Fourier errors (R,) of the completed restarts."""
         rows, columns = spectrum.object_size
         support = torch.zeros(spectrum.grid, dtype=torch.bool, device=modulus.device)
         support[:rows, :columns] = True
@@ -317,7 +321,7 @@ class _Search:
 
     def _alternating(self, modulus: Tensor, support: Tensor, first: Tensor, used: Tensor) -> Tensor:
         def within(spectrum: Tensor) -> Tensor:
-            # The transform being unitary, also the least-squares solution.
+            # This is also the least-squares solution, because the transform is unitary.
             picture: Tensor = torch.fft.irfft2(spectrum, s=tuple(support.shape))
             return picture * support
 
@@ -330,12 +334,12 @@ class _Search:
             max_iterations=self._iterations,
             tolerance=_TOLERANCE,
         )
-        # An overall sign is not seen by the modulus.
+        # The modulus does not determine the overall sign.
         return found if float(found.sum()) >= 0.0 else -found
 
 
 def _framed(objects: Tensor, spectrum: SpectrumModulus, shape: tuple[int, ...]) -> Tensor:
-    """An object in the middle of its frame, largest value 1."""
+    """Place an object at the centre of an image of a given shape, scaled to a maximum of 1."""
     rows, columns = spectrum.object_size
     box = objects[:rows, :columns].double()
     frame = torch.zeros(shape, dtype=torch.float64, device=box.device)

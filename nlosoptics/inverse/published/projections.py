@@ -1,4 +1,4 @@
-"""Phase retrieval by projections on many restarts at once, and how restarts agree."""
+"""Phase retrieval by projections from many random starts at once, and averages of their objects."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-# Power iterations of the start; the leading vector's direction settles long before.
+# Power iterations of the spectral start; the direction converges long before.
 _POWER_ITERATIONS = 50
 # Measurements over this many times their rms are left out of the start (Chen and Candes 2015).
 _TRUNCATION = 3.0
@@ -23,19 +23,19 @@ def spectral_start(
     first: Tensor,
     used: Tensor,
 ) -> Tensor:
-    """Leading vector of ``sum y_i^2 a_i a_i'`` over some of the measurements, at their norm.
+    """Return the leading eigenvector of ``sum y_i^2 a_i a_i'``, scaled to the measurements.
 
     Parameters
     ----------
     sizes : Tensor
-        ``y = |A x|``.
+        Measured moduli ``y = |A x|``.
     forward, adjoint : callable
-        A and its conjugate transpose.
+        The linear map A with rows a_i', and its conjugate transpose.
     first : Tensor
-        Where the power iteration starts, as x.
-    used : Tensor
-        bool, as y: the measurements that the start may see. Those over three times the rms are
-        left out of it besides, since a few would otherwise decide it.
+        Start of the power iteration, with the shape of x.
+    used : Tensor of bool
+        Measurements to use, with the shape of y. Those above three times the rms are omitted, since
+        a few of them would dominate the sum.
     """
     squares = sizes * sizes
     limit = _TRUNCATION**2 * squares[used].mean()
@@ -59,17 +59,18 @@ def alternating_minimisation(
     max_iterations: int,
     tolerance: float,
 ) -> tuple[Tensor, float]:
-    """Phases, then the vector that fits them best, in turns [1]_.
+    """Solve ``|A x| = y`` by estimating phases and solving for x in turn [1]_.
 
     Parameters
     ----------
     sizes : Tensor
-        ``y = |A x|``.
+        Measured moduli ``y = |A x|``.
     forward : callable
-        A.
+        The linear map A.
     least_squares : callable
-        x of least ``|A x - c|`` for given c.
+        Returns the x that minimises ``|A x - c|`` for given c.
     start : Tensor
+        Initial x.
     max_iterations : int
         Maximum number of iterations.
     tolerance : float
@@ -78,6 +79,7 @@ def alternating_minimisation(
     Returns
     -------
     vector : Tensor
+        Solution x.
     error : float
         ``| |A x| - y | / |y|``.
 
@@ -100,14 +102,14 @@ def alternating_minimisation(
 
 Projections = Literal["hio", "raar"]
 
-# The last iterations of either method only enforce both constraints.
+# Final iterations that alternate between both constraints only.
 _SETTLING = 50
-# Fienup's feedback falls to zero while it runs; Luke's relaxation falls between the two values.
+# Fienup's feedback decreases to zero; Luke's relaxation decreases between the two values.
 _FEEDBACK = 2.0
 _RELAXATION = (0.9, 0.5)
-# Tensors of a chunk of restarts hold so many samples.
+# Largest number of samples in a tensor; the restarts are divided accordingly.
 _CHUNK = 2**20
-# Restarts whose Fourier error is within this part of the least are averaged.
+# Restarts whose Fourier error exceeds the least by at most this fraction are averaged.
 _AS_GOOD = 0.02
 
 
@@ -120,30 +122,31 @@ def projected(
     iterations: int,
     watch: Callable[[float, Tensor], bool],
 ) -> tuple[Tensor, Tensor]:
-    """Non-negative objects in a support whose spectra have a modulus.
+    """Find non-negative objects within a support whose spectra have a given modulus.
 
     Parameters
     ----------
-    modulus : Tensor
-        (H, W//2 + 1).
-    support : Tensor
-        (H, W) bool.
-    starts : Tensor
-        (R, H, W).
+    modulus : Tensor, (H, W//2 + 1)
+        Modulus of the object's ``rfft2``.
+    support : Tensor of bool, (H, W)
+        Pixels that may be bright.
+    starts : Tensor, (R, H, W)
+        Initial objects of the restarts.
     method : {"hio", "raar"}
-        Hybrid input-output (Fienup 1982), its feedback falling from 2 to 0, or relaxed averaged
-        alternating reflections (Luke 2005), its relaxation from 0.9 to 0.5.
+        Hybrid input-output (Fienup 1982), with feedback decreasing from 2 to 0, or relaxed averaged
+        alternating reflections (Luke 2005), with relaxation decreasing from 0.9 to 0.5.
     iterations : int
+        Number of iterations.
     watch : callable
-        Called with the fraction done and the objects so far, (R', H, W); where it returns False,
-        these are settled and are all.
+        Called with the completed fraction and the current objects (R', H, W). If it returns False,
+        only these objects are completed and returned.
 
     Returns
     -------
-    objects : Tensor
-        (R, H, W).
-    errors : Tensor
-        (R,), rms of the spectra's moduli against ``modulus``, relative.
+    objects : Tensor, (R, H, W)
+        Objects.
+    errors : Tensor, (R,)
+        Rms differences of the spectra's moduli from ``modulus``, relative.
     """
     per_chunk = max(1, _CHUNK // support.numel())
     chunks = [starts[i : i + per_chunk] for i in range(0, len(starts), per_chunk)]
@@ -169,7 +172,7 @@ def projected(
 
 
 def fourier_errors(objects: Tensor, modulus: Tensor) -> Tensor:
-    """Rms of (R, H, W) objects' spectral moduli against one, relative, (R,)."""
+    """Return the relative rms differences (R,) of the objects' spectral moduli from ``modulus``."""
     columns = objects.shape[-1]
     # A half spectrum holds every column but the first, and the last of an even grid, for two.
     twice = torch.full_like(modulus[0], 2.0)
@@ -183,10 +186,10 @@ def fourier_errors(objects: Tensor, modulus: Tensor) -> Tensor:
 
 
 def averaged(objects: Tensor, errors: Tensor) -> Tensor:
-    """Mean of the best restart and those as good, each moved and turned onto the best.
+    """Average the best restart and all nearly as good ones, after aligning them to the best.
 
-    Where the moduli are noisy, restarts end at different errors of the same picture; their mean
-    has less of them.
+    If the modulus is noisy, the restarts end at the same object with different errors, which their
+    mean reduces.
     """
     best = int(errors.argmin())
     reference = objects[best]
@@ -196,7 +199,10 @@ def averaged(objects: Tensor, errors: Tensor) -> Tensor:
 
 
 def onto(picture: Tensor, reference: Tensor) -> Tensor:
-    """A picture moved by whole samples, and turned by half a turn where that fits better."""
+    """Shift an object by whole pixels to match a reference.
+
+    It is also turned by half a turn if that improves the match.
+    """
     spectrum = torch.fft.rfft2(reference - reference.mean())
     best, found = -math.inf, picture
     for candidate in (picture, picture.flip(0, 1)):
@@ -223,7 +229,7 @@ def _step(
 
 
 def _with_modulus(objects: Tensor, modulus: Tensor) -> Tensor:
-    """The nearest picture whose spectrum has the modulus."""
+    """Return the objects closest to the given ones whose spectra have the given modulus."""
     spectrum = torch.fft.rfft2(objects)
     size = spectrum.abs().clamp_min(torch.finfo(modulus.dtype).tiny)
     result: Tensor = torch.fft.irfft2(spectrum * (modulus / size), s=tuple(objects.shape[-2:]))

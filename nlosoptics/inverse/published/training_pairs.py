@@ -132,7 +132,7 @@ def training_pairs(
 
 
 def _framed(scene: Scene, size: int | None) -> Scene:
-    """The scene, checked, with a smaller region of interest."""
+    """Return the scene, checked, with a region of interest of ``size`` pixels."""
     if not scene.wall.is_flat:
         raise SceneError(
             f"wall of type {type(scene.wall).__name__}: training draws the wall's wave at random; "
@@ -168,7 +168,7 @@ def _framed(scene: Scene, size: int | None) -> Scene:
 
 
 def _picture(draw: np.random.Generator) -> NDArray[np.float64]:
-    """One to five bars, discs and rings at random, on black."""
+    """Return a random picture of one to five bars, discs and rings on black."""
     axis = (np.arange(_PICTURE) + 0.5) / _PICTURE * 2.0 - 1.0
     x, y = np.meshgrid(axis, axis)
     picture = np.zeros_like(x)

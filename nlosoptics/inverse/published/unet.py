@@ -103,19 +103,21 @@ class UNet(nn.Module):
 
 
 class UNetObject(nn.Module):
-    """An object as the output of an untrained U-net, between 0 and 1.
+    """Object represented as the output of an untrained U-net, between 0 and 1.
 
     Parameters
     ----------
-    guide : Tensor
-        (H, W) or (C, H, W), what the network is fed with; each channel is made mean-free with unit
-        variance. Device and precision are those of the object.
-    base, depth, seed
-        Of `UNet`.
+    guide : Tensor, (H, W) or (C, H, W)
+        Input of the network; each channel is shifted and scaled to mean 0 and variance 1. The
+        object has the same device and precision.
+    base, depth : int
+        Size of the network, see `UNet`.
+    seed : int
+        Seed of its initial weights.
 
     Notes
     -----
-    The network's shape alone prefers objects over noise, and it is fitted to one image [1]_.
+    The network's structure alone favours objects over noise. It is fitted to one image [1]_.
 
     References
     ----------
@@ -131,7 +133,7 @@ class UNetObject(nn.Module):
         self.register_buffer("guide", _normalised(_channels(guide))[None])
 
     def set_guide(self, guide: Tensor) -> None:
-        """Feed the network with another picture of as many channels."""
+        """Replace the network's input by another one with as many channels."""
         self.guide = _normalised(_channels(guide))[None].to(self.guide)
 
     def forward(self) -> Tensor:

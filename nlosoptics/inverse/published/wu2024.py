@@ -202,7 +202,7 @@ def wu2024_fit(
 
 
 class _Pcin:
-    """Angles and network of a fit, each with its Adam."""
+    """State of a fit: facet angles and network weights, each with an Adam optimiser."""
 
     def __init__(
         self,
@@ -234,7 +234,11 @@ class _Pcin:
         network_input: NetworkInput,
         progress: Progress | None,
     ) -> None:
-        """Steps 1 and 2 by turns (step 3) until the iterations are used up."""
+        """Alternate between fits of the angles and of the network until all iterations are used.
+
+        ``behind`` is the number of iterations of a resumed fit, and ``alternate`` the number of
+        iterations of each of the two fits in a turn.
+        """
         left = max_iterations - behind
         while left > 0:
             for phase in (self._fit_angles, self._fit_network):
@@ -254,7 +258,7 @@ class _Pcin:
                 return
 
     def _state(self, count: int) -> State:
-        """All that the next turn starts from."""
+        """Return everything that the turn after the first ``count`` iterations starts from."""
         return state_of(
             self.gain() * self.object(),
             coefficients=self.angles,
@@ -265,7 +269,7 @@ class _Pcin:
         )
 
     def go_on(self, state: Mapping[str, Any]) -> int:
-        """Take up a state; the iterations behind it."""
+        """Resume from a saved state; return the number of its iterations."""
         if not isinstance(state, Mapping) or not {"guide", "count"} <= set(state):
             raise SceneError("start holds no network; give a state of wu2024_fit, or leave it out")
         take_up_adam("angles", self._adams[0], state)
@@ -274,25 +278,25 @@ class _Pcin:
         return int(state["count"])
 
     def object(self) -> Tensor:
-        """The network's answer now, 0 to 1."""
+        """Return the current output of the network, (H, W), 0 to 1."""
         with torch.no_grad():
             picture: Tensor = self.network()
         return picture
 
     def gain(self) -> float:
-        """Image units per object unit."""
+        """Return the fitted number of image units per object unit."""
         with torch.no_grad():
             seen = _seen(self.network(), self._transfer())
             return self.image.misfit(seen)[0].item() * self.image.unit
 
     def _fit_angles(self, steps: int) -> None:
-        """Step 1: the angles, the network's answer held."""
+        """Fit the angles with the object fixed (step 1 of the paper)."""
         picture = self.object()
         for _ in range(steps):
             self._step(self._adams[0], picture, self._transfer())
 
     def _fit_network(self, steps: int) -> None:
-        """Step 2: the network, the angles held."""
+        """Fit the network with the angles fixed (step 2 of the paper)."""
         with torch.no_grad():
             transfer = self._transfer()
         for _ in range(steps):
@@ -303,7 +307,10 @@ class _Pcin:
         return transfer[0] if self.defocus is not None else transfer
 
     def _step(self, adam: torch.optim.Optimizer, picture: Tensor, transfer: Tensor) -> None:
-        """One step down W(9): squared error and total variation, summed over the pixels."""
+        """Make one step of Adam on the loss of the paper's eq. 9.
+
+        The loss is the squared error plus total variation, summed over the pixels.
+        """
         gain, residual = self.image.misfit(_seen(picture, transfer))
         square = self.image.weighted(residual * residual).sum()
         loss = square + self._tv_weight * gain * total_variation(picture, _SMOOTH)
@@ -319,7 +326,7 @@ class _Pcin:
 
 
 def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
-    """W(8) without noise: the modelled image."""
+    """Return the modelled image, eq. 8 of the paper without noise."""
     seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture) * transfer, s=picture.shape)
     return seen
 
@@ -354,7 +361,7 @@ def _result(fit: _Pcin, data: Measurement, gain: float | None, started: float) -
 
 
 def _only(images: Any, pupil_psf: PupilPSF) -> Any:
-    """The one image of (H, W) or (1, H, W)."""
+    """Return the single image, (H, W), of an argument (H, W) or (1, H, W)."""
     if not isinstance(pupil_psf, PupilPSF):
         raise SceneError(
             f"pupil_psf of type {type(pupil_psf).__name__} is not a PupilPSF; "
@@ -384,7 +391,10 @@ def _only_defocus(defocus: Any) -> list[float] | None:
 
 
 def _random_angles(pupil_psf: PupilPSF, waves: float, seed: int) -> Tensor:
-    """Normal leaves, scaled to a wave aberration of a given rms: waves are linear in leaves."""
+    """Return normally distributed angles, scaled to a wave aberration of ``waves`` waves rms.
+
+    One scaling suffices, since the wave is linear in the angles.
+    """
     waves = positive("start_waves", waves)
     leaves = pupil_psf.coefficients
     drawn = torch.from_numpy(generator(seed, ANGLES).standard_normal(leaves.shape)).to(leaves)
@@ -399,7 +409,7 @@ def _random_angles(pupil_psf: PupilPSF, waves: float, seed: int) -> Tensor:
 def _from_earlier(
     start: Reconstruction, pupil_psf: PupilPSF, image: Tensor
 ) -> tuple[Tensor, UNetObject]:
-    """Angles and network of an earlier result."""
+    """Return angles and network of an earlier result."""
     found = start.physical_parameters
     missing = {"coefficients", "network_weights", "network_base", "network_depth"} - set(found)
     if missing:
@@ -420,7 +430,7 @@ def _from_earlier(
 
 
 def _model(pupil_psf: PupilPSF, coefficients: Tensor, defocus: list[float] | None) -> ForwardModel:
-    """The image model of a point spread, in numpy."""
+    """Return the numpy image model for given coefficients."""
     with torch.no_grad():
         spread = pupil_psf(coefficients.detach(), defocus=defocus)
     kernel = spread[0] if defocus is not None else spread
