@@ -212,10 +212,11 @@ def counted(count: int, noun: str, plural: str = "") -> str:
     Parameters
     ----------
     count : int
+        Number of things.
     noun : str
-        In the singular.
+        Noun in the singular.
     plural : str, optional
-        Where it is not the singular with an s, such as "axes".
+        Plural if it is not the singular with an s, such as "axes".
     """
     return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
 

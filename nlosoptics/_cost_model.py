@@ -102,7 +102,7 @@ def _least(probe: Callable[[], object]) -> float:
 
 
 def _probes() -> dict[str, Callable[[], object]]:
-    """Return one probe of a few milliseconds for each kind of work."""
+    """Return one function of a few milliseconds for each kind of work, to be timed."""
     import ducc0
     import numpy as np
 

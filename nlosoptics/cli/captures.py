@@ -268,7 +268,10 @@ def phasor_command(
 
 
 def _grid(capture: TransientCapture) -> Any:
-    """Grid of wall points that the volume faces: the sensors, or the lasers for a single sensor."""
+    """Return the grid of wall points that the volume faces.
+
+    These are the sensor points, or the laser points if there is a single sensor point.
+    """
     sensors, lasers = capture.sensor_points, capture.laser_points
     # some files store a single point as a grid
     alone = sensors.ndim < 3 or (sensors.size == 3 and lasers.ndim == 3)
@@ -278,20 +281,21 @@ def _grid(capture: TransientCapture) -> Any:
 def _loaded(
     path: Path, picture: dict[str, float | None], **given: Any
 ) -> tuple[TransientCapture, dict[str, float]]:
-    """Capture of a file, with the wavelength and planes of its picture.
+    """Load a capture and determine wavelength and planes of its image.
 
     Parameters
     ----------
     path : Path
-    picture : dict
-        Options of the picture, None where the capture's scene decides.
+        Capture file.
+    picture : dict of str to float or None
+        Options of the image; None for values to take from the capture's scene.
     **given
         Arguments of `TransientCapture.load`.
 
     Raises
     ------
     SceneError
-        If options are missing; it names all of them.
+        If options are missing; the message names all of them.
     """
     from ..transient import TransientCapture
     from ..transient.capture.formats import LackingFileError

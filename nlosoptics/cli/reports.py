@@ -49,7 +49,10 @@ def report_command(
 
 
 def _owning(folder: Path, name: str) -> bytes:
-    """Return the folder's record with one more file listed, so that a later run may replace it."""
+    """Return the folder's record with the file ``name`` added to its list of files.
+
+    A later run may then replace the folder.
+    """
     record = json.loads((folder / "result.json").read_bytes())
     record["files"] = sorted({*record["files"], name})
     return (json.dumps(record, indent=2, allow_nan=False) + "\n").encode()

@@ -242,7 +242,7 @@ def area_average(picture: Array, column: Array, row: Array) -> Array:
 
 
 def _touches(c: Array, count: int) -> NDArray[np.bool_]:
-    """Mask of the footprints that overlap the range 0 to ``count`` along one coordinate."""
+    """Return a mask of the footprints that overlap the texels 0 to ``count`` along one axis."""
     corners = (c[:-1, :-1], c[1:, :-1], c[:-1, 1:], c[1:, 1:])
     low = np.minimum(np.minimum(*corners[:2]), np.minimum(*corners[2:]))
     high = np.maximum(np.maximum(*corners[:2]), np.maximum(*corners[2:]))
@@ -250,7 +250,10 @@ def _touches(c: Array, count: int) -> NDArray[np.bool_]:
 
 
 def _turn(x: Array, y: Array) -> Array:
-    """Cross product of adjacent sides at the four corners of every footprint."""
+    """Return the cross products of adjacent sides at the four corners of every footprint.
+
+    Their signs tell whether a quadrilateral is convex.
+    """
     px = (x[:-1, :-1], x[:-1, 1:], x[1:, 1:], x[1:, :-1])
     py = (y[:-1, :-1], y[:-1, 1:], y[1:, 1:], y[1:, :-1])
     corners = []
@@ -263,7 +266,11 @@ def _turn(x: Array, y: Array) -> Array:
 def _outline_integral(
     summed: Array, x0: Array, y0: Array, x1: Array, y1: Array
 ) -> tuple[Array, Array]:
-    """Integrals of F dy and x dy along straight segments, arrays of the segments' shape."""
+    """Return the integrals of F dy and x dy along straight segments.
+
+    ``summed`` is the picture summed along its rows, from which F(x, y) follows. The segments go
+    from (x0, y0) to (x1, y1), in texels. Results have their shape.
+    """
     rows, columns = summed.shape[0], summed.shape[1] - 1
     shape = x0.shape
     x0, y0, dx, dy = (a.ravel() for a in (x0, y0, x1 - x0, y1 - y0))
@@ -296,7 +303,10 @@ def _crossings(start: Array, change: Array, count: int) -> tuple[Array, NDArray[
 
 
 def _cuts(x0: Array, dx: Array, y0: Array, dy: Array, rows: int, columns: int) -> Array:
-    """Sorted parameters (0 to 1) at which segments cross texel borders, padded with 1."""
+    """Return the parameters, 0 to 1, at which segments cross texel borders.
+
+    They are sorted along the last axis and padded with 1.
+    """
     tables = [np.zeros((x0.size, 1)), np.ones((x0.size, 1))]
     for start, change, count in ((x0, dx, columns), (y0, dy, rows)):
         low, number = _crossings(start, change, count)

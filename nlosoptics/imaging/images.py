@@ -327,7 +327,10 @@ def _view(scene: Scene, exposure: float) -> tuple[LaserSpot, ChiefRays, Array, A
 def _blur(
     scene: Scene, point_spread: PointSpread | PointSpreadField, rays: ChiefRays, ideal: Array
 ) -> tuple[ForwardModel, float]:
-    """Return the image model and the fraction of the ideal image's light in its PSF windows."""
+    """Return the image model, and the fraction of light that its PSF windows contain.
+
+    ``ideal`` (ny, nx) is the image before blurring; with a field it weights the windows.
+    """
     shape = scene.camera.shape
     if not isinstance(point_spread, PointSpreadField):
         return ForwardModel(point_spread, shape=shape), float(point_spread.intensity.sum())

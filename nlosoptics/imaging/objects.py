@@ -139,14 +139,20 @@ def object_samples(hidden: PlanarObject | MeshObject, count: int) -> Patches:
 
 
 def _even(count: int, axes: int) -> Array:
-    """Low-discrepancy points of the unit square or cube (R sequence, root of x^(d+1) = x + 1)."""
+    """Return ``count`` low-discrepancy points of the unit square or cube, (count, axes).
+
+    R sequence, whose steps follow from the root of x^(axes+1) = x + 1.
+    """
     root = {2: 1.3247179572447460, 3: 1.2207440846057596}[axes]
     steps = root ** -np.arange(1.0, axes + 1)
     return np.asarray((0.5 + steps[:, None] * np.arange(1, count + 1)) % 1.0)
 
 
 def _quantiles(weights: Array, share: Array) -> tuple[NDArray[np.intp], Array]:
-    """Invert the cumulative weights (n, k) at given shares (n,): cells (n,) and parts of them."""
+    """Return the cells (n,) at which cumulative weights (n, k) reach shares (n,), 0 to 1.
+
+    Also returned is the fraction of each cell that is needed, (n,).
+    """
     summed = np.cumsum(weights, axis=1)
     wanted = share * summed[:, -1]
     cell = np.minimum((summed <= wanted[:, None]).sum(axis=1), weights.shape[1] - 1)

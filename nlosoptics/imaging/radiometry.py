@@ -53,7 +53,7 @@ def photon_rate(power: float, wavelength: float) -> float:
 
 
 def electrons_per_joule(scene: Scene) -> float:
-    """Photoelectrons per joule of laser light on the detector."""
+    """Return the photoelectrons per joule of laser light that reaches the detector."""
     return photon_rate(1.0, scene.laser.wavelength) * scene.camera.quantum_efficiency
 
 
@@ -273,7 +273,26 @@ def background_radiance(
 
 
 class Nodes:
-    """Points on chief rays at given heights z; rays that lead away from the wall are left out."""
+    """Points on the camera's chief rays at given heights above the mean wall plane.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the camera.
+    x, y : ndarray, (n,)
+        Detector coordinates of the chief rays, m.
+    height : ndarray, (n,)
+        Height z of each point, m.
+
+    Attributes
+    ----------
+    count : int
+        Number of rays n.
+    used : ndarray of int, (m,)
+        Indices of the rays that lead toward the wall.
+    directions, points : ndarray, (m, 3)
+        Unit vectors of these rays and their points, m, world frame.
+    """
 
     def __init__(self, scene: Scene, x: Array, y: Array, height: Array) -> None:
         e1, e2, axis = scene.camera.frame
@@ -290,7 +309,28 @@ class Nodes:
 def arrivals(
     scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes
 ) -> Iterator[tuple[slice, Array, Array]]:
-    """Yield blocks of nodes, unit vectors to all patches, and irradiances at normal incidence."""
+    """Compute the light that object patches send to wall points, in blocks of points.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with laser and object material.
+    spot : LaserSpot
+        Laser spot on the wall.
+    patches : Patches
+        Patches of the object, p of them.
+    nodes : Nodes
+        Wall points.
+
+    Yields
+    ------
+    block : slice
+        Points of this block.
+    toward : ndarray, (n_block, p, 3)
+        Unit vectors from the points to the patches.
+    light : ndarray, (n_block, p)
+        Irradiance from each patch on a surface that faces it, W/m^2.
+    """
     step = max(1, PAIRS // len(patches.areas))
     for start in range(0, len(nodes.used), step):
         block = slice(start, start + step)
@@ -326,7 +366,10 @@ def background_work(scene: Scene, patches: Patches) -> tuple[float, int]:
 
 
 def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
-    """Assign each patch to a group of neighbouring patches."""
+    """Return a group number for each patch; patches of a group are close together.
+
+    Seen from the wall, a group is small compared with the width of the wall's diffuse lobes.
+    """
     cell = GROUP * max(float(patches.points[:, 2].min()), 1e-3)
     if (diffuse.lobe_table()[:, 0] == LAMBERT).all():
         cell = math.inf  # Lambertian: the direction of incidence does not matter
@@ -342,7 +385,7 @@ def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
 def _grouped_flux(
     scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes, diffuse: Material
 ) -> Iterator[Array]:
-    """Vector irradiance (n_nodes, 3) from each group of neighbouring patches."""
+    """Yield the vector irradiance (n_nodes, 3), W/m^2, due to each group of patches."""
     group = _groups(patches, diffuse)
     order = np.argsort(group, kind="stable")
     starts = np.nonzero(np.diff(group[order], prepend=-1))[0]

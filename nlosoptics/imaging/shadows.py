@@ -145,7 +145,7 @@ def check_beam(scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot) -> None:
 
 
 def _lens_points(scene: Scene) -> Array:
-    """Evenly spread points on the lens relative to its centre, world axes, m, (SIDE^2, 3)."""
+    """Return SIDE^2 evenly spread points on the lens relative to its centre, world axes, m."""
     k = np.arange(SIDE**2)
     radius = scene.camera.stop_diameter / 2 * np.sqrt((k + 0.5) / SIDE**2)
     disc = np.stack([radius * np.cos(TURN * k), radius * np.sin(TURN * k)], axis=1)
@@ -155,7 +155,11 @@ def _lens_points(scene: Scene) -> Array:
 def _path_shares(
     scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, seen: Mask
 ) -> tuple[Array, Array]:
-    """Unblocked fractions of the paths spot - object - wall - lens and wall - lens."""
+    """Return unblocked fractions (ny, nx) of the image's paths and of the view of the wall.
+
+    The image's paths go from spot to object, wall and lens; the view from the wall to the lens.
+    ``seen`` marks pixels that look at the wall.
+    """
     met, free, viewed = (np.zeros(seen.shape) for _ in range(3))
     for rays, lens in _sample_rays(scene):
         use = seen & np.isfinite(rays.distance)
@@ -184,7 +188,11 @@ def _sample_rays(scene: Scene) -> Iterator[tuple[ChiefRays, Array]]:
 
 
 def _on_wall(scene: Scene, rays: ChiefRays, use: Mask, lens: Array) -> Array:
-    """Intersect lines from a lens point to the points in focus with the wall's tangent planes."""
+    """Return the wall points (m, 3), m, of rays through a point of the lens.
+
+    Each ray goes to the point in focus on its chief ray. The wall is replaced by its tangent plane
+    at the chief ray's wall point. ``use`` selects the rays and ``lens`` (3,) is the point, m.
+    """
     ahead = scene.focus_distance / rays.cos_axis[use]
     line = np.array(scene.camera.position) + ahead[:, None] * rays.directions[use] - lens
     normals = rays.normals[use]
@@ -208,7 +216,10 @@ def _object_points(scene: Scene, rays: ChiefRays, use: Mask) -> tuple[Array, Mas
 def _veil_share(
     scene: Scene, mesh: trimesh.Trimesh, spot: LaserSpot, rays: ChiefRays, seen: Mask
 ) -> Array:
-    """Fraction of the object's diffuse light that reaches the wall point of each pixel."""
+    """Return the unblocked fraction (ny, nx) of diffuse light from the object to the wall.
+
+    Each pixel stands for the wall point that it sees. ``seen`` marks pixels that look at the wall.
+    """
     diffuse, patches = scene.wall_material.diffuse, object_samples(scene.hidden, SAMPLES)
     if diffuse is None or not seen.any() or not len(patches.areas):
         return np.ones(seen.shape)
@@ -240,7 +251,10 @@ def _veil_share(
 
 
 def _nodes(count: int) -> NDArray[np.intp]:
-    """Pixels at which fractions are computed, including the first and the last."""
+    """Return the indices of at most NODES pixels at which fractions are computed.
+
+    The first and the last of ``count`` pixels are included.
+    """
     return np.unique(np.rint(np.linspace(0, count - 1, min(NODES, count))).astype(np.intp))
 
 

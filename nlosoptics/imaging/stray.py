@@ -83,7 +83,10 @@ def spot_image(scene: Scene, spot: LaserSpot) -> Array:
 
 
 def common_area(distance: Array, a: float, b: float) -> Array:
-    """Overlap area of two circles of radii ``a`` and ``b`` at a centre ``distance``, m^2."""
+    """Return the overlap area, m^2, of circles of radii ``a`` and ``b`` whose centres are apart.
+
+    ``distance`` is that of the centres, m.
+    """
     small, large = min(a, b), max(a, b)
     r = np.clip(distance, large - small, large + small)
     if small == 0.0:  # a point: 1 inside the circle, 0 outside

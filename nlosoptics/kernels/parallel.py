@@ -28,7 +28,7 @@ if hasattr(os, "register_at_fork"):
 
 
 class _Loop:
-    """Function compiled twice: for all threads, and for one thread in a forked process."""
+    """Function that is compiled twice: for all threads, and for one thread in a forked process."""
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         self.__doc__, self.__name__ = function.__doc__, function.__name__

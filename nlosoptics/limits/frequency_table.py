@@ -17,30 +17,31 @@ LEAST = 1e-12  # smallest value that the table prints
 
 
 def frequencies(stroke: float, top: float) -> Array:
-    """Even frequencies from 0 to ``top`` together with octaves of the strokes' frequency.
+    """Return the spatial frequencies, cycles/m, at which `Feasibility` gives its curves, (n,).
+
+    They are evenly spaced from 0 to ``top``, with octaves of the strokes' frequency added. The
+    octaves resolve a modulation that vanishes far below ``top``.
 
     Parameters
     ----------
     stroke : float
-        Width of the object's strokes, m; 0 where the object is dark.
+        Stroke width of the object, m; 0 for a dark object.
     top : float
-        Frequency of two pixels a period, cycles/m.
-
-    Returns
-    -------
-    ndarray, (n,)
-        Rising, cycles/m. The octaves resolve the modulation where it falls far below ``top``.
+        Highest frequency, with a period of two pixels, cycles/m.
     """
     return np.union1d(np.linspace(0.0, top, POINTS), _octaves(stroke, top))
 
 
 def needed(stroke: float) -> float:
-    """Frequency with one period on two strokes, cycles/m; 0 where the object is dark."""
+    """Return the frequency whose period is two stroke widths, cycles/m; 0 for a dark object.
+
+    ``stroke`` is the stroke width of the object, m.
+    """
     return 0.5 / stroke if stroke > 0.0 else 0.0
 
 
 def _octaves(stroke: float, top: float) -> Array:
-    """Octaves about the strokes' frequency up to ``top``, which is the last; cycles/m."""
+    """Return the octaves of the strokes' frequency up to ``top``, which is included; cycles/m."""
     anchor = needed(stroke) or top
     above = max(0, int(np.ceil(np.log2(top / anchor))))
     octaves = anchor * 2.0 ** np.arange(-OCTAVES, above + 1)
@@ -48,22 +49,22 @@ def _octaves(stroke: float, top: float) -> Array:
 
 
 def lines(stroke: float, frequency: Array, picture: Pair, matt_wall: Pair) -> list[str]:
-    """Table of modulation and signal-to-noise ratio against frequency.
+    """Return a table of modulation and signal-to-noise ratio against frequency, as text.
 
     Parameters
     ----------
     stroke : float
-        Width of the object's strokes, m; 0 where the object is dark.
+        Stroke width of the object, m; 0 for a dark object.
     frequency : ndarray, (n,)
-        Rising from 0, cycles/m, at which the values are known.
+        Increasing frequencies from 0, cycles/m, of the values.
     picture, matt_wall : (ndarray, ndarray), both (n,)
-        Modulation and signal-to-noise ratio of the picture and of a matt wall.
+        Modulation and signal-to-noise ratio of the image and of light via a matt wall.
 
     Returns
     -------
     list of str
-        A heading, and one line for 0 and each octave of the strokes' frequency up to where the
-        modulation is lost, and at least up to the strokes' frequency.
+        A heading, then one line for 0 and for each octave of the strokes' frequency. The last line
+        is where the modulation vanishes, but not below the strokes' frequency.
     """
     rows = _rows(stroke, frequency, picture[0], matt_wall[0])
     columns = [np.interp(rows, frequency, values) for values in (*picture, *matt_wall)]
@@ -75,7 +76,7 @@ def lines(stroke: float, frequency: Array, picture: Pair, matt_wall: Pair) -> li
 
 
 def _rows(stroke: float, frequency: Array, *modulations: Array) -> Array:
-    """Frequencies of the table, cycles/m."""
+    """Return the frequencies of the table's lines, cycles/m."""
     top = float(frequency[-1])
     rows = _octaves(stroke, top)
     strokes = min(needed(stroke) or top, top)
@@ -88,5 +89,5 @@ def _rows(stroke: float, frequency: Array, *modulations: Array) -> Array:
 
 
 def _cell(value: float) -> str:
-    """Return a value to three digits, or a bound where it is too small to matter."""
+    """Format a value with three digits, or as an upper bound if it is negligible."""
     return f"{value:.3g}" if value >= LEAST or value == 0.0 else f"< {LEAST:g}"

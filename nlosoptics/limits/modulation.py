@@ -57,7 +57,9 @@ class Noise:
         return {name: math.sqrt(v) for name, v in {**parts, "total": self.variance}.items()}
 
     def exposed(self, factor: float) -> Noise:
-        """Return the noise at ``factor`` times the exposure, relative to the signal."""
+        """Return the noise at ``factor`` times the exposure, scaled so that the signal is
+        unchanged.
+        """
         return Noise(
             photons=self.photons / factor, readout=self.readout / factor**2, speckle=self.speckle
         )
@@ -94,7 +96,7 @@ class Picture:
     noise: Noise
 
     def excess(self) -> float:
-        """Return the variance of the blurred image over that of the noise, frame averages."""
+        """Variance of the blurred image divided by that of the noise, averages over the image."""
         blurred = self.transfer**2 * self.power * self.twice
         varied = float(blurred.sum()) / math.prod(self.grid)
         noise = self.noise.variance * self.samples

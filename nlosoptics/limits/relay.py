@@ -396,7 +396,7 @@ def _cells(scene: Scene, cells: int) -> Patches:
 
 
 def _bin_counts(shape: tuple[int, int], bins: int) -> tuple[int, int]:
-    """Number of square bins along y and x, none smaller than a pixel."""
+    """Return the numbers of square bins along y and x; no bin is smaller than a pixel."""
     longer = max(shape)
     n_y, n_x = (max(1, round(min(bins, longer) * n / longer)) for n in shape)
     return n_y, n_x

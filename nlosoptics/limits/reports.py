@@ -287,7 +287,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
 
 
 class _View:
-    """Scene with its expected image; the methods compute the entries of the report."""
+    """Intermediate results for the report on one scene, computed when needed."""
 
     def __init__(
         self, optics: SceneOptics, wave: Wavefront, spread: PointSpread, image: SpeckleImage

@@ -106,9 +106,11 @@ def wave_bounds(
 def _steps(
     separations: Array, angles: Array, indices: Iterable[int]
 ) -> tuple[dict[int, Array], Array]:
-    """Return differences of Zernike polynomials across each pupil separation, and node weights.
+    """Return differences of Zernike polynomials between pairs of pupil points, and weights.
 
-    ``separations`` are in pupil radii, below 2; the arrays have shape (radii, angles, nodes).
+    The pairs are the points of the pupils' overlap for each separation. ``separations`` are in
+    pupil radii, below 2; ``angles`` in rad. Arrays have the shape (radii, angles, nodes); the dict
+    is keyed by Noll index.
     """
     nodes = [[_overlap(s, angle) for angle in angles] for s in separations]
     x, y, weights = (np.array([[node[k] for node in row] for row in nodes]) for k in range(3))
@@ -136,7 +138,10 @@ def _overlap(separation: float, angle: float) -> tuple[Array, Array, Array]:
 
 
 def _reduced(full: Array, count: int) -> Array:
-    """Information on the first ``count`` parameters if the rest are unknown (Schur complement)."""
+    """Return the Fisher information on the first ``count`` parameters if all others are unknown.
+
+    It is the Schur complement of the others in the full information matrix.
+    """
     kept, cross, others = full[:count, :count], full[:count, count:], full[count:, count:]
     return kept - cross @ np.linalg.pinv(others, rcond=RANK, hermitian=True) @ cross.T
 
@@ -158,6 +163,9 @@ def _radial_power(picture: Picture, frequencies: Array) -> Array:
 
 
 def _density(picture: Picture) -> float:
-    """Samples of the full spectrum per (cycle/m)^2 on the object."""
+    """Return the number of samples of the full spectrum per unit of frequency area, m^2.
+
+    Frequencies are those on the object, cycles/m.
+    """
     steps = picture.frequency[1, 0] * picture.frequency[0, 1]
     return 1.0 / float(steps)

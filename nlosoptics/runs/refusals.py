@@ -34,7 +34,10 @@ def check_laser(scene: Scene) -> None:
 
 
 def check_sight(scene: Scene, pupil: ExitPupil) -> None:
-    """Raise `SceneError` if wall or detector miss the object's image, judged as for a flat wall."""
+    """Raise `SceneError` if the object's image misses the wall or the detector.
+
+    The image is that of a flat wall.
+    """
     camera, position = scene.camera, tuple(float(c) for c in scene.object_point)
     if pupil.vignetting == 1.0:
         raise SceneError(
@@ -62,7 +65,10 @@ def check_sight(scene: Scene, pupil: ExitPupil) -> None:
 
 
 def check_cones(scene: Scene, counts: list[int]) -> None:
-    """Raise if occluders cut part of the cone of light at any node of fields with these counts."""
+    """Raise if occluders cut part of the light from any node of the object to the lens.
+
+    ``counts`` are the nodes along each side of the fields of point spreads to be computed.
+    """
     if not (scene.occluders and isinstance(scene.hidden, PlanarObject)):
         return
     for count in counts:

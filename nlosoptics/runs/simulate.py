@@ -242,12 +242,15 @@ def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruc
 
 
 def veil_shape(scene: Scene) -> Array:
-    """Shape (ny, nx) of the wall's diffuse light in the image when the picture is unknown."""
+    """Return the wall's diffuse light in the image, (ny, nx), electrons, for a white object.
+
+    It replaces that of the unknown picture, from which its shape hardly differs.
+    """
     from ..imaging import diffuse_background
 
     stand_in = None
     if isinstance(scene.hidden, PlanarObject):
-        # a white plate replaces the unknown picture; four Gauss points represent it
+        # four bright pixels, near Gauss points, represent a white object
         stand_in = np.zeros((7, 7))
         stand_in[1::4, 1::4] = 1.0
         if scene.occluders:  # shadows need the whole plate

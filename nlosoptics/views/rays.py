@@ -68,10 +68,10 @@ def chosen_paths(
 
 
 def _by_power(weight: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """Return increasing indices of ``most`` weights, a systematic sample in proportion to weight.
+    """Return increasing indices of ``most`` paths, sampled in proportion to their ``weight`` (n,).
 
-    Weights of at least the sampling step are all taken. The others are taken where their
-    cumulative sum crosses multiples of the step.
+    The sample is systematic: weights of at least the sampling step are all taken. The others are
+    taken where their cumulative sum crosses multiples of the step.
     """
     if len(weight) <= most:
         return np.arange(len(weight))

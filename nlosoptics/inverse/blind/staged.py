@@ -392,7 +392,8 @@ def _refined(fit: BlindFit, state: State, object_model: str, boundary: str, seed
         excess = math.sqrt(max(1.0, float(state.square[0])))
         other = tv_deconvolve(data.data, model, noise_sigma=sigma * excess, **options).object
     # Both priors have different errors, so that the mean correlates better with the truth than
-    # either of them. The exceptions among seven walls and objects at 1 and 5 % noise are below 0.006.
+    # either of them. Among seven walls and objects at 1 and 5 % noise, exceptions are
+    # below 0.006.
     return 0.5 * (fit.energy.level(state.theta) + other[None].to(frames.images))
 
 

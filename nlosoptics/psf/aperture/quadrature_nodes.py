@@ -208,6 +208,6 @@ def _corner_areas(x: Array, y: Array, radius: float) -> Array:
 
 
 def _inner(obscuration: float) -> float:
-    """Return a checked obscuration."""
+    """Return the ratio of inner to outer radius after checking that it is from 0 to below 1."""
     in_range("obscuration", obscuration, 0.0, 0.99)
     return float(obscuration)

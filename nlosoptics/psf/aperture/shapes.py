@@ -89,7 +89,10 @@ def sectors(
 
 
 def _between(inner: Curve, outer: Curve) -> tuple[list[Curve], list[Sides]]:
-    """Outline and patches between an inner arc or point and an outer arc, their ends joined."""
+    """Return outline and patches between an inner arc or point and an outer arc.
+
+    Straight lines connect the ends of both arcs.
+    """
     outers = outer.parts()
     count = len(outers)
     inners = [inner.part(i / count, (i + 1) / count) for i in range(count)]
@@ -220,7 +223,10 @@ def _joined(arcs: list[tuple[float, float]]) -> list[tuple[float, float]]:
 
 
 def drawn_in(sides: Sequence[Sides], share: float) -> Array:
-    """Sample points of a cell's patches, (n, 2), m, inset by a fraction of the patch's size."""
+    """Return sample points (n, 2), m, of a cell's patches, moved inward from their sides.
+
+    ``share`` is the displacement as a fraction of the patch's size.
+    """
     fraction = np.linspace(share, 1 - share, LOOKS)
     found = []
     for a, b in sides:

@@ -57,7 +57,7 @@ class Axis:
 
     @property
     def same(self) -> bool:
-        """Whether the output samples lie on the input lattice."""
+        """Whether the output samples coincide with samples of the input lattice."""
         return abs(self.pitch / self.dx - 1) < 1e-12
 
     def indices(self) -> Array:

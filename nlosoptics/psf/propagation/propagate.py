@@ -306,10 +306,11 @@ def _trimmed(
 def _model_errors(
     spectrum: Spectrum, axes: tuple[Axis, Axis], wavelength: float, z: float, near: float
 ) -> tuple[float, float]:
-    """Return the errors of the Fresnel approximation and of what the exact sum lacks.
+    """Return the errors of the Fresnel approximation and of waves omitted by the exact sum.
 
-    Both are relative to the whole field. Waves whose rays miss the output do not count. The sum
-    lacks evanescent waves, or near the input those along it, which return by its period.
+    Both are relative to the whole field. Waves whose rays miss the output do not count. The exact
+    sum omits evanescent waves. Close to the input it keeps them, but waves along the planes return
+    by its periodicity.
     """
     paraxial, exact = (
         transfer(*spectrum.frequency, wavelength, z, kernel) for kernel in (True, False)
@@ -330,9 +331,10 @@ def _model_errors(
 
 
 def _cost(ny: int, my: int, nx: int, mx: int, py: float, px: float) -> float:
-    """Return the points of the FFTs, times their logarithm, of (ny, nx) to (my, mx) samples.
+    """Return an estimate of the work of FFTs from (ny, nx) to (my, mx) samples.
 
-    py and px are the sizes at which a plain FFT suffices; 0 if there is none.
+    It is the number of points times its logarithm. ``py`` and ``px`` are the sizes for which a
+    plain FFT suffices; 0 if there is none.
     """
 
     def one(n: int, m: int, size: float) -> float:

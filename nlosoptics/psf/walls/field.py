@@ -297,7 +297,7 @@ def picture_point(hidden: PlanarObject, across: float, up: float) -> Array:
 
 
 def _off(found: Array, exact: Array) -> float:
-    """Return max |dI|/max I."""
+    """Return the error max |dI|/max I of a point spread relative to an exact one."""
     return float(np.abs(found - exact).max() / exact.max())
 
 

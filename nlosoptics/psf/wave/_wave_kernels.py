@@ -146,7 +146,10 @@ def slopes(powers, rho, cosine, sine, du, dv):
 
 @njit(cache=True)
 def moments(path, share):
-    """Minimum, maximum and mean of ``path``, and its rms about the mean, weighted by ``share``."""
+    """Return minimum, maximum, mean and rms about the mean of ``path`` (n,).
+
+    ``share`` (n,) are weights; points of weight 0 are ignored.
+    """
     low, high, mean, square, total = math.inf, -math.inf, 0.0, 0.0, 0.0
     for i in range(path.size):
         if share[i] > 0.0:
@@ -172,10 +175,11 @@ def landing(du, dv, distance, x, y):
 
 @njit(cache=True)
 def jacobian_extremes(x, y, r, apart):
-    """Smallest and largest signed ratio of image area to pupil area of the cells of a polar grid.
+    """Return the extremes of the signed ratio of image area to pupil area on a polar grid.
 
-    ``x`` and ``y`` (rings, spokes) are the landing points and ``r`` the rings' radii. Rings less
-    than ``apart`` apart are skipped: their differences would be rounding error.
+    ``x`` and ``y`` (rings, spokes) are the rays' landing points and ``r`` (rings,) the rings'
+    radii. Cells between rings less than ``apart`` apart are skipped, because differences would be
+    rounding errors.
     """
     rings, spokes = x.shape
     low, high = math.inf, -math.inf
@@ -196,7 +200,11 @@ def jacobian_extremes(x, y, r, apart):
 
 @njit(cache=True)
 def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
-    """Fill ``du`` and ``dv`` (rings, spokes) from the radial and the azimuthal slopes."""
+    """Fill ``du`` and ``dv`` (rings, spokes), the Cartesian gradient, from polar components.
+
+    ``d_r`` and ``d_theta`` (rings, spokes) are the radial and azimuthal slopes, and ``cosine`` and
+    ``sine`` (spokes,) those of the azimuths.
+    """
     for i in range(d_r.shape[0]):
         for j in range(d_r.shape[1]):
             du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]

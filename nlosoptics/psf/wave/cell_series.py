@@ -94,7 +94,7 @@ class CellSpectrum:
         return du, dv, share
 
     def _sum(self, along_s: Array, along_t: Array) -> Array:
-        """Evaluate the series from tables of its factors along s and along t."""
+        """Evaluate the series from tables of Legendre polynomials along s and along t."""
         half = np.einsum("ki,pkm->pim", along_s, self.coefficients)
         return np.asarray(np.einsum("mj,pim->pij", along_t, half))
 

@@ -47,7 +47,7 @@ class LowPolynomial:
 
     @property
     def degrees(self) -> tuple[int, int]:
-        """Highest Legendre degree in the radius squared and highest angular order."""
+        """Highest Legendre degree in the radius squared, and highest angular order."""
         degree = len(self.powers) - 1
         return degree // 2, degree
 

@@ -96,7 +96,10 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
 
 
 def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, float]:
-    """Extend extremes of the residual to the rims and the centre, where no polar node lies."""
+    """Extend extremes of the residual, m, to the rims and the centre.
+
+    No polar node lies there.
+    """
     if residual.low is not None:
         n_r, n_theta = residual.wavefront.u.shape
         ring = ring_of(n_r, n_theta, residual.wavefront.obscuration)
@@ -116,7 +119,7 @@ def _with_rims(residual: Residual, low: float, high: float) -> tuple[float, floa
 
 
 def _folded(residual: Residual, rays: Rays) -> bool:
-    """Whether the Jacobian of the landing points takes both signs, beyond rounding error."""
+    """Return whether the Jacobian of the landing points has both signs, beyond rounding error."""
     wave = residual.wavefront
     if rays.reach <= 1e-6 * residual.airy_unit:
         return False
@@ -137,7 +140,7 @@ def _folded(residual: Residual, rays: Rays) -> bool:
 
 
 def _polar_extremes(residual: Residual, rays: Rays) -> tuple[float, float]:
-    """Smallest and largest Jacobian of the landing points, by the cells of the polar grid."""
+    """Return the smallest and largest Jacobian of the landing points on a polar grid's cells."""
     from . import _wave_kernels
 
     wave = residual.wavefront

@@ -197,10 +197,10 @@ def sampled(
     obscuration: float,
     aperture: Aperture | None,
 ) -> tuple[PupilNodes, Array, Array]:
-    """Return pupil nodes with the aberration, m, and the amplitude on them.
+    """Return pupil nodes, and aberration (m) and amplitude on them.
 
-    ``fill`` evaluates both on given nodes. Without ``samples``, the number of nodes grows until
-    the truncation error of both is negligible or the trials end.
+    ``fill`` evaluates both on given nodes. Without ``samples``, the number of nodes is increased
+    until the truncation error of both is negligible, or the largest number is reached.
     """
     found: tuple[PupilNodes, Array, Array] | None = None
     for count in _trials(layout, samples, aperture):

@@ -30,7 +30,10 @@ SHORT_REACH = 10
 
 
 def leak(s: Array) -> Array:
-    """Error of the kernel's spectrum: its loss at distance ``s``, in periods, or rest at 1 - s."""
+    """Return the error of the kernel's spectrum at distances ``s``, in image periods.
+
+    It is the loss of the image at s, and equally what is left of its repeat at the distance 1 - s.
+    """
     return np.asarray(scipy.special.erfc((0.5 - s) / STEP) / 2)
 
 

@@ -60,11 +60,11 @@ def intensity_error(
 
 
 def beat(pixel: float) -> float:
-    """Factor by which a pixel reduces the cross term of a field and its error; 1 for points.
+    """Return the factor by which averaging over a pixel reduces interference of field and error.
 
-    The cross term oscillates over about lambda N, so that a wide pixel averages it. ``pixel`` is
-    the side in Airy units. The factor was measured on defocus, which oscillates most regularly;
-    other aberrations stay well below.
+    The cross term of both oscillates over about lambda N, so that a wide pixel averages it.
+    ``pixel`` is the side in Airy units; the factor is 1 for 0. It was measured on defocus, which
+    oscillates most regularly; other aberrations stay well below.
     """
     return min(1.0, 0.8 / pixel) if pixel > 0 else 1.0
 
@@ -145,13 +145,16 @@ def edge_errors(
     outline = wave.aperture
 
     def sent(a: Array, b: Array) -> Array:
-        """Field diffracted by the rims to the distances (a, b), m."""
+        """Return the field diffracted by the rims to the distances (a, b), m."""
         if outline is None:
             return tail(np.hypot(a, b) / unit)
         return rim_tails.tail(outline, a / scale, b / scale)
 
     def repeat(a: Array, b: Array) -> Array:
-        """Field of a repeat at distances (a, b), m, with the average over a wide pixel."""
+        """Return the field of a periodic repeat at distances (a, b), m.
+
+        It is averaged over a wide pixel.
+        """
         share = np.sqrt(np.minimum(1.0, np.hypot(a, b) / (2 * half))) if half > 0 else 1.0
         return sent(a, b) * share
 

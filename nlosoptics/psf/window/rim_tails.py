@@ -21,7 +21,10 @@ ARC = 1.2
 
 @dataclass(frozen=True, eq=False)
 class _Edges:
-    """Straight edges grouped by direction (n, 2) and length (n,), m, with their numbers (n,)."""
+    """Straight edges of a rim, one row for each direction and length.
+
+    Arrays hold unit vectors (n, 2), lengths (n,), m, and numbers of such edges (n,).
+    """
 
     direction: Array
     length: Array
@@ -80,7 +83,10 @@ def reach(aperture: Aperture, scale: float, pitch: float, share: float) -> float
 
 @lru_cache(maxsize=8)
 def _split(aperture: Aperture) -> tuple[_Edges, list[tuple[float, float]]]:
-    """Groups of straight edges, and the arcs' lengths and largest radii of curvature, m."""
+    """Divide a pupil's rims into straight edges, grouped by direction, and arcs.
+
+    For each arc, its length and its largest radius of curvature are returned, m.
+    """
     rims, size = aperture.rims, lengths(aperture.rims)
     bent = rims.turn != 0
     found: dict[tuple[int, int, int], int] = {}

@@ -236,5 +236,5 @@ def ray_reach(residual: Residual) -> float:
 
 
 def _widest(values: Array) -> float:
-    """Value with the largest magnitude."""
+    """Return the value with the largest magnitude."""
     return float(values.flat[int(np.argmax(np.abs(values)))])

@@ -61,7 +61,7 @@ def _lobes(surfaces, triangle):
 
 @njit(cache=True)
 def _about(n, x, y, z):
-    """Return the vector with components (x, y, z) in a frame with n as its third axis."""
+    """Return the vector with components (x, y, z) in an orthonormal frame whose third axis is n."""
     a, b = tangents(n)
     return (
         x * a[0] + y * b[0] + z * n[0],
@@ -189,7 +189,7 @@ def _viewed_density(lobes, views, n, d, cosine):
 
 @njit(cache=True, inline="always")
 def _plain(lobes):
-    """Whether a material is purely Lambertian."""
+    """Return whether a material is purely Lambertian."""
     return lobes.shape[0] == 1 and lobes[0, 0] == LAMBERT
 
 

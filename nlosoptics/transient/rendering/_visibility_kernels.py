@@ -149,7 +149,13 @@ def _aside(row, planes, slack):
 
 @njit(cache=True, error_model="numpy")
 def _throw(mesh, p, a, b, sector, heads, links, lines, count):
-    """Add the shadow of a segment to the lines of each triangle that it crosses."""
+    """Add the shadow of the segment from a to b to the lines of each triangle that it crosses.
+
+    ``p`` is the point from which the shadow is cast and ``sector`` the result of `_sector`.
+    ``heads``, ``links`` and ``lines`` are the linked lists of `outline`, ``count`` the number of
+    lines. Returns ``links``, ``lines`` and the new count, since the arrays may be replaced by
+    longer ones.
+    """
     rows, boxes, reach, _, _, _ = mesh
     first_leaf = boxes.shape[0] // 2
     slack = ROUNDING * reach
@@ -216,7 +222,10 @@ def _cast(a, b, row, p, slack, line):
 
 @njit(cache=True, error_model="numpy")
 def _enters(line):
-    """Whether the part of a segment (u, v, u, v) inside the triangle is longer than rounding."""
+    """Return whether the part of a segment inside the triangle is longer than rounding errors.
+
+    ``line`` is (u, v, u, v) in the triangle's coordinates.
+    """
     u, v, du, dv = line[0], line[1], line[2] - line[0], line[3] - line[1]
     low, high = 0.0, 1.0
     for k in range(3):
@@ -354,7 +363,10 @@ def _cut(cells, sizes, count, line, sides):
 
 @njit(cache=True, error_model="numpy")
 def _hidden(mesh, t, p, cell, size):
-    """Whether a triangle lies between p and the mean of a polygon's corners."""
+    """Return whether a triangle lies between the point p and the mean of a polygon's corners.
+
+    ``cell`` holds the ``size`` corners on triangle ``t``.
+    """
     row = mesh[0][t]
     u = v = 0.0
     for i in range(size):
