@@ -37,6 +37,11 @@ class CameraImage(Noun):
         Pixels to ignore: saturated, or dead according to the flat field.
     saturated_fraction : float
         Fraction of saturated pixels.
+
+    See Also
+    --------
+    camera_image : Read, average and correct camera files.
+    SpeckleImage : Simulated camera image with its parts.
     """
 
     values: Array
@@ -176,6 +181,11 @@ def camera_image(
         range of a file's type.
     SamplingError
         If image sizes differ, or ``shape`` does not divide them.
+
+    See Also
+    --------
+    read_camera_file : Read one camera file.
+    nlosoptics.inverse.tv_deconvolve : Non-negative, with total variation.
 
     Examples
     --------

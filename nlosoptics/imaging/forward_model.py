@@ -63,6 +63,12 @@ class ForwardModel(Noun):
     MemoryLimitError
         If the FFT grid would not fit in memory.
 
+    See Also
+    --------
+    nlosoptics.inverse.TorchForwardModel : Image model in torch.
+    nlosoptics.psf.scene_point_spread : Wave and PSF of a scene.
+    nlosoptics.psf.point_spread_field : PSFs over the hidden object.
+
     Notes
     -----
     A padded grid needs the frame plus only the kernel's longer arm, because light that wraps around

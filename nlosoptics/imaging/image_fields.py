@@ -69,6 +69,12 @@ def image_field(
         of the run.
     NlosError
         If a point spread cannot be computed; see `psf.point_spread_field`.
+
+    See Also
+    --------
+    nlosoptics.psf.point_spread_field : PSFs over the hidden object.
+    nlosoptics.psf.isoplanatic_radius : Distance within which one PSF suffices.
+    form_image : Image in electrons, with noise.
     """
     in_range("tol", tol, 1e-9, 0.1)
     optics = optics_of(scene)

@@ -93,6 +93,12 @@ class SpeckleImage(Noun, Shown):
         detector), ``beyond_window`` (outside the point spread's window) and ``beyond_detector``
         (blurred past the edges). ``diffuse``, ``spot``, ``glare`` and ``dark`` form the
         background.
+
+    See Also
+    --------
+    form_image : Image in electrons, with noise.
+    CameraImage : Corrected camera image with its noise.
+    nlosoptics.views.image : Camera image.
     """
 
     electrons: Array
@@ -283,6 +289,11 @@ def diffuse_background(
         If the laser beam misses the wall or is cut by an occluder, or an argument is out of range.
     MemoryLimitError
         If the image would not fit in memory.
+
+    See Also
+    --------
+    form_image : Image in electrons, with noise.
+    cast_shadows : Effect of occluders.
     """
     exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
     if object_image is not None:

@@ -59,6 +59,10 @@ class Shadows(Noun):
         Fraction of the object's diffuse light that reaches the wall point seen by each pixel.
     spot : float
         Fraction of the lens that receives direct light from the laser spot.
+
+    See Also
+    --------
+    cast_shadows : Effect of occluders.
     """
 
     image: Array
@@ -90,6 +94,12 @@ def cast_shadows(scene: Scene) -> Shadows:
         If the laser beam misses the wall, or an occluder cuts it.
     MemoryLimitError
         If the paths of all pixels would not fit in memory.
+
+    See Also
+    --------
+    form_image : Image in electrons, with noise.
+    nlosoptics.scene.Occluder : Black object that casts shadows.
+    nlosoptics.raytrace.occluded : Whether a mesh blocks lines of sight.
 
     Notes
     -----

@@ -57,8 +57,9 @@ class Noise:
         return {name: math.sqrt(v) for name, v in {**parts, "total": self.variance}.items()}
 
     def exposed(self, factor: float) -> Noise:
-        """Return the noise at ``factor`` times the exposure, scaled so that the signal is
-        unchanged.
+        """Return the noise at ``factor`` times the exposure, for an unchanged signal.
+
+        The signal and its noise are divided by the factor.
         """
         return Noise(
             photons=self.photons / factor, readout=self.readout / factor**2, speckle=self.speckle
@@ -154,6 +155,11 @@ def object_scale(scene: Scene) -> float:
     -------
     float
         Scale, dimensionless.
+
+    See Also
+    --------
+    feasibility : Predict what an image can show.
+    nlosoptics.views.image : Camera image.
 
     Examples
     --------

@@ -96,6 +96,11 @@ def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float)
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    lambert_relay_transfer : Transfer function of a diffuse wall.
+    feasibility : Predict what an image can show.
+
     Notes
     -----
     The result is exp(-8 pi^2 slope_rms^2 distance^2 f^2) at normal incidence: a facet tilted by t
@@ -134,6 +139,11 @@ def lambert_relay_limit(electrons: float, distance: float) -> float:
     ------
     SceneError
         If a value is out of range.
+
+    See Also
+    --------
+    lambert_relay_transfer : Transfer function of a diffuse wall.
+    feasibility : Predict what an image can show.
 
     Examples
     --------

@@ -98,6 +98,11 @@ class Feasibility(Noun, Shown):
         wall forms no image.
     two_frame_bounds : mapping of int to float
         Cramer-Rao bounds from two images, the second with a known defocus of half a wave rms.
+
+    See Also
+    --------
+    feasibility : Predict what an image can show.
+    nlosoptics.views.feasibility : Modulation and noise against frequency.
     """
 
     recoverable: bool
@@ -218,6 +223,12 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     NlosError
         If the point spread or the image cannot be computed; see `psf.scene_point_spread` and
         `imaging.form_image`.
+
+    See Also
+    --------
+    lambert_relay_transfer : Transfer function of a diffuse wall.
+    lobe_relay_transfer : Transfer function of a mirror-like lobe.
+    nlosoptics.views.feasibility : Modulation and noise against frequency.
 
     Notes
     -----

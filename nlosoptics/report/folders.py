@@ -109,6 +109,11 @@ class Folder:
         Path of the folder.
     record : Record
         Contents of its ``result.json``.
+
+    See Also
+    --------
+    page : HTML report of a run.
+    nlosoptics.load_result : Read a saved result.
     """
 
     path: Path

@@ -34,6 +34,11 @@ def page(folder: str | Path, *, interactive: bool = True) -> str:
     SceneError
         If the folder was not written by one of these commands, or a file in it cannot be read.
 
+    See Also
+    --------
+    Folder : Contents of a run's folder.
+    nlosoptics.views.overview : One figure of a whole run.
+
     Examples
     --------
     >>> from tempfile import TemporaryDirectory

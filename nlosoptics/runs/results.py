@@ -55,6 +55,13 @@ class Result(Noun):
         Run time of each stage, s.
     seed : int
         Seed of the random numbers.
+
+    See Also
+    --------
+    simulate : Run a scene's plan.
+    load_result : Read a saved result.
+    nlosoptics.views.overview : One figure of a whole run.
+    nlosoptics.report.page : HTML report of a run.
     """
 
     scene: Scene
@@ -121,6 +128,12 @@ def load_result(folder: str | Path) -> Result:
     SceneError
         If the folder has no result in the format of this version, or a file is missing, damaged
         or was changed.
+
+    See Also
+    --------
+    simulate : Run a scene's plan.
+    Result : All results of a simulation.
+    nlosoptics.report.page : HTML report of a run.
 
     Examples
     --------

@@ -69,6 +69,11 @@ def mtf(
     SamplingError
         If the shape of an array differs from that of ``frequency``, or if values are not finite.
 
+    See Also
+    --------
+    nlosoptics.psf.mtf : Modulus of the optical transfer function.
+    encircled_energy : Curve of the encircled energy.
+
     Examples
     --------
     >>> from nlosoptics import psf, views
@@ -146,6 +151,11 @@ def encircled_energy(
     SamplingError
         If the shape of an array differs from that of ``radius``, if the radii do not increase, or
         if values are not finite.
+
+    See Also
+    --------
+    nlosoptics.psf.encircled_energy : Energy within circles.
+    mtf : Curves of the MTF.
     """
     radii = _samples("radius", radius) * 1e6
     if len(radii) > 1 and np.diff(radii).min() <= 0.0:
@@ -209,6 +219,11 @@ def history(
     SceneError
         If the history is empty, or if the number of axes differs from that of the quantities. A
         method without iterations, such as a trained network, keeps no history.
+
+    See Also
+    --------
+    reconstruction : Object next to the truth.
+    nlosoptics.inverse.Reconstruction : Result of every solver.
     """
     panels: dict[str, dict[str, Array]] = {}
     for name, record in fit.history.items():
@@ -307,6 +322,11 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
         Axes in image coordinates, um, oriented as `image`: -y points up. The area of a dot is
         proportional to the energy of its ray. The circle around the centroid is the first dark
         ring of the Airy pattern.
+
+    See Also
+    --------
+    nlosoptics.psf.spot_diagram : Landing points of rays.
+    point_spread : Map of a PSF.
     """
     whole("most", most)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.4, height=5.4)
@@ -369,6 +389,10 @@ def compare_methods(
     ------
     SceneError
         If no transform ran, or ``tol`` is not above 0.
+
+    See Also
+    --------
+    nlosoptics.psf.compare : All transforms for one wave.
     """
     ran = [row for row in comparison.rows if row.seconds is not None]
     if not ran:

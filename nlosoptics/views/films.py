@@ -173,6 +173,11 @@ def transient_film(
     ------
     SceneError
         If an argument is out of range, or the sensor points form no grid.
+
+    See Also
+    --------
+    transient : Streak image of a capture.
+    save : Write a figure, film or 3-D view.
     """
     light = _light(capture, laser)
     _check_grid(light)

@@ -37,6 +37,11 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
         of the same colour marks the modulation at which the signal-to-noise ratio is 1; only
         frequencies with a modulation above it are detectable. A grey line marks the frequency
         whose period is two stroke widths of the object.
+
+    See Also
+    --------
+    nlosoptics.limits.feasibility : Predict what an image can show.
+    plan : Stages of a plan with their times.
     """
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.2)
     parts: list[tuple[str, str, Any, Any]] = [
@@ -82,6 +87,11 @@ def plan(plan: Plan, *, axes: Axes | None = None) -> Axes:
     Axes
         Axes with one row per stage: first those that run, in their order, then the skipped ones.
         Times are in seconds on one core.
+
+    See Also
+    --------
+    nlosoptics.plan : Predict stages, time and error.
+    feasibility : Modulation and noise against frequency.
     """
     stages = (*plan.stages, *plan.skipped)
     if axes is None:

@@ -54,6 +54,11 @@ def wavefront(
     Axes
         Axes in pupil coordinates, mm. Red marks a longer optical path.
 
+    See Also
+    --------
+    nlosoptics.psf.wavefront : Wave aberration of a scene.
+    point_spread : Map of a PSF.
+
     Examples
     --------
     >>> from nlosoptics import psf, views
@@ -179,6 +184,12 @@ def point_spread(
         If ``scale`` is unknown, ``decades`` or ``half_width`` is not above 0, or ``axes`` are 2-D
         axes and ``scale`` is "surface".
 
+    See Also
+    --------
+    nlosoptics.psf.point_spread : PSF of a given wave.
+    spot_diagram : Landing points of rays.
+    encircled_energy : Curve of the encircled energy.
+
     Examples
     --------
     >>> from nlosoptics import psf, views
@@ -232,6 +243,11 @@ def hybrid_parts(
     -------
     tuple of three Axes
         Axes in image coordinates, um, oriented as `image`: -y points up.
+
+    See Also
+    --------
+    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
+    point_spread : Map of a PSF.
     """
     positive("decades", decades)
     drawn_on = tuple(axes) if axes is not None else new_axes(3, width=13.0, height=4.2)
@@ -279,6 +295,12 @@ def image(
     Axes
         Axes in detector coordinates, mm. The lens inverts the image, so that -y points up. The
         colour bar is in electrons per pixel.
+
+    See Also
+    --------
+    nlosoptics.imaging.form_image : Image in electrons, with noise.
+    nlosoptics.limits.object_scale : Metres on the object per metre on the detector.
+    overview : One figure of a whole run.
 
     Examples
     --------
@@ -421,6 +443,10 @@ def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
     -------
     Axes
         Axes in world x and y, m; y points up.
+
+    See Also
+    --------
+    nlosoptics.raytrace.wall_irradiance : Map of the light that returns to the wall.
     """
     (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.6)
     drawn = axes.pcolormesh(

@@ -40,6 +40,11 @@ def save(
     MissingExtraError
         If a plotter is written as PNG on a machine that cannot render, see `rendering_works`.
 
+    See Also
+    --------
+    html_page : 3-D view as a web page.
+    rendering_works : Whether this machine can render.
+
     Examples
     --------
     >>> from pathlib import Path

@@ -44,6 +44,11 @@ def scene_sketch(
     (Axes, Axes)
         Axes of the top view and of the side view, m.
 
+    See Also
+    --------
+    scene_3d : 3-D view of a scene.
+    overview : One figure of a whole run.
+
     Examples
     --------
     >>> from nlosoptics import Scene, views

@@ -66,6 +66,11 @@ def rendering_works() -> None:
     MissingExtraError
         If pyvista is not installed, or if VTK cannot render because the machine has no display,
         EGL or OSMesa. The message says what to install.
+
+    See Also
+    --------
+    save : Write a figure, film or 3-D view.
+    window : Plotter with a window.
     """
     pyvista()
     _, fault = _trial()
@@ -80,6 +85,11 @@ def window() -> Plotter:
     ------
     MissingExtraError
         If pyvista is not installed, or there is no display.
+
+    See Also
+    --------
+    scene_3d : 3-D view of a scene.
+    rendering_works : Whether this machine can render.
     """
     pyvista()
     kind, fault = _trial()

@@ -128,6 +128,11 @@ def phasor_volume(
     SamplingError
         If the intensity is zero everywhere, if an axis has fewer than two voxels, or if no voxel is
         below the threshold.
+
+    See Also
+    --------
+    volume : Projections of a volume.
+    nlosoptics.transient.phasor_image : Image by virtual waves, for any capture.
     """
     in_range("threshold", threshold, 1e-3, 0.999)
     volume = image.volume

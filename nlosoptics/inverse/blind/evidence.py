@@ -140,6 +140,12 @@ def evidence_fit(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    pcin : Entry point of the blind solvers.
+    staged_fit : Blind fit from a rough guess of the wall.
+    PupilPSF : Differentiable PSF of a wave.
+
     Notes
     -----
     The answer is the start with the least free energy (`FreeEnergy`). Squared residuals would

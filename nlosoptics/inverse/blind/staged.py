@@ -156,6 +156,12 @@ def staged_fit(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    pcin : Entry point of the blind solvers.
+    evidence_fit : Blind fit from random starts.
+    PupilPSF : Differentiable PSF of a wave.
+
     Notes
     -----
     Adam minimises `Energy` over the object's pixels and the coefficients. Its value ranks the

@@ -128,7 +128,13 @@ Snapshot = Callable[[], State]
 
 
 class Stop(Exception):
-    """Exception that a progress callback raises to end a fit with its best result so far."""
+    """Exception that a progress callback raises to end a fit with its best result so far.
+
+    See Also
+    --------
+    Reconstruction : Result of every solver.
+    tv_deconvolve : Non-negative, with total variation.
+    """
 
     def __init__(self) -> None:
         super().__init__("a progress callback asked the fit to end")

@@ -56,6 +56,11 @@ class TorchForwardModel(nn.Module):
     ----------
     model : ForwardModel
         Model with numpy arrays.
+
+    See Also
+    --------
+    nlosoptics.imaging.ForwardModel : Convolution with one PSF or a field.
+    PupilPSF : Differentiable PSF of a wave.
     """
 
     _transfer: Tensor

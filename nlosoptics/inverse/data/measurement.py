@@ -279,6 +279,11 @@ def estimate_noise(image: ArrayLike) -> float:
     SceneError
         If a value is not finite or not a real number.
 
+    See Also
+    --------
+    tv_deconvolve : Non-negative, with total variation.
+    nlosoptics.imaging.CameraImage : Corrected camera image with its noise.
+
     Notes
     -----
     The estimate is the median absolute response to a second difference along both axes [1]_ [2]_,

@@ -50,6 +50,13 @@ class Reconstruction(Noun, Shown):
         ``change`` (relative). For phase retrieval ``fourier_error`` per restart.
     seconds : float
         Wall-clock time, s.
+
+    See Also
+    --------
+    tv_deconvolve : Non-negative, with total variation.
+    pcin : Entry point of the blind solvers.
+    registered_scores : Correlation, PSNR and SSIM with the truth.
+    nlosoptics.views.reconstruction : Object next to the truth.
     """
 
     object: Any

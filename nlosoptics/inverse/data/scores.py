@@ -94,6 +94,10 @@ class RegisteredScores:
         Peak signal-to-noise ratio, dB; infinite for identical images.
     ssim : float
         Mean structural similarity, at most 1.
+
+    See Also
+    --------
+    registered_scores : Correlation, PSNR and SSIM with the truth.
     """
 
     correlation: float

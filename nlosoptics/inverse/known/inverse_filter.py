@@ -73,6 +73,11 @@ def inverse_filter(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    wiener : Linear filter that weighs the noise.
+    tv_deconvolve : Non-negative, with total variation.
+
     Notes
     -----
     ``o = F^-1(I/Phi)`` [1]_, for the image spectrum I and the transfer function Phi. Beyond the

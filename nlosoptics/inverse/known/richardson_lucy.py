@@ -83,6 +83,11 @@ def richardson_lucy(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    wiener : Linear filter that weighs the noise.
+    tv_deconvolve : Non-negative, with total variation.
+
     Notes
     -----
     ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_ conserves flux and sign; w are the pixel weights of a

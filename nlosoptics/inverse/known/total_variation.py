@@ -187,6 +187,13 @@ def tv_deconvolve(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    wiener : Linear filter that weighs the noise.
+    richardson_lucy : Multiplicative, non-negative iteration.
+    deep_image_prior : Untrained network fitted to one image.
+    registered_scores : Correlation, PSNR and SSIM with the truth.
+
     Notes
     -----
     Minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over x >= 0 in the

@@ -80,6 +80,11 @@ def wiener(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    inverse_filter : Division by the transfer function.
+    tv_deconvolve : Non-negative, with total variation.
+
     Notes
     -----
     Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x``. The prior spectrum S is proportional to

@@ -50,6 +50,11 @@ class CnnBaseline(nn.Module):
         Number of times the resolution is halved, see `UNet`.
     seed : int
         Seed of the initial weights.
+
+    See Also
+    --------
+    train_cnn : Train a network on simulated pairs.
+    UNet : Small U-net.
     """
 
     def __init__(self, *, base: int = 16, depth: int = 4, seed: int = 0) -> None:
@@ -232,6 +237,11 @@ class Training(Noun):
         Whether Ctrl-C ended the training.
     seconds : float
         Wall-clock time, s.
+
+    See Also
+    --------
+    train_cnn : Train a network on simulated pairs.
+    nlosoptics.views.history : Convergence of a fit.
     """
 
     network: CnnBaseline
@@ -294,6 +304,11 @@ def train_cnn(
         If images and objects differ in shape.
     KeyboardInterrupt
         If Ctrl-C was pressed before the first epoch ended.
+
+    See Also
+    --------
+    training_pairs : Simulate images of random objects.
+    CnnBaseline : Network from images to objects.
 
     Examples
     --------

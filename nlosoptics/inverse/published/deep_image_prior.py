@@ -131,6 +131,12 @@ def deep_image_prior(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    tv_deconvolve : Non-negative, with total variation.
+    wiener : Linear filter that weighs the noise.
+    UNet : Small U-net.
+
     Notes
     -----
     Adam minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over the

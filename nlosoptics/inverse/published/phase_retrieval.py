@@ -105,6 +105,11 @@ def phase_retrieval(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    object_from_autocorrelation : Object from a given autocorrelation.
+    pcin : Entry point of the blind solvers.
+
     Notes
     -----
     The autocorrelation of a diffuser's point spread is a peak on a broad ground, so that the
@@ -204,6 +209,10 @@ def object_from_autocorrelation(
         If the numbers of rows and columns are not odd, or the array shows no object.
     SceneError
         If a value is out of range or not finite.
+
+    See Also
+    --------
+    phase_retrieval : Object from the modulus of its spectrum.
     """
     started = time.perf_counter()
     lags = checked_lags(autocorrelation)

@@ -35,6 +35,11 @@ class TrainingPairs(Noun):
         Images, electrons, [y, x] in the camera's frame.
     objects : ndarray, (N, H, W) float32
         Objects on the same pixels, without blur, background and noise; maximum 1.
+
+    See Also
+    --------
+    training_pairs : Simulate images of random objects.
+    train_cnn : Train a network on simulated pairs.
     """
 
     images: Array
@@ -82,6 +87,10 @@ def training_pairs(
     ------
     SceneError
         If the scene has another kind of wall, lobe or object, or a value is out of range.
+
+    See Also
+    --------
+    train_cnn : Train a network on simulated pairs.
 
     Notes
     -----

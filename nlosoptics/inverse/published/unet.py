@@ -33,6 +33,11 @@ class UNet(nn.Module):
     seed : int
         Seed of the initial weights.
 
+    See Also
+    --------
+    CnnBaseline : Network from images to objects.
+    deep_image_prior : Untrained network fitted to one image.
+
     Notes
     -----
     Each level has two 3 x 3 convolutions in the encoder and one in the decoder; a second one there

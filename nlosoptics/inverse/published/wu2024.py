@@ -125,6 +125,12 @@ def wu2024_fit(
     SceneError
         If a value is out of range or not finite.
 
+    See Also
+    --------
+    pcin : Entry point of the blind solvers.
+    staged_fit : Blind fit from a rough guess of the wall.
+    PupilPSF : Differentiable PSF of a wave.
+
     Notes
     -----
     Statements of the paper's section 2.2 and their implementation, W(n) being its equation n:

@@ -57,6 +57,12 @@ class PupilPSF(nn.Module):
         Fit parameters, dimensionless, so that optimiser steps have a natural size: Zernike
         coefficients in WAVES rms over the full disc, slopes in waves per pupil radius. All other
         lengths are in m.
+
+    See Also
+    --------
+    SceneLeaves : Differentiable PSF of scene parameters.
+    pcin : Entry point of the blind solvers.
+    nlosoptics.psf.point_spread : PSF of a given wave.
     """
 
     _defocus: Tensor

@@ -70,6 +70,11 @@ class SceneLeaves(nn.Module):
     CausticError, NotWaveGradeError, SamplingError
         If the wave is undefined or not resolved, at the start or later; see `psf.wavefront`.
 
+    See Also
+    --------
+    PupilPSF : Differentiable PSF of a wave.
+    nlosoptics.psf.scene_point_spread : Wave and PSF of a scene.
+
     Notes
     -----
     The wave is that of `psf.wavefront`, computed anew at every call. Its piston and tilt over the

@@ -64,6 +64,11 @@ def polar_nodes(
     MemoryLimitError
         If the nodes do not fit into memory.
 
+    See Also
+    --------
+    grid_nodes : Square grid over a circular pupil.
+    Wavefront : Sampled wave in the exit pupil.
+
     Examples
     --------
     >>> from nlosoptics import psf
@@ -148,6 +153,11 @@ def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[A
         If a value is out of range.
     MemoryLimitError
         If the grid does not fit into memory.
+
+    See Also
+    --------
+    polar_nodes : Gauss nodes of a circular pupil.
+    Wavefront : Sampled wave in the exit pupil.
     """
     positive("radius", radius, unit="m")
     samples = whole("samples", samples, 2)

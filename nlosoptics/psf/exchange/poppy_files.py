@@ -145,6 +145,11 @@ def read_poppy(
         If the side is even and ``half_pixel`` is "refuse".
     MissingExtraError
         If astropy is not installed.
+
+    See Also
+    --------
+    write_poppy : Write a wave to FITS files for POPPY.
+    from_prysm : Wave from prysm's maps.
     """
     one_of("half_pixel", half_pixel, ("refuse", "shift", "scattered"))
     if opd is None and amplitude is None:

@@ -43,6 +43,11 @@ class PrysmPupil(NamedTuple):
         Wavelength, micrometres.
     dx : float
         Pitch of the samples, mm.
+
+    See Also
+    --------
+    to_prysm : Maps of a wave for prysm.
+    from_prysm : Wave from prysm's maps.
     """
 
     amplitude: Array
@@ -71,6 +76,11 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     ------
     SamplingError
         If the wave is not on a grid.
+
+    See Also
+    --------
+    from_prysm : Wave from prysm's maps.
+    write_poppy : Write a wave to FITS files for POPPY.
 
     Examples
     --------
@@ -113,6 +123,11 @@ def from_prysm(
     ------
     SceneError
         If arrays are not real, not square, not finite or differ in shape.
+
+    See Also
+    --------
+    to_prysm : Maps of a wave for prysm.
+    read_poppy : Read a wave from POPPY's FITS files.
     """
     if not isinstance(pupil, tuple) or len(pupil) != 4:
         raise SceneError(

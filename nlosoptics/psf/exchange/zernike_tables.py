@@ -45,6 +45,11 @@ class ZernikeTable:
         Index scheme, see `zernike_order`.
     wavelength : float or None
         Wavelength, m; None if the table does not give it.
+
+    See Also
+    --------
+    read_zernikes : Read a table of coefficients.
+    write_zernikes : Write a table of coefficients.
     """
 
     coefficients: Mapping[int, float]
@@ -84,6 +89,11 @@ def write_zernikes(
     SceneError
         If an index does not exist in the ordering, a coefficient is not finite, the wavelength is
         missing, or the file cannot be written.
+
+    See Also
+    --------
+    read_zernikes : Read a table of coefficients.
+    fit_zernike : Zernike coefficients of a wave.
 
     Notes
     -----
@@ -155,6 +165,11 @@ def read_zernikes(
     SceneError
         If a line cannot be read, a number is not finite, an index is repeated or does not exist in
         the ordering, or the meaning of the numbers is missing or contradictory.
+
+    See Also
+    --------
+    write_zernikes : Write a table of coefficients.
+    zernike : Zernike polynomial.
     """
     path = Path(path)
     if not path.is_file():

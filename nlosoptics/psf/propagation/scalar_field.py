@@ -43,6 +43,11 @@ class ScalarField(Noun):
     SceneError
         If the samples are not a finite two-dimensional array, or another value is out of range.
 
+    See Also
+    --------
+    propagate : Free-space propagation to a parallel plane.
+    PropagatedField : Propagated field with its error bounds.
+
     Examples
     --------
     >>> import numpy as np
@@ -183,6 +188,11 @@ class PropagatedField(ScalarField):
         Bound of the error of the Fresnel approximation; 0 for the angular spectrum.
     reason : str
         One line: why this method was used, and why others were not.
+
+    See Also
+    --------
+    propagate : Free-space propagation to a parallel plane.
+    ScalarField : Sampled complex field on a plane.
     """
 
     method: str

@@ -47,6 +47,12 @@ class PointSpreadField(Noun):
         computed directly, plus the largest error estimate of the transforms.
     normalisation : str
         Normalisation of each point spread, ``"unit-sum"``.
+
+    See Also
+    --------
+    point_spread_field : PSFs over the hidden object.
+    nlosoptics.imaging.image_field : PSFs at as many points as an image needs.
+    nlosoptics.imaging.form_image : Image in electrons, with noise.
     """
 
     modes: Array
@@ -227,6 +233,11 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
         If the object is a mesh or ``tol`` is out of range.
     CausticError, NotWaveGradeError, SamplingError
         If the wave of a point is undefined, or no transform reaches ``tol/10``.
+
+    See Also
+    --------
+    point_spread_field : PSFs over the hidden object.
+    nlosoptics.imaging.image_field : PSFs at as many points as an image needs.
     """
     optics = optics_of(scene)
     hidden, pitch = _picture(optics.scene), optics.scene.camera.image_pitch

@@ -274,6 +274,11 @@ class HybridPointSpread(PointSpread):
         as a check. 0 and infinity if no check was requested.
     flux : float
         Power through the lens from a point that emits 1 W, W.
+
+    See Also
+    --------
+    hybrid_point_spread : PSF of all lobes of the wall.
+    nlosoptics.views.hybrid_parts : Parts of a hybrid PSF.
     """
 
     coherent: Array

@@ -40,6 +40,10 @@ def gaussian_band(centre: float, bandwidth: float, *, count: int = 5) -> tuple[A
     SceneError
         If an option is out of range, or a wavelength would be below a fifth of the centre.
 
+    See Also
+    --------
+    band_point_spread : Sum of PSFs over wavelengths.
+
     Examples
     --------
     >>> from nlosoptics import psf

@@ -44,6 +44,11 @@ class Regime:
         plane then cuts a caustic, where the density of rays diverges.
     rayleigh_parameter : float
         Rms phase s of the wave behind a rough wall, rad; 0 for a smooth wall.
+
+    See Also
+    --------
+    point_spread : PSF of a given wave.
+    compare : All transforms for one wave.
     """
 
     peak_to_valley: float

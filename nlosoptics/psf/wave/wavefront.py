@@ -47,6 +47,11 @@ class Removed:
         Slopes dW/du and dW/dv, rad. They shift the image by ``tilt * image_distance``.
     defocus : float
         Coefficient of (u^2 + v^2)/2, 1/m. It shifts the focus along the axis.
+
+    See Also
+    --------
+    Wavefront : Sampled wave in the exit pupil.
+    wavefront : Wave aberration of a scene.
     """
 
     piston: float = 0.0
@@ -86,6 +91,13 @@ class Wavefront(Noun, Shown):
         Terms that were subtracted from ``aberration``.
     aperture : Aperture, optional
         Outline of a pupil that is neither disc nor ring; layouts "cells" and "grid" follow it.
+
+    See Also
+    --------
+    wavefront : Wave aberration of a scene.
+    point_spread : PSF of a given wave.
+    Aperture : Outline of a pupil.
+    nlosoptics.views.wavefront : Map of a wave aberration.
     """
 
     u: Array

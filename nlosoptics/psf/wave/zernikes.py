@@ -40,6 +40,10 @@ def zernike_order(index: int, ordering: Ordering = "noll") -> tuple[int, int]:
     SceneError
         If the index is out of range or the ordering unknown.
 
+    See Also
+    --------
+    zernike : Zernike polynomial.
+
     Examples
     --------
     >>> from nlosoptics import psf
@@ -110,6 +114,11 @@ def zernike(index: int, rho: ArrayLike, theta: ArrayLike, *, ordering: Ordering 
     ------
     SceneError
         If the index is out of range or the ordering unknown.
+
+    See Also
+    --------
+    zernike_order : Radial and azimuthal order of an index.
+    fit_zernike : Zernike coefficients of a wave.
 
     Examples
     --------

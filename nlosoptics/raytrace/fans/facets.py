@@ -59,6 +59,11 @@ def facet_angles(
     MemoryLimitError
         If the facets would not fit in memory.
 
+    See Also
+    --------
+    nlosoptics.psf.pupil_slopes : Wave slopes caused by facet tilts.
+    nlosoptics.psf.facet_wavefront : Wave of a wall of tilted facets.
+
     Notes
     -----
     The facets follow the V-groove statistics of Oren and Nayar: at tilts t below pi/2, normals have

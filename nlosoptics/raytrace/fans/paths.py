@@ -74,6 +74,13 @@ class RayPaths(Noun):
         Wall-clock time.
     queries : mapping of str to int
         Number of intersection tests by kind of surface; absent or 0 for a kind that was skipped.
+
+    See Also
+    --------
+    trace : Light from the laser to the detector.
+    pupil_rays : Fan of rays from an object point to the lens.
+    nlosoptics.psf.wavefront_from_rays : Wave from traced ray paths.
+    nlosoptics.views.ray_paths : 3-D view with light paths.
     """
 
     points: Array

@@ -56,6 +56,12 @@ def pupil_rays(
     MemoryLimitError
         If the rays would not fit in memory.
 
+    See Also
+    --------
+    trace_point : Light of one object point to the detector.
+    nlosoptics.psf.wavefront_from_rays : Wave from traced ray paths.
+    nlosoptics.psf.spot_diagram : Landing points of rays.
+
     Notes
     -----
     The fan covers all light from the point to the lens, plus a margin. Its directions form a rank-1

@@ -43,6 +43,11 @@ class Hits(Noun):
         2 (`OUTSIDE`): it does, but passes outside the wall's edges. 3 (`UNRESOLVED`): it touches
         or grazes the wall, so that the hit is not resolved. 4 (`BEHIND`): it starts behind the
         wall or arrives from its back.
+
+    See Also
+    --------
+    intersect : Hits of rays on a relay wall.
+    MeshHits : First hits on a mesh.
     """
 
     distance: Array
@@ -81,6 +86,11 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     ------
     SceneError
         If a ray holds NaN or infinity, or a direction is zero.
+
+    See Also
+    --------
+    intersect_mesh : First hits of rays on a mesh.
+    nlosoptics.scene.Wall : Base class of all walls.
 
     Notes
     -----

@@ -45,6 +45,11 @@ class MeshHits(Hits):
         0 (`HIT`) or 1 (`MISS`).
     triangle : ndarray of int32, shape (...)
         Index into ``mesh.faces``; -1 without a hit.
+
+    See Also
+    --------
+    intersect_mesh : First hits of rays on a mesh.
+    Hits : Hits on a wall.
     """
 
     triangle: NDArray[np.int32]
@@ -145,6 +150,10 @@ class AllHits(Noun):
         Hit points, world, m.
     triangle : ndarray of int32, (h,)
         Index into ``mesh.faces``.
+
+    See Also
+    --------
+    all_hits : All hits of rays on a mesh.
     """
 
     ray: NDArray[np.int64]
@@ -187,6 +196,11 @@ def all_hits(
     SceneError
         If a ray holds NaN or infinity, a direction is zero, or the mesh has no area.
 
+    See Also
+    --------
+    intersect_mesh : First hits of rays on a mesh.
+    occluded : Whether a mesh blocks lines of sight.
+
     Notes
     -----
     Hits from the same side at the same distance, to rounding, count once. This applies to a ray
@@ -228,6 +242,11 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
     ------
     SceneError
         If a point holds NaN or infinity, or a target equals its origin.
+
+    See Also
+    --------
+    intersect_mesh : First hits of rays on a mesh.
+    nlosoptics.imaging.cast_shadows : Effect of occluders.
     """
     o, p = (np.asarray(v, dtype=np.float64) for v in (origins, targets))
     try:

@@ -40,6 +40,11 @@ class WallIrradiance(Noun):
         Number of rays traced.
     seconds : float
         Wall-clock time.
+
+    See Also
+    --------
+    wall_irradiance : Map of the light that returns to the wall.
+    nlosoptics.views.irradiance : Map of the wall's irradiance.
     """
 
     x: Array
@@ -103,6 +108,11 @@ def wall_irradiance(
         If an option is out of range, or the wall is unbounded and no size is given.
     MemoryLimitError
         If the map would not fit in memory.
+
+    See Also
+    --------
+    trace : Light from the laser to the detector.
+    nlosoptics.views.irradiance : Map of the wall's irradiance.
 
     Notes
     -----

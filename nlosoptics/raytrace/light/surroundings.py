@@ -46,6 +46,10 @@ class RayPlan:
         point in the room.
     glossy : bool
         Whether a lobe is narrow enough to require three sampling strategies instead of one.
+
+    See Also
+    --------
+    ray_plan : Intersection tests that a scene requires.
     """
 
     wall_hits: str
@@ -103,6 +107,11 @@ def ray_plan(scene: Scene) -> RayPlan:
     -------
     RayPlan
         Needed tests; printing it shows the reasons.
+
+    See Also
+    --------
+    trace : Light from the laser to the detector.
+    nlosoptics.plan : Predict stages, time and error.
 
     Notes
     -----

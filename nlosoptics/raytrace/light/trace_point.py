@@ -62,6 +62,11 @@ class PointTrace(Noun):
         Wall-clock time.
     queries : mapping of str to int
         Number of intersection tests by kind of surface.
+
+    See Also
+    --------
+    trace_point : Light of one object point to the detector.
+    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
     """
 
     energy: Array
@@ -153,6 +158,11 @@ def trace_point(
         If an option is out of range or the point is behind the wall.
     MemoryLimitError
         If the pixels would not fit in memory.
+
+    See Also
+    --------
+    trace : Light from the laser to the detector.
+    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
 
     Notes
     -----

@@ -70,6 +70,13 @@ class TransientCapture(Noun, Shown):
     SceneError
         If a value is not finite or out of range.
 
+    See Also
+    --------
+    render : Capture of meshes.
+    render_scene : Capture of a scene file.
+    phasor_image : Image by virtual waves, for any capture.
+    nlosoptics.views.transient : Streak image of a capture.
+
     Examples
     --------
     >>> import numpy as np

@@ -57,6 +57,11 @@ class Detector:
     SceneError
         If a value is out of range, or a length is so short that it must be in seconds.
 
+    See Also
+    --------
+    render : Capture of meshes.
+    TransientCapture : Time-resolved capture.
+
     Examples
     --------
     >>> from nlosoptics.transient import Detector, TransientCapture

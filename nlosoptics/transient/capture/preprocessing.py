@@ -38,6 +38,11 @@ def gated(
     SamplingError
         If the range contains no whole bin.
 
+    See Also
+    --------
+    downsampled : Sum bins and average points.
+    without_outer_legs : Remove the paths from laser and to sensor.
+
     Examples
     --------
     >>> import numpy as np
@@ -84,6 +89,11 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     ------
     SamplingError
         If the number of bins or points is not a multiple of ``bins`` or ``grid``.
+
+    See Also
+    --------
+    smoothed : Blur over time.
+    gated : Cut to a range of optical path.
 
     Notes
     -----
@@ -156,6 +166,11 @@ def smoothed(
         If a standard deviation is below 0, or the capture has standard errors. The blur would
         correlate the errors of neighbouring values, which a capture cannot store.
 
+    See Also
+    --------
+    downsampled : Sum bins and average points.
+    backprojection : Sum over ellipsoids of equal path.
+
     Notes
     -----
     Beyond the ends of an axis, the outermost value is repeated.
@@ -190,6 +205,11 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
     ------
     SceneError
         If the times include outer legs, or the centre of bin 0 is not above 0.
+
+    See Also
+    --------
+    gated : Cut to a range of optical path.
+    backprojection : Sum over ellipsoids of equal path.
     """
     power = real("power", power)
     _inner(capture, "distance_weighted")
@@ -224,6 +244,12 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
         If an origin is missing.
     SamplingError
         If no bin is covered by all pairs.
+
+    See Also
+    --------
+    gated : Cut to a range of optical path.
+    fk_migration : Wave-based image of a confocal capture.
+    lct : Albedo from a confocal capture.
 
     Notes
     -----

@@ -39,6 +39,11 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
     SceneError
         If a value is not finite or out of range.
 
+    See Also
+    --------
+    render : Capture of meshes.
+    TransientCapture : Time-resolved capture.
+
     Examples
     --------
     >>> from nlosoptics.transient import wall_grid

@@ -35,6 +35,11 @@ class DepthMap(Noun):
         (nx,) and (ny,): cell centres, world, m.
     threshold : float
         Confidence below which cells have no surface.
+
+    See Also
+    --------
+    depth_map : Depths of an image.
+    depth_error : Error of a depth map.
     """
 
     depth: Array
@@ -68,6 +73,10 @@ class DepthError(Noun):
         Median of reconstructed minus true depth, m.
     curve : ndarray
         (n, 3): thresholds, errors, m, and coverages. Errors are NaN if no cell is left.
+
+    See Also
+    --------
+    depth_error : Error of a depth map.
     """
 
     mae: float
@@ -170,6 +179,11 @@ def depth_error(
     SceneError
         If all true depths are NaN.
 
+    See Also
+    --------
+    depth_map : Depths of an image.
+    true_depths : Depths of meshes.
+
     Notes
     -----
     The error is averaged over the cells in which both maps have a depth. ``missed`` and ``false``
@@ -258,6 +272,11 @@ def true_depths(
         If there is no mesh, or ``grid`` is neither a volume nor a pair of axes.
     SamplingError
         If an axis has more than one dimension.
+
+    See Also
+    --------
+    depth_error : Error of a depth map.
+    voxelised : Voxels inside or on meshes.
     """
     from ...raytrace import intersect_mesh
 
@@ -295,6 +314,11 @@ def voxelised(
         If the volume has one voxel along z.
     SceneError
         If there is no mesh.
+
+    See Also
+    --------
+    true_depths : Depths of meshes.
+    Volume : Voxel grid.
     """
     if len(volume.z) < 2:
         raise SamplingError("the volume has 1 voxel along z, must have at least 2; give more")

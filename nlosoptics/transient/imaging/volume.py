@@ -36,6 +36,11 @@ class Volume(Noun):
     SceneError
         If a value is not finite.
 
+    See Also
+    --------
+    VolumeImage : Image on a voxel grid.
+    phasor_image : Image by virtual waves, for any capture.
+
     Examples
     --------
     >>> from nlosoptics.transient import Volume
@@ -182,6 +187,12 @@ class VolumeImage(Noun, Shown):
     ------
     SamplingError
         If ``intensity`` is not shaped like the volume.
+
+    See Also
+    --------
+    fk_migration : Wave-based image of a confocal capture.
+    depth_map : Depths of an image.
+    nlosoptics.views.volume : Projections of a volume.
     """
 
     intensity: Array
@@ -316,6 +327,12 @@ class PhasorImage(VolumeImage):
         Used part of the wall: side of a square, m, or a mask shaped like the points. None: all.
     notes : tuple of str
         Limits of the sampling that the image exceeds, as given in warnings.
+
+    See Also
+    --------
+    phasor_image : Image by virtual waves, for any capture.
+    VolumeImage : Image on a voxel grid.
+    nlosoptics.views.phasor_volume : Isosurface of a volume in 3-D.
     """
 
     field: ComplexArray
