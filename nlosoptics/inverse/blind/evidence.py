@@ -143,7 +143,7 @@ def evidence_fit(
     See Also
     --------
     pcin : Entry point of the blind solvers.
-    staged_fit : Blind fit from a rough guess of the wall.
+    staged_fit : Blind fit of one or more images in stages.
     PupilPSF : Differentiable PSF of a wave.
 
     Notes

@@ -92,7 +92,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
 
     See Also
     --------
-    smoothed : Blur over time.
+    smoothed : Gaussian blur of a capture.
     gated : Cut to a range of optical path.
 
     Notes

@@ -276,7 +276,7 @@ def true_depths(
     See Also
     --------
     depth_error : Error of a depth map.
-    voxelised : Voxels inside or on meshes.
+    voxelised : Voxels that a surface passes through.
     """
     from ...raytrace import intersect_mesh
 
