@@ -9,11 +9,11 @@ from torch import Tensor
 
 from ..wave.frames import Frames
 
-#: Shape of the sparse prior: how strongly rare large gradients are preferred to many small ones.
+#: Sharpness of the sparse prior; a larger value prefers few large gradients to many small ones.
 _SHARPNESS = 0.5
 _SMALLEST_VARIANCE = 1e-6
 _FIRST_VARIANCE = 1e-3
-#: Objects are ``_SOFTNESS softplus(theta/_SOFTNESS)`` of what is fitted: never negative.
+#: Objects are ``_SOFTNESS softplus(theta/_SOFTNESS)`` of the fitted theta, hence not negative.
 _SOFTNESS = 0.1
 _DARKEST = 0.01
 

@@ -23,30 +23,33 @@ from ..wave.pupil_psf import PupilPSF
 from .evidence_search import Island, Watch, evolve, gather, refine, sharp, without_blur
 from .free_energy import Floats, FreeEnergy, Starts
 
-#: Least spread of the known defoci, waves rms, at which no blur cannot explain all frames.
+#: Smallest range of the known defoci, waves rms, at which a wave without blur cannot explain all
+#: images.
 _DIVERSE = 0.1
-#: Lengths of walls to start from, waves rms: rather too strong than too weak.
+#: Norms of the coefficients of initial walls, waves rms. They are rather too large than too small.
 _STRENGTHS = (0.3, 0.6, 1.0)
-#: Over a known strength.
+#: Norms of initial walls relative to a known rms of the wave.
 _AROUND = (0.9, 1.1, 1.4)
 _STARTS = 32
-#: rms of what a right answer may leave unexplained, over the images' range: by no wall, and by each
-#: wave of it up to the first, whose higher modes no fit holds. Longer walls were more often wrong.
+#: Largest rms residual beyond the noise of a right answer, relative to the images' range: a
+#: constant, and the increase per wave of the wall's rms, up to one wave, due to modes that are not
+#: fitted. Answers for stronger walls were more often wrong.
 _MODEL_ERROR = (0.004, 0.010)
-#: Over that: an answer that needs no more children.
+#: Fraction of the largest `_model_error` below which the search of a round ends early.
 _WELL = 0.6
 _NEAR_FRAMES = 4
-#: Free energy below that of no blur from which an answer off one frame counts as right; of 84 fits
-#: at 1 % noise, wrong answers came to 38 below.
+#: An answer for one image counts as right if its free energy is below that of a wave without blur
+#: by at least this. In 84 fits at 1 % noise, the margin of wrong answers was at most 38.
 _SURE_MARGIN = 70.0
-#: The same below that of the image taken as sharp, a pixel: at `_SHARP_NOISE` and more, and what
-#: each factor e of less noise adds. Over the image's maximum, wrong answers came to 0.082 at 1 %
-#: noise (0.086 of 32 x 32 pixels) and to 0.130 at 0.3 %, most right ones to more.
+#: Margin per pixel relative to the fit that takes the image for the object: its value at a noise of
+#: `_SHARP_NOISE` of the image's maximum or more, and the increase per factor e of less noise. The
+#: margin of wrong answers was at most 0.082 at 1 % noise (0.086 for 32 x 32 pixels) and 0.130 at
+#: 0.3 %; most right answers exceeded it.
 _SHARP_MARGIN = (0.092, 0.045)
 _SHARP_NOISE = 0.01
-#: Length of coefficients, waves rms, under which an answer is no blur.
+#: Norm of the coefficients, waves rms, below which an answer counts as without blur.
 _NO_BLUR = 0.12
-#: Of coefficients over the length that a search held them at.
+#: Smallest norm of the coefficients relative to the fixed norm of the search.
 _LEAST_LENGTH = 0.7
 _GENERATIONS = 6
 _ROUNDS_OF_FRAMES = 2
@@ -211,7 +214,7 @@ class _Search:
     ) -> None:
         self._frames, self._pupil, self._strength = frames, pupil_psf, strength
         self._behind, self._start = _from_state(start, len(pupil_psf.modes))
-        # rounds that come after others draw other walls
+        # a resumed search must not draw the walls of completed rounds again
         self._random = generator(seed, self._behind)
         self._deadline, self._progress = deadline, progress
         self._sigmas = np.array([one.sigma for one in frames.measured]) / frames.scale

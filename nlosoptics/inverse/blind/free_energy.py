@@ -24,9 +24,9 @@ from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, noll_mode
 from . import _evidence_kernels as kernels
 
 Floats = NDArray[Any]
-#: Width of the bend where an object value turns positive, over the image's maximum.
+#: Softness of the transition of object values to 0, relative to the image's maximum.
 _SOFTNESS = 0.1
-#: Starts that are worked on at once: their arrays stay in the processor's cache.
+#: Number of starts processed together, so that their arrays fit into the processor's cache.
 _CHUNK = 8
 #: Largest pitch relative to Nyquist's that is treated as Nyquist's: the transfer function 2 % below
 #: the cutoff is less than 1e-3.
@@ -177,7 +177,7 @@ class FreeEnergy:
         self._fit_background = fit_background
         modes = np.array(pupil_psf.modes)
         orders = (np.sqrt(8.0 * modes - 7.0) - 1.0) // 2.0
-        #: signs of the wall with the same in-focus point spread, W(x) -> -W(-x)
+        #: signs that convert a wall to the one with the same in-focus point spread, W(x) -> -W(-x)
         self.twin = np.where(orders % 2 == 0, -1.0, 1.0)
         self._share = (self._images.shape[1] / grid) ** 2
         self._steps: Floats = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(grid) / grid)).astype(

@@ -40,22 +40,23 @@ from .stages import (
 )
 
 STARTS = 603  # stream of the random generator
-#: rms error of a start, waves: of coefficients that are given, and of none.
+#: Assumed rms error of the initial coefficients, waves: given ones, and zero by default.
 _GIVEN_ERROR = 0.1
 _UNKNOWN_ERROR = 0.5
-#: Start errors above this are too far for an object of the start's own point spread.
+#: Largest start error, waves, for which the object is first fitted with the initial coefficients.
 _NEAR = 0.25
-#: Free energy below that of a fit from no blur which tells an answer from chance. Where the start
-#: is known well enough to put no blur so far off, the answer's own may be above, by this over the
-#: noise's part of the range, since what the modes leave unexplained weighs the more the less noise
-#: there is; the residual is at least so much of the noise: wrong answers have fitted it.
+#: Criteria for an answer from one image. SURE_MARGIN: it is right if its free energy is below that
+#: of the no-blur fit by at least this. SURE_START: if the prior of a well-known start puts the
+#: no-blur fit above the answer by at least this, the answer's own energy may be higher, by at most
+#: LITTLE_ABOVE over the relative noise: errors of the modes weigh more if the noise is low. Then
+#: its residual must be at least OVERFITTED times the noise, because wrong answers fit the noise.
 _SURE_MARGIN = 50.0
 _SURE_START = 100.0
 _LITTLE_ABOVE = 1.0
 _OVERFITTED = 0.93
-#: Correlation with the image from which such an answer is the image.
+#: Correlation of object and image above which the answer counts as the image itself.
 _LIKE_THE_IMAGE = 0.9
-#: rms residual of several images that is neither noise nor explained, over the brightest pixel.
+#: Largest rms residual beyond the noise for several images, relative to the brightest pixel.
 _UNEXPLAINED = 0.014
 _TOLERANCE = 2e-5
 

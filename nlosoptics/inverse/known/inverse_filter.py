@@ -16,7 +16,7 @@ from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
 from ..data.measurement import Measurement, measurement
 from ..data.reconstruction import Reconstruction, assemble, beside, without_object
 
-# A transfer of this part of the largest is what rounding leaves of zero.
+# Transfer modulus, relative to the largest, that is only rounding error.
 _ROUNDING = 1e-13
 
 

@@ -156,7 +156,8 @@ class _Maximisation:
         image = ((data.data - data.background(self._level)) / self.scale).to(dtype)
         self._pedestal = self._sigma + max(0.0, -float(image.min()))
         self._image = image + self._pedestal
-        # The background is counted from one noise below its estimate, so that it may fall as well.
+        # The fitted background starts one noise sigma below its estimate. It is positive, so that
+        # the multiplicative iteration can lower the background too.
         self._shape: Tensor | None = None
         if data.fit_background:
             shape = data.background_shape
@@ -230,7 +231,7 @@ class _Maximisation:
         model = self._model(self._object) + self._pedestal
         if self._shape is not None:
             model = model + self._strength * self._shape
-        # Rounding of the transforms may leave less than the pedestal, which is one noise or more.
+        # FFT rounding errors may lower the model below the pedestal, which is at least one sigma.
         model = model.clamp_min_(0.5 * self._pedestal)
         ratio = self._image / model
         residual = self._image - model

@@ -442,7 +442,8 @@ class _Splitting:
             self._multiplier = self._data_penalty * max(norm / target - 1.0, 0.0)
             return
         squares = self._weights * misfit * misfit
-        # One over the norm is nearly linear in the multiplier, exactly so for even noise.
+        # Newton's method for 1/norm, which is nearly linear in the multiplier (exactly for uniform
+        # noise).
         for _ in range(2):
             kept = self._data_penalty / (self._data_penalty + self._multiplier * self._weights)
             square = total(squares * kept**2)

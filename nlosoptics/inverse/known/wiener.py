@@ -19,7 +19,7 @@ from ..data.forward import TorchForwardModel, model_shape, torch_model
 from ..data.measurement import Measurement, measurement, total
 from ..data.reconstruction import Reconstruction, Status, assemble, beside, without_object
 
-# Of what a kernel passes, the part that rounding leaves of zero.
+# Transmitted power, relative to that of the mean, that is only rounding error.
 _ROUNDING = 1e-12
 
 

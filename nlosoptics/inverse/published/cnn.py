@@ -167,7 +167,8 @@ class CnnBaseline(nn.Module):
             If safetensors is not installed.
         """
         safetensors = _safetensors()
-        # One entry: safetensors writes several in any order, and the same network is the same file.
+        # A single entry: safetensors writes several in random order, but equal networks must give
+        # equal files.
         told = {"format": _FORMAT, "base": self.network.base, "depth": self.network.depth}
         tensors = {
             name: values.detach().cpu().contiguous()

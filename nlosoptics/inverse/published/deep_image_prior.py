@@ -36,16 +36,16 @@ from .unet import UNetObject
 
 Guide = Literal["tv", "wiener", "noise"]
 
-GUIDE = 602  # stream of the noise that a network is fed with
+GUIDE = 602  # stream of the random network input
 _NOISE_CHANNELS = 8
-# Part of a step that the running average takes over, and steps before it starts.
+# Weight of a new iterate in the running average, and iteration at which the average starts.
 _AVERAGE = 0.04
 _AVERAGE_FROM = 25
-# Share of the learning rate that is left at the end.
+# Final learning rate relative to the initial one.
 _LAST_RATE = 0.05
-# Rounding of total variation at 0, of the object's range.
+# Gradient below which total variation is smoothed, relative to the object's range.
 _SMOOTH = 1e-3
-# What of the object is the guide by total variation, where the caller does not say.
+# Default fraction of the total-variation solution in the result.
 _GUIDE_SHARE = 0.5
 
 

@@ -34,9 +34,9 @@ from .projections import (
 Method = Literal["alternating", "hio", "raar"]
 
 METHODS = ("alternating", "hio", "raar")
-# Stage of the random starts.
+# Random stream of the starts.
 _STARTS = 0x70686173
-# Correlation of the two halves of the restarts at which their picture is taken as found.
+# Correlation between two halves of the restarts at which the object counts as found.
 _AGREED = 0.9
 _TOLERANCE = 1e-6
 

@@ -67,11 +67,11 @@ class UNet(nn.Module):
         self.in_channels = whole("in_channels", in_channels)
         self.out_channels = whole("out_channels", out_channels)
         draw = generator(seed, WEIGHTS)
-        # Torch draws weights from one global generator, which others must find as it was;
-        # torch.manual_seed would set those of accelerators too.
+        # Torch draws weights from its global generator, whose state is restored afterwards.
+        # torch.manual_seed would also change the generators of accelerators.
         with torch.random.fork_rng(devices=[]):
             torch.default_generator.manual_seed(int(draw.integers(2**63)))
-            # in single precision on the processor whatever torch's defaults are
+            # always in single precision on the processor, regardless of torch's defaults
             with torch.device("cpu"):
                 self._build()
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -150,7 +150,7 @@ def _stage(entering: int, leaving: int, convolutions: int = 2) -> nn.Sequential:
     layers: list[nn.Module] = []
     for channels in (entering, leaving)[:convolutions]:
         layers += [
-            # the normalisation that follows has a constant of its own
+            # no bias, since the following normalisation has its own offset
             nn.Conv2d(channels, leaving, 3, padding=1, bias=False, dtype=torch.float32),
             nn.GroupNorm(1, leaving, dtype=torch.float32),
             nn.LeakyReLU(_SLOPE, inplace=True),
@@ -172,5 +172,5 @@ def _channels(guide: Any) -> Tensor:
 def _normalised(guide: Tensor) -> Tensor:
     centred = guide - guide.mean(dim=(-2, -1), keepdim=True)
     spread = centred.square().mean(dim=(-2, -1), keepdim=True).sqrt()
-    # a uniform channel carries nothing and stays zero
+    # a uniform channel has no information and becomes zero
     return centred / torch.where(spread > 0.0, spread, torch.ones_like(spread))

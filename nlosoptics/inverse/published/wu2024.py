@@ -31,10 +31,11 @@ from .unet import UNetObject
 NetworkInput = Literal["image", "reconstruction"]
 
 ANGLES = 603  # stream of the random angles
-# Steps of a first and of a warm run ("more than 4000", "approximately 1800 iterations").
+# Iterations of a first run and of a resumed run ("more than 4000", "approximately 1800" in the
+# paper).
 _COLD, _WARM = 4000, 1800
 _SMOOTH = 1e-3
-# Likeness of object and image from which on the answer is "no blur".
+# Correlation of object and image above which the answer counts as trivial (no blur).
 _TRIVIAL_CORRELATION = 0.95
 
 

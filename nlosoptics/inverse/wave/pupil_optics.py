@@ -20,9 +20,9 @@ from ...psf.window.window import Window, shape_of
 
 Array = NDArray[np.float64]
 Method = Literal["fft", "mdft"]
-#: Of u and v, m, to an amplitude.
+#: Function of u and v, m, that returns the relative amplitude.
 Transmission = Callable[[Array, Array], Array]
-#: Slack of comparisons of lengths that are given as rounded numbers.
+#: Relative tolerance when lengths are compared, since they may be given as rounded numbers.
 _ROUNDING = 1e-9
 
 
@@ -305,7 +305,7 @@ class PupilOptics(nn.Module):
             keep("_along_y", _kernel(np.outer(window.y, self.v) / self._spread))
             keep("_along_x", _kernel(np.outer(self.u, window.x) / self._spread))
         elif self.pixel_integrated:
-            # energies of pixels finer samples wide: the finer sample's sum, as often
+            # a pixel is _finer samples wide: its energy is their mean times their number
             y, x = (np.fft.fftfreq(n, 1 / self._finer) for n in self._grid)
             keep("_pixel", np.outer(np.sinc(y), np.sinc(x[: len(x) // 2 + 1])) * self._finer**2)
 

@@ -67,7 +67,7 @@ class ZernikeWaves(nn.Module):
         basis = np.stack([noll_mode(mode, optics) for mode in self.modes])
         self.register_buffer("_basis", like(optics, basis))
         turns = None if rest is None else np.where(optics.share > 0, rest, 0.0) / optics.wavelength
-        # whole turns taken off before single precision cuts digits away
+        # subtract whole waves before the conversion to single precision, to keep digits
         phase = None if turns is None else turns - np.round(turns)
         self.register_buffer("rest", None if turns is None else like(optics, turns))
         self.register_buffer("_phase", None if phase is None else like(optics, phase))

@@ -196,7 +196,7 @@ class SceneLeaves(nn.Module):
 
     def _turns(self, field: ArrayLike | None) -> Tensor:
         turns = self.aberration(field) / self.optics.wavelength
-        # whole turns taken off before single precision cuts digits away
+        # subtract whole waves before the conversion to single precision, to keep digits
         turns = turns - turns.detach().round()
         return turns.to(device=self.optics.device, dtype=self.optics.dtype)
 
