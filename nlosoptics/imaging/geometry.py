@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from .._vectors import dot
 from ..errors import SceneError
 from ..raytrace import intersect
 from ..scene import Camera, PlanarObject, Scene, SumWall, Wall
@@ -82,7 +83,7 @@ def chief_rays(scene: Scene, x: Array, y: Array) -> ChiefRays:
     length = np.sqrt(x[None, :] ** 2 + y[:, None] ** 2 + distance**2)
     directions /= length[..., None]
     hits = intersect(_with_margin(scene), np.array(scene.camera.position), directions)
-    along = (directions * hits.normals).sum(axis=-1)
+    along = dot(directions, hits.normals)
     return ChiefRays(
         directions=directions,
         cos_axis=distance / length,
@@ -127,11 +128,11 @@ def wall_visibility(scene: Scene, rays: ChiefRays) -> Array:
     d, n = rays.directions[seen], rays.normals[seen]
     # the cone shrinks linearly from the lens to the point in focus
     part = rays.distance[seen] * rays.cos_axis[seen] / scene.focus_distance
-    scale = camera.stop_diameter / 2 * np.abs(1.0 - part) / (d * n).sum(axis=-1)
+    scale = camera.stop_diameter / 2 * np.abs(1.0 - part) / dot(d, n)
     for i, half in enumerate((scene.wall.size[0] / 2, scene.wall.size[1] / 2)):
         reach = np.zeros(part.shape)
         for e in camera.frame[:2]:
-            reach += (e[i] * (d * n).sum(axis=-1) - d[:, i] * (n * e).sum(axis=-1)) ** 2
+            reach += (e[i] * dot(d, n) - d[:, i] * dot(n, e)) ** 2
         reach = np.maximum(np.abs(scale) * np.sqrt(reach), 1e-15)
         at = rays.points[seen][:, i]
         inside = _disc_part((half - at) / reach) + _disc_part((half + at) / reach) - 1.0
@@ -163,16 +164,16 @@ def picture_coordinates(hidden: PlanarObject, rays: ChiefRays) -> tuple[Array, A
     """
     right, up, normal = hidden.axes
     toward = np.array(hidden.position) - rays.points
-    facing = (rays.reflected * normal).sum(axis=-1)
-    height = (toward * normal).sum(axis=-1)
+    facing = dot(rays.reflected, normal)
+    height = dot(toward, normal)
     # comparisons with NaN, from rays that miss the wall, are false
     meets = (facing < 0.0) & (height < 0.0)
     t = np.full(facing.shape, np.nan)
     np.divide(height, facing, out=t, where=meets)
     offset = t[..., None] * rays.reflected - toward
     rows, columns = hidden.reflectance.shape
-    column = ((offset * right).sum(axis=-1) / hidden.size[0] + 0.5) * columns
-    row = (0.5 - (offset * up).sum(axis=-1) / hidden.size[1]) * rows
+    column = (dot(offset, right) / hidden.size[0] + 0.5) * columns
+    row = (0.5 - dot(offset, up) / hidden.size[1]) * rows
     return column, row
 
 

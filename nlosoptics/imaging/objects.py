@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from .._vectors import dot
 from ..raytrace import intersect_mesh, occluded
 from ..scene import MeshObject, PlanarObject
 from .geometry import picture_points
@@ -189,8 +190,8 @@ def mesh_hits(
     hits = intersect_mesh(mesh, origins, directions)
     met = np.nonzero(hits.hit)[0]
     point, normal = hits.points[met], np.asarray(mesh.face_normals)[hits.triangle[met]]
-    facing = (directions[met] * normal).sum(axis=-1) < 0.0
-    facing &= ((point - source) * normal).sum(axis=-1) < 0.0
+    facing = dot(directions[met], normal) < 0.0
+    facing &= dot(point - source, normal) < 0.0
     met, point, normal = met[facing], point[facing], normal[facing]
     free = ~occluded(mesh, np.broadcast_to(source, point.shape), point)
     points, normals = np.zeros(origins.shape), np.zeros(origins.shape)

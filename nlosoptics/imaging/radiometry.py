@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import constants
 
 from .._checks import in_range, positive
+from .._vectors import dot
 from ..errors import SceneError
 from ..kernels.codes import BECKMANN, LAMBERT
 from ..psf.pupil.exit_pupil import working_f_number
@@ -151,7 +152,7 @@ def radiant_intensity(scene: Scene, spot: LaserSpot, toward: Array) -> Array:
     All lobes of the wall contribute except perfectly smooth ones, whose reflected beam is not
     traced.
     """
-    cosine = np.maximum((toward * spot.normal).sum(axis=-1), 0.0)
+    cosine = np.maximum(dot(toward, spot.normal), 0.0)
     reflectance = scene.wall_material.evaluate(spot.incident, toward, spot.normal)
     return np.asarray(scene.laser.power * reflectance * cosine)
 
@@ -165,9 +166,9 @@ def spot_irradiance(
     of about (beam diameter/4 r)^2 at distance r.
     """
     toward = spot.point - points
-    square = (toward * toward).sum(axis=-1)
+    square = dot(toward, toward)
     toward = toward / np.sqrt(square)[..., None]
-    cosine = np.maximum((toward * normals).sum(axis=-1), 0.0)
+    cosine = np.maximum(dot(toward, normals), 0.0)
     return radiant_intensity(scene, spot, -toward) * cosine / square, toward
 
 
@@ -264,9 +265,9 @@ def background_radiance(
     total = np.zeros(len(view))
     for flux in _grouped_flux(scene, spot, patches, nodes, diffuse):
         arriving = np.stack([interpolated(component)[inside] for component in flux.T], axis=-1)
-        strength = np.sqrt((arriving * arriving).sum(axis=-1))
+        strength = np.sqrt(dot(arriving, arriving))
         arriving /= np.maximum(strength, 1e-300)[:, None]
-        cosine = np.maximum((arriving * normals).sum(axis=-1), 0.0)
+        cosine = np.maximum(dot(arriving, normals), 0.0)
         total += diffuse.evaluate(arriving, view, normals) * cosine * strength
     result[seen] = total
     return result
@@ -298,7 +299,7 @@ class Nodes:
         e1, e2, axis = scene.camera.frame
         lens = np.array(scene.camera.position)
         d = scene.image_distance * axis - x[:, None] * e1 - y[:, None] * e2
-        d /= np.sqrt((d * d).sum(axis=-1))[:, None]
+        d /= np.sqrt(dot(d, d))[:, None]
         self.count = len(x)
         self.used = np.nonzero(d[:, 2] < 0.0)[0]
         d, height = d[self.used], height[self.used]
@@ -335,9 +336,9 @@ def arrivals(
     for start in range(0, len(nodes.used), step):
         block = slice(start, start + step)
         toward = patches.points - nodes.points[block][:, None]
-        square = (toward * toward).sum(axis=-1)
+        square = dot(toward, toward)
         toward /= np.sqrt(square)[..., None]
-        cosine = np.maximum(-(toward * patches.normals).sum(axis=-1), 0.0)
+        cosine = np.maximum(-dot(toward, patches.normals), 0.0)
         light = object_radiance(scene, spot, patches.points, patches.normals, -toward)
         yield block, toward, light * cosine * patches.areas / square
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from .._checks import fits_memory
 from .._nouns import Noun
+from .._vectors import dot
 from ..errors import SceneError
 from ..raytrace import intersect_mesh, occluded
 from ..scene import PlanarObject, Scene
@@ -206,8 +207,8 @@ def _on_wall(scene: Scene, rays: ChiefRays, use: Mask, lens: Array) -> Array:
     ahead = scene.focus_distance / rays.cos_axis[use]
     line = np.array(scene.camera.position) + ahead[:, None] * rays.directions[use] - lens
     normals = rays.normals[use]
-    height = ((rays.points[use] - lens) * normals).sum(axis=-1)
-    return np.asarray(lens + (height / (line * normals).sum(axis=-1))[:, None] * line)
+    height = dot(rays.points[use] - lens, normals)
+    return np.asarray(lens + (height / dot(line, normals))[:, None] * line)
 
 
 def _object_points(scene: Scene, rays: ChiefRays, use: Mask) -> tuple[Array, Mask]:
@@ -247,7 +248,7 @@ def _veil_share(
     for block, toward, light in arrivals(scene, spot, patches, nodes):
         used = nodes.used[block]
         facing, view = normals[used][:, None], -nodes.directions[block][:, None]
-        light *= np.maximum((toward * facing).sum(axis=-1), 0.0)
+        light *= np.maximum(dot(toward, facing), 0.0)
         light *= diffuse.evaluate(toward, view, facing)
         free = light * lit
         node, patch = np.nonzero(free)

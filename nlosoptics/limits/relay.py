@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, special
 
 from .._checks import in_range, positive, whole
+from .._vectors import dot
 from ..errors import SamplingError, SceneError
 from ..imaging.detector import noise_variance
 from ..imaging.geometry import chief_rays, wall_visibility
@@ -364,10 +365,10 @@ def passed_radiance(
     for start in range(0, len(points), step):
         block = slice(start, start + step)
         toward = patches.points - points[block][:, None]
-        square = (toward * toward).sum(axis=-1)
+        square = dot(toward, toward)
         toward /= np.sqrt(square)[..., None]
-        leaving = np.maximum(-(toward * patches.normals).sum(axis=-1), 0.0)
-        arriving = np.maximum((toward * normals[block][:, None]).sum(axis=-1), 0.0)
+        leaving = np.maximum(-dot(toward, patches.normals), 0.0)
+        arriving = np.maximum(dot(toward, normals[block][:, None]), 0.0)
         light = object_radiance(scene, spot, patches.points, patches.normals, -toward)
         light *= leaving * arriving * patches.areas / square
         yield (

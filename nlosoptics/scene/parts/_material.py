@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..._vectors import dot
 from ...errors import SceneError
 
 Array = NDArray[np.float64]
@@ -208,7 +209,7 @@ def _by_cosines(
                 f"{name} holds NaN or infinity; give unit vectors that point away from the surface"
             )
     i, o, n = _broadcast(i, o, n)
-    mu_i, mu_o, between = (np.sum(a * b, axis=-1) for a, b in ((i, n), (o, n), (i, o)))
+    mu_i, mu_o, between = (dot(a, b) for a, b in ((i, n), (o, n), (i, o)))
     out = np.empty(mu_i.size)
     kernel(lobes, np.ravel(mu_i), np.ravel(mu_o), np.ravel(between), out)
     return out.reshape(mu_i.shape)
