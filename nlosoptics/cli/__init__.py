@@ -32,6 +32,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     ----------
     arguments : sequence of str, optional
         Arguments after the program's name; by default those of this process.
+
+    See Also
+    --------
+    nlosoptics.plan : Predict stages, time and error.
+    nlosoptics.simulate : Run a scene's plan.
     """
     try:
         words = tuple(sys.argv[1:] if arguments is None else arguments)

@@ -71,6 +71,12 @@ class Plan:
     pattern_nodes : int
         Object points along each side of the picture at which the speckle pattern of a rough wall is
         computed for the image. 0 if the image needs no pattern, or uses the mean over walls.
+
+    See Also
+    --------
+    plan : Predict stages, time and error.
+    simulate : Run a scene's plan.
+    nlosoptics.views.plan : Stages of a plan with their times.
     """
 
     stages: tuple[Stage, ...]

@@ -49,6 +49,11 @@ class ThroughFocus(Noun):
         In vacuum, m.
     f_number : float
         Working F-number at shift 0.
+
+    See Also
+    --------
+    through_focus : A criterion in several planes.
+    best_focus : Displacement of best focus.
     """
 
     shifts: Array
@@ -156,6 +161,11 @@ def through_focus(
         If an option is unknown, missing or out of range.
     SamplingError
         If a grid or scattered nodes are too few for the defocus.
+
+    See Also
+    --------
+    best_focus : Displacement of best focus.
+    focus_shifted : Wave for a displaced image plane.
 
     Examples
     --------

@@ -39,6 +39,10 @@ class MetricEstimate(Noun):
         Standard deviation of ``value`` over independent sets of as many patterns, of its shape.
     n_patterns : int
         Number of patterns.
+
+    See Also
+    --------
+    metric_estimate : Metric of a mean of independent patterns, with its error.
     """
 
     value: Array
@@ -70,6 +74,12 @@ def metric_estimate(
         If there are fewer than two patterns, or their grids or units differ.
     SamplingError
         If the metric is not finite.
+
+    See Also
+    --------
+    sample_point_spread : PSF of one random rough wall.
+    strehl : Strehl ratio at the reference point.
+    encircled_energy : Energy within circles.
 
     Notes
     -----
@@ -209,6 +219,11 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     SceneError
         If a term of ``remove`` is unknown.
 
+    See Also
+    --------
+    fit_zernike : Zernike coefficients of a wave.
+    strehl : Strehl ratio at the reference point.
+
     Examples
     --------
     >>> from nlosoptics import psf
@@ -250,6 +265,11 @@ def fit_zernike(
         If the nodes do not determine all terms.
     MemoryLimitError
         If the fit would not fit into memory.
+
+    See Also
+    --------
+    zernike : Zernike polynomial.
+    write_zernikes : Write a table of coefficients.
     """
     one_of("ordering", ordering, ORDERINGS)
     whole("n_terms", n_terms)
@@ -300,6 +320,12 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
         If a radius is negative or not finite.
     SamplingError
         If the wavefront is not polar, or a circle extends beyond the window of the point spread.
+
+    See Also
+    --------
+    ensquared_energy : Energy within squares.
+    fwhm : Full width at half maximum.
+    nlosoptics.views.encircled_energy : Curve of the encircled energy.
 
     Examples
     --------
@@ -431,6 +457,11 @@ def fwhm(point_spread: PointSpread) -> tuple[float, float]:
     ------
     SamplingError
         If the intensity stays above half its peak up to the window's edge.
+
+    See Also
+    --------
+    encircled_energy : Energy within circles.
+    spot_radius : Rms radius of a spot.
 
     Examples
     --------

@@ -41,6 +41,12 @@ class SpotDiagram(Noun):
         Root mean square distance of the landing points from the centroid, m.
     airy_radius : float
         Radius of the first dark ring of the Airy pattern at this F-number, m.
+
+    See Also
+    --------
+    spot_diagram : Landing points of rays.
+    spot_radius : Rms radius of a spot.
+    nlosoptics.views.spot_diagram : Landing points of rays.
     """
 
     x: Array
@@ -69,6 +75,12 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     ------
     SceneError
         If ``rings`` is not a whole number above 0.
+
+    See Also
+    --------
+    spot_radius : Rms radius of a spot.
+    point_spread : PSF of a given wave.
+    nlosoptics.views.spot_diagram : Landing points of rays.
 
     Examples
     --------
@@ -114,6 +126,11 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
     -------
     (float, float)
         (x, y), m from the reference point.
+
+    See Also
+    --------
+    spot_diagram : Landing points of rays.
+    encircled_energy : Energy within circles.
     """
     if isinstance(source, PointSpread):
         total = float(source.intensity.sum())
@@ -139,6 +156,11 @@ def spot_radius(wavefront: Wavefront) -> float:
     -------
     float
         m.
+
+    See Also
+    --------
+    spot_diagram : Landing points of rays.
+    encircled_energy : Energy within circles.
     """
     rays = split(wavefront).rays
     x, y = (float((rays.energy * v).sum()) for v in (rays.x, rays.y))
@@ -167,6 +189,10 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
         If a side is negative or not finite.
     SamplingError
         If a square extends beyond the window.
+
+    See Also
+    --------
+    encircled_energy : Energy within circles.
     """
     sides = np.asarray(side, dtype=np.float64)
     if not np.all(np.isfinite(sides)) or np.any(sides < 0):

@@ -38,6 +38,11 @@ class ExitPupil(Noun):
     vignetting : float
         Fraction, 0 to 1, of that cone to the object's reference point that misses the wall,
         computed for a flat wall of the same size.
+
+    See Also
+    --------
+    exit_pupil : Exit pupil of a scene.
+    wavefront : Wave aberration of a scene.
     """
 
     centre: Array

@@ -60,6 +60,12 @@ def facet_wavefront(
     SamplingError
         If the pupil grid is so coarse that it skips cells.
 
+    See Also
+    --------
+    pupil_slopes : Wave slopes caused by facet tilts.
+    sample_point_spread : PSF of one random rough wall.
+    nlosoptics.raytrace.facet_angles : Random tilts of a rough wall's facets.
+
     Notes
     -----
     With a facet of slope s, a pupil point sees a wall point that is ``(cos_i + cos_o) s d_eff``
@@ -126,6 +132,12 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
         If the W of the mean wall is undefined.
     SceneError
         If an array has the wrong shape or is not finite.
+
+    See Also
+    --------
+    facet_wavefront : Wave of a wall of tilted facets.
+    wavefront_from_slopes : Wave from slopes, by least squares.
+    nlosoptics.raytrace.facet_angles : Random tilts of a rough wall's facets.
 
     Notes
     -----

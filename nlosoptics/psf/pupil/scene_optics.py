@@ -96,6 +96,11 @@ class SceneOptics:
     pupil : ExitPupil, optional
         Exit pupil of the scene; computed if omitted.
 
+    See Also
+    --------
+    scene_point_spread : Wave and PSF of a scene.
+    wavefront : Wave aberration of a scene.
+
     Notes
     -----
     Functions that document ``scene : Scene or SceneOptics`` accept either. If several calls get the

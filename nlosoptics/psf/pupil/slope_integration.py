@@ -60,6 +60,12 @@ def wavefront_from_slopes(
     SceneError
         If shapes differ, the mask is empty, or a slope on it is not finite.
 
+    See Also
+    --------
+    integrated_slopes : Least-squares integral of slopes on a grid.
+    pupil_slopes : Wave slopes caused by facet tilts.
+    point_spread : PSF of a given wave.
+
     Notes
     -----
     The method is described in `integrated_slopes`. Slopes of independently drawn facets are not a
@@ -175,6 +181,11 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
         If shapes differ, the mask is empty, or a slope on it is not finite.
     SamplingError
         If the iteration does not converge because the mask has long narrow passages.
+
+    See Also
+    --------
+    wavefront_from_slopes : Wave from slopes, by least squares.
+    pupil_slopes : Wave slopes caused by facet tilts.
 
     Notes
     -----

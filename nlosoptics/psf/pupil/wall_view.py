@@ -35,6 +35,10 @@ class WallView(Noun):
     tangents : ndarray, (2, 3)
         Unit vectors of the wall's tangent plane at that point, world, in which steps on the wall
         are given.
+
+    See Also
+    --------
+    wall_view : Geometry in which the pupil sees the wall.
     """
 
     footprint: Array
@@ -112,6 +116,11 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     ------
     CausticError
         If the wall's W is undefined.
+
+    See Also
+    --------
+    mean_point_spread : Mean PSF over all walls of one roughness.
+    pupil_slopes : Wave slopes caused by facet tilts.
 
     Notes
     -----

@@ -72,6 +72,11 @@ def wall_aberration(
     NotWaveGradeError
         If the wall is a mesh that does not follow one smooth surface.
 
+    See Also
+    --------
+    wavefront : Wave aberration of a scene.
+    path_difference : Difference of two path lengths, rounded once.
+
     Notes
     -----
     ``W(p) = D(p) - D(0)`` with ``D(p) = |O-H| + |H-p| - |O'-p|``, where H is the stationary
@@ -136,6 +141,11 @@ def path_difference(
     ------
     CausticError
         If no stationary path is found.
+
+    See Also
+    --------
+    wall_aberration : Path excess via the wall at given pupil points.
+    wavefront : Wave aberration of a scene.
     """
     from . import _aiming_kernels
 

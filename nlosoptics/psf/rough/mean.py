@@ -50,6 +50,11 @@ class RoughPointSpread(PointSpread):
     coherent_fraction : float, optional
         Fraction of the energy in the coherent core; by default that of Gaussian heights,
         ``exp(-s^2)``.
+
+    See Also
+    --------
+    mean_point_spread : Mean PSF over all walls of one roughness.
+    sample_point_spread : PSF of one random rough wall.
     """
 
     coherent: Array

@@ -48,6 +48,12 @@ class Roughness(Noun):
     SceneError
         If C is not 1 at lag 0, exceeds 1 elsewhere, or a measured C ends above 0.02.
 
+    See Also
+    --------
+    mean_point_spread : Mean PSF over all walls of one roughness.
+    sample_point_spread : PSF of one random rough wall.
+    two_scale_point_spread : PSF of coarse and fine roughness.
+
     Examples
     --------
     >>> from nlosoptics import psf

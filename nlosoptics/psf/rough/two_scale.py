@@ -70,6 +70,11 @@ def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 
     SceneError
         If a number is not above 0.
 
+    See Also
+    --------
+    two_scale_point_spread : PSF of coarse and fine roughness.
+    Roughness : Height statistics of a rough wall.
+
     Examples
     --------
     Wall 1 m from both object and camera, so that d_eff = 0.5 m:

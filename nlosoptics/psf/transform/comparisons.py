@@ -33,6 +33,11 @@ class ComparisonRow:
         max |dI|/max I against the row `Comparison.best`; 0 for that row.
     reason : str
         Why the method did not run; empty if it ran.
+
+    See Also
+    --------
+    Comparison : Times and differences of the transforms.
+    compare : All transforms for one wave.
     """
 
     method: str
@@ -57,6 +62,11 @@ class Comparison:
         Image sampling or pixel side, m.
     shape : (int, int)
         (ny, nx).
+
+    See Also
+    --------
+    compare : All transforms for one wave.
+    nlosoptics.views.compare_methods : Time and error of transforms.
     """
 
     rows: tuple[ComparisonRow, ...]
@@ -116,6 +126,11 @@ def compare(
         If an option is out of range.
     SamplingError
         If the default window would be too large.
+
+    See Also
+    --------
+    point_spread : PSF of a given wave.
+    nlosoptics.views.compare_methods : Time and error of transforms.
 
     Examples
     --------

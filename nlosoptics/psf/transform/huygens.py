@@ -49,6 +49,10 @@ class SurfacePointSpread(Noun):
         In vacuum, m.
     f_number : float
         Working F-number, image distance over pupil diameter.
+
+    See Also
+    --------
+    huygens_point_spread : PSF by direct summation, to any image surface.
     """
 
     points: Array
@@ -134,6 +138,11 @@ def huygens_point_spread(
         If a grid or scattered nodes are too few for the phase.
     MemoryLimitError
         If the refined nodes would not fit into memory.
+
+    See Also
+    --------
+    point_spread : PSF of a given wave.
+    propagate : Free-space propagation to a parallel plane.
 
     Notes
     -----

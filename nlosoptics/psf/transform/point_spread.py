@@ -60,6 +60,13 @@ class PointSpread(Noun, Shown):
         Figures that classify the wave, such as its aberration in waves.
     reason : str
         One line: why this method was used, and why each other one was not.
+
+    See Also
+    --------
+    point_spread : PSF of a given wave.
+    scene_point_spread : Wave and PSF of a scene.
+    PointSpreadField : PSFs over the object, as few modes.
+    nlosoptics.views.point_spread : Map of a PSF.
     """
 
     intensity: Array

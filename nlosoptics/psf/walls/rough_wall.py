@@ -60,6 +60,12 @@ class PupilField(Noun, Shown):
         smooth wall's wave removed; rows are v. A smooth wall has the amplitude 1 inside the rim.
     pitch : float
         Spacing of the samples in the exit pupil, m; sample [n//2, n//2] is on the axis.
+
+    See Also
+    --------
+    Wavefront : Sampled wave in the exit pupil.
+    sample_point_spread : PSF of one random rough wall.
+    scene_point_spread : Wave and PSF of a scene.
     """
 
     values: ComplexArray

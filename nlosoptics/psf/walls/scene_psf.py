@@ -36,6 +36,12 @@ class ScenePointSpread(Noun):
     pupil_field : PupilField or None
         Pupil function of a rough wall, if its field was propagated from the wall. If rays give the
         wave aberration of the roughness, ``wavefront`` contains it.
+
+    See Also
+    --------
+    scene_point_spread : Wave and PSF of a scene.
+    PointSpread : Sampled PSF with its error estimate.
+    Wavefront : Sampled wave in the exit pupil.
     """
 
     exit_pupil: ExitPupil

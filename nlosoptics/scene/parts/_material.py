@@ -17,7 +17,14 @@ MIRROR_SLOPE = 0.1
 
 
 class Material:
-    """Base class of all materials."""
+    """Base class of all materials.
+
+    See Also
+    --------
+    MirrorLobe : Base class of lobes about the mirror direction.
+    SumMaterial : Sum of several lobes.
+    Lambert : Ideal diffuse reflection.
+    """
 
     def lobe_table(self) -> Array:
         """Return the lobes for the kernels, (n, 4): kind, strength, slope rms or alpha, factor."""
@@ -178,6 +185,11 @@ class MirrorLobe(Material):
     ----------
     slope_rms : float
         Standard deviation of the facet slope per axis, rad.
+
+    See Also
+    --------
+    SpecularMicrofacet : Beckmann or GGX microfacets.
+    Ward : Glossy lobe of Ward's model.
     """
 
     slope_rms: float

@@ -63,6 +63,12 @@ class Camera:
         If a value is out of range, ``binning`` does not divide ``pixels``, or the camera is behind
         the wall or looks away from it.
 
+    See Also
+    --------
+    Scene : Complete scene.
+    pupil_frame : Axes of pupil and image coordinates.
+    TransientScan : Scan of a time-resolved camera.
+
     Notes
     -----
     Image axes: x along ``e1 = unit(Y x n)``, y along ``e2 = n x e1``, with n the direction from
@@ -211,6 +217,11 @@ def pupil_frame(axis: NDArray[np.float64]) -> NDArray[np.float64]:
     ndarray, (3, 3)
         Rows e1 = unit(Y x n), e2 = n x e1 and n, with Y = (0, 1, 0), or (1, 0, 0) if n is
         parallel to Y.
+
+    See Also
+    --------
+    Camera : Lens and detector.
+    nlosoptics.psf.ExitPupil : Position and size of the exit pupil.
     """
     e1 = np.cross((0.0, 1.0, 0.0), axis)
     if np.linalg.norm(e1) < 1e-12:

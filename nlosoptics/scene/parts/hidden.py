@@ -66,6 +66,11 @@ class PlanarObject(Posed):
         If the file is missing or no image, a value is out of range, or a part of the image lies
         behind the wall.
 
+    See Also
+    --------
+    MeshObject : Hidden triangle mesh.
+    Scene : Complete scene.
+
     Examples
     --------
     >>> import numpy as np
@@ -242,6 +247,11 @@ class MeshObject(PosedMesh):
     SceneError
         If a value is out of range. A missing file, or a mesh that reaches behind the wall, is
         found when `surface` is first used.
+
+    See Also
+    --------
+    PlanarObject : Hidden picture.
+    Occluder : Black object that casts shadows.
     """
 
     table: ClassVar[str] = "hidden"

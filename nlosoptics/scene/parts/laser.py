@@ -33,6 +33,11 @@ class Laser:
     SceneError
         If a value is out of range or ``position`` is behind the wall.
 
+    See Also
+    --------
+    Scene : Complete scene.
+    Camera : Lens and detector.
+
     Examples
     --------
     >>> from nlosoptics.scene import Laser

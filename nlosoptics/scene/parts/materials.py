@@ -62,6 +62,11 @@ class Lambert(Material):
     ------
     SceneError
         If the albedo is out of range.
+
+    See Also
+    --------
+    OrenNayar : Diffuse reflection of rough surfaces.
+    SumMaterial : Sum of several lobes.
     """
 
     rho: float
@@ -99,6 +104,11 @@ class OrenNayar(Material):
     ------
     SceneError
         If a value is out of range.
+
+    See Also
+    --------
+    Lambert : Ideal diffuse reflection.
+    SumMaterial : Sum of several lobes.
 
     References
     ----------
@@ -172,6 +182,12 @@ class SpecularMicrofacet(MirrorLobe):
     SceneError
         If a value is out of range.
 
+    See Also
+    --------
+    Ward : Glossy lobe of Ward's model.
+    SumMaterial : Sum of several lobes.
+    nlosoptics.psf.lobe_point_spread : PSF of the mirror-like lobes.
+
     References
     ----------
     .. [1] Walter et al., Microfacet models for refraction through rough surfaces, EGSR 2007.
@@ -233,6 +249,11 @@ class Ward(MirrorLobe):
     ------
     SceneError
         If a value is out of range.
+
+    See Also
+    --------
+    SpecularMicrofacet : Beckmann or GGX microfacets.
+    SumMaterial : Sum of several lobes.
 
     Notes
     -----
@@ -307,6 +328,12 @@ class SumMaterial(Material):
     ------
     SceneError
         If a summand is no material or the albedos add up to more than 1.
+
+    See Also
+    --------
+    Lambert : Ideal diffuse reflection.
+    SpecularMicrofacet : Beckmann or GGX microfacets.
+    nlosoptics.psf.hybrid_point_spread : PSF of all lobes of the wall.
 
     Notes
     -----

@@ -42,6 +42,11 @@ class Occluder(PosedMesh):
     SceneError
         If a value is out of range. A missing file, or a mesh that reaches behind the plane z = 0,
         is found when `surface` is first used.
+
+    See Also
+    --------
+    MeshObject : Hidden triangle mesh.
+    nlosoptics.imaging.cast_shadows : Effect of occluders.
     """
 
     table: ClassVar[str] = "occluder"

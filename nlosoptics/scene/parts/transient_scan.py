@@ -46,6 +46,11 @@ class TransientScan:
     ------
     SceneError
         If a value is out of range, or only some of ``near``, ``far`` and ``step`` are given.
+
+    See Also
+    --------
+    nlosoptics.transient.render_scene : Capture of a scene file.
+    Camera : Lens and detector.
     """
 
     side: float

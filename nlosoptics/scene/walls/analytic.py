@@ -40,6 +40,13 @@ class Wall(Noun):
     ----------
     size : (float, float) or None
         Full extent in x and y, m, centred on the origin; None for an unbounded wall.
+
+    See Also
+    --------
+    FlatWall : Plane wall.
+    HeightMapWall : Wall from measured heights.
+    CallableWall : Wall from Python functions.
+    MeshWall : Wall from a triangle mesh.
     """
 
     size: tuple[float, float] | None
@@ -228,6 +235,11 @@ class FlatWall(Wall):
     ------
     SceneError
         If the size is not above 0.
+
+    See Also
+    --------
+    ConcaveWall : Sphere or cylinder that focuses.
+    HeightMapWall : Wall from measured heights.
     """
 
     _: KW_ONLY
@@ -321,6 +333,11 @@ class ConcaveWall(_CurvedWall):
     SceneError
         If a value is out of range or the size reaches beyond the radius.
 
+    See Also
+    --------
+    ConvexWall : Sphere or cylinder that defocuses.
+    SumWall : Sum of several walls' heights.
+
     Examples
     --------
     >>> from nlosoptics.scene import ConcaveWall
@@ -351,6 +368,11 @@ class ConvexWall(_CurvedWall):
     ------
     SceneError
         If a value is out of range or the size reaches beyond the radius.
+
+    See Also
+    --------
+    ConcaveWall : Sphere or cylinder that focuses.
+    SumWall : Sum of several walls' heights.
     """
 
     _sign = -1.0
@@ -377,6 +399,11 @@ class WavyWall(Wall):
     ------
     SceneError
         If a value is not finite, or period or size are not above 0.
+
+    See Also
+    --------
+    SumWall : Sum of several walls' heights.
+    CallableWall : Wall from Python functions.
     """
 
     amplitude: float
@@ -430,6 +457,11 @@ class SumWall(Wall):
     ------
     SceneError
         If a summand is no wall, or is a `CallableWall`.
+
+    See Also
+    --------
+    WavyWall : Sinusoidal wall.
+    HeightMapWall : Wall from measured heights.
 
     Examples
     --------

@@ -50,6 +50,11 @@ class HeightMapWall(Wall):
     SceneError
         If the file is missing or no array, the heights are too few or not finite, or ``size``
         exceeds the grid.
+
+    See Also
+    --------
+    CallableWall : Wall from Python functions.
+    MeshWall : Wall from a triangle mesh.
     """
 
     heights: Any
@@ -319,6 +324,11 @@ class CallableWall(Wall):
     SceneError
         If a value is out of range. Every later use raises it if a function exceeds a bound, or
         returns values of the wrong shape or that are not finite.
+
+    See Also
+    --------
+    HeightMapWall : Wall from measured heights.
+    Wall : Base class of all walls.
     """
 
     height: Callable[[Array, Array], ArrayLike] = field()  # type: ignore[assignment]

@@ -42,6 +42,11 @@ class MeshWall(Wall):
     SceneError
         If ``scale`` is not above 0. A missing file, too few vertices, or a mesh that folds back or
         does not surround the origin is found at the first use.
+
+    See Also
+    --------
+    HeightMapWall : Wall from measured heights.
+    MeshObject : Hidden triangle mesh.
     """
 
     mesh: Any
