@@ -144,3 +144,30 @@ def test_public_name_has_numpydoc(thing: Any) -> None:
         if issubclass(thing, Exception) or not dataclasses.is_dataclass(thing):
             return
     assert missing_parameters(text, parameters) == []
+
+
+def related(text: str) -> list[str]:
+    """Names in the section See Also of a docstring."""
+    section = re.search(r"^See Also\n-+\n((?:.+\n?)+)", text, re.MULTILINE)
+    lines = section[1].splitlines() if section else []
+    heads = [line.split(" : ")[0] for line in lines if not line.startswith(" ")]
+    return [name for head in heads for name in head.split(", ")]
+
+
+@pytest.mark.parametrize("thing", public_objects())
+def test_public_name_points_to_related_ones(thing: Any) -> None:
+    """Section See Also with names of other public objects."""
+    if not (inspect.isclass(thing) or inspect.isfunction(thing)):
+        return
+    # a bare name is in the same package; `runs` is met through the root
+    home = thing.__module__.split(".")[1]
+    names = related(inspect.cleandoc(thing.__doc__ or ""))
+    assert names
+    for name in names:
+        full = name if name.startswith("nlosoptics.") else f"nlosoptics.{home}.{name}"
+        parts = full.replace("nlosoptics.runs.", "nlosoptics.").split(".")[1:]
+        found: Any = nlosoptics
+        for part in parts:
+            assert not part.startswith("_")
+            found = getattr(found, part)
+        assert found is not thing
