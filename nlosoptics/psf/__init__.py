@@ -15,13 +15,12 @@ from .aperture.quadrature_nodes import grid_nodes, polar_nodes
 from .exchange.poppy_files import read_poppy, write_poppy
 from .exchange.prysm_poppy import PrysmPupil, from_prysm, to_prysm
 from .exchange.zernike_tables import ZernikeTable, read_zernikes, write_zernikes
+from .metrics.estimates import MetricEstimate, metric_estimate
 from .metrics.focus import ThroughFocus, best_focus, focus_shifted, through_focus
 from .metrics.psf_metrics import (
-    MetricEstimate,
     encircled_energy,
     fit_zernike,
     fwhm,
-    metric_estimate,
     mtf,
     rms_aberration,
     strehl,
@@ -60,7 +59,8 @@ from .walls.polychromatic import band_point_spread, gaussian_band
 from .walls.rough_wall import PupilField
 from .walls.scene_psf import ScenePointSpread, scene_point_spread
 from .wave.regime import Regime
-from .wave.wavefront import Removed, Wavefront
+from .wave.removed import Removed
+from .wave.wavefront import Wavefront
 from .wave.zernikes import zernike, zernike_order
 from .window.window import window_shape
 

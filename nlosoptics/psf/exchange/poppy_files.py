@@ -15,7 +15,8 @@ from ..._checks import one_of, positive, real
 from ..._whole_files import write_whole
 from ...errors import MissingExtraError, SamplingError, SceneError
 from ..aperture.quadrature_nodes import fitting_pitch
-from ..wave.wavefront import Removed, Wavefront
+from ..wave.removed import Removed
+from ..wave.wavefront import Wavefront
 from .prysm_poppy import cell_amplitude, maps
 
 if TYPE_CHECKING:

@@ -12,8 +12,9 @@ from ...errors import CausticError, SamplingError, SceneError
 from ...raytrace import RayPaths
 from ...raytrace.fans.paths import DETECTED, ESCAPED
 from ...scene import pupil_frame
+from ..wave.removed import Removed
 from ..wave.scattered_fits import cell_areas
-from ..wave.wavefront import Removed, Wavefront
+from ..wave.wavefront import Wavefront
 from .exit_pupil import ExitPupil
 
 Array = NDArray[np.float64]

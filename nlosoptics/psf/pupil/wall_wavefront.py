@@ -17,7 +17,8 @@ from ..aperture.aperture import Aperture
 from ..aperture.quadrature_nodes import grid_nodes, polar_nodes
 from ..wave.detilted import Residual, split
 from ..wave.fits import fitted_terms
-from ..wave.wavefront import Layout, Removed, Wavefront
+from ..wave.removed import Removed
+from ..wave.wavefront import Layout, Wavefront
 from .aiming import AimedRays, aim, pupil_points, stationary_points
 from .exit_pupil import ExitPupil, exit_pupil
 from .obstruction import hides

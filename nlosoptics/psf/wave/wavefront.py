@@ -27,36 +27,13 @@ from ..aperture.quadrature_nodes import (
 from .cell_series import CellSpectrum
 from .fits import fitted_terms
 from .polar_series import PolarSpectrum
+from .removed import Removed
 from .sampling import Nodes, PupilFunction, PupilNodes, nodes_of, sampled, segment_terms, values_on
 from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
 Layout = Literal["polar", "cells", "grid", "scattered"]
 LAYOUTS = ("polar", "cells", "grid", "scattered")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Removed:
-    """Terms subtracted from an aberration before it was sampled.
-
-    Parameters
-    ----------
-    piston : float
-        Constant path, m.
-    tilt : (float, float)
-        Slopes dW/du and dW/dv, rad. They shift the image by ``tilt * image_distance``.
-    defocus : float
-        Coefficient of (u^2 + v^2)/2, 1/m. It shifts the focus along the axis.
-
-    See Also
-    --------
-    Wavefront : Sampled wave in the exit pupil.
-    wavefront : Wave aberration of a scene.
-    """
-
-    piston: float = 0.0
-    tilt: tuple[float, float] = (0.0, 0.0)
-    defocus: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
