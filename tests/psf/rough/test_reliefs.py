@@ -231,7 +231,7 @@ def _displaced(wave, relief, step, options):
 
 
 def test_a_measured_map_is_one_wall():
-    x, y = np.meshgrid(*[np.arange(-400, 401) * 5e-5] * 2)
+    x, _ = np.meshgrid(*[np.arange(-400, 401) * 5e-5] * 2)
     # the other orders have a dark ring of the Airy pattern on the axis: the fifth zero of J1
     heights = 1e-7 * np.cos(2 * 16.470630 * x / 8e-3 * 2)
     wall = HeightMapWall(heights, 5e-5)
@@ -250,7 +250,7 @@ def test_a_measured_map_is_one_wall():
 
 
 @pytest.mark.parametrize(
-    "roughness, change, message",
+    ("roughness", "change", "message"),
     [
         (facets(1.0, 1e-3), {"seed": 1}, "seed = 1 is given with the heights of one wall"),
         (facets(1.0, 1e-3), {"independent_patterns": 2}, "independent_patterns = 2"),

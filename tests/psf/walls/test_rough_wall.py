@@ -37,7 +37,7 @@ FACETS = FacetWall(1e-3, 5e-4, seed=1)
 
 
 @pytest.mark.parametrize(
-    "heights, realisation, regime",
+    ("heights", "realisation", "regime"),
     [
         (GaussianWall(2e-7, 8e-3, seed=2), "pattern", "aberration"),
         (FacetWall(5e-3, 1e-7, seed=2), "pattern", "aberration"),
