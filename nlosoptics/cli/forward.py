@@ -149,6 +149,11 @@ def _print_summary(report: dict[str, Any], folder: Path) -> None:
     table.add_row(
         "point spread", f"{f['point_spread_method']}, error {f['point_spread_error']:.1e}"
     )
+    if "point_spread_model_error" in f:
+        table.add_row(
+            "model of diffraction",
+            f"{f['point_spread_model']}, error {f['point_spread_model_error']:.1e}",
+        )
     if f["field_nodes"] > 1:
         error = f["errors"]["field of point spreads"]
         table.add_row(

@@ -50,6 +50,8 @@ class Figures(_Model):
     aberration_rms_waves: float | None = None
     point_spread_method: str | None = None
     point_spread_error: float | None = None
+    point_spread_model: str | None = None
+    point_spread_model_error: float | None = None
     point_spread_reason: str | None = None
     point_spread_regime: dict[str, float | bool | None] = Field(default_factory=dict)
     errors: dict[str, float] = Field(default_factory=dict)

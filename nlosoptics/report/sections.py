@@ -242,7 +242,7 @@ def _spread(held: Folder) -> Iterator[Html]:
         yield tag("div", *shown, class_="figures")
     if f.point_spread_method is None:
         return
-    error = f.point_spread_error
+    error, model_error = f.point_spread_error, f.point_spread_model_error
     field = None
     if f.field_nodes > 1:
         field = f"{f.field_nodes} points over the object, in {counted(f.field_modes, 'mode')}"
@@ -251,6 +251,11 @@ def _spread(held: Folder) -> Iterator[Html]:
             ("Method", f.point_spread_method),
             ("Why this one", f.point_spread_reason),
             ("Estimated error", None if error is None else f"{number(error, 2)} of the peak"),
+            ("Model of diffraction", f.point_spread_model),
+            (
+                "Error of the scalar model",
+                None if not model_error else f"{number(model_error, 2)} of the peak",
+            ),
             ("Field of point spreads", field),
         ]
     )

@@ -253,6 +253,8 @@ def _figures(result: Result) -> dict[str, Any]:
         "aberration_rms_waves": rms / wave.wavelength,
         "point_spread_method": spread.method,
         "point_spread_error": spread.error_estimate,
+        "point_spread_model": spread.model,
+        "point_spread_model_error": spread.model_error,
         "point_spread_reason": spread.reason,
         "point_spread_regime": {
             **asdict(spread.regime),

@@ -275,7 +275,9 @@ def peak_strehl(wavefront: Wavefront) -> float:
     residual = split(wavefront)
     unit, wave = residual.airy_unit, residual.wavefront
     centred = replace(wave, aberration=residual.aberration)
-    found = point_spread(centred, pitch=unit / 3, normalisation="ideal-peak", tol=0.05)
+    found = point_spread(
+        centred, pitch=unit / 3, normalisation="ideal-peak", tol=0.05, model="scalar"
+    )
     row, column = np.unravel_index(int(np.argmax(found.intensity)), found.shape)
     if wave.is_spectral:
         counts = quadrature.node_counts(split(centred), Window.centred(unit / 3, found.shape))

@@ -13,6 +13,7 @@ from ..._checks import fits_memory, in_range, one_of, positive
 from ...errors import SamplingError
 from ...scene import FacetWall, GaussianWall, Scene
 from ..pupil.scene_optics import SceneOptics
+from ..transform.models import in_normalisation, wide_pixel_error
 from ..transform.point_spread import (
     NORMALISATIONS,
     Normalisation,
@@ -227,8 +228,10 @@ def detilted_mean(
     total = np.maximum(coherent + diffuse, 0.0)
     peak = float(total.max())
     error = error / peak + 10 * EPSILON
+    model_error = wide_pixel_error(residual) * float(diffuse.max()) / peak
     if core is not None:
         error += core.error_estimate * float(coherent.max()) / peak
+        model_error += core.model_error * float(coherent.max()) / peak
     if error > tol:
         raise SamplingError(
             f"the mean over rough walls has an error of {error:.2g}, limit tol = {tol:g}; use "
@@ -245,6 +248,7 @@ def detilted_mean(
         pitch=pitch,
         method="separations" if core is None else f"{core.method} + separations",
         error_estimate=error,
+        model_error=in_normalisation(residual, model_error, normalisation),
         normalisation=normalisation,
         wavelength=wave.wavelength,
         f_number=wave.f_number,

@@ -108,7 +108,7 @@ def huygens_point_spread(
     points: ArrayLike,
     *,
     normalisation: SurfaceNormalisation = "ideal-peak",
-    pupil: Pupil = "plane",
+    pupil: Pupil = "sphere",
 ) -> SurfacePointSpread:
     """Compute the point spread function at arbitrary points by spherical waves from the pupil.
 
@@ -208,7 +208,7 @@ def huygens_point_spread(
     )
 
 
-def surface_field(residual: Residual, points: Array, pupil: Pupil = "plane") -> SurfaceField:
+def surface_field(residual: Residual, points: Array, pupil: Pupil = "sphere") -> SurfaceField:
     """Compute the intensity at points (n, 3), m, in the pupil's frame, and its error."""
     check_points(residual.wavefront, points, pupil)
     nodes, finer = _nodes(residual, points)

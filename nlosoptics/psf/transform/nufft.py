@@ -62,6 +62,26 @@ def image_field(
     -------
     ndarray of complex, (ny, nx)
     """
+    points, coord = node_phasors(residual, u, v, path, size, window)
+    image = np.empty(window.shape, dtype=np.complex128)
+    ducc0.nufft.nu2u(
+        points=points,
+        coord=coord,
+        forward=True,
+        epsilon=epsilon,
+        nthreads=1,
+        out=image,
+    )
+    return image
+
+
+def node_phasors(
+    residual: Residual, u: Array, v: Array, path: Array, size: Array, window: Window
+) -> tuple[ComplexArray, Array]:
+    """Return the points (n,) and coordinates (n, 2) of the transform in `image_field`.
+
+    Its arguments are described there.
+    """
     wave = residual.wavefront
     from ..wave import _wave_kernels
 
@@ -78,16 +98,7 @@ def image_field(
     coord = np.empty((u.size, 2))
     coord[:, 0], coord[:, 1] = v.ravel(), u.ravel()
     coord *= 2 * math.pi * per_metre * window.pitch
-    image = np.empty(window.shape, dtype=np.complex128)
-    ducc0.nufft.nu2u(
-        points=points,
-        coord=coord,
-        forward=True,
-        epsilon=epsilon,
-        nthreads=1,
-        out=image,
-    )
-    return image
+    return points, coord
 
 
 def field(residual: Residual, window: Window, epsilon: float = BEST) -> ComplexArray:
@@ -140,6 +151,25 @@ def reference(
     doubt : float
         Error of the field due to the interpolation.
     """
+    u, v_, weights, path, amplitude, doubt = reference_nodes(residual, window)
+    total = float(np.sum(amplitude * weights))
+    share = amplitude * weights / total
+    image = image_field(residual, u, v_, path, share, window, epsilon)
+    energy = float(np.sum(amplitude**2 * weights))
+    return image, total, energy, residual.wavenumber * float(np.sum(share * doubt))
+
+
+def reference_nodes(
+    residual: Residual, window: Window
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """Return polar nodes of the pupil that scattered nodes sample, as many as a window needs.
+
+    Returns
+    -------
+    u, v, weights, path, amplitude, doubt : ndarray, (n,)
+        Coordinates, m, areas, m^2, interpolated aberration, m, and amplitude, and the error of the
+        aberration, m.
+    """
     wave = residual.wavefront
     v = math.pi * math.hypot(*window.reach_from(residual.shift)) / residual.airy_unit
     v += residual.wavenumber * residual.rays.slope * wave.pupil_radius
@@ -150,9 +180,4 @@ def reference(
         600.0 * n_r * n_theta + n_bytes(0, window),
         "use a smaller shape",
     )
-    u, v_, weights, path, amplitude, doubt = residual.local.on_polar(wave, n_r, n_theta)
-    total = float(np.sum(amplitude * weights))
-    share = amplitude * weights / total
-    image = image_field(residual, u, v_, path, share, window, epsilon)
-    energy = float(np.sum(amplitude**2 * weights))
-    return image, total, energy, residual.wavenumber * float(np.sum(share * doubt))
+    return residual.local.on_polar(wave, n_r, n_theta)

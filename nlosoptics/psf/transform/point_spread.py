@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,8 +19,9 @@ from ..wave.wavefront import Wavefront
 from ..window.pixels import pixel_rule
 from ..window.window import Window, check_rays, default_shape, shape_of, window_side
 from . import fft
-from .runners import Surface, Task, transform
-from .selection import automatic
+from .high_aperture import Polarisation, check_cone
+from .models import Model, check_model, modelled
+from .runners import Surface, Task
 
 Array = NDArray[np.float64]
 Method = Literal["auto", "quadrature", "fft", "mdft", "nufft", "airy", "geometric", "huygens"]
@@ -49,7 +51,8 @@ class PointSpread(Noun, Shown):
     wavelength : float
         In vacuum, m.
     f_number : float
-        Working F-number, image distance over pupil diameter.
+        Working F-number ``N = |d|/(2 a) = 1/(2 sin(alpha))``: image distance over pupil diameter,
+        with alpha the half angle of the cone of light. See `point_spread`.
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
@@ -60,6 +63,11 @@ class PointSpread(Noun, Shown):
         Figures that classify the wave, such as its aberration in waves.
     reason : str
         One line: why this method was used, and why each other one was not.
+    model : {"scalar", "high-aperture"}
+        Model of diffraction; see `point_spread`.
+    model_error : float
+        Bound of max |dI|/max I of the scalar model against the vector diffraction of an
+        unpolarised wave. 0 for the high-aperture model, infinite if no bound is known.
 
     See Also
     --------
@@ -80,6 +88,8 @@ class PointSpread(Noun, Shown):
     enclosed_energy: float
     regime: Regime
     reason: str
+    model: str = "scalar"
+    model_error: float = math.inf
 
     def __post_init__(self) -> None:
         given = np.asarray(self.intensity)
@@ -117,6 +127,7 @@ class PointSpread(Noun, Shown):
             "method": self.method,
             "why": self.reason,
             "error": f"{self.error_estimate:.1e} of the peak",
+            "model": _model_figure(self.model, self.model_error),
             "regime": waves,
             "pitch": f"{1e6 * self.pitch:.4g} µm, {kind.pixel:.3g} lambda N",
             samples: f"{ny} x {nx}",
@@ -138,6 +149,8 @@ def point_spread(
     pixel_integrated: bool = False,
     image_surface: Surface | None = None,
     max_seconds: float | None = None,
+    model: Model = "auto",
+    polarisation: Polarisation = "unpolarised",
 ) -> PointSpread:
     """Compute the point spread function of an exit-pupil wave.
 
@@ -180,6 +193,15 @@ def point_spread(
     max_seconds : float, optional
         Limit of the predicted run time on one core: ``auto`` skips a method beyond it. A method
         given by name always runs. Default 60 s, or the time left to the enclosing run.
+    model : {"auto", "scalar", "high-aperture"}
+        ``scalar`` is the small-angle model of all the methods above. ``high-aperture`` is the
+        vector diffraction of a lens that satisfies the sine condition, by `quadrature`, ``mdft``
+        or ``nufft``, whichever suits the nodes, or by ``geometric``. ``auto`` takes the scalar
+        model for a method given by name. With ``method="auto"`` it takes the high-aperture model
+        if the scalar model's error exceeds ``tol``, or if the wave is polarised.
+    polarisation : {"unpolarised", "x", "y"} or float
+        Polarisation of the light before the lens: none, linear along x or y, or linear at an
+        angle from x toward y, rad. For the high-aperture model.
 
     Returns
     -------
@@ -188,7 +210,8 @@ def point_spread(
     Raises
     ------
     SceneError
-        If an option is out of range or not available for the method.
+        If an option is out of range or not available for the method, or if the pupil reaches F/0.5,
+        where the cone of light fills the half space.
     SamplingError
         If the wave is sampled too coarsely, the window is too narrow for the rays, the pitch is too
         wide, no transform reaches ``tol``, or none does so within ``max_seconds``.
@@ -205,6 +228,16 @@ def point_spread(
     ``U(x) = sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))`` with the signed image distance d [1]_.
     A tilt W = a u moves the spot to x = a d. Piston is dropped; tilt is applied as an exact shift.
 
+    Pupil coordinates (u, v) are heights on the wave's reference sphere, of radius ``|d|`` about the
+    image point. A lens that satisfies the sine condition maps its entrance pupil onto it. Hence
+    ``u/d`` is the sine of the angle to the axis, and the F-number is ``1/(2 sin(alpha))``.
+
+    The high-aperture model sums plane waves from these directions, with the amplitude
+    ``A cos(theta)^(1/2)`` of the sine condition and the field turned with the rays [2]_ [3]_. Its
+    intensity is the squared electric field. The unpolarised one is the mean over two perpendicular
+    polarisations. The model neglects the finite distance of the pupil (Debye's approximation) and
+    the polarisation by surfaces of the lens.
+
     The error of scattered nodes is estimated by interpolating the wave to polar nodes of the round
     or annular pupil of ``pupil_radius`` and ``obscuration``. For nodes of any other outline the
     estimate is therefore large.
@@ -212,6 +245,8 @@ def point_spread(
     References
     ----------
     .. [1] Goodman, Introduction to Fourier Optics, 3rd ed., sec. 4.3.
+    .. [2] Richards and Wolf, Proc. R. Soc. A 253 (1959) 358.
+    .. [3] Leutenegger et al., Optics Express 14 (2006) 11277.
 
     Examples
     --------
@@ -224,6 +259,16 @@ def point_spread(
     ((65, 65), True)
     >>> print(f"{1e6 * spread.pitch:.2f} um, peak {spread.intensity.max():.2f}")
     1.25 um, peak 0.66
+
+    A fast beam: the spot of polarised light is longer along the polarisation.
+
+    >>> fast = psf.Wavefront.from_zernike(
+    ...     {}, wavelength=500e-9, pupil_radius=5e-3, image_distance=8e-3
+    ... )
+    >>> spread = psf.point_spread(fast, shape=65, normalisation="ideal-peak", polarisation="x")
+    >>> row, column = spread.intensity[32], spread.intensity[:, 32]
+    >>> print(f"{spread.model}: {row[34]:.2f} along x, {column[34]:.2f} along y")
+    high-aperture: 0.58 along x, 0.51 along y
     """
     one_of("method", method, METHODS)
     one_of("normalisation", normalisation, NORMALISATIONS)
@@ -231,6 +276,7 @@ def point_spread(
     if max_seconds is not None:
         positive("max_seconds", max_seconds, unit="s")
     _check_surface(method, shape, image_surface)
+    polarisation = check_model(model, method, polarisation)
     return detilted_point_spread(
         split(wavefront),
         method=method,
@@ -241,6 +287,8 @@ def point_spread(
         pixel_integrated=pixel_integrated,
         image_surface=image_surface,
         max_seconds=max_seconds,
+        model=model,
+        polarisation=polarisation,
     )
 
 
@@ -255,6 +303,8 @@ def detilted_point_spread(
     pixel_integrated: bool = False,
     image_surface: Surface | None = None,
     max_seconds: float | None = None,
+    model: Model = "scalar",
+    polarisation: Polarisation = "unpolarised",
 ) -> PointSpread:
     """Compute the point spread function of a wave already split into piston, tilt and residual.
 
@@ -264,12 +314,16 @@ def detilted_point_spread(
         Result of `split`, which several point spreads of one wave can share.
     method, tol, pitch, shape, normalisation, pixel_integrated, image_surface, max_seconds
         Options of `point_spread`, already checked.
+    model, polarisation
+        Options as returned by `check_model`. The default is the scalar model, to which rough walls,
+        lobes and tails are added.
 
     Returns
     -------
     PointSpread
     """
     wavefront = residual.wavefront
+    check_cone(residual)
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
         _check_nyquist(residual, pitch, normalisation)
@@ -285,12 +339,9 @@ def detilted_point_spread(
         "use a smaller shape",
     )
     kind = regime(residual, pitch)
-    if method == "auto":
-        result, reason = automatic(
-            task, kind, seconds_limit(60.0) if max_seconds is None else max_seconds
-        )
-    else:
-        result, reason = transform(task, method), f"{method} was requested"
+    longest = seconds_limit(60.0) if max_seconds is None else max_seconds
+    found = modelled(task, kind, method, model, polarisation, normalisation, longest)
+    result = found.result
     scale = 1.0
     if normalisation != "ideal-peak":
         scale = result.level * (wavefront.flux if normalisation == "flux" else 1.0)
@@ -307,8 +358,17 @@ def detilted_point_spread(
         pixel_integrated=pixel_integrated,
         enclosed_energy=float(np.sum(result.mean)) * result.level,
         regime=kind,
-        reason=reason,
+        reason=found.reason,
+        model=found.model,
+        model_error=found.model_error,
     )
+
+
+def _model_figure(model: str, error: float) -> str:
+    """Return the figure of a card: the model and its error."""
+    if model != "scalar":
+        return model
+    return f"{model}, error {f'{error:.1e} of the peak' if math.isfinite(error) else 'unknown'}"
 
 
 def _check_surface(method: str, shape: object, surface: Surface | None) -> None:

@@ -262,7 +262,7 @@ def _fft(task: Task) -> tuple[Array, float]:
         "use a smaller shape",
     )
     mean = fft.intensity_in(residual, grid, samples, size, task.rule)
-    return mean, _grid_bound(task, mean, grid)
+    return mean, grid_bound(task, mean, grid)
 
 
 def _soft(task: Task, method: str) -> tuple[Array, float] | None:
@@ -303,9 +303,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
         grid = pupil_grid_from_polar(residual, grid_period_pitch(task, polar_size(task)))
         _check_jump(task, grid.jump, None)
     else:
-        _check_jump(task, *residual.grid_jump())
-        _check_period(task)
-        grid = pupil_grid(residual)
+        grid = checked_grid(task)
     n = grid.values.shape[0]
     fits_memory(
         f"the transform of {n} samples to {samples.shape[0]} x {samples.shape[1]}",
@@ -313,7 +311,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
         "use a smaller shape",
     )
     mean = mdft.intensity_in(residual, grid, samples, task.rule)
-    return mean, _grid_bound(task, mean, grid)
+    return mean, grid_bound(task, mean, grid)
 
 
 def _check_not_scattered(residual: Residual, method: str) -> None:
@@ -344,8 +342,7 @@ def _nufft(task: Task) -> tuple[Array, float]:
                 f"wavefront.resampled{need[-2:]}, a smaller shape, or method='quadrature'"
             )
     else:
-        _check_jump(task, *residual.grid_jump())
-        _check_period(task)
+        check_sampling(task)
     epsilon = nufft.epsilon(wave.u.size, samples, task.tol)
     mean = task.means(nufft.field(residual, samples, epsilon))
     rounding = task.transform_error(mean, epsilon)
@@ -353,7 +350,7 @@ def _nufft(task: Task) -> tuple[Array, float]:
         lost = residual.truncation + 10 * NEGLIGIBLE
         return mean, task.bound(mean, lost, lost**2) + rounding
     if wave.layout == "grid":
-        return mean, _grid_bound(task, mean, pupil_grid(residual)) + rounding
+        return mean, grid_bound(task, mean, pupil_grid(residual)) + rounding
     return mean, _scattered_bound(task, mean, epsilon) + rounding
 
 
@@ -386,7 +383,7 @@ def _huygens(task: Task) -> Result:
     if task.surface is not None:
         height = np.asarray(task.surface(x, y), dtype=np.float64)
         points[:, 2] += np.broadcast_to(height, x.shape).ravel()
-    found = huygens.surface_field(residual, points)
+    found = huygens.surface_field(residual, points, "sphere")
     mean = found.intensity.reshape(window.shape)
     return Result("huygens", mean, found.error, found.density * task.pitch**2)
 
@@ -401,7 +398,7 @@ def _geometric(task: Task) -> tuple[Array, float]:
     return energy / task.level, error
 
 
-def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
+def grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
     """Bound the error of a pupil grid's edge, its truncation and its damping."""
     half = 0.0 if task.rule is None else task.pitch / 2
     found = error_bounds.edge_errors(task.residual, grid, task.pixels.x, task.pixels.y, half)
@@ -410,6 +407,18 @@ def _grid_bound(task: Task, mean: Array, grid: PupilGrid) -> float:
     if task.rule is None:
         return bound
     return bound + error_bounds.damping_error(task.residual, grid, task.pitch)
+
+
+def checked_grid(task: Task) -> PupilGrid:
+    """Return the pupil of a grid wavefront, after checks of its sampling."""
+    check_sampling(task)
+    return pupil_grid(task.residual)
+
+
+def check_sampling(task: Task) -> None:
+    """Refuse grid or scattered nodes that are too few for the wave or for the window."""
+    _check_jump(task, *task.residual.grid_jump())
+    _check_period(task)
 
 
 def polar_size(task: Task) -> int:

@@ -13,6 +13,7 @@ from ..._checks import in_range, positive
 from ..wave.detilted import Residual, split
 from ..wave.wavefront import Wavefront
 from ..window.window import peak_pixel, ray_reach, shape_of
+from .models import wide_pixel_error
 from .point_spread import PointSpread, detilted_point_spread
 
 Array = NDArray[np.float64]
@@ -99,6 +100,7 @@ def detilted_wide_spread(
         error_estimate=error,
         enclosed_energy=float(intensity.sum()),
         regime=replace(fine.regime, pixel=pitch / unit),
+        model_error=wide_pixel_error(residual, peak),
         reason=f"{n} x {n} parts of pixels hold the rays, a tail the rest; {fine.reason}",
     )
 

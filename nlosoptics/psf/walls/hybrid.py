@@ -25,6 +25,7 @@ from ..rough.roughness import Roughness
 from ..rough.scattered_light import Halo
 from ..rough.source import rough_view
 from ..rough.view import RoughView
+from ..transform.models import wide_pixel_error
 from ..transform.point_spread import PointSpread, detilted_point_spread
 from ..wave.regime import regime
 from ..wave.wavefront import Wavefront
@@ -71,6 +72,8 @@ class WaveParts:
         Power of both parts in the whole image plane, W.
     reason : str
         Method, for `PointSpread.reason`.
+    model_error : float
+        Largest error of the scalar model, W per pixel.
     """
 
     coherent: Array
@@ -79,6 +82,7 @@ class WaveParts:
     coherent_flux: float
     halo_flux: float
     reason: str
+    model_error: float = 0.0
 
 
 def image_lobes(
@@ -202,7 +206,7 @@ def wave_parts(
     core = None
     wave = residual.wavefront
     views = [(r * mirror.flux, _view(seen, wave, given)) for r, given in rough]
-    bright = smooth * mirror.flux
+    bright, model_error = smooth * mirror.flux, 0.0
     bright += sum(w * math.exp(-(v.rayleigh_parameter**2)) for w, v in views)
     if bright > 0.0:
         inner = (min(side, shape[0]), min(side, shape[1]))
@@ -211,6 +215,7 @@ def wave_parts(
         )
         coherent[middle(shape, inner)] = bright * core.intensity
         fluxes[0], error = bright, core.error_estimate * float(coherent.max())
+        model_error = core.model_error * float(coherent.max())
     smooth_transfer = transfer(residual)
     for watts, view in views:
         if view.rayleigh_parameter == 0.0:
@@ -235,7 +240,8 @@ def wave_parts(
     reason = "waves for the mirror image, rays for all other paths"
     if core is not None:
         reason += f"; core: {core.reason}"
-    return WaveParts(coherent, halo, error, fluxes[0], fluxes[1], reason)
+    model_error += wide_pixel_error(residual) * float(halo.max())
+    return WaveParts(coherent, halo, error, fluxes[0], fluxes[1], reason, model_error)
 
 
 def _view(seen: PointOptics, wave: Wavefront, given: Roughness | MirrorLobe) -> RoughView:
@@ -448,6 +454,7 @@ def _assembled(
         pitch=pitch,
         method="hybrid",
         error_estimate=waves.error / float(total.max()) if waves.error > 0.0 else 0.0,
+        model_error=waves.model_error / float(total.max()) if waves.model_error > 0.0 else 0.0,
         normalisation=normalisation,
         wavelength=mirror.aimed.wave.wavelength,
         f_number=mirror.aimed.wave.f_number,

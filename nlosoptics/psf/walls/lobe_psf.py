@@ -273,12 +273,15 @@ def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
     total = sum(share for share, _ in parts)
     intensity = np.sum([share / total * part.intensity for share, part in parts], axis=0)
     first = parts[0][1]
-    errors = (share * part.error_estimate * float(part.intensity.max()) for share, part in parts)
+    peaks = [share * float(part.intensity.max()) for share, part in parts]
+    peak = total * float(intensity.max())
     return PointSpread(
         intensity=intensity,
         pitch=first.pitch,
         method=" + ".join(dict.fromkeys(part.method for _, part in parts)),
-        error_estimate=sum(errors) / (total * float(intensity.max())),
+        error_estimate=sum(n * p.error_estimate for n, (_, p) in zip(peaks, parts, strict=True))
+        / peak,
+        model_error=sum(n * p.model_error for n, (_, p) in zip(peaks, parts, strict=True)) / peak,
         normalisation=first.normalisation,
         wavelength=first.wavelength,
         f_number=first.f_number,

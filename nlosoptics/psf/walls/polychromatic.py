@@ -96,7 +96,7 @@ def band_point_spread(
     Returns
     -------
     PointSpread
-        ``wavelength`` is the weighted mean and ``error_estimate`` the largest; ``regime`` and
+        ``wavelength`` is the weighted mean, errors are the largest; ``regime`` and
         ``reason`` are those of the first wavelength.
 
     Raises
@@ -144,6 +144,8 @@ def band_point_spread(
         intensity=total,
         method="+".join(dict.fromkeys(part.method for part in parts)),
         error_estimate=max(part.error_estimate for part in parts),
+        model="+".join(dict.fromkeys(part.model for part in parts)),
+        model_error=max(part.model_error for part in parts),
         wavelength=float((shares * lines).sum()),
         enclosed_energy=float(
             sum(s * p.enclosed_energy for s, p in zip(shares.tolist(), parts, strict=True))
