@@ -62,8 +62,8 @@ def electrons_per_radiance(scene: Scene, cos_axis: Array, exposure: float) -> Ar
     """Electrons of an image pixel per radiance toward the lens, electrons m^2 sr/W.
 
     The irradiance of the detector, E = pi L T cos^4/(4 N^2), is multiplied by pixel area, exposure
-    and electrons per joule. For lenses faster than F/1 the working F-number N is defined by the
-    sine of the cone's half angle, so that E never exceeds pi L T.
+    and electrons per joule. The working F-number N is 1/(2 sin) of the cone's half angle, so that
+    E never exceeds pi L T.
     """
     camera = scene.camera
     f_number = working_f_number(camera.stop_diameter / 2, scene.image_distance)

@@ -274,18 +274,19 @@ def test_sensor_gain_follows_the_camera_equation(flat_scene):
     np.testing.assert_allclose(gain, expected * np.array([1.0, 0.9**4]), rtol=1e-14)
 
 
-@pytest.mark.parametrize("stop", [0.025, 0.1, 0.2])
+@pytest.mark.parametrize("stop", [0.025, 0.06, 0.1])
 def test_no_cone_gathers_more_than_a_half_space(flat_scene, stop):
-    """E/L = pi sin^2 of the cone beyond F/1, at most pi (paraxially 2.9 and 12 for the two)."""
+    """E/L = pi sin^2 of the cone, at most pi; a wider cone than the half space is refused."""
     camera = replace(flat_scene.camera, focal_length=0.05, stop_diameter=stop)
     scene = replace(flat_scene, camera=camera)
     gain = float(electrons_per_radiance(scene, np.array(1.0), 1.0))
     ratio = gain / camera.image_pitch**2 / camera.transmission / electrons_per_joule(scene)
-    tangent = stop / 2 / scene.image_distance
-    sine = math.sin(math.atan(tangent))
-    expected = math.pi * (sine if tangent > 0.5 else tangent) ** 2
-    assert ratio == pytest.approx(expected, rel=1e-13)
+    sine = stop / 2 / scene.image_distance
+    assert ratio == pytest.approx(math.pi * sine**2, rel=1e-13)
     assert ratio <= math.pi
+    wide = replace(scene, camera=replace(camera, stop_diameter=0.2))
+    with pytest.raises(SceneError, match=r"F/0.256, limit F/0.5"):
+        electrons_per_radiance(wide, np.array(1.0), 1.0)
 
 
 # --- the laser's spot seen directly

@@ -29,8 +29,8 @@ class ExitPupil(Noun):
     image_distance : float
         Signed distance from pupil to detector, m; negative if the pupil lies beyond the detector.
     f_number : float
-        Working F-number, ``|image_distance|/(2 radius)``. Below F/1 the sine of the cone's half
-        angle replaces its tangent.
+        Working F-number ``|image_distance|/(2 radius) = 1/(2 sin(alpha))``, with alpha the cone's
+        half angle at the detector, for a lens that satisfies the sine condition.
     stop : {"lens", "wall"}
         Element that limits the cone.
     entrance_radius : float
@@ -149,11 +149,23 @@ def exit_pupil(scene: Scene) -> ExitPupil:
 
 
 def working_f_number(radius: float, distance: float) -> float:
-    """Return a cone's F-number, |distance|/(2 radius), or 1/(2 sin) of its half angle below F/1."""
-    paraxial = abs(distance) / (2 * radius)
-    if paraxial >= 1:
-        return paraxial
-    return 0.5 / math.sin(math.atan(radius / abs(distance)))
+    """Return a cone's F-number ``|distance|/(2 radius)``, which is 1/(2 sin) of its half angle.
+
+    The radius is that on the sphere about the image point, as in `point_spread`.
+
+    Raises
+    ------
+    SceneError
+        If the F-number is not above 0.5, where the cone fills the half space.
+    """
+    found = abs(distance) / (2 * radius)
+    if found <= 0.5:
+        raise SceneError(
+            f"the cone of light has a radius of {radius:.4g} m at {abs(distance):.4g} m from the "
+            f"detector, F/{found:.3g}, limit F/0.5, where it fills the half space; use a smaller "
+            "camera.stop_diameter or a longer camera.focal_length"
+        )
+    return found
 
 
 def _vignetting(scene: Scene, radius: float) -> float:

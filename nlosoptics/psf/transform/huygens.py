@@ -122,9 +122,9 @@ def huygens_point_spread(
     normalisation : {"ideal-peak", "irradiance"}
         Meaning of 1: the peak without aberration, or the energy transmitted by the pupil, per m^2.
     pupil : {"plane", "sphere"}
-        Surface on which the nodes (u, v) lie: the pupil's plane, as for this library's own waves,
-        or the sphere about the reference point through the pupil's centre, as for a lens that
-        satisfies the sine condition. The other transforms do not distinguish them.
+        Surface on which the nodes (u, v) lie: the sphere about the reference point through the
+        pupil's centre, as for a lens that satisfies the sine condition and in `point_spread`, or
+        the pupil's plane, as for an ideal thin lens, where (u, v) are tangents.
 
     Returns
     -------

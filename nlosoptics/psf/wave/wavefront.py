@@ -45,7 +45,9 @@ class Wavefront(Noun, Shown):
     Parameters
     ----------
     u, v : ndarray
-        Pupil coordinates, m, parallel to the image's x and y. Polar: (n_r, n_theta), see
+        Pupil coordinates, m, parallel to the image's x and y: heights on the reference sphere of
+        radius ``|image_distance|`` about the image point, so that ``u/image_distance`` is a sine.
+        Polar: (n_r, n_theta), see
         `polar_nodes`. Cells: (n_patches, n_s, n_t), see `Aperture.nodes`. Grid: (n, n), rows are v,
         ``(arange(n) - n//2) * pitch``. Scattered: (n,).
     aberration : ndarray
@@ -390,7 +392,7 @@ class Wavefront(Noun, Shown):
 
     @property
     def f_number(self) -> float:
-        """Paraxial working F-number, |image_distance|/(2 pupil_radius)."""
+        """Working F-number ``|image_distance|/(2 pupil_radius)``, 1/(2 sin) of the half angle."""
         return abs(self.image_distance) / (2 * self.pupil_radius)
 
     @property

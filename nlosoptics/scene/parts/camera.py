@@ -25,7 +25,7 @@ class Camera:
     focal_length : float
         Focal length of the thin lens, m.
     stop_diameter : float
-        Clear diameter of the lens, m.
+        Clear diameter of the lens, that of its entrance pupil, m. See the Notes for the F-number.
     pixel_pitch : float
         Side of a native pixel, m, 1e-12 to 1.
     pixels : (int, int)
@@ -74,6 +74,12 @@ class Camera:
     Image axes: x along ``e1 = unit(Y x n)``, y along ``e2 = n x e1``, with n the direction from
     the lens along the optical axis and Y = (0, 1, 0) (X = (1, 0, 0) if n is parallel to Y). The
     lens inverts the image, so that an image array drawn with row 0 on top appears upright.
+
+    The F-number engraved on a lens is ``focal_length/stop_diameter``. This library computes with
+    the working F-number, ``N = d/stop_diameter = 1/(2 sin(alpha))``, with d the distance from lens
+    to detector and alpha the half angle of the cone of light on the detector. This holds for a
+    lens that satisfies the sine condition, as photographic lenses do. N must be above 0.5. If the
+    relay wall is the stop, `psf.ExitPupil.f_number` is larger.
 
     Examples
     --------

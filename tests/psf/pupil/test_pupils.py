@@ -138,11 +138,15 @@ def test_axis_that_misses_the_wall_is_refused(flat_scene):
         psf.exit_pupil(replace(flat_scene, wall=FlatWall(size=0.1)))
 
 
-def test_fast_cone_uses_the_sine(flat_scene):
+def test_fast_cone_obeys_the_sine_condition(flat_scene):
+    """N = 1/(2 sin) at any aperture, up to the half space."""
     camera = replace(flat_scene.camera, stop_diameter=0.09)
     pupil = psf.exit_pupil(replace(flat_scene, camera=camera))
-    half = math.atan(0.045 / pupil.image_distance)
+    half = math.asin(0.045 / pupil.image_distance)
     assert pupil.f_number == approx(0.5 / math.sin(half), rel=1e-12)
+    wide = replace(flat_scene, camera=replace(flat_scene.camera, stop_diameter=0.12))
+    with pytest.raises(SceneError, match=r"limit F/0.5.*use a smaller camera.stop_diameter"):
+        psf.exit_pupil(wide)
 
 
 def test_flat_wall_is_aberration_free(flat_scene):
