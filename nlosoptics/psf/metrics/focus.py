@@ -94,8 +94,9 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     and s the sign of d. This is the exact path difference between the spheres, from nodes in the
     pupil plane, as in `huygens_point_spread` with ``pupil="plane"``. The paraxial term
     ``(1/d' - 1/d) r^2/2`` differs from it by about the fraction ``3/(16 N^2)`` at the rim, 1e-4 at
-    F/40. A detector beyond focus has W < 0. The tilt is kept, so that a spot at ``a d`` moves to ``a d'``. The amplitude is kept
-    too; as power per area it would change by the fraction ``r^2 shift/(2 d^3)``.
+    F/40. A detector beyond focus has W < 0. The tilt is kept, so that a spot at ``a d`` moves to
+    ``a d'``. The amplitude is kept too; as power per area it would change by the fraction
+    ``r^2 shift/(2 d^3)``.
 
     Examples
     --------

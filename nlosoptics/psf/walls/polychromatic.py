@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import in_range, positive, whole
 from ...errors import SceneError
+from ..transform.models import Model
 from ..transform.point_spread import Normalisation, PointSpread, point_spread
 from ..wave.wavefront import Wavefront
 from ..window.window import window_shape
@@ -75,6 +76,7 @@ def band_point_spread(
     shape: int | tuple[int, int] | None = None,
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
+    model: Model = "auto",
 ) -> PointSpread:
     """Compute a polychromatic point spread function as the sum of intensities.
 
@@ -89,7 +91,7 @@ def band_point_spread(
         Energy at each wavelength, of any sum; equal by default.
     tol : float
         Largest max |dI|/max I of each wavelength, see `point_spread`.
-    pitch, shape, normalisation, pixel_integrated
+    pitch, shape, normalisation, pixel_integrated, model
         Options of `point_spread`. By default the pitch is lambda N/4 of the shortest wavelength,
         and the window is that of the widest spot.
 
@@ -133,6 +135,7 @@ def band_point_spread(
             shape=shape,
             normalisation=normalisation,
             pixel_integrated=pixel_integrated,
+            model=model,
         )
         for wave in waves
     ]

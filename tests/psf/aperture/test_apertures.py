@@ -288,7 +288,7 @@ def test_aberrated_apertures_are_the_direct_sum(name):
 @pytest.mark.parametrize("samples", [4, 6, 8])
 def test_estimate_bounds_the_lack_of_nodes(name, samples):
     window = {"pitch": 0.6e-6, "shape": 96}
-    truth = psf.point_spread(of(APERTURES[name], bumpy, samples=40), **window)
+    truth = psf.point_spread(of(APERTURES[name], bumpy, samples=40), **window, model="scalar")
     few = psf.point_spread(
         of(APERTURES[name], bumpy, samples=samples), method="quadrature", **window
     )
@@ -337,7 +337,7 @@ def test_resampling_changes_nothing():
     assert finer.aberration == approx(bumpy(finer.u, finer.v), abs=1e-11 * WAVELENGTH)
     window = {"pitch": 0.6e-6, "shape": 48}
     straight = psf.point_spread(finer, method="nufft", **window)
-    assert error(straight, psf.point_spread(wave, **window)) < 1e-11
+    assert error(straight, psf.point_spread(wave, **window, model="scalar")) < 1e-11
     with pytest.raises(SamplingError, match="fewer than the present"):
         finer.resampled(10, 44)
 
@@ -353,7 +353,7 @@ def test_grids_agree_within_their_estimate(name, aberration, pixels):
     window = {"pitch": 0.75e-6, "shape": 96, "pixel_integrated": pixels}
     if pixels:
         window = {"pitch": 4e-6, "shape": 32, "pixel_integrated": True}
-    truth = psf.point_spread(of(aperture, aberration), **window)
+    truth = psf.point_spread(of(aperture, aberration), **window, model="scalar")
     errors = []
     for samples in (128, 256):
         grid = of(aperture, aberration, nodes="grid", samples=samples)
@@ -385,7 +385,7 @@ def test_segments_on_a_grid():
         "tilts": rng.normal(size=(19, 2)) * WAVELENGTH / (20 * MM),
     }
     window = {"pitch": 0.75e-6, "shape": 96}
-    truth = psf.point_spread(of(aperture, **terms), **window)
+    truth = psf.point_spread(of(aperture, **terms), **window, model="scalar")
     for samples in (128, 400):  # squares wider and narrower than the gap
         grid = of(aperture, nodes="grid", samples=samples, **terms)
         spread = psf.point_spread(grid, method="mdft", **window)
@@ -414,7 +414,7 @@ def test_a_box_that_fits_its_grid_has_a_rim_all_the_same():
     grid = replace(grid, weights=np.full_like(grid.weights, grid.weights.max()))
     window = {"pitch": 1e-6, "shape": 64}
     spread = psf.point_spread(grid, method="mdft", **window)
-    missed = error(spread, psf.point_spread(of(box), **window))
+    missed = error(spread, psf.point_spread(of(box), **window, model="scalar"))
     assert 1e-6 < missed < spread.error_estimate < 1e-3
 
 

@@ -64,7 +64,12 @@ def test_energy_in_squares(inner):
     """The inscribed circle's, and of the rings beyond it the part of the angle within."""
     pitch = UNIT / 4
     spread = psf.point_spread(
-        wave(obscuration=inner), pitch=pitch, shape=65, pixel_integrated=True, tol=1e-6
+        wave(obscuration=inner),
+        pitch=pitch,
+        shape=65,
+        pixel_integrated=True,
+        tol=1e-6,
+        model="scalar",
     )
     for pixels in (1, 5, 13, 41):
         half = pixels * pitch / 2
@@ -120,7 +125,7 @@ def lens_area(a, b, s):
 @pytest.mark.parametrize("inner", [0.3, 0.6])
 def test_mtf_of_an_annulus(inner):
     """O'Neill, J. Opt. Soc. Am. 46, 285 (1956): areas that shifted discs share."""
-    spread = psf.point_spread(wave(obscuration=inner), pitch=UNIT / 4, shape=1024)
+    spread = psf.point_spread(wave(obscuration=inner), pitch=UNIT / 4, shape=1024, model="scalar")
     for relative in (0.05, 0.2, 0.4, 0.65, 0.9):
         s = 2 * relative
         shared = lens_area(1, 1, s) - 2 * lens_area(1, inner, s) + lens_area(inner, inner, s)
@@ -155,7 +160,7 @@ def test_modulus_and_phase_of_coma(relative):
     assert psf.mtf(blurred, relative / UNIT) == approx(abs(found), abs=1e-5)
     # across, the phases of coma's two halves cancel less: not the same figure
     assert abs(float(psf.mtf(blurred, relative / UNIT, azimuth=math.pi / 2)) - abs(found)) > 1e-3
-    spread = psf.point_spread(blurred, pitch=UNIT / 4, shape=1024)
+    spread = psf.point_spread(blurred, pitch=UNIT / 4, shape=1024, model="scalar")
     limit = 2 * (1 - spread.enclosed_energy) / abs(found)
     # the pupil's autocorrelation at p + s/2 and p - s/2 has the spectrum's sign turned: x = +a d
     assert psf.ptf(spread, relative / UNIT) == approx(-np.angle(found), abs=limit + 1e-5)
@@ -168,14 +173,16 @@ def test_width_of_the_airy_disc_at_any_pitch(steps, limit):
     for _ in range(60):
         v = (low + high) / 2
         low, high = (v, high) if (2 * j1(v) / v) ** 2 > 0.5 else (low, v)
-    spread = psf.point_spread(wave(), pitch=UNIT / steps, shape=64, tol=1e-12)
+    spread = psf.point_spread(wave(), pitch=UNIT / steps, shape=64, tol=1e-12, model="scalar")
     assert psf.fwhm(spread) == approx([2 * low / math.pi * UNIT] * 2, rel=limit)
 
 
 @pytest.mark.parametrize("waves", [{4: 0.1}, {6: 0.12}, {8: 0.15, 11: -0.05}], ids=str)
 def test_strehl_ratio_is_the_image_on_the_axis(waves):
     """By the transform to the image, which takes no part in the metric."""
-    spread = psf.point_spread(wave(waves), shape=71, normalisation="ideal-peak", tol=1e-9)
+    spread = psf.point_spread(
+        wave(waves), shape=71, normalisation="ideal-peak", tol=1e-9, model="scalar"
+    )
     assert psf.strehl(wave(waves)) == approx(float(spread.intensity[35, 35]), abs=1e-9)
 
 

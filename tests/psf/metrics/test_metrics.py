@@ -122,7 +122,7 @@ def test_encircled_energy_of_the_dark_rings(row):
     assert psf.encircled_energy(wave, radius) == approx(
         float(row["value"]), abs=float(row["tolerance"])
     )
-    spread = psf.point_spread(wave, pitch=UNIT / 10)
+    spread = psf.point_spread(wave, pitch=UNIT / 10, model="scalar")
     # pixels on the circle count by area, whatever falls where within them: second order
     assert psf.encircled_energy(spread, radius) == approx(float(row["value"]), abs=2e-5)
 
@@ -131,12 +131,12 @@ def test_encircled_energy_of_an_aberrated_wave():
     wave = psf.Wavefront.from_zernike({2: 2e-7, 6: 1e-7, 8: 3e-7}, obscuration=0.3, **SYSTEM)
     radii = np.array([[0.0, 1e-6], [4e-6, 2e-5]])
     energy = psf.encircled_energy(wave, radii)
-    spread = psf.point_spread(wave, pitch=UNIT / 16, shape=801)
+    spread = psf.point_spread(wave, pitch=UNIT / 16, shape=801, model="scalar")
     assert energy[0, 0] == 0.0
     # the pixels' cut by the circle
     assert energy == approx(psf.encircled_energy(spread, radii), abs=3e-4)
     assert np.all(np.diff(energy.ravel()) > 0)
-    flux = psf.point_spread(wave, pitch=UNIT / 16, shape=801, normalisation="flux")
+    flux = psf.point_spread(wave, pitch=UNIT / 16, shape=801, normalisation="flux", model="scalar")
     assert psf.encircled_energy(flux, radii) == approx(psf.encircled_energy(spread, radii))
 
 
@@ -163,7 +163,7 @@ def test_mtf_of_a_round_pupil():
     relative = np.array([0.0, 0.1, 0.5, 0.9, 1.0, 1.3])
     exact = diffraction_mtf(relative)
     assert psf.mtf(wave, relative / UNIT) == approx(exact, abs=1e-13)
-    spread = psf.point_spread(wave, pitch=UNIT / 4, shape=1024)
+    spread = psf.point_spread(wave, pitch=UNIT / 4, shape=1024, model="scalar")
     # what lies outside the window: 2/(pi^2 128)
     assert psf.mtf(spread, relative / UNIT) == approx(exact, abs=2e-3)
 
@@ -172,7 +172,7 @@ def test_mtf_of_a_round_pupil():
 def test_mtf_of_an_aberrated_wave(azimuth):
     wave = psf.Wavefront.from_zernike({4: 1e-7, 6: 8e-8, 8: 1e-7, 3: 3e-7}, **SYSTEM)
     frequencies = np.array([0.05, 0.3, 0.7]) / UNIT
-    spread = psf.point_spread(wave, pitch=UNIT / 4, shape=1024)
+    spread = psf.point_spread(wave, pitch=UNIT / 4, shape=1024, model="scalar")
     # what lies outside the window
     assert psf.mtf(wave, frequencies, azimuth=azimuth) == approx(
         psf.mtf(spread, frequencies, azimuth=azimuth), abs=2e-3
@@ -190,7 +190,9 @@ def test_mtf_refuses():
 
 def test_width_of_the_airy_disc():
     row = next(r for r in TRUTHS if r["name"] == "airy_fwhm")
-    spread = psf.point_spread(psf.Wavefront.from_zernike({}, **SYSTEM), pitch=UNIT / 12)
+    spread = psf.point_spread(
+        psf.Wavefront.from_zernike({}, **SYSTEM), pitch=UNIT / 12, model="scalar"
+    )
     # polynomials of the tenth degree on a twelfth of lambda N
     assert psf.fwhm(spread) == approx([float(row["value"]) * UNIT] * 2, rel=1e-8)
 

@@ -96,7 +96,7 @@ def test_mean_is_the_sum_over_pairs_of_pupil_points(case, s, pixels):
 @pytest.mark.parametrize("s", [0.0, 1e-7])
 def test_smooth_limit_is_the_smooth_point_spread(waves, s):
     wave = wave_of(waves)
-    smooth = psf.point_spread(wave, pitch=UNIT / 4, shape=128)
+    smooth = psf.point_spread(wave, pitch=UNIT / 4, shape=128, model="scalar")
     mean = psf.mean_point_spread(wave, wall(s, 1e-3), pitch=UNIT / 4, shape=128, **NORMAL)
     # 1 - exp(-s^2) = 1e-14, and rounding
     assert mean.intensity == approx(smooth.intensity, abs=1e-12 * smooth.intensity.max(), rel=0)
@@ -106,7 +106,7 @@ def test_smooth_limit_is_the_smooth_point_spread(waves, s):
 def test_wall_longer_than_the_pupil_only_moves_the_phase():
     """With C = 1 over the pupil all light stays in the smooth shape."""
     wave = wave_of({8: 0.2})
-    smooth = psf.point_spread(wave, pitch=UNIT / 4, shape=128)
+    smooth = psf.point_spread(wave, pitch=UNIT / 4, shape=128, model="scalar")
     mean = psf.mean_point_spread(wave, wall(1.0, 1e3), pitch=UNIT / 4, shape=128, **NORMAL)
     # s^2 (2 RADIUS m/l)^2 = 2e-10, and what the estimate says
     assert mean.error_estimate < 1e-3
@@ -137,7 +137,7 @@ def test_rough_limit_is_the_distribution_of_slopes(view):
 def test_light_adds_up_and_its_shares_are_told():
     wave = wave_of(obscuration=0.3)
     mean = psf.mean_point_spread(wave, wall(0.8, 4e-3), shape=1024, pitch=UNIT / 2.2, **NORMAL)
-    smooth = psf.point_spread(wave, shape=1024, pitch=UNIT / 2.2)
+    smooth = psf.point_spread(wave, shape=1024, pitch=UNIT / 2.2, model="scalar")
     # the halo ends well inside; what lacks is the rim's tail
     assert mean.enclosed_energy == approx(smooth.enclosed_energy, abs=2e-4)
     assert mean.intensity.sum() == approx(mean.enclosed_energy, rel=1e-12)
@@ -152,8 +152,8 @@ def test_normalisations_scale_as_those_of_the_smooth_wall(normalisation):
     wave = wave_of({6: 0.1}, obscuration=0.3)
     kwargs = {"pitch": UNIT / 4, "shape": 64}
     factor = (
-        psf.point_spread(wave, normalisation=normalisation, **kwargs).intensity
-        / psf.point_spread(wave, **kwargs).intensity
+        psf.point_spread(wave, normalisation=normalisation, **kwargs, model="scalar").intensity
+        / psf.point_spread(wave, **kwargs, model="scalar").intensity
     ).max()
     plain = psf.mean_point_spread(wave, wall(1.0, 2e-3), **kwargs, **NORMAL)
     scaled = psf.mean_point_spread(

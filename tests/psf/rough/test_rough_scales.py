@@ -207,7 +207,9 @@ def test_normalisations(normalisation):
         for name in ("unit-sum", normalisation)
     )
     smooth = [
-        psf.point_spread(wave, pitch=UNIT / 2, shape=24, normalisation=name).intensity.max()
+        psf.point_spread(
+            wave, pitch=UNIT / 2, shape=24, normalisation=name, model="scalar"
+        ).intensity.max()
         for name in ("unit-sum", normalisation)
     ]
     factor = smooth[1] / smooth[0]

@@ -131,15 +131,19 @@ def test_a_named_method_was_asked_for(method):
 
 
 def test_reasons_name_what_was_left_out():
-    flat = psf.point_spread(zernike_wave())
+    flat = psf.point_spread(zernike_wave(), model="scalar")
     assert flat.reason.startswith("airy is the cheapest within tol = 0.001, about ")
-    points = psf.point_spread(defocus(3.0))
+    points = psf.point_spread(defocus(3.0), model="scalar")
     assert "geometric ruled out: rays have no intensity at points" in points.reason
     assert "quadrature would take about" in points.reason
-    bent = psf.point_spread(defocus(3.0), pitch=5 * UNIT, shape=11, pixel_integrated=True)
+    bent = psf.point_spread(
+        defocus(3.0), pitch=5 * UNIT, shape=11, pixel_integrated=True, model="scalar"
+    )
     assert "airy ruled out: the wave is not flat" in bent.reason
     assert "geometric ruled out: 3 waves are too few, limit 20" in bent.reason
-    many = psf.point_spread(defocus(30.0), pitch=40 * UNIT, shape=9, pixel_integrated=True)
+    many = psf.point_spread(
+        defocus(30.0), pitch=40 * UNIT, shape=9, pixel_integrated=True, model="scalar"
+    )
     assert "geometric ruled out: error of at least 0.05 on pixels of 40 lambda N" in many.reason
     for spread in (flat, points, bent, many):
         assert "\n" not in spread.reason
@@ -210,7 +214,7 @@ def test_what_cannot_reach_tol_is_not_run(monkeypatch):
 
     monkeypatch.setattr(selection, "transform", noted)
     kwargs = {"pitch": 20 * UNIT, "pixel_integrated": True, "shape": 9}
-    spread = psf.point_spread(shaded(defocus(20.0)), tol=1e-8, **kwargs)
+    spread = psf.point_spread(shaded(defocus(20.0)), tol=1e-8, **kwargs, model="scalar")
     assert run == ["quadrature"]
     assert "fft ruled out: error of its rim about" in spread.reason
 
@@ -250,9 +254,9 @@ def test_either_side_of_many_waves(waves):
     """Rays are tried above 20 waves: what is taken below and above errs by no more than it says."""
     kwargs = {"pitch": 60 * UNIT, "shape": 7, "pixel_integrated": True}
     wave = shaded(defocus(waves))
-    spread = psf.point_spread(wave, tol=0.3, **kwargs)
+    spread = psf.point_spread(wave, tol=0.3, **kwargs, model="scalar")
     assert (spread.method == "geometric") is (waves > 20)
-    truth = psf.point_spread(wave, tol=1e-6, **kwargs)
+    truth = psf.point_spread(wave, tol=1e-6, **kwargs, model="scalar")
     error = np.abs(spread.intensity - truth.intensity).max() / truth.intensity.max()
     assert error <= spread.error_estimate <= 0.3
 
@@ -262,7 +266,7 @@ def test_either_side_of_a_flat_wave(share):
     """The closed form is taken up to the tolerance that its bound allows, and errs by less."""
     wave = zernike_wave({4: 1e-3, 8: 5e-4})
     bound = psf.point_spread(wave, method="airy").error_estimate
-    spread = psf.point_spread(wave, tol=share * bound)
+    spread = psf.point_spread(wave, tol=share * bound, model="scalar")
     assert (spread.method == "airy") is (share > 1)
     truth = psf.point_spread(wave, method="quadrature").intensity
     assert np.abs(spread.intensity - truth).max() <= spread.error_estimate * truth.max()

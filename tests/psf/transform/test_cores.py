@@ -42,7 +42,9 @@ def test_light_beyond_a_square_adds_up(half):
 def test_estimate_bounds_the_error(waves, tol):
     options = {"pitch": 41.3 * UNIT, "shape": (5, 7)}
     wave = wave_of(waves)
-    exact = psf.point_spread(wave, tol=1e-6, pixel_integrated=True, **options).intensity
+    exact = psf.point_spread(
+        wave, tol=1e-6, pixel_integrated=True, **options, model="scalar"
+    ).intensity
     found = wide_point_spread(wave, tol=tol, **options)
     error = np.abs(found.intensity - exact).max() / exact.max()
     assert error <= found.error_estimate + 1e-6
@@ -56,7 +58,7 @@ def test_estimate_bounds_the_error(waves, tol):
 def test_narrow_pixels_and_grids_go_the_usual_way():
     wave = wave_of({4: 0.1})
     options = {"pitch": 3 * UNIT, "shape": (9, 9)}
-    usual = psf.point_spread(wave, tol=1e-3, pixel_integrated=True, **options)
+    usual = psf.point_spread(wave, tol=1e-3, pixel_integrated=True, **options, model="scalar")
     found = wide_point_spread(wave, tol=1e-3, **options)
     assert np.array_equal(found.intensity, usual.intensity)
     grid = psf.Wavefront.from_zernike({}, **SYSTEM, nodes="grid", samples=512)

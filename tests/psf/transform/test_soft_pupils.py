@@ -109,7 +109,7 @@ def test_estimate_bounds_the_error_at_every_tolerance(waves, changes, tol):
     kwargs = {"pitch": 0.31 * UNIT, "shape": (281, 300)}
     reference = psf.point_spread(wave, method="quadrature", tol=1e-13, **kwargs)
     for method in ("fft", "auto"):
-        spread = psf.point_spread(wave, method=method, tol=tol, **kwargs)
+        spread = psf.point_spread(wave, method=method, tol=tol, model="scalar", **kwargs)
         # both transforms round at 1e-12
         assert error(spread, reference) <= spread.error_estimate + 1e-12
         if method == "auto":
