@@ -107,6 +107,7 @@ def spread(given, method, tol, **nodes):
     return psf.point_spread(
         wavefront(given, **nodes),
         method=method,
+        model="scalar",  # as the other programs
         tol=tol,
         pitch=given["pitch"] * UNIT,
         shape=given["size"],

@@ -271,7 +271,7 @@ def run(case):
     start = time.process_time()  # of one thread: other work on the machine is left out
     try:
         if case.rough is None:
-            spread = psf.point_spread(case.front, **case.options)
+            spread = psf.point_spread(case.front, **case.options, model="scalar")
         else:
             spread = psf.mean_point_spread(
                 case.front, case.rough["roughness"], **case.rough["view"], **case.options

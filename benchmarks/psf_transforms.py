@@ -57,7 +57,7 @@ def main():
         coefficients = {j: w * WAVELENGTH for j, w in waves.items()}
         polar = psf.Wavefront.from_zernike(coefficients, **SYSTEM)
         # Half a lambda N for the spot of 3 waves, 0.1 else: +-64 and +-12.8 lambda N.
-        kwargs = {"pitch": UNIT / (2 if waves.get(4) else 10), "shape": 256}
+        kwargs = {"pitch": UNIT / (2 if waves.get(4) else 10), "shape": 256, "model": "scalar"}
         exact = psf.point_spread(polar, method="quadrature", **kwargs).intensity
         if not waves:
             exact = airy(psf.point_spread(polar, **kwargs)) * exact.max()

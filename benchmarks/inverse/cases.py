@@ -241,7 +241,7 @@ def _field(wall: _Wall, extra: float, optics: dict[str, Any], scene: Scene, fine
             wide += wide % 2
             method = "mdft" if wave.layout == "grid" else "auto"
             spread = psf.point_spread(
-                wave, method=method, pitch=pitch, shape=wide, pixel_integrated=True
+                wave, method=method, model="scalar", pitch=pitch, shape=wide, pixel_integrated=True
             )
             cut = slice(wide // 2 - side, wide // 2 + side)
             modes.append(spread.intensity[cut, cut])

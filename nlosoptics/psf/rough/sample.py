@@ -15,7 +15,7 @@ from ...errors import SamplingError, SceneError
 from ...scene import Scene
 from ..pupil.scene_optics import SceneOptics
 from ..transform import mdft
-from ..transform.models import in_normalisation, slow_bound
+from ..transform.models import speckle_model_error
 from ..transform.point_spread import NORMALISATIONS, Normalisation, PointSpread
 from ..wave.detilted import Residual
 from ..wave.regime import regime
@@ -213,7 +213,7 @@ def detilted_sample(
         pitch=pitch,
         method=f"{propagation} screen + mdft",
         error_estimate=speckle_error(residual, grid, window, mean, spill, pixel_integrated),
-        model_error=in_normalisation(residual, slow_bound(residual), normalisation),
+        model_error=speckle_model_error(residual, normalisation),
         normalisation=normalisation,
         wavelength=wave.wavelength,
         f_number=wave.f_number,

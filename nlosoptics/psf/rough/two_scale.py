@@ -15,7 +15,7 @@ from ...errors import SamplingError, SceneError
 from ...scene import Scene
 from ..pupil.scene_optics import SceneOptics
 from ..transform import mdft
-from ..transform.models import in_normalisation, slow_bound
+from ..transform.models import speckle_model_error
 from ..transform.point_spread import NORMALISATIONS, Normalisation
 from ..wave.detilted import Residual, split
 from ..wave.regime import regime
@@ -210,7 +210,7 @@ def two_scale_point_spread(
         pitch=step,
         method=f"{propagation} screen + mdft + separations",
         error_estimate=error,
-        model_error=in_normalisation(residual, slow_bound(residual), normalisation),
+        model_error=speckle_model_error(residual, normalisation),
         normalisation=normalisation,
         wavelength=wave.wavelength,
         f_number=wave.f_number,

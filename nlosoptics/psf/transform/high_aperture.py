@@ -42,12 +42,13 @@ def check_polarisation(polarisation: Polarisation) -> Polarisation:
 def largest_sine(residual: Residual) -> float:
     """Return the sine of the half angle of the cone of light, over all lit nodes and the rim."""
     wave = residual.wavefront
-    lit = wave.amplitude * wave.weights > 0
-    farthest = float(np.hypot(wave.u[lit], wave.v[lit]).max())
+    farthest = wave.pupil_radius
     if wave.aperture is not None:
-        farthest = max(farthest, wave.aperture.bounding_radius)
-    elif wave.layout != "grid":
-        farthest = max(farthest, wave.pupil_radius)
+        farthest = wave.aperture.bounding_radius
+    if wave.layout in ("grid", "scattered"):
+        lit = wave.amplitude * wave.weights > 0
+        reach = math.sqrt(float((wave.u[lit] ** 2 + wave.v[lit] ** 2).max()))
+        farthest = reach if wave.layout == "grid" else max(farthest, reach)
     return farthest / abs(wave.image_distance)
 
 
@@ -145,14 +146,7 @@ def nodes_of(residual: Residual, window: Window) -> Nodes:
     """Return the nodes for a window: refined if they define a series, otherwise as given."""
     wave = residual.wavefront
     if not wave.is_spectral:
-        lit = wave.amplitude * wave.weights > 0
-        return _gathered(
-            wave.u[lit],
-            wave.v[lit],
-            residual.aberration[lit],
-            wave.amplitude[lit],
-            wave.weights[lit],
-        )
+        return own_nodes(residual)
     counts = node_counts(residual, window)
     fits_memory(
         f"quadrature over {' x '.join(map(str, counts))} nodes to {window.shape[0]} x "
@@ -168,6 +162,19 @@ def nodes_of(residual: Residual, window: Window) -> Nodes:
     if not residual.is_uniform:
         amplitude = residual.amplitude_series.at_nodes(*counts)
     return _gathered(u, v, path, amplitude, weights)
+
+
+def own_nodes(residual: Residual) -> Nodes:
+    """Return the lit nodes of the wave."""
+    wave = residual.wavefront
+    lit = wave.amplitude * wave.weights > 0
+    return _gathered(
+        wave.u[lit],
+        wave.v[lit],
+        residual.aberration[lit],
+        wave.amplitude[lit],
+        wave.weights[lit],
+    )
 
 
 def _gathered(u: Array, v: Array, path: Array, amplitude: Array, weights: Array) -> Nodes:
@@ -261,7 +268,8 @@ def _by_nodes(task: Task, method: str, polarisation: Polarisation) -> Result:
     if not spectral:
         check_sampling(task)
     nodes = nodes_of(residual, samples)
-    epsilon = nufft.epsilon(nodes.u.size, samples, task.tol)
+    # Coarser than `nufft.epsilon` for small sums, since there are several
+    epsilon = max(nufft.BEST, min(nufft.FAST, task.tol / 100))
     weights = nodes.weights(residual, polarisation)
     peak, secant = levels(residual, nodes, weights)
     mean = _mean(task, nodes, weights, epsilon) / peak

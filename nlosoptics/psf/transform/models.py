@@ -5,16 +5,14 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Literal
-
-import numpy as np
 
 from ..._checks import one_of
 from ...errors import SamplingError, SceneError
 from ..wave.detilted import Residual
 from ..wave.regime import Regime
 from ..window.error_bounds import rounded_up
-from ..window.window import Window
 from . import geometric, high_aperture
 from .high_aperture import Polarisation
 from .runners import Result, Task, transform
@@ -23,17 +21,13 @@ from .selection import MANY_WAVES, automatic
 Model = Literal["auto", "scalar", "high-aperture"]
 MODELS: Final = ("auto", "scalar", "high-aperture")
 
-#: Largest bound, relative to the peak, that is given by the closed form for slow beams.
-SLOW: Final = 1e-3
-#: Pixel side, Airy units, above which the error is that of the energy's distribution over pixels.
+#: Pixel side, Airy units, above which diffraction moves little energy between pixels.
 WIDE: Final = 2.0
-#: Image points per side of a probe, and accuracy of its transform.
-SIDE, ACCURACY = 40, 1e-6
-#: Factor from the largest error that was found to the bound. Most errors between the probed points
-#: are smaller, see the test of random waves.
-MARGIN: Final = 1.5
-#: Distance beyond the rays up to which a probe searches for the largest error, Airy units.
-NEAR: Final = 3.0
+#: Largest energy of the axial field at a point, in units of twice its share of the whole energy and
+#: of the peak: of an ideal spot, and of an aberrated one. Measured on random waves.
+IDEAL, ABERRATED = 0.17, 0.5
+#: Factor from an estimate of the scalar model's error to its bound.
+MARGIN: Final = 1.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,43 +170,66 @@ def scalar_model_error(task: Task, result: Result, normalisation: str) -> float:
 
     Notes
     -----
-    Let s be the sine of the cone's half angle. To the order s^2 the models differ by the field
-    along the axis, ``|grad U|^2/(2 k^2)``, and by a factor due to the normalisation. The field's
-    band limit k s bounds its gradient (Bernstein's inequality), so that the difference is at most
-    ``s^2``. This is the bound for slow beams. Otherwise both models are computed at some points
-    about the brightest one and about the rays.
+    Let s be the sine of the cone's half angle. To the order s^2 the models differ by the axial
+    field, whose intensity is ``|grad U|^2/(2 k^2)``, and by a factor due to the normalisation. The
+    axial field has the fraction c of the energy, s^2/4 for a round pupil. For a plane of unit
+    energy this is the error of the peak. Relative to the ideal peak, the axial intensity is at most
+    0.26 c in an ideal spot. The field's band limit bounds its gradient (Bernstein's inequality), so
+    that it approaches c in strongly aberrated spots.
     """
     residual = task.residual
     if task.surface is not None:
         return math.inf
-    closed = slow_bound(residual)
-    fine = task.rule is not None or task.pitch <= residual.nyquist_pitch * (1 + 1e-9)
-    if fine and closed <= min(SLOW, task.tol):
-        return closed
+    peak, secant = plane_levels(residual)
+    share, largest = axial_share(residual), float(result.mean.max())
+    if task.rule is None and task.pitch > residual.nyquist_pitch * (1 + 1e-9):
+        error = 2 * ABERRATED * share / largest  # samples may miss the peak
+    else:
+        error = 2 * share * (IDEAL + (ABERRATED - IDEAL) * max(1 - largest, 0.0))
+    if normalisation != "ideal-peak":
+        # Ratio of the energies per pixel at the ideal peaks
+        ratio = task.level * peak / secant / result.level
+        error = max(error, abs(ratio - 1), abs(1 / ratio - 1))
     if task.rule is not None and task.pitch > WIDE * residual.airy_unit:
-        share = float(result.mean.max()) * result.level
-        return in_normalisation(residual, wide_pixel_error(residual, share), normalisation)
-    found = max(_probe(task, result, window, normalisation) for window in _windows(task, result))
-    return MARGIN * found
+        wide = wide_pixel_error(residual, largest * result.level)
+        error = min(error, in_normalisation(residual, wide, normalisation))
+    return MARGIN * error
 
 
-def slow_bound(residual: Residual) -> float:
-    """Bound the scalar model's error for any slow wave: the squared sine of the half angle."""
-    return high_aperture.check_cone(residual) ** 2
-
-
-def uneven_energy(residual: Residual) -> float:
-    """Return the largest relative difference between the models' energies of one direction.
-
-    The vector model weights the energy of a ray by 1/cos of its angle to the axis. It bounds the
-    scalar model's error where diffraction does not matter, for normalised energies.
-    """
+def plane_levels(residual: Residual) -> tuple[float, float]:
+    """Return `high_aperture.levels` of an unpolarised wave at its own nodes."""
     wave = residual.wavefront
-    square = np.minimum((wave.u**2 + wave.v**2) / wave.image_distance**2, 1 - 1e-9)
-    energy = wave.amplitude**2 * wave.weights
-    mean = float(np.sum(energy / np.sqrt(1 - square)) / np.sum(energy))
-    rim = 1 / math.sqrt(1 - slow_bound(residual))
-    return max(1 - 1 / mean, rim / mean - 1)
+    if wave.layout == "polar" and residual.is_uniform:
+        return _ring_levels(high_aperture.largest_sine(residual), wave.obscuration)
+    nodes = high_aperture.own_nodes(residual)
+    return high_aperture.levels(residual, nodes, nodes.weights(residual, "unpolarised"))
+
+
+@lru_cache(maxsize=64)
+def _ring_levels(sine: float, obscuration: float) -> tuple[float, float]:
+    """Return the levels of a clear ring by the integrals of powers of the cosine."""
+    square = sine**2
+    area = square * (1 - obscuration**2)
+
+    def mean(power: float) -> float:
+        """Mean of cos^power over the ring."""
+        half = power / 2 + 1
+        ends = (math.expm1(half * math.log1p(-x * square)) for x in (1.0, obscuration**2))
+        outer, inner = ends
+        return (inner - outer) / (half * area)
+
+    return ((mean(-0.5) + mean(0.5)) / 2) ** 2, mean(-1.0)
+
+
+def axial_share(residual: Residual) -> float:
+    """Return the energy of the vector wave that the peak lacks, s^2/4 for a slow round beam."""
+    peak, secant = plane_levels(residual)
+    return max(secant / peak - 1, 0.0)
+
+
+def speckle_model_error(residual: Residual, normalisation: str) -> float:
+    """Bound the scalar model's error for a wave of any aberration, also random ones."""
+    return in_normalisation(residual, MARGIN * 2 * axial_share(residual), normalisation)
 
 
 def wide_pixel_error(residual: Residual, share: float = 0.0) -> float:
@@ -227,84 +244,19 @@ def wide_pixel_error(residual: Residual, share: float = 0.0) -> float:
 
     Notes
     -----
-    Energies of rays differ by at most `uneven_energy`. What the brightest pixel loses, all others
-    gain, so that its loss is also at most that fraction of the others' energy.
+    The vector model weights the energy of a ray by 1/cos of its angle to the axis, so that the
+    models differ by the ratio of this to its mean. What the brightest pixel loses, all others gain,
+    so that its loss is also at most that fraction of the others' energy.
     """
+    _, mean = plane_levels(residual)
+    rim = 1 / math.sqrt(1 - high_aperture.largest_sine(residual) ** 2)
     others = max(1 - share, 0.0) / share if share > 0.5 else 1.0
-    return MARGIN * uneven_energy(residual) * others
+    return MARGIN * max(1 - 1 / mean, rim / mean - 1) * others
 
 
 def in_normalisation(residual: Residual, error: float, normalisation: str) -> float:
     """Return the error in a normalisation, given the one for unit energy in the image plane."""
     if normalisation != "ideal-peak":
         return error
-    point = Window.centred(residual.airy_unit, (1, 1))
-    nodes = high_aperture.nodes_of(residual, point)
-    peak, secant = high_aperture.levels(residual, nodes, nodes.weights(residual, "unpolarised"))
+    peak, secant = plane_levels(residual)
     return error * secant / peak + abs(secant / peak - 1)
-
-
-def _windows(task: Task, result: Result) -> list[Window]:
-    """Return the samples or pixels to probe: about the brightest one, and about all rays."""
-    ny, nx = task.shape
-    row, column = divmod(int(np.argmax(result.mean)), nx)
-    pixels, residual = task.pixels, task.residual
-    size = min(ny, SIDE), min(nx, SIDE)
-    top, left = (
-        min(max(middle - n // 2, 0), total - n)
-        for middle, n, total in zip((row, column), size, (ny, nx), strict=True)
-    )
-    x, y = pixels.first
-    pitch = pixels.pitch
-    near = Window(pitch, size, (x + left * pitch, y + top * pitch))
-    if task.rule is not None:
-        return [near]
-    # Part of the window that holds the rays, by as many points
-    half = residual.rays.reach + NEAR * residual.airy_unit
-    low, high = [], []
-    for first, n, centre in zip(pixels.first, (nx, ny), residual.shift, strict=True):
-        low.append(max(first, centre - half))
-        high.append(min(first + (n - 1) * pitch, centre + half))
-    width = max(high[0] - low[0], high[1] - low[1])
-    if width <= (SIDE - 1) * pitch or min(high[0] - low[0], high[1] - low[1]) < 0:
-        return [near]
-    step = width / (SIDE - 1)
-    counts = (int((high[1] - low[1]) / step) + 1, int((high[0] - low[0]) / step) + 1)
-    return [near, Window(step, counts, (low[0], low[1]))]
-
-
-def _probe(task: Task, result: Result, window: Window, normalisation: str) -> float:
-    """Return the largest difference of the models in a window, relative to the peak.
-
-    The window has the pixels of the result if they are integrated, otherwise any points.
-    """
-    residual = task.residual
-    samples = _fine(task, window)
-    nodes = high_aperture.nodes_of(residual, samples)
-    weights = nodes.weights(residual, "unpolarised")
-    peak, secant = high_aperture.levels(residual, nodes, weights)
-    scalar = np.ones_like(nodes.u)
-    if result.method == "huygens":  # its spherical waves carry the cosines of the sine condition
-        d = residual.wavefront.image_distance
-        scalar = (1 - (nodes.u**2 + nodes.v**2) / d**2) ** -0.25
-    squares = nodes.squares(residual, [scalar, *weights], samples, ACCURACY)
-    old = task.averaged(next(squares)) / high_aperture.levels(residual, nodes, [scalar])[0]
-    new = task.averaged(sum(squares, np.zeros(samples.shape))) / peak
-    if normalisation != "ideal-peak":
-        new *= task.level * peak / secant / result.level
-    largest = min(float(result.mean.max()), float(new.max()))
-    return float(np.abs(new - old).max()) / largest
-
-
-def _fine(task: Task, window: Window) -> Window:
-    """Return the points at which the intensity of a part of the pixels is computed."""
-    rule = task.rule
-    if rule is None:
-        return window
-    whole = rule.window(window.pitch, window.shape)
-    centred = Window.centred(window.pitch, window.shape)
-    moved = [
-        first + start - middle
-        for first, start, middle in zip(whole.first, window.first, centred.first, strict=True)
-    ]
-    return Window(whole.pitch, whole.shape, (moved[0], moved[1]))
