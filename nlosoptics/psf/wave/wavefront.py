@@ -45,10 +45,9 @@ class Wavefront(Noun, Shown):
     Parameters
     ----------
     u, v : ndarray
-        Pupil coordinates, m, parallel to the image's x and y: heights on the reference sphere of
-        radius ``|image_distance|`` about the image point, so that ``u/image_distance`` is a sine.
-        Polar: (n_r, n_theta), see
-        `polar_nodes`. Cells: (n_patches, n_s, n_t), see `Aperture.nodes`. Grid: (n, n), rows are v,
+        Pupil coordinates, m, parallel to the image's x and y: heights on the sphere of radius
+        ``|image_distance|`` about the image point. Polar: (n_r, n_theta), see `polar_nodes`. Cells:
+        (n_patches, n_s, n_t), see `Aperture.nodes`. Grid: (n, n), rows are v,
         ``(arange(n) - n//2) * pitch``. Scattered: (n,).
     aberration : ndarray
         Aberration W, m, in the shape of u; positive for a path longer than the reference.
