@@ -44,7 +44,7 @@ tables = {name: psf.compare(wave, repeats=2, longest=1.0, **window) for name, wa
 for name, table in tables.items():
     figure, axis = plt.subplots(figsize=(9, 5.6), layout="constrained")
     views.compare_methods(table, tol=1e-3, axes=axis)
-    chosen = psf.point_spread(waves[name], model="scalar", **window)
+    chosen = psf.point_spread(waves[name], **window)
     axis.set_title(f"{name}: auto selects {chosen.method}")
 plt.show()
 
@@ -55,4 +55,4 @@ plt.show()
 
 print(tables["2 waves rms"])
 for name, wave in waves.items():
-    print(f"{name}: {psf.point_spread(wave, model="scalar", **window).reason}")
+    print(f"{name}: {psf.point_spread(wave, **window).reason}")
