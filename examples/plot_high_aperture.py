@@ -43,8 +43,8 @@ for axis, (name, spot) in zip(axes, spots.items(), strict=False):
 # %%
 # The error of the scalar model
 # -----------------------------
-# The last panel shows the bound that every scalar point spread states. Values of which the plane has
-# the sum 1 differ more than those relative to the peak.
+# The last panel shows the bound that every scalar point spread states. Values that add up to 1 over
+# the image plane differ more than those relative to the peak.
 
 f_numbers = np.geomspace(0.55, 16, 16)
 for normalisation in ("unit-sum", "ideal-peak"):

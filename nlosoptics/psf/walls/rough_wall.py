@@ -24,6 +24,7 @@ from ..rough.sample import detilted_sample, grid_pitch, speckle_pupil, speckle_s
 from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform import costs
+from ..transform.models import wide_pixel_error
 from ..transform.point_spread import PointSpread
 from ..transform.wide_pixels import detilted_wide_spread
 from ..wave.detilted import Residual, split
@@ -359,6 +360,7 @@ def _by_rays(
         pitch=pitch,
         method="rays on the relief",
         error_estimate=error,
+        model_error=wide_pixel_error(residual),
         normalisation="unit-sum",
         wavelength=wave.wavelength,
         f_number=wave.f_number,
