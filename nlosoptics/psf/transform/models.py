@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final, Literal
@@ -85,7 +84,7 @@ def modelled(
     normalisation: str,
     max_seconds: float,
 ) -> Modelled:
-    """Compute a point spread by the scalar model, by the high-aperture model, or the cheapest.
+    """Compute a point spread by the scalar model, or by the high-aperture one where tol needs it.
 
     Parameters
     ----------
@@ -104,9 +103,9 @@ def modelled(
     -------
     Modelled
     """
-    started, why = time.process_time(), "high-aperture model was requested"
+    why = "the high-aperture model was requested"
     if model == "auto" and not isinstance(polarisation, str):
-        why = "high-aperture model of a polarised wave"
+        why = "the high-aperture model, since the wave is polarised"
     elif model != "high-aperture":
         if method == "auto":
             result, reason = automatic(task, kind, max_seconds)
@@ -115,16 +114,15 @@ def modelled(
         error = scalar_model_error(task, result, normalisation)
         if model == "scalar" or method != "auto" or error <= task.tol:
             return Modelled(result, reason, "scalar", error)
-        why = f"high-aperture model, since the scalar model errs by {error:.2g}"
-    left = max_seconds - (time.process_time() - started)
-    result = _high_aperture(task, kind, method, polarisation, left)
-    return Modelled(result, f"{why}; {result.method} suits its nodes", "high-aperture", 0.0)
+        why = f"the high-aperture model, since the scalar model errs by {error:.2g}"
+    result = _high_aperture(task, kind, method, polarisation, max_seconds)
+    return Modelled(result, f"{result.method} of {why}", "high-aperture", 0.0)
 
 
 def _high_aperture(
     task: Task, kind: Regime, method: str, polarisation: Polarisation, max_seconds: float
 ) -> Result:
-    """Run the high-aperture model, by rays if ``auto`` finds them accurate enough and faster."""
+    """Run the high-aperture model, by rays if ``auto`` may take them and they reach tol."""
     if method != "auto":
         return high_aperture.transform(task, method, polarisation)
     seconds = high_aperture.predicted_seconds(task, polarisation)
@@ -137,8 +135,8 @@ def _high_aperture(
     if seconds > max_seconds:
         raise SamplingError(
             f"the high-aperture model to {ny} x {nx} samples would take about {seconds:.2g} s, "
-            f"limit {max_seconds:.3g} s; use max_seconds = {rounded_up(seconds + 1)}, a smaller "
-            "shape, or model='scalar'"
+            f"limit max_seconds = {max_seconds:g}; use max_seconds = {rounded_up(seconds)}, a "
+            "smaller shape, or model='scalar'"
         )
     result = high_aperture.transform(task, "auto", polarisation)
     if result.error > task.tol:

@@ -465,7 +465,9 @@ def test_methods_and_limits_that_do_not_fit_are_refused():
         psf.point_spread(wave, method="mdft", shape=33, **HIGH)
     with pytest.raises(SamplingError, match=r"rays give the energy per pixel"):
         psf.point_spread(wave, method="geometric", shape=33, **HIGH)
-    with pytest.raises(SamplingError, match=r"would take about .* s, limit .*model='scalar'"):
+    with pytest.raises(
+        SamplingError, match=r"would take about .* s, limit max_seconds = .*model='scalar'"
+    ):
         psf.point_spread(wave, shape=801, max_seconds=0.05, **HIGH)
     coarse = psf.Wavefront.from_zernike(
         {4: 1e-7},
