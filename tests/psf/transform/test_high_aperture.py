@@ -198,6 +198,30 @@ def test_aberrated_wave_is_the_sum_of_plane_waves(pupil, polarisation, incidents
         assert spread.error_estimate < 1e-9
 
 
+@pytest.mark.parametrize("normalisation", ["unit-sum", "ideal-peak", "flux"])
+def test_scattered_nodes_keep_their_estimate(normalisation):
+    """A thousand nodes on a spiral, each with the same area, against polar nodes."""
+    n = 1000
+    index = np.arange(n) + 0.5
+    rho, theta = np.sqrt(index / n), index * np.pi * (3 - math.sqrt(5))
+    u, v = RADIUS * rho * np.cos(theta), RADIUS * rho * np.sin(theta)
+    given = {"wavelength": WAVELENGTH, "image_distance": 1.6 * RADIUS, "pupil_radius": RADIUS}
+    wave = psf.Wavefront(
+        u=u,
+        v=v,
+        aberration=bent(u, v),
+        amplitude=np.ones(n),
+        weights=np.full(n, math.pi * RADIUS**2 / n),
+        layout="scattered",
+        **given,
+    )
+    options = {"pitch": WAVELENGTH / 5, "shape": 41, "normalisation": normalisation, **HIGH}
+    few = psf.point_spread(wave, method="nufft", **options)
+    exact = psf.point_spread(psf.Wavefront.from_function(bent, **given), **options)
+    error = np.abs(few.intensity - exact.intensity).max() / exact.intensity.max()
+    assert 1e-4 < error <= few.error_estimate < 3 * error
+
+
 def test_slow_beams_are_airys():
     """The models differ by 1/N^2: to F/400 by the factor of 16 from F/100."""
     apart = []
