@@ -171,7 +171,7 @@ def test_aberration_by_rays_is_the_propagated_wave(relief):
     view = view_of(relief)
     rough = rough_wave(wave.resampled(60, 240), view)
     options = {"shape": 129, "pitch": 1.25e-6, "normalisation": "flux"}
-    rays = psf.point_spread(rough, tol=1e-5, **options)
+    rays = psf.point_spread(rough, tol=1e-5, model="scalar", **options)
     waves = psf.sample_point_spread(wave, relief, **options, **NORMAL)
     off = np.abs(rays.intensity - waves.intensity).max() / waves.intensity.max()
     assert off < 1e-3
