@@ -125,7 +125,9 @@ MADE: Mapping[str, Any] = {
     "Camera": lambda: room().camera,
     "ConcaveWall": lambda: scene.ConcaveWall(5.0, size=1.0),
     "ConvexWall": lambda: scene.ConvexWall(5.0, size=1.0, shape="cylinder", axis="y"),
+    "FacetWall": lambda: scene.FacetWall(1e-3, 2e-3, seed=3, size=2.0),
     "FlatWall": lambda: scene.FlatWall(size=2.0),
+    "GaussianWall": lambda: scene.GaussianWall(1e-6, 1e-3, seed=3),
     "HeightMapWall": lambda: scene.HeightMapWall.random(
         height_rms=1e-6, correlation_length=0.1, size=1.0, pitch=0.04
     ),
@@ -144,6 +146,7 @@ MADE: Mapping[str, Any] = {
         side=1.0, count=8, delta_t=0.01, n_bins=64, t_start=0.5
     ),
     "Ward": lambda: scene.Ward(0.2, 0.1),
+    "WallRoughness": lambda: scene.WallRoughness(scene.FacetWall(1e-3, 2e-3), "mean"),
     "WavyWall": lambda: scene.WavyWall(1e-6, 0.1),
     "Aperture": lambda: psf.Aperture.round(5e-3, 0.3, vanes=3, vane_width=2e-4),
     "Roughness": lambda: psf.Roughness(
