@@ -118,7 +118,9 @@ class FacetView(RoughView):
         """Interpolated transfer function beyond, which is periodic in lattice coordinates."""
         return self._table(2 * OUT + np.arange(PER_CELL) / PER_CELL, "grid-wrap")
 
-    def _table(self, steps: Array, mode: Literal["nearest", "grid-wrap"]) -> Callable[[Array, Array], Array]:
+    def _table(
+        self, steps: Array, mode: Literal["nearest", "grid-wrap"]
+    ) -> Callable[[Array, Array], Array]:
         """Tabulate the transfer function at lattice coordinates and return its interpolation."""
         from scipy import ndimage
 

@@ -18,19 +18,20 @@ from ..pupil.scene_optics import PointOptics
 from ..pupil.wall_wavefront import AimedWave, aimed_wave
 from ..rough.aberration import aberration_error, rough_wave
 from ..rough.mean import detilted_mean
-from ..rough.relief import SCREEN_BYTES, ReliefView, margins, relief_stride
+from ..rough.relief import SCREEN_BYTES, STEEPEST, ReliefView, margins, relief_stride
 from ..rough.relief_rays import ray_counts, ray_image
 from ..rough.sample import detilted_sample, grid_pitch, speckle_pupil, speckle_samples
+from ..rough.scattered_light import FAR, WORTH, inner_window
 from ..rough.source import rough_view
 from ..rough.view import RoughView
 from ..transform import costs
 from ..transform.models import wide_pixel_error
 from ..transform.point_spread import PointSpread
-from ..transform.wide_pixels import detilted_wide_spread
+from ..transform.wide_pixels import binned, detilted_wide_spread
 from ..wave.detilted import Residual, split
 from ..wave.regime import regime
 from ..window.grids import grid_size
-from ..window.window import Window, window_side
+from ..window.window import Window, ray_reach, window_side
 
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -227,12 +228,28 @@ def _rays(residual: Residual, view: ReliefView, pitch: float, screen: RoughChoic
     )
 
 
+def _light_window(
+    residual: Residual, view: ReliefView, pitch: float, shape: tuple[int, int]
+) -> tuple[Window, int]:
+    """Return the window of the light within a window of wide pixels, and its parts per pixel.
+
+    Wide pixels are divided. Where the light fills the window, it is the window itself.
+    """
+    window = Window.centred(pitch, shape)
+    steep = STEEPEST * view.turn(residual.wavefront.wavelength)
+    half = ray_reach(residual) + steep * abs(residual.wavefront.image_distance)
+    half += FAR * residual.airy_unit
+    if 2 * half >= WORTH * pitch * min(shape):
+        return window, 1
+    return inner_window(window, half)
+
+
 def _screen(
     residual: Residual, view: ReliefView, pitch: float, shape: tuple[int, int]
 ) -> RoughChoice:
     """Return sampling and cost of the propagation from wall to pupil."""
     wave = residual.wavefront
-    samples = speckle_samples(residual, Window.centred(pitch, shape), True)[0]
+    samples = speckle_samples(residual, _light_window(residual, view, pitch, shape)[0], True)[0]
     far = max(samples.reach_from(residual.shift)) + residual.rays.reach + view.halo(wave)
     step = grid_pitch(wave, view.widest_pitch(wave.wavelength), far)
     n = grid_size(wave.pupil_radius, step)
@@ -328,12 +345,19 @@ def _by_diffraction(
     seen: PointOptics, view: ReliefView, pitch: float, shape: tuple[int, int], reason: str
 ) -> tuple[AimedWave, PointSpread, PupilField]:
     """Compute the image by propagation of the wall's field to the pupil."""
-    samples = speckle_samples(seen.first.residual, Window.centred(pitch, shape), True)[0]
+    light, parts = _light_window(seen.first.residual, view, pitch, shape)
+    samples = speckle_samples(seen.first.residual, light, True)[0]
     aimed, grid = seen.refined(lambda found: speckle_pupil(found.residual, view, samples))
     residual, wave = aimed.residual, aimed.wave
     spread, through = detilted_sample(
-        residual, grid, view, pitch, shape, pixel_integrated=True, reason=reason
+        residual, grid, view, light.pitch, light.shape, pixel_integrated=True, reason=reason
     )
+    if light.shape != shape:
+        fine = float(spread.intensity.max())
+        wide = binned(spread.intensity, parts, shape)
+        # errors of the fine pixels are speckle, independent of each other
+        error = spread.error_estimate * parts * fine / float(wide.max())
+        spread = replace(spread, intensity=wide, pitch=pitch, error_estimate=error)
     # the pupil function's samples add up to 1 for a smooth wall
     area = float(np.sum(wave.weights * wave.amplitude)) / grid.pitch**2
     # the field is resolved by a coarser lattice than that of the image

@@ -80,7 +80,7 @@ class WallRoughness(Noun):
             in_range(
                 "wall_roughness.slope_rms",
                 self.slope_rms,
-                1e-6,
+                0.0,
                 0.7,
                 unit="rad",
                 remedy='use realisation = "pattern", or other slopes',
@@ -196,6 +196,8 @@ class WallRoughness(Noun):
         """Return a material whose lobes carried by the roughness have another slope."""
         if isinstance(material, SumMaterial):
             return SumMaterial(*(self._relobed(part, slope) for part in material.parts))
+        # a lobe needs a slope of 1e-6 rad or more; rays do not tell less from a smooth mirror
+        slope = 0.0 if slope < 1e-6 else slope
         if not isinstance(material, MirrorLobe) or _same(material.slope_rms, slope):
             return material
         if not (material.slope_rms == 0.0 or _same(material.slope_rms, self.slope_rms)):
