@@ -57,7 +57,7 @@ def test_plan_names_the_regime(letter, heights, realisation, regime):
 
 def test_one_call_gives_the_pattern_of_this_wall(letter):
     scene = rough(letter, FACETS)
-    pitch, shape = scene.camera.image_pitch / 8, (25, 25)
+    pitch, shape = scene.camera.image_pitch / 16, (25, 25)
     found = psf.scene_point_spread(scene, tol=1e-2, pitch=pitch, shape=shape)
     direct = psf.sample_point_spread(scene, FACETS, pitch=pitch, shape=shape, pixel_integrated=True)
     np.testing.assert_array_equal(found.point_spread.intensity, direct.intensity)
