@@ -60,7 +60,9 @@ def test_one_call_gives_the_pattern_of_this_wall(letter):
     pitch, shape = scene.camera.image_pitch / 16, (25, 25)
     found = psf.scene_point_spread(scene, tol=1e-2, pitch=pitch, shape=shape)
     direct = psf.sample_point_spread(scene, FACETS, pitch=pitch, shape=shape, pixel_integrated=True)
-    np.testing.assert_array_equal(found.point_spread.intensity, direct.intensity)
+    # the door cuts off the faint tail of wide pixels, and then needs a coarser pupil
+    off = np.abs(found.point_spread.intensity - direct.intensity).max()
+    assert off < 5e-3 * direct.intensity.max()
     assert "propagated from wall to pupil" in found.point_spread.reason
     field = found.pupil_field
     # energy through the pupil; the mean over walls is 1, a single wall speckles
