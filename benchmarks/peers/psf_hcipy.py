@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import hcipy
 import numpy as np
-from psf_common import answer, grids
-
-FINE = 16384  # samples a side of the aperture before they are averaged, at most 16 a cell
+from psf_common import FINE, answer, grids, transmission
 
 
 def image_grid(case):
@@ -42,9 +40,13 @@ def images(case, orders, grid, aperture, transform):
 def transformed(kind):
     def build(case, orders, n):
         grid = hcipy.make_pupil_grid(n, 1)
-        aperture = hcipy.evaluate_supersampled(
-            hcipy.make_circular_aperture(1), grid, max(4, min(16, FINE // n))
-        )
+        if case["pupil"]:
+            axes = (2 * axis for axis in grid.separated_coords)
+            aperture = hcipy.Field(transmission(case["pupil"], *axes).ravel(), grid)
+        else:
+            aperture = hcipy.evaluate_supersampled(
+                hcipy.make_circular_aperture(1), grid, max(4, min(16, FINE // n))
+            )
         return images(case, orders, grid, aperture, kind(grid, image_grid(case)))
 
     return build
@@ -62,7 +64,7 @@ def naive(case, orders, n):
 
 def few(case, samples):
     """Angles of the naive transform, in windows that a direct sum can fill."""
-    return [128] if case["size"] <= 256 else []
+    return [128] if case["size"] <= 256 and not case["pupil"] else []
 
 
 if __name__ == "__main__":

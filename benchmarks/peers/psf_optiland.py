@@ -118,8 +118,8 @@ def grid_side(case, n):
 
 
 def within_period(case, samples):
-    """Samples whose images repeat beyond the window only, which it asks for."""
-    return [n for n in samples if n / case["pitch"] >= case["size"]]
+    """Samples whose images repeat beyond the window only, which it asks for; of a clear disc."""
+    return [n for n in samples if n / case["pitch"] >= case["size"] and not case["pupil"]]
 
 
 def on_grids(case, samples):
@@ -128,7 +128,7 @@ def on_grids(case, samples):
 
 def few(case, samples):
     """Samples of a direct sum, in windows that it can fill."""
-    return [64] if case["size"] <= 256 else []
+    return [64] if case["size"] <= 256 and not case["pupil"] else []
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import poppy
 from poppy.matrixDFT import matrix_dft
 from poppy.misc import airy_2d
 from poppy.zernike import R
-from psf_common import answer, grids, once
+from psf_common import answer, grids, once, transmission
 
 
 def mode(n, m, rho, theta):
@@ -28,6 +28,8 @@ def matrix(case, orders, n):
     wave = poppy.Wavefront(npix=n, diam=2 * u.m, wavelength=1e-6)
     aperture = poppy.CircularAperture(radius=1 * u.m, gray_pixel=True).get_transmission(wave)
     axis = (np.arange(n) - (n - 1) / 2) * 2 / n
+    if case["pupil"]:
+        aperture = transmission(case["pupil"], axis, axis)
     rho, theta = np.hypot(axis, axis[:, None]), np.arctan2(axis[:, None], axis)
     modes = np.array([mode(*order, rho, theta) for order in orders])
     waves, size = np.array(case["waves"]), case["size"]

@@ -14,15 +14,19 @@ from prysm.fttools import czt, mdft
 from prysm.geometry import truecircle
 from prysm.polynomials import sum_of_2d_modes, zernike_nm_sequence
 from prysm.psf import airydisk
-from psf_common import answer, grids, once
+from psf_common import answer, grids, once, transmission
 
 
 def transformed(transform):
     def build(case, orders, n):
         mdft.clear()
         czt.clear()
-        rho, theta = cart_to_polar(*make_xy_grid(n, diameter=2))
-        aperture = truecircle(1, rho)
+        x, y = make_xy_grid(n, diameter=2)
+        rho, theta = cart_to_polar(x, y)
+        if case["pupil"]:
+            aperture = transmission(case["pupil"], x[0], y[:, 0])
+        else:
+            aperture = truecircle(1, rho)
         modes = np.array(list(zernike_nm_sequence(orders, rho, theta, norm=True)))
         waves = np.array(case["waves"])
         q, size = 1 / case["pitch"], case["size"]

@@ -128,9 +128,11 @@ def psf_peers(found: Sequence[Row]) -> str:
 
 def draw_psf_peers(found: Sequence[Row]) -> Any:
     """Draw the least seconds to any error, a panel a case."""
-    drawn = figure(9, 6.4)
-    panels = drawn.subplots(2, 2, sharex=True, sharey=True).flat
-    for axes, ((case,), part) in zip(panels, grouped(found, "case").items(), strict=True):
+    cases = grouped(found, "case")
+    lines = (len(cases) + 1) // 2
+    drawn = figure(9, 1 + 2.7 * lines)
+    panels = drawn.subplots(lines, 2, sharex=True, sharey=True, squeeze=False).flat
+    for axes, ((case,), part) in zip(panels, cases.items(), strict=False):
         series = {}
         for name in PROGRAMS:
             own = [row for row in part if row["name"].startswith(name) and row["error"] > 0]
@@ -525,6 +527,17 @@ SECTIONS = (
         psf_peers,
         draw_psf_peers,
         "Seconds against error of point spreads by five programs, for 0, 1, 10 and 100 waves",
+    ),
+    Section(
+        "psf_pupils.json",
+        "Point spreads of vaned and segmented pupils",
+        "As above, for one wave of aberration on a ring with four vanes and on 19 hexagons. The "
+        "peers hold the pupil as the fraction of each sample inside it; Optiland takes no part.",
+        f"{RUN}/psf_peers.py --case spider --case '19 hexagons' --samples 1024 "
+        "--json benchmarks/results/psf_pupils.json",
+        psf_peers,
+        draw_psf_peers,
+        "Seconds against error of point spreads of a spider and of 19 hexagons by four programs",
     ),
     Section(
         "psf_study.json",

@@ -15,6 +15,7 @@ from .aperture.quadrature_nodes import grid_nodes, polar_nodes
 from .exchange.poppy_files import read_poppy, write_poppy
 from .exchange.prysm_poppy import PrysmPupil, from_prysm, to_prysm
 from .exchange.zernike_tables import ZernikeTable, read_zernikes, write_zernikes
+from .metrics.comparisons import Comparison, ComparisonRow, compare
 from .metrics.estimates import MetricEstimate, metric_estimate
 from .metrics.focus import ThroughFocus, best_focus, focus_shifted, through_focus
 from .metrics.psf_metrics import (
@@ -47,7 +48,6 @@ from .rough.mean import RoughPointSpread, mean_point_spread
 from .rough.roughness import Roughness
 from .rough.sample import sample_point_spread
 from .rough.two_scale import split_scale, two_scale_point_spread
-from .transform.comparisons import Comparison, ComparisonRow, compare
 from .transform.huygens import SurfacePointSpread, huygens_point_spread
 from .transform.point_spread import PointSpread, point_spread
 from .transform.wide_pixels import wide_point_spread

@@ -90,6 +90,8 @@ class Curve(Noun):
     def at(self, t: ArrayLike) -> Array:
         """Return the points at parameters t, (..., len(t), 2), m."""
         t = np.asarray(t, dtype=np.float64)[:, None]
+        if not (self.cosine.any() or self.sine.any()):
+            return np.asarray(self.base[..., None, :] + self.step[..., None, :] * t)
         angle = self.phase[..., None, None] + self.turn[..., None, None] * t
         bent = self.cosine[..., None, :] * np.cos(angle) + self.sine[..., None, :] * np.sin(angle)
         return np.asarray(self.base[..., None, :] + self.step[..., None, :] * t + bent)
@@ -98,6 +100,8 @@ class Curve(Noun):
         """Return the derivatives with respect to t, (..., len(t), 2), m."""
         t = np.asarray(t, dtype=np.float64)[:, None]
         turn = self.turn[..., None, None]
+        if not (self.cosine.any() or self.sine.any()):
+            return np.asarray(self.step[..., None, :] + np.zeros_like(t))
         angle = self.phase[..., None, None] + turn * t
         bent = self.sine[..., None, :] * np.cos(angle) - self.cosine[..., None, :] * np.sin(angle)
         return np.asarray(self.step[..., None, :] + turn * bent)
@@ -134,6 +138,15 @@ class Curve(Noun):
         """Return the curve shifted by a vector, m."""
         step = np.asarray(by, dtype=np.float64)
         return Curve(self.base + step, self.step, self.cosine, self.sine, self.phase, self.turn)
+
+    def turned(self, angle: float) -> Curve:
+        """Return the curve in axes that are turned by an angle, rad."""
+        c, s = math.cos(angle), math.sin(angle)
+        axes = np.array([[c, -s], [s, c]])
+        base, step, cosine, sine = (
+            np.asarray(v @ axes) for v in (self.base, self.step, self.cosine, self.sine)
+        )
+        return Curve(base, step, cosine, sine, self.phase, self.turn)
 
     def meets(self, level: float | Array, axis: int) -> Array:
         """Return all t in (0, 1), unsorted, where a coordinate of a single curve is ``level``."""
@@ -243,16 +256,16 @@ def within(outline: Sequence[Curve], u: Array, v: Array) -> NDArray[np.bool_]:
     """Whether points lie inside closed curves: an odd number of curves lies to their right."""
     inside = np.zeros(np.broadcast(u, v).shape, dtype=bool)
     for curve in outline:
-        for piece in _rising_or_falling(curve):
+        for piece in monotone_parts(curve):
             y0, y1 = piece.at([0.0, 1.0])[:, 1]
             passes = (y0 <= v) != (y1 <= v)
             if not np.any(passes):
                 continue
-            inside ^= passes & (_abscissa(piece, v) > u)
+            inside ^= passes & (abscissa(piece, v) > u)
     return inside
 
 
-def _rising_or_falling(curve: Curve) -> list[Curve]:
+def monotone_parts(curve: Curve) -> list[Curve]:
     """Pieces of a single curve along which v only rises or only falls."""
     if not curve.is_arc:
         return [curve]
@@ -260,7 +273,7 @@ def _rising_or_falling(curve: Curve) -> list[Curve]:
     return [curve.part(a, b) for a, b in zip(t[:-1].tolist(), t[1:].tolist(), strict=True)]
 
 
-def _abscissa(piece: Curve, v: Array) -> Array:
+def abscissa(piece: Curve, v: Array) -> Array:
     """Coordinate u at which a piece that is monotone in v reaches v."""
     if not piece.is_arc:
         return np.asarray(piece.base[0] + (v - piece.base[1]) / piece.step[1] * piece.step[0])

@@ -1,4 +1,4 @@
-"""Compiled kernels of `antialiased_pupil` and `antialiased_fft`: pupil, folding, error bounds."""
+"""Compiled kernels of grids with soft rims or spread nodes: pupil, folding, error bounds."""
 
 from __future__ import annotations
 
@@ -122,6 +122,27 @@ def _along_row(coefficients, y, step, centre, across, out, first):
     for i in range(degree - 1, -1, -1):
         for k in range(out.shape[0]):
             out[k] = out[k] * ((first + k - centre) * step) + across[i]
+
+
+@njit(cache=True, nogil=True)
+def spread(points, first_u, first_v, along, across, out):
+    """Add ``points`` (n,) to cells, each to a square of them, with a product of shares.
+
+    ``first_u`` and ``first_v`` (n,) are the square's first cells, ``along`` and ``across`` (n,
+    width) its shares along u and v. ``out`` (rows, 2 columns) holds real and imaginary parts; rows
+    are u.
+    """
+    width = along.shape[1]
+    tile = np.empty(2 * width, dtype=along.dtype)
+    for i in range(points.shape[0]):
+        for b in range(width):
+            tile[2 * b] = points[i].real * across[i, b]
+            tile[2 * b + 1] = points[i].imag * across[i, b]
+        for a in range(width):
+            # real and imaginary parts in one loop, which is vectorised
+            share, line = along[i, a], out[first_u[i] + a, 2 * first_v[i] :]
+            for k in range(tile.shape[0]):
+                line[k] += share * tile[k]
 
 
 @njit(cache=True, nogil=True)

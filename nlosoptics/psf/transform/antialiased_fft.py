@@ -156,7 +156,7 @@ def padded_image(
         "use a smaller shape",
     )
     # Rows are u, so that the second transform yields rows of the image.
-    values = _workspace("values", (rows, size), grid.kind)
+    values = workspace("values", (rows, size), grid.kind)
     values[...] = 0.0
     total = _fill(values[:, :rows], residual, wave, samples, grid, (0.0, 0.0))
     return _padded_intensity(
@@ -191,8 +191,6 @@ def folded_image(
     ndarray, (ny, nx)
         Intensity, 1 at the ideal peak.
     """
-    from . import _antialiased_kernels
-
     ny, nx = samples.shape
     centre = grid.centre
     rows = 2 * centre + 1
@@ -202,26 +200,59 @@ def folded_image(
         "use a smaller shape",
     )
     kind = grid.kind
-    values = _workspace("values", (rows, rows), kind)
+    values = workspace("values", (rows, rows), kind)
     values[...] = 0.0
     total = _fill(values, residual, wave, samples, grid, ((ny - 1) / 2, (nx - 1) / 2))
-    even = _workspace("even", (centre + 1, rows), kind)
-    odd = _workspace("odd", (centre, rows), kind)
-    _antialiased_kernels.folded(values, even, odd)
     side = math.copysign(samples.pitch / grid.period, residual.wavefront.image_distance)
-    half_even = _workspace("half even", ((nx + 1) // 2, rows), kind)
-    half_odd = _workspace("half odd", ((nx + 1) // 2, rows), kind)
-    waves = _waves(nx, centre, side, half_even.real.dtype)
+    return folded_intensity(values, samples.shape, side, rule, 1 / total**2)
+
+
+def folded_intensity(
+    values: NDArray[np.complexfloating],
+    shape: tuple[int, int],
+    side: float,
+    rule: PixelRule | None,
+    scale: float,
+    gains: tuple[Array, Array] | None = None,
+) -> Array:
+    """Transform ``values`` (2 c + 1, 2 c + 1) by cosines and sines; return ``scale |.|^2``.
+
+    Parameters
+    ----------
+    values : ndarray
+        Pupil function, its middle cell at [c, c].
+    shape : (int, int)
+        Points (ny, nx), symmetric about frequency 0.
+    side : float
+        Frequency step between points, turns per cell; signed as the image distance.
+    rule : PixelRule or None
+        Average over pixels; None for point samples.
+    scale : float
+        Factor of the intensity.
+    gains : ndarray ((ny + 1)//2,) and ((nx + 1)//2,), optional
+        Factors of the field at the points of either axis, from the middle outward.
+    """
+    from . import _antialiased_kernels
+
+    ny, nx = shape
+    rows, kind = len(values), values.dtype
+    centre = rows // 2
+    even = workspace("even", (centre + 1, rows), kind)
+    odd = workspace("odd", (centre, rows), kind)
+    _antialiased_kernels.folded(values, even, odd)
+    half_even = workspace("half even", ((nx + 1) // 2, rows), kind)
+    half_odd = workspace("half odd", ((nx + 1) // 2, rows), kind)
+    waves = _waves(nx, centre, side, half_even.real.dtype, None if gains is None else gains[1])
     for part, source, out in zip(waves, (even, odd), (half_even, half_odd), strict=True):
         reals, out = source.view(part.dtype), out.view(part.dtype)
         for start, stop in _blocks(len(part), rows, centre):
             np.matmul(part[start:stop], reals, out=out[start:stop])
-    even = _workspace("even", (centre + 1, nx), kind)
-    odd = _workspace("odd", (centre, nx), kind)
+    even = workspace("even", (centre + 1, nx), kind)
+    odd = workspace("odd", (centre, nx), kind)
     _antialiased_kernels.refolded(half_even, half_odd, even, odd)
     if ny != nx:
-        waves = _waves(ny, centre, side, half_even.real.dtype)
-    return _unfolded(waves, even, odd, ny, rule, 1 / total**2)
+        waves = _waves(ny, centre, side, half_even.real.dtype, None if gains is None else gains[0])
+    return _unfolded(waves, even, odd, ny, rule, scale)
 
 
 def _unfolded(
@@ -241,8 +272,8 @@ def _unfolded(
     half = np.empty((ny, across))
     blocks = _blocks((ny + 1) // 2, nx, len(odd))
     rows = blocks[0][1]
-    part_even = _workspace("part even", (rows, nx), even.dtype)
-    part_odd = _workspace("part odd", (rows, nx), even.dtype)
+    part_even = workspace("part even", (rows, nx), even.dtype)
+    part_odd = workspace("part odd", (rows, nx), even.dtype)
     fine = np.empty((0 if rule is None else 2, rows, nx))
     real = waves[0].dtype
     evens, odds = even.view(real), odd.view(real)
@@ -262,18 +293,22 @@ def _unfolded(
 
 
 def _waves(
-    count: int, centre: int, step: float, kind: np.dtype[Any]
+    count: int, centre: int, step: float, kind: np.dtype[Any], gain: Array | None
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Return cosines ((count + 1)//2, centre + 1) and sines (.., centre) for half of the points.
 
-    ``step`` is the phase in turns per point and cell, signed as the image distance.
+    ``step`` is the phase in turns per point and cell, signed as the image distance; ``gain`` is a
+    factor for each point.
     """
     from . import _antialiased_kernels
 
     half = (count + 1) // 2
-    cosines = _workspace("cosines", (half, centre + 1), kind)
-    sines = _workspace("sines", (half, centre), kind)
+    cosines = workspace("cosines", (half, centre + 1), kind)
+    sines = workspace("sines", (half, centre), kind)
     _antialiased_kernels.waves(0.0 if count % 2 else step / 2, step, cosines, sines)
+    if gain is not None:
+        cosines *= gain[:, None]
+        sines *= gain[:, None]
     return cosines, sines
 
 
@@ -349,7 +384,7 @@ def _padded_intensity(
     across = nx if rule is None else rule.count(nx)
     half = np.empty((ny, across))
     energy = np.empty((0 if rule is None else step, nx))
-    padded = _workspace("padded", (step, size), values.dtype)
+    padded = workspace("padded", (step, size), values.dtype)
     for start in range(0, ny, step):
         part = padded[: min(step, ny - start)]
         _antialiased_kernels.turned(values[:, start : start + step], part)
@@ -377,7 +412,7 @@ def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
     return disc.low, disc.high, table
 
 
-def _workspace(name: str, shape: tuple[int, int], kind: np.dtype[Any]) -> NDArray[Any]:
+def workspace(name: str, shape: tuple[int, int], kind: np.dtype[Any]) -> NDArray[Any]:
     """Return a thread-local array, reused by later calls if small, which saves page faults."""
     need = shape[0] * shape[1] * kind.itemsize
     if need > WORKSPACE_BYTES:

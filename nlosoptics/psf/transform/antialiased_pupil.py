@@ -126,14 +126,19 @@ def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> floa
 
     unit, reach = residual.airy_unit, residual.rays.reach / residual.airy_unit
     far = RINGS * (math.hypot(*samples.reach_from(residual.shift)) / unit)
-    # Peak predicted from the rms aberration or the ray density; envelope of the field beyond it.
-    rms = residual.heights.rms * residual.wavenumber
-    peak = max(math.exp(-(rms**2)), _densest(residual) * 4 / math.pi * unit**2)
+    peak = predicted_peak(residual)
+    # envelope of the field beyond the peak
     light = np.minimum(math.sqrt(peak), error_bounds.tail(np.maximum(far - reach, 0.0)))
     least = (max(samples.reach_from(residual.shift)) * 2 + samples.pitch) / unit
     widest = 6 * (least + reach) + 400
     goal = AIM * tol * peak
     return float(_antialiased_kernels.least_period(least, widest, light, goal, far, *rim))
+
+
+def predicted_peak(residual: Residual) -> float:
+    """Predict the largest intensity from the rms aberration and the rays, 1 at the ideal peak."""
+    rms = residual.heights.rms * residual.wavenumber
+    return max(math.exp(-(rms**2)), _densest(residual) * 4 / math.pi * residual.airy_unit**2)
 
 
 def _densest(residual: Residual) -> float:

@@ -17,7 +17,14 @@ from ..wave.detilted import Residual, split
 from ..wave.regime import Regime, regime
 from ..wave.wavefront import Wavefront
 from ..window.pixels import pixel_rule
-from ..window.window import Window, check_rays, default_shape, shape_of, window_side
+from ..window.window import (
+    Window,
+    check_rays,
+    default_shape,
+    holds_rays,
+    shape_of,
+    window_side,
+)
 from . import fft
 from .high_aperture import Polarisation, check_cone
 from .models import Model, check_model, modelled
@@ -164,8 +171,8 @@ def point_spread(
         - ``quadrature`` sums over polar nodes, or the nodes of cells, as many as the window needs.
         - ``fft`` transforms a zero-padded grid; ``mdft`` transforms a grid to any pitch. Both
           resample a polar wave to a grid. If its aberration and amplitude are polynomials, the
-          grid is as fine as ``tol`` requires. A grid is never resampled to polar nodes, nor cells
-          to a grid.
+          grid is as fine as ``tol`` requires. Of cells, as many nodes as ``tol`` requires are
+          spread onto an antialiased grid. A grid is never resampled to polar nodes.
         - ``nufft`` sums over the given nodes of any layout, such as traced rays.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
@@ -178,9 +185,10 @@ def point_spread(
         Image sampling or pixel side, m. Default lambda N/4; for ``fft`` of a grid wavefront, the
         pitch just below lambda N/2 whose transform size is fast.
     shape : int or (int, int), optional
-        (ny, nx). Default at least 256 per side, with all rays and their tails inside; with
-        ``pixel_integrated``, that of `window_shape`; for ``fft`` of a grid wavefront without a
-        pitch, the full period.
+        (ny, nx). It must hold the rays, unless a method that sums the field at points is named:
+        ``quadrature``, ``nufft``, ``huygens``, or ``mdft`` of cells and grids. Default at least
+        256 per side, with all rays and their tails inside; with ``pixel_integrated``, that of
+        `window_shape`; for ``fft`` of a grid wavefront without a pitch, the full period.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         ``unit-sum`` and ``flux`` are energy per pixel, with 1 or `Wavefront.flux` in the whole
         plane; ``ideal-peak`` is relative to the peak of the same pupil without aberration.
@@ -327,12 +335,13 @@ def detilted_point_spread(
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
         _check_nyquist(residual, pitch, normalisation)
-    if image_surface is None:  # the landing points are known in the image plane only
-        check_rays(residual, pitch, shape)
+    whole = holds_rays(residual, pitch, shape)
+    if image_surface is None and not whole:  # landing points are known in the image plane only
+        _check_part(residual, method, pitch, shape)
     rule = None
     if pixel_integrated:
         rule = pixel_rule(pitch, residual.nyquist_pitch, max(shape))
-    task = Task(residual, tol, pitch, shape, rule, image_surface)
+    task = Task(residual, tol, pitch, shape, rule, image_surface, whole)
     fits_memory(
         f"a point spread of {shape[0]} x {shape[1]} samples",
         32.0 * shape[0] * shape[1],
@@ -385,6 +394,20 @@ def _check_surface(method: str, shape: object, surface: Surface | None) -> None:
             "image_surface without a shape: the default shape holds the rays in the image plane, "
             "not on a surface; give a shape"
         )
+
+
+def _check_part(residual: Residual, method: str, pitch: float, shape: tuple[int, int]) -> None:
+    """Refuse a window that loses rays, unless a method that sums the field at points is named."""
+    layout = residual.wavefront.layout
+    sums = {
+        "polar": ("quadrature", "nufft"),
+        "cells": ("quadrature", "mdft", "nufft"),
+        "grid": ("mdft", "nufft"),
+        "scattered": ("nufft",),
+    }[layout]
+    if method not in (*sums, "huygens"):
+        remedy = f", or method='{sums[0]}', which computes any part of the image"
+        check_rays(residual, pitch, shape, remedy)
 
 
 def _sampling(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,10 @@ from ..wave.detilted import Residual
 from ..window.window import Window
 from . import nufft
 
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complexfloating]
+#: Range of the accuracies of `coarse_counts`.
+LEAST, MOST = 1e-12, 1e-2
 
 
 def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, ...]:
@@ -76,6 +80,67 @@ def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int
     return n_patches, counts[0], counts[1]
 
 
+def coarse_counts(residual: Residual, window: Window, accuracy: float) -> tuple[int, int, int]:
+    """Return the shape of the nodes of cells whose sum has a given accuracy, 1e-12 to 0.1.
+
+    It is the error of the field relative to its ideal peak. With L = -log10(accuracy) and v as in
+    `cell_counts`, ``v/4 + 0.67 L^(2/3) v^(1/3)`` nodes integrate exp(i v s) to that accuracy: an
+    error falls as an Airy function once there are more than v/4. Half the degree of the terms of
+    the aberration above accuracy^(1/4) rad is added; smaller terms change a small error only. The
+    counts may be below those of the wavefront's own nodes.
+    """
+    slope = math.hypot(*window.reach_from(residual.shift)) / abs(residual.wavefront.image_distance)
+    slope += residual.rays.slope
+    digits = -math.log10(accuracy)
+    small = accuracy**0.25
+    degrees = residual.degrees(small / residual.wavenumber)
+    if not residual.is_uniform:
+        more = residual.amplitude_series.degrees(small)
+        degrees = degrees[0] + more[0], degrees[1] + more[1]
+    counts = [
+        math.ceil(v / 4 + 0.67 * digits ** (2 / 3) * v ** (1 / 3) + degree / 2)
+        for degree, v in zip(
+            degrees,
+            (residual.wavenumber * slope * size for size in residual.aperture.patch_size),
+            strict=True,
+        )
+    ]
+    return len(residual.aberration), counts[0], counts[1]
+
+
+class Coarse(NamedTuple):
+    """Nodes of cells and accuracies of a transform that is only as accurate as wanted.
+
+    Attributes
+    ----------
+    counts : (int, int, int)
+        Shape of the nodes.
+    accuracy : float
+        Error of their sum, relative to the ideal peak of the field.
+    epsilon : float
+        Requested error of the transform, relative in the rms sense.
+    """
+
+    counts: tuple[int, int, int]
+    accuracy: float
+    epsilon: float
+
+    @property
+    def field_error(self) -> float:
+        """Bound of the field's error by the nodes; measured errors reach 0.6 of it."""
+        return 4 * self.accuracy
+
+
+def coarse(residual: Residual, window: Window, tol: float, peak: float) -> Coarse:
+    """Return the nodes of cells for an intensity error of a third of ``tol``.
+
+    ``peak`` is the predicted largest intensity.
+    """
+    accuracy = min(max(tol * math.sqrt(min(peak, 1.0)) / 24, LEAST), MOST)
+    epsilon = min(max(tol / 8, nufft.BEST), nufft.COARSEST)
+    return Coarse(coarse_counts(residual, window, accuracy), accuracy, epsilon)
+
+
 def epsilon(residual: Residual, window: Window, tol: float) -> float:
     """Return the relative accuracy to request of the transform: the best one if it is cheap."""
     return nufft.epsilon(math.prod(node_counts(residual, window)), window, tol)
@@ -86,26 +151,38 @@ def n_bytes(residual: Residual, window: Window) -> float:
     return nufft.n_bytes(math.prod(node_counts(residual, window)), window)
 
 
-def field(residual: Residual, window: Window, epsilon: float = nufft.BEST) -> ComplexArray:
+def field(
+    residual: Residual,
+    window: Window,
+    epsilon: float = nufft.BEST,
+    counts: tuple[int, ...] | None = None,
+) -> ComplexArray:
     """Return the image field (ny, nx), 1 at the reference point without aberration.
 
     ``sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))``, with the tilt applied as a shift of x.
-    ``epsilon`` is the requested error of the transform, relative in the rms sense.
+    ``epsilon`` is the requested error of the transform, relative in the rms sense; ``counts`` is
+    the shape of the nodes, by default that of `node_counts`.
     """
-    wave = residual.wavefront
-    counts = node_counts(residual, window)
+    counts = counts or node_counts(residual, window)
     fits_memory(
         f"quadrature over {' x '.join(map(str, counts))} nodes to {window.shape[0]} x "
         f"{window.shape[1]} points",
         n_bytes(residual, window),
         "use a smaller shape, or method='fft'",
     )
-    u, v, weights = wave.nodes(*counts)
+    return nufft.image_field(residual, *pupil_nodes(residual, counts), window, epsilon)
+
+
+def pupil_nodes(residual: Residual, counts: tuple[int, ...]) -> tuple[Array, Array, Array, Array]:
+    """Return u, v, the residual aberration, all m, and the weights, of sum 1, on nodes.
+
+    ``counts`` is the shape of the nodes; the weights include the amplitude.
+    """
+    u, v, weights = residual.wavefront.nodes(*counts)
     path = np.zeros_like(u)
     if np.any(residual.aberration):
         path = residual.series.at_nodes(*counts)
     if residual.is_uniform:
-        size = weights / weights.sum()
-    else:
-        size = residual.amplitude_series.at_nodes(*counts) * weights / residual.amplitude_sum
-    return nufft.image_field(residual, u, v, path, size, window, epsilon)
+        return u, v, path, weights / weights.sum()
+    amplitude = residual.amplitude_series.at_nodes(*counts)
+    return u, v, path, amplitude * weights / residual.amplitude_sum

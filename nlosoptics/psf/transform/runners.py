@@ -28,6 +28,7 @@ from . import (
     mdft,
     nufft,
     quadrature,
+    spread_grid,
 )
 
 Array = NDArray[np.float64]
@@ -77,6 +78,8 @@ class Task:
         Average over pixels; None for point samples.
     surface : callable or None
         Image surface, for ``huygens`` only.
+    whole : bool
+        Whether the window holds the rays.
     """
 
     residual: Residual
@@ -85,6 +88,7 @@ class Task:
     shape: tuple[int, int]
     rule: PixelRule | None
     surface: Surface | None = None
+    whole: bool = True
 
     @property
     def pixels(self) -> Window:
@@ -120,6 +124,19 @@ class Task:
         period = antialiased_pupil.period_of(self.residual, rim, self.samples, self.tol)
         return SoftTask(found, rim, period)
 
+    @cached_property
+    def coarse(self) -> quadrature.Coarse:
+        """Nodes for the antialiased grid of a wave on cells."""
+        peak = antialiased_pupil.predicted_peak(self.residual)
+        return quadrature.coarse(self.residual, self.samples, self.tol, peak)
+
+    @cached_property
+    def spread(self) -> spread_grid.SpreadGrid:
+        """Antialiased grid of a wave on cells for matrix products."""
+        single = self.tol >= antialiased_pupil.SINGLE
+        error = self.coarse.field_error
+        return spread_grid.spread_grid(self.residual, self.samples, error, single)
+
     def bound(
         self,
         intensity: Array,
@@ -139,13 +156,17 @@ class Task:
 
     def transform_error(self, mean: Array, epsilon: float) -> float:
         """Bound the error of the NUFFT by `error_bounds.transform_error` on these pixels."""
-        return error_bounds.transform_error(mean, epsilon, pixel=self.pixel)
+        if self.whole:
+            return error_bounds.transform_error(mean, epsilon, pixel=self.pixel)
+        # light outside the window, a field of at most 1, leaks into it
+        return 2 * epsilon / math.sqrt(float(mean.max())) + epsilon**2 / float(mean.max())
 
-    def means(self, field: NDArray[np.float64] | NDArray[np.complex128]) -> Array:
+    def means(self, field: NDArray[np.complexfloating]) -> Array:
         """Return the intensity of a field at `samples`, averaged over pixels if required."""
-        fine = field.real**2
-        if np.iscomplexobj(field):
-            fine += field.imag**2
+        from . import _antialiased_kernels
+
+        fine = np.empty(field.shape)
+        _antialiased_kernels.squares(field, 1.0, fine)
         return self.averaged(fine)
 
     def averaged(self, fine: Array) -> Array:
@@ -179,11 +200,6 @@ class Result:
 
 def transform(task: Task, method: str) -> Result:
     """Run a transform by name; raise `SamplingError` if the wave's layout does not allow it."""
-    if method in ("fft", "mdft") and task.residual.wavefront.layout == "cells":
-        raise SamplingError(
-            f"{method} needs a grid, and this wavefront is sampled on cells; use "
-            "method='quadrature', or sample it with nodes='grid'"
-        )
     if method == "huygens":
         return _huygens(task)
     run: dict[str, Callable[[Task], tuple[Array, float]]] = {
@@ -237,6 +253,8 @@ def _quadrature(task: Task) -> tuple[Array, float]:
 def _fft(task: Task) -> tuple[Array, float]:
     """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
     residual, samples = task.residual, task.samples
+    if residual.wavefront.layout == "cells":
+        return _spread(task)
     _check_not_scattered(residual, "fft")
     soft = _soft(task, "fft")
     if soft is not None:
@@ -263,6 +281,25 @@ def _fft(task: Task) -> tuple[Array, float]:
     )
     mean = fft.intensity_in(residual, grid, samples, size, task.rule)
     return mean, grid_bound(task, mean, grid)
+
+
+def _spread(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by an antialiased grid of cells.
+
+    As many nodes as ``tol`` needs are spread onto a zero-padded grid by a kernel whose spectrum
+    vanishes where the image repeats, and is divided out after the FFT.
+    """
+    residual, found = task.residual, task.coarse
+    mean = task.means(quadrature.field(residual, task.samples, found.epsilon, found.counts))
+    lost = residual.truncation + found.field_error
+    return mean, task.bound(mean, lost, math.inf) + 2 * task.transform_error(mean, found.epsilon)
+
+
+def _spread_folded(task: Task) -> tuple[Array, float]:
+    """Compute mean intensity and error bound by an antialiased grid of cells, by products."""
+    residual, found, grid = task.residual, task.coarse, task.spread
+    mean = spread_grid.image(residual, task.samples, found.counts, grid, task.rule)
+    return mean, task.bound(mean, residual.truncation + found.field_error + grid.error, math.inf)
 
 
 def _soft(task: Task, method: str) -> tuple[Array, float] | None:
@@ -295,6 +332,8 @@ def _soft_image(task: Task, soft: SoftTask, method: str) -> tuple[Array, float]:
 def _mdft(task: Task) -> tuple[Array, float]:
     """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
+    if residual.wavefront.layout == "cells":
+        return _spread_folded(task)
     _check_not_scattered(residual, "mdft")
     soft = _soft(task, "mdft")
     if soft is not None:

@@ -106,7 +106,7 @@ def candidates(task: Task, regime: Regime) -> list[Candidate]:
             return [closed]  # no other transform is faster
         found = [closed, _quadrature(task), _soft_grid(task)]
     elif layout == "cells":
-        found = [_quadrature(task)]
+        found = [_quadrature(task), _spread(task)]
     elif layout == "scattered":
         found = [Candidate(costs.scattered_sum(task.residual, task.samples), "nufft")]
     else:
@@ -130,6 +130,21 @@ def _quadrature(task: Task) -> Candidate:
     least = 2 * error_bounds.beat(task.pixel) * residual.truncation
     ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
     return Candidate(costs.polar_sum(residual, task.samples), "quadrature", ruled_out)
+
+
+def _spread(task: Task) -> Candidate:
+    """Return the fastest transform of an antialiased grid of cells."""
+    coarse, grid, beat = task.coarse, task.spread, error_bounds.beat(task.pixel)
+    found = []
+    for method, seconds, more in (
+        ("fft", costs.spread_padded(coarse, task.samples), 0.0),
+        ("mdft", costs.spread_folded(coarse, grid, task.samples), grid.error),
+    ):
+        # lower bound of the relative error, since the peak is at most 1
+        least = 2 * beat * (task.residual.truncation + coarse.field_error + more)
+        ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
+        found.append(Candidate(seconds, method, ruled_out))
+    return min(found, key=lambda one: (one.ruled_out != "", one.seconds))
 
 
 def _soft_grid(task: Task) -> Candidate:

@@ -209,3 +209,24 @@ def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
         for j in range(d_r.shape[1]):
             du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]
             dv[i, j] = sine[j] * d_r[i, j] + cosine[j] * d_theta[i, j]
+
+
+@njit(cache=True)
+def patch_products(values, first, second, out):
+    """Fill ``out`` (p, k, m) with ``first values second`` for each patch of ``values`` (p, i, j).
+
+    ``first`` is (k, i) and ``second`` (j, m). The sums have a fixed order.
+    """
+    half = np.empty(values.shape[2])
+    for p in range(values.shape[0]):
+        for k in range(first.shape[0]):
+            half[:] = 0.0
+            for i in range(first.shape[1]):
+                factor = first[k, i]
+                for j in range(half.shape[0]):
+                    half[j] += factor * values[p, i, j]
+            line = out[p, k]
+            line[:] = 0.0
+            for j in range(half.shape[0]):
+                for m in range(line.shape[0]):
+                    line[m] += half[j] * second[j, m]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
-from ..aperture.quadrature_nodes import gauss_legendre
-from .polar_series import _legendre, _legendre_slopes
+from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
+from .polar_series import _legendre_slopes, legendre
 
 Array = NDArray[np.float64]
 
@@ -38,10 +41,9 @@ class CellSpectrum:
         self.shape = values.shape
         # Nodes per patch along s and t, under the names that `PolarSpectrum` uses.
         self.n_r, self.n_theta = values.shape[1:]
-        sides = [_analysis(n) for n in values.shape[1:]]
-        # einsum does not call BLAS, so results are bit-identical for any thread count.
-        half = np.einsum("ki,pij->pkj", sides[0], values)
-        self.coefficients = np.einsum("mj,pkj->pkm", sides[1], half)
+        self.coefficients = _products(
+            values, _analysis(values.shape[1]), _analysis(values.shape[2])
+        )
 
     def truncation(self) -> float:
         """Estimate the truncation error: `LACK` times the rms of the highest terms.
@@ -56,19 +58,22 @@ class CellSpectrum:
 
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Return the highest degrees in s and t with a coefficient above threshold and rounding."""
-        size = np.abs(self.coefficients).max(axis=0)
-        k, m = (np.sqrt(2 * np.arange(n) + 1) for n in self.shape[1:])
-        above = (size > threshold) & (size > ROUNDING * float(size.max()) * k[:, None] * m)
+        size, rounding = self._sizes
+        above = size > np.maximum(threshold, rounding)
         along_s, along_t = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(along_s.max(initial=0)), int(along_t.max(initial=0))
 
+    @cached_property
+    def _sizes(self) -> tuple[Array, Array]:
+        """Largest modulus of each coefficient over all patches, and its rounding error."""
+        size = np.abs(self.coefficients).max(axis=0)
+        k, m = (np.sqrt(2 * np.arange(n) + 1) for n in self.shape[1:])
+        return size, ROUNDING * float(size.max()) * k[:, None] * m
+
     def at_nodes(self, n_patches: int, n_s: int, n_t: int) -> Array:
         """Return values on the aperture's nodes of the given shape, (n_patches, n_s, n_t)."""
-        tables = [
-            _legendre(n, gauss_legendre(count)[0])
-            for n, count in zip(self.shape[1:], (n_s, n_t), strict=True)
-        ]
-        return self._sum(*tables)
+        tables = (_synthesis(n, count) for n, count in zip(self.shape[1:], (n_s, n_t), strict=True))
+        return _products(self.coefficients, *tables)
 
     def slopes(self, n_patches: int, n_s: int, n_t: int) -> tuple[Array, Array, Array]:
         """Return the gradient on the nodes and on the edges of the patches.
@@ -80,26 +85,75 @@ class CellSpectrum:
         weights : ndarray
             Area of each node, (n_patches, n_s + 2, n_t + 2), m^2; 0 on the edges.
         """
-        (s, w_s), (t, w_t) = gauss_legendre(n_s), gauss_legendre(n_t)
-        s, t = np.concatenate([[NEAREST], s, [1.0]]), np.concatenate([[0.0], t, [1.0]])
-        tables = [_legendre(n, x) for n, x in zip(self.shape[1:], (s, t), strict=True)]
-        _, along_s, along_t = self.aperture.map(s, t)
-        jacobian = cross(along_s, along_t)
-        by_s = self._sum(_legendre_slopes(tables[0]), tables[1])
-        by_t = self._sum(tables[0], _legendre_slopes(tables[1]))
-        du = (by_s * along_t[..., 1] - by_t * along_s[..., 1]) / jacobian
-        dv = (by_t * along_s[..., 0] - by_s * along_t[..., 0]) / jacobian
-        share = np.zeros_like(du)
-        share[:, 1:-1, 1:-1] = jacobian[:, 1:-1, 1:-1] * (w_s[:, None] * w_t)
-        return du, dv, share
-
-    def _sum(self, along_s: Array, along_t: Array) -> Array:
-        """Evaluate the series from tables of Legendre polynomials along s and along t."""
-        half = np.einsum("ki,pkm->pim", along_s, self.coefficients)
-        return np.asarray(np.einsum("mj,pim->pij", along_t, half))
+        make = _kept_frame if n_patches * n_s * n_t <= KEPT else _frame
+        frame = make(self.aperture, n_s, n_t)
+        (s, s_rate), (t, t_rate) = (
+            _edged(n, count, first)
+            for n, count, first in zip(self.shape[1:], (n_s, n_t), (NEAREST, 0.0), strict=True)
+        )
+        by_s = _products(self.coefficients, s_rate, t)
+        by_t = _products(self.coefficients, s, t_rate)
+        du = by_s * frame.u_of_s
+        du += by_t * frame.u_of_t
+        by_s *= frame.v_of_s
+        by_t *= frame.v_of_t
+        by_s += by_t
+        return du, by_s, frame.share
 
 
+class _Frame(NamedTuple):
+    """Geometry of `CellSpectrum.slopes`: du = u_of_s dW/ds + u_of_t dW/dt, dv alike; areas."""
+
+    u_of_s: Array
+    u_of_t: Array
+    v_of_s: Array
+    v_of_t: Array
+    share: Array
+
+
+def _frame(aperture: Aperture, n_s: int, n_t: int) -> _Frame:
+    """Compute the geometry on nodes and edges, (n_patches, n_s + 2, n_t + 2) each."""
+    (s, w_s), (t, w_t) = gauss_legendre(n_s), gauss_legendre(n_t)
+    s, t = np.concatenate([[NEAREST], s, [1.0]]), np.concatenate([[0.0], t, [1.0]])
+    _, along_s, along_t = aperture.map(s, t)
+    jacobian = cross(along_s, along_t)
+    share = np.zeros_like(jacobian)
+    share[:, 1:-1, 1:-1] = jacobian[:, 1:-1, 1:-1] * (w_s[:, None] * w_t)
+    parts = along_t[..., 1], -along_s[..., 1], -along_t[..., 0], along_s[..., 0]
+    u_of_s, u_of_t, v_of_s, v_of_t = (frozen(part / jacobian) for part in parts)
+    return _Frame(u_of_s, u_of_t, v_of_s, v_of_t, frozen(share))
+
+
+_kept_frame = lru_cache(maxsize=8)(_frame)
+
+
+def _products(values: Array, first: Array, second: Array) -> Array:
+    """Return ``first values second^T`` for each patch of ``values`` (n_patches, n_s, n_t)."""
+    from . import _wave_kernels
+
+    out = np.empty((len(values), len(first), len(second)))
+    _wave_kernels.patch_products(
+        np.ascontiguousarray(values), first, np.ascontiguousarray(second.T), out
+    )
+    return out
+
+
+@lru_cache(maxsize=64)
 def _analysis(n: int) -> Array:
     """Return the matrix (n, n) from values on n Gauss-Legendre nodes to Legendre coefficients."""
     fraction, weights = gauss_legendre(n)
-    return np.asarray((2 * np.arange(n) + 1)[:, None] * _legendre(n, fraction) * weights)
+    return frozen((2 * np.arange(n) + 1)[:, None] * legendre(n, fraction) * weights)
+
+
+@lru_cache(maxsize=64)
+def _synthesis(n: int, count: int) -> Array:
+    """Return the matrix (count, n) from n Legendre coefficients to values on count nodes."""
+    return frozen(np.ascontiguousarray(legendre(n, gauss_legendre(count)[0]).T))
+
+
+@lru_cache(maxsize=64)
+def _edged(n: int, count: int, first: float) -> tuple[Array, Array]:
+    """Return the matrices (count + 2, n) to values and to slopes on nodes and both edges."""
+    table = legendre(n, np.concatenate([[first], gauss_legendre(count)[0], [1.0]]))
+    slopes = np.ascontiguousarray(_legendre_slopes(table).T)
+    return frozen(np.ascontiguousarray(table.T)), frozen(slopes)

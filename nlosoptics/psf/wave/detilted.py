@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...errors import SamplingError
 from ..aperture.aperture import Aperture
+from ..aperture.cell_nodes import shared_cell_nodes
 from ..aperture.quadrature_nodes import KEPT, frozen, kept_polar_nodes
 from .cell_series import CellSpectrum
 from .fits import fitted_terms, projection
@@ -364,8 +365,11 @@ def split(wavefront: Wavefront) -> Residual:
     size = wavefront.u.size
     if not wavefront.aberration.any():
         return Residual(wavefront, (0.0, 0.0), wavefront.aberration)
-    if wavefront.layout == "polar" and size <= KEPT and wavefront.is_uniform:
-        plane, project = _kept_plane(*wavefront.u.shape, wavefront.obscuration)
+    if wavefront.is_spectral and size <= KEPT and wavefront.is_uniform:
+        if wavefront.aperture is None:
+            plane, project = _kept_plane(*wavefront.u.shape, wavefront.obscuration)
+        else:
+            plane, project = _cells_plane(wavefront.aperture, *wavefront.u.shape[1:], scale)
         # einsum does not call BLAS, so results are bit-identical for any thread count.
         fit = np.einsum("ip,p->i", project, wavefront.aberration.ravel())
     else:
@@ -385,4 +389,12 @@ def _kept_plane(n_r: int, n_theta: int, obscuration: float) -> tuple[Array, Arra
     """
     u, v, weights = kept_polar_nodes(1.0, n_r, n_theta, obscuration)
     plane = np.stack([np.ones_like(u), u, v])
+    return frozen(plane), frozen(projection(plane, weights))
+
+
+@lru_cache(maxsize=16)
+def _cells_plane(aperture: Aperture, n_s: int, n_t: int, scale: float) -> tuple[Array, Array]:
+    """Return `_kept_plane` of an aperture's nodes over ``scale``, m; cached and read-only."""
+    u, v, weights = shared_cell_nodes(aperture, n_s, n_t)
+    plane = np.stack([np.ones_like(u), u / scale, v / scale])
     return frozen(plane), frozen(projection(plane, weights))

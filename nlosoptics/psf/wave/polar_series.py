@@ -65,7 +65,7 @@ class PolarSpectrum:
         """Return values on polar nodes (n_r, n_theta), at least as many as the samples each way."""
         fraction, _ = gauss_legendre(n_r)
         rho = self._rho(fraction)
-        value = self._sum(_legendre(self._counts[0], self._fraction(rho)))
+        value = self._sum(legendre(self._counts[0], self._fraction(rho)))
         value[:, 1::2] *= rho[:, None]
         return self._synthesis(value, n_theta)
 
@@ -219,7 +219,7 @@ def _analysis(n: int) -> Array:
     """Matrix (n, n) from samples at ``n`` nodes to Legendre coefficients, cached and read-only."""
     fraction, weights = gauss_legendre(n)
     norms = 2 * np.arange(n) + 1
-    return frozen(_legendre(n, fraction) * weights * norms[:, None])
+    return frozen(legendre(n, fraction) * weights * norms[:, None])
 
 
 def _product(table: Array, waves: ComplexArray) -> ComplexArray:
@@ -282,11 +282,11 @@ def _kept_tables(n: int, n_r: int) -> tuple[Array, Array]:
 
 def _tables(n: int, fraction: Array) -> tuple[Array, Array]:
     """First n Legendre polynomials and their derivatives, (n, len(fraction)) each."""
-    table = _legendre(n, fraction)
+    table = legendre(n, fraction)
     return table, _legendre_slopes(table)
 
 
-def _legendre(n: int, fraction: Array) -> Array:
+def legendre(n: int, fraction: Array) -> Array:
     """Legendre polynomials P_k(2 f - 1) for k < n, (n, len(f))."""
     x = 2 * fraction - 1
     table = np.ones((n, x.size))

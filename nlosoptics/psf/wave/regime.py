@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..aperture.aperture import Aperture
+from ..aperture.cell_nodes import shared_cell_nodes
+from ..aperture.quadrature_nodes import KEPT, frozen
 from .detilted import Rays, Residual
 from .polar_series import ring_of
 
@@ -159,7 +163,20 @@ def _cell_jacobian(residual: Residual, rays: Rays) -> Array:
     """Jacobian of the landing points for the squares between the nodes of each patch."""
     wave = residual.wavefront
     inner = np.s_[:, 1:-1, 1:-1]
-    return np.asarray(_diagonals(rays.x[inner], rays.y[inner]) / _diagonals(wave.u, wave.v))
+    areas = _areas(residual) if wave.u.size > KEPT else _kept_areas(residual.aperture, wave.u.shape)
+    return np.asarray(_diagonals(rays.x[inner], rays.y[inner]) / areas)
+
+
+def _areas(residual: Residual) -> Array:
+    """Return twice the signed area of the squares between the nodes of each patch, m^2."""
+    return _diagonals(residual.wavefront.u, residual.wavefront.v)
+
+
+@lru_cache(maxsize=16)
+def _kept_areas(aperture: Aperture, shape: tuple[int, ...]) -> Array:
+    """Return `_areas` of at most `KEPT` nodes, cached and read-only."""
+    u, v, _ = shared_cell_nodes(aperture, *shape[1:])
+    return frozen(_diagonals(u, v))
 
 
 def _diagonals(x: Array, y: Array) -> Array:

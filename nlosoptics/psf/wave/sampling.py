@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import one_of, whole
+from ..._checks import counted, one_of, real, whole
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
-from ..aperture.quadrature_nodes import grid_nodes, polar_nodes
+from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
+from ..aperture.quadrature_nodes import KEPT, grid_nodes, polar_nodes
 from .cell_series import CellSpectrum
 from .polar_series import PolarSpectrum
+from .zernikes import Ordering, kept_cell_zernikes, zernike_sum
 
 Array = NDArray[np.float64]
 Nodes = Literal["polar", "cells", "grid"]
@@ -23,8 +25,9 @@ PupilFunction = Callable[[Array, Array], ArrayLike]
 
 #: Default number of grid cells per side.
 GRID_SAMPLES: Final = 512
-#: Nodes per side of a patch, tried in this order until they resolve the wave.
-SIDES: Final = (12, 16, 24, 32, 48, 64)
+#: Nodes per side of a patch, tried in this order until they resolve the wave. The first does not
+#: resolve a tilt on an arc of 90 degrees and is left out on curved outlines.
+SIDES: Final = (8, 12, 16, 24, 32, 48, 64)
 #: Largest total number of nodes that a trial after the first may use.
 MOST_NODES: Final = 1_000_000
 #: Numbers of radii on polar nodes, tried in this order, with four times as many angles.
@@ -54,6 +57,10 @@ class PupilNodes:
     v: Array
     weights: Array
     owners: NDArray[np.int64]
+
+
+#: Function that gives the aberration, m, and the amplitude on nodes.
+Fill = Callable[[PupilNodes], tuple[Array, Array]]
 
 
 def nodes_of(
@@ -103,7 +110,8 @@ def pupil_nodes(
         return PupilNodes(layout, *aperture.grid_nodes(count))
     if layout == "cells" and aperture is not None:
         n_s, n_t = samples if isinstance(samples, tuple) else (samples, samples)
-        return PupilNodes(layout, *aperture.nodes(n_s, n_t), aperture.owners[:, None, None])
+        nodes = shared_cell_nodes(aperture, n_s, n_t)
+        return PupilNodes(layout, *nodes, aperture.owners[:, None, None])
     n_r, n_theta = samples if isinstance(samples, tuple) else (samples, 4 * samples)
     return PupilNodes(layout, *polar_nodes(radius, n_r, n_theta, obscuration), none)
 
@@ -187,10 +195,42 @@ def values_on(name: str, function: PupilFunction, nodes: PupilNodes) -> Array:
     return values
 
 
+def even(nodes: PupilNodes) -> Array:
+    """Return an amplitude of 1 on nodes; read-only where it is kept."""
+    if nodes.layout == "cells" and nodes.u.size <= KEPT:
+        return kept_even_cells(nodes.u.shape)
+    return np.ones_like(nodes.u)
+
+
+def zernike_fill(
+    coefficients: Mapping[int, float], radius: float, ordering: Ordering, aperture: Aperture
+) -> Fill:
+    """Return the function that gives a sum of Zernike polynomials, m, and a uniform amplitude.
+
+    ``radius``, m, is that of the polynomials' disc. On few nodes the polynomials are kept.
+    """
+    heights = np.array([real(f"coefficients[{j}]", a) for j, a in coefficients.items()])
+
+    def fill(nodes: PupilNodes) -> tuple[Array, Array]:
+        """Aberration and amplitude on nodes."""
+        if nodes.layout == "cells" and heights.size and nodes.u.size <= KEPT:
+            counts = nodes.u.shape[1:]
+            modes = kept_cell_zernikes(tuple(coefficients), ordering, aperture, *counts, radius)
+            # einsum does not call BLAS, so results are bit-identical for any thread count.
+            path = np.einsum("m,mn->n", heights, modes).reshape(nodes.u.shape)
+            return path, even(nodes)
+        path = np.zeros_like(nodes.u)
+        lit = nodes.weights > 0
+        path[lit] = zernike_sum(coefficients, nodes.u[lit], nodes.v[lit], radius, ordering)
+        return path, even(nodes)
+
+    return fill
+
+
 def sampled(
     layout: Nodes,
     samples: int | tuple[int, int] | None,
-    fill: Callable[[PupilNodes], tuple[Array, Array]],
+    fill: Fill,
     *,
     wavenumber: float,
     radius: float,
@@ -211,6 +251,8 @@ def sampled(
             break
         lack = 0.0
         for values, scale in ((path, wavenumber), (amplitude, 1.0)):
+            if (values == values.flat[0]).all():
+                continue
             # The rounding error of many waves of aberration must not count as truncation.
             least = max(NEGLIGIBLE, 1e-13 * scale * float(np.abs(values).max()))
             lack = max(lack, scale * _truncation(values, radius, obscuration, aperture) / least)
@@ -233,8 +275,9 @@ def _trials(
         yield from RADII
     else:
         n = len(aperture.owners)
-        yield SIDES[0]
-        yield from (side for side in SIDES[1:] if n * side**2 <= MOST_NODES)
+        sides = SIDES[1:] if any(side.turn.any() for side in aperture.patches) else SIDES
+        yield sides[0]
+        yield from (side for side in sides[1:] if n * side**2 <= MOST_NODES)
 
 
 def _truncation(
@@ -244,3 +287,31 @@ def _truncation(
     if aperture is None:
         return PolarSpectrum(values, radius, obscuration).truncation()
     return CellSpectrum(values, aperture).truncation()
+
+
+def owned(name: str, values: Any, layout: str) -> Array:
+    """Copy values to a read-only float64 array; check that they are finite and fit the layout."""
+    try:
+        if np.iscomplexobj(values):  # numpy would only warn and drop the imaginary part
+            raise TypeError
+        array = np.array(values, dtype=np.float64, order="C")
+    except (TypeError, ValueError):
+        told = f"wavefront.{name} is not an array of real numbers"
+        raise SceneError(f"{told}; give real values, and a phase as aberration") from None
+    dimension = {"scattered": 1, "cells": 3}.get(layout, 2)
+    if array.ndim != dimension or array.size == 0:
+        raise SceneError(
+            f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs "
+            f"{counted(dimension, 'dimension')}"
+        )
+    if name == "aberration" and layout == "grid" and array.shape[0] != array.shape[1]:
+        raise SceneError(f"wavefront.{name} has shape {array.shape}; a grid is square")
+    finite = np.isfinite(array)
+    if not finite.all():
+        where = tuple(int(i) for i in np.unravel_index(np.argmin(finite), array.shape))
+        raise SceneError(
+            f"wavefront.{name} = {array[where]} at {where}; give finite numbers, and amplitude 0 "
+            "where there is no light"
+        )
+    array.setflags(write=False)
+    return array

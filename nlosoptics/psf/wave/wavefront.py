@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import counted, in_range, one_of, positive, real, whole
+from ..._checks import in_range, one_of, positive, real, whole
 from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
 from ..aperture.aperture import Aperture
+from ..aperture.cell_nodes import kept_even_cells, shared_cell_nodes
 from ..aperture.quadrature_nodes import (
     KEPT,
     fitting_pitch,
@@ -28,7 +29,19 @@ from .cell_series import CellSpectrum
 from .fits import fitted_terms
 from .polar_series import PolarSpectrum
 from .removed import Removed
-from .sampling import Nodes, PupilFunction, PupilNodes, nodes_of, sampled, segment_terms, values_on
+from .sampling import (
+    Fill,
+    Nodes,
+    PupilFunction,
+    PupilNodes,
+    even,
+    nodes_of,
+    owned,
+    sampled,
+    segment_terms,
+    values_on,
+    zernike_fill,
+)
 from .zernikes import ORDERINGS, Ordering, kept_zernikes, zernike_order, zernike_sum
 
 Array = NDArray[np.float64]
@@ -106,7 +119,7 @@ class Wavefront(Noun, Shown):
         kept = self._kept()
         for name in ("u", "v", "aberration", "amplitude", "weights"):
             if name not in kept or getattr(self, name) is not kept[name]:
-                put(self, name, _owned(name, getattr(self, name), self.layout))
+                put(self, name, owned(name, getattr(self, name), self.layout))
             if getattr(self, name).shape != self.u.shape:
                 raise SceneError(
                     f"wavefront.{name} has shape {getattr(self, name).shape} and u has "
@@ -173,8 +186,8 @@ class Wavefront(Noun, Shown):
             Fourier transforms use "grid".
         samples : int or (int, int), optional
             Polar: radii, with four times as many angles, or (radii, angles); at least 24 x 96 by
-            default. Cells: nodes per patch along s and t; by default 12 x 12, or more if the wave
-            needs them. Grid: cells per side, 512 by default.
+            default. Cells: nodes per patch along s and t; by default 8 x 8, 12 x 12 on curved
+            outlines, or more if the wave needs them. Grid: cells per side, 512 by default.
         obscuration : float
             Inner radius as a fraction of the outer.
         aperture : Aperture, optional
@@ -197,15 +210,9 @@ class Wavefront(Noun, Shown):
         nodes = nodes_of(nodes, aperture, obscuration, samples)
         positive("pupil_radius", pupil_radius, unit="m")
         if aperture is not None:
-            return cls.from_function(
-                lambda u, v: zernike_sum(coefficients, u, v, pupil_radius, ordering),
-                wavelength=wavelength,
-                image_distance=image_distance,
-                pupil_radius=pupil_radius,
-                aperture=aperture,
-                nodes=nodes,
-                samples=samples,
-            )
+            fill = zernike_fill(coefficients, pupil_radius, ordering, aperture)
+            given = fill, wavelength, image_distance, pupil_radius
+            return cls._filled(*given, aperture, nodes, samples, 0.0)
         orders = [zernike_order(index, ordering) for index in coefficients]
         degree = max((n for n, _ in orders), default=0)
         if nodes == "grid":
@@ -313,9 +320,25 @@ class Wavefront(Noun, Shown):
             if aberration is not None:
                 path = path + values_on("aberration", aberration, at)
             if amplitude is None:
-                return path, np.ones_like(at.u)
+                return path, even(at)
             return path, values_on("amplitude", amplitude, at)
 
+        given = fill, wavelength, image_distance, pupil_radius
+        return cls._filled(*given, aperture, layout, samples, obscuration)
+
+    @classmethod
+    def _filled(
+        cls,
+        fill: Fill,
+        wavelength: float,
+        image_distance: float,
+        pupil_radius: float,
+        aperture: Aperture | None,
+        layout: Nodes,
+        samples: int | tuple[int, int] | None,
+        obscuration: float,
+    ) -> Wavefront:
+        """Return the wave whose aberration and amplitude ``fill`` gives on nodes."""
         found, path, size = sampled(
             layout,
             samples,
@@ -369,7 +392,7 @@ class Wavefront(Noun, Shown):
         Wavefront
         """
         positive("pupil_pitch", pupil_pitch, unit="m")
-        surface = _owned("aberration", aberration, "grid")
+        surface = owned("aberration", aberration, "grid")
         n = surface.shape[0]
         if amplitude is None:
             amplitude = np.ones_like(surface)
@@ -381,7 +404,7 @@ class Wavefront(Noun, Shown):
             u=u,
             v=v,
             aberration=surface,
-            amplitude=_owned("amplitude", amplitude, "grid"),
+            amplitude=owned("amplitude", amplitude, "grid"),
             weights=np.full_like(u, float(pupil_pitch) ** 2),
             wavelength=wavelength,
             image_distance=image_distance,
@@ -436,7 +459,7 @@ class Wavefront(Noun, Shown):
         """
         self._require_spectral("have more nodes")
         if self.aperture is not None:
-            return self.aperture.nodes(*counts[1:])
+            return shared_cell_nodes(self.aperture, *counts[1:])
         n_r, n_theta = counts
         return polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
 
@@ -498,11 +521,17 @@ class Wavefront(Noun, Shown):
             )
 
     def _kept(self) -> dict[str, Array]:
-        """Return cached nodes and uniform amplitude of this polar shape; they need no checks."""
-        known = self.layout == "polar" and isinstance(self.u, np.ndarray) and self.u.ndim == 2
-        if not known or not 0 < self.u.size <= KEPT:
+        """Return cached nodes and uniform amplitude of this shape; they need no checks."""
+        if not isinstance(self.u, np.ndarray) or not 0 < self.u.size <= KEPT:
             return {}
         shape = self.u.shape
+        if self.layout == "cells" and self.aperture is not None and len(shape) == 3:
+            u, v, weights = shared_cell_nodes(self.aperture, *shape[1:])
+            if len(u) != shape[0]:
+                return {}
+            return {"u": u, "v": v, "amplitude": kept_even_cells(shape), "weights": weights}
+        if self.layout != "polar" or len(shape) != 2:
+            return {}
         u, v, weights = kept_polar_nodes(self.pupil_radius, *shape, self.obscuration)
         return {"u": u, "v": v, "amplitude": kept_even(*shape), "weights": weights}
 
@@ -546,7 +575,7 @@ class Wavefront(Noun, Shown):
             )
 
     def _check_cells(self, aperture: Aperture) -> None:
-        u, v, _ = aperture.nodes(*self.u.shape[1:])
+        u, v, _ = shared_cell_nodes(aperture, *self.u.shape[1:])
         if u.shape != self.u.shape:
             raise SceneError(
                 f"wavefront.u has shape {self.u.shape}; the aperture's {len(u)} patches need "
@@ -559,31 +588,3 @@ class Wavefront(Noun, Shown):
                 f"wavefront.u, v are {error:.3g} m off the nodes of layout 'cells', limit "
                 f"{limit:.1g} m; take them from aperture.nodes"
             )
-
-
-def _owned(name: str, values: Any, layout: Layout) -> Array:
-    """Copy values to a read-only float64 array; check that they are finite and fit the layout."""
-    try:
-        if np.iscomplexobj(values):  # numpy would only warn and drop the imaginary part
-            raise TypeError
-        array = np.array(values, dtype=np.float64, order="C")
-    except (TypeError, ValueError):
-        told = f"wavefront.{name} is not an array of real numbers"
-        raise SceneError(f"{told}; give real values, and a phase as aberration") from None
-    dimension = {"scattered": 1, "cells": 3}.get(layout, 2)
-    if array.ndim != dimension or array.size == 0:
-        raise SceneError(
-            f"wavefront.{name} has shape {array.shape}; layout '{layout}' needs "
-            f"{counted(dimension, 'dimension')}"
-        )
-    if name == "aberration" and layout == "grid" and array.shape[0] != array.shape[1]:
-        raise SceneError(f"wavefront.{name} has shape {array.shape}; a grid is square")
-    finite = np.isfinite(array)
-    if not finite.all():
-        where = tuple(int(i) for i in np.unravel_index(np.argmin(finite), array.shape))
-        raise SceneError(
-            f"wavefront.{name} = {array[where]} at {where}; give finite numbers, and amplitude 0 "
-            "where there is no light"
-        )
-    array.setflags(write=False)
-    return array

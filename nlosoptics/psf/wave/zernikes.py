@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import one_of, real, whole
 from ...errors import SceneError
+from ..aperture.aperture import Aperture
+from ..aperture.cell_nodes import shared_cell_nodes
 from ..aperture.quadrature_nodes import frozen, kept_polar_nodes
 
 Array = NDArray[np.float64]
@@ -156,6 +158,21 @@ def kept_zernikes(
     for mode, index in zip(modes, indices, strict=True):
         mode[...] = zernike(index, rho, theta, ordering=ordering)
     return frozen(modes)
+
+
+@lru_cache(maxsize=8)
+def kept_cell_zernikes(
+    indices: tuple[int, ...],
+    ordering: Ordering,
+    aperture: Aperture,
+    n_s: int,
+    n_t: int,
+    radius: float,
+) -> Array:
+    """Zernike polynomials (n, nodes) on at most `KEPT` nodes of patches, cached and read-only."""
+    u, v, _ = shared_cell_nodes(aperture, n_s, n_t)
+    rho, theta = np.hypot(u, v).ravel() / radius, np.arctan2(v, u).ravel()
+    return frozen(zernike_basis(indices, rho, theta, ordering=ordering))
 
 
 def zernike_sum(

@@ -106,25 +106,41 @@ def default_shape(residual: Residual, pitch: float) -> tuple[int, int]:
     return n, n
 
 
-def check_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> None:
-    """Raise `SamplingError` if more than 1 % of the ray energy falls outside a window."""
+def check_rays(residual: Residual, pitch: float, shape: tuple[int, int], remedy: str = "") -> None:
+    """Raise `SamplingError` if more than 1 % of the ray energy falls outside a window.
+
+    ``remedy`` is added to the message.
+    """
+    if holds_rays(residual, pitch, shape):
+        return
+    ny, nx = shape
+    x, y = (a + b for a, b in zip((residual.rays.x, residual.rays.y), residual.shift, strict=True))
+    lost = _lost_rays(residual, pitch, shape)
+    need = 2 * math.ceil(max(np.abs(x).max(), np.abs(y).max()) / pitch) + 1
+    raise SamplingError(
+        f"the geometric spot reaches x = {_widest(x):.3g} m, y = {_widest(y):.3g} m and a "
+        f"window of {ny} x {nx} samples of {pitch:.3g} m loses {100 * lost:.3g} % of the ray "
+        f"energy, limit {100 * LOST_RAYS:g} %; use shape = ({need}, {need}) or more{remedy}"
+    )
+
+
+def holds_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> bool:
+    """Return whether at most 1 % of the ray energy falls outside a window."""
+    return _lost_rays(residual, pitch, shape) <= LOST_RAYS
+
+
+def _lost_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> float:
+    """Return the fraction of the ray energy outside a window."""
     rays, (shift_x, shift_y) = residual.rays, residual.shift
     ny, nx = shape
     # One Airy unit of slack: rays within it do not differ from a diffraction-limited point.
     slack = max(pitch / 2, residual.airy_unit)
     half_x, half_y = (nx // 2) * pitch + slack, (ny // 2) * pitch + slack
     if abs(shift_x) + rays.reach <= half_x and abs(shift_y) + rays.reach <= half_y:
-        return
+        return 0.0
     x, y = rays.x + shift_x, rays.y + shift_y
     inside = (np.abs(x) <= half_x) & (np.abs(y) <= half_y)
-    lost = float(rays.energy[~inside].sum())
-    if lost > LOST_RAYS:
-        need = 2 * math.ceil(max(np.abs(x).max(), np.abs(y).max()) / pitch) + 1
-        raise SamplingError(
-            f"the geometric spot reaches x = {_widest(x):.3g} m, y = {_widest(y):.3g} m and a "
-            f"window of {ny} x {nx} samples of {pitch:.3g} m loses {100 * lost:.3g} % of the ray "
-            f"energy, limit {100 * LOST_RAYS:g} %; use shape = ({need}, {need}) or more"
-        )
+    return float(rays.energy[~inside].sum())
 
 
 def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> int:

@@ -10,11 +10,11 @@ import numpy as np
 
 from ..._checks import in_range, positive, whole
 from ...errors import MemoryLimitError, SamplingError
+from ..transform import huygens
+from ..transform.point_spread import METHODS, PointSpread, _sampling, point_spread
 from ..wave.detilted import Residual, split
 from ..wave.wavefront import Wavefront
 from ..window.window import Window
-from . import huygens
-from .point_spread import METHODS, PointSpread, _sampling, point_spread
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,193 @@
+"""Images of waves on cells from an antialiased grid, by matrix products.
+
+Quadrature nodes are spread onto a few grid cells each by a kernel whose spectrum is small where the
+image of a grid repeats, and the spectrum is divided out of the image. As in `antialiased_fft`, the
+transform is a product with cosines and sines, which is fast for a window of few Airy units. Its
+error does not depend on the outline or on the wave.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import fits_memory
+from ..aperture.aperture import Aperture
+from ..aperture.cell_nodes import shared_cell_nodes
+from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
+from ..wave.detilted import Residual
+from ..window.pixels import PixelRule
+from ..window.window import Window
+from . import quadrature
+from .antialiased_fft import SINGLE_ERROR, folded_intensity, workspace
+from .nufft import phasors_about
+
+Array = NDArray[np.float64]
+
+#: Image period over the window's width.
+OVERSAMPLING = 2.0
+#: Exponent of the kernel over its width, the best for this oversampling (Barnett et al., 2019).
+SHARPNESS = 2.30
+#: Widths of the kernel, cells; of wider ones rounding would decide.
+WIDTHS = range(3, 14)
+
+
+class SpreadGrid(NamedTuple):
+    """Pupil grid for spread nodes.
+
+    Attributes
+    ----------
+    pitch : float
+        Side of a cell, m.
+    centre : int
+        Number of cells on either side of the middle one.
+    width : int
+        Width of the kernel, cells.
+    single : bool
+        Whether single precision is used.
+    """
+
+    pitch: float
+    centre: int
+    width: int
+    single: bool
+
+    @property
+    def error(self) -> float:
+        """Bound of the field's error by repeats and rounding, relative to the ideal peak."""
+        return 2 * leak(self.width) + (SINGLE_ERROR if self.single else 0.0)
+
+
+def spread_grid(residual: Residual, samples: Window, error: float, single: bool) -> SpreadGrid:
+    """Return the grid of least width whose repeats cause at most ``error``, or of the largest."""
+    wave = residual.wavefront
+    period = OVERSAMPLING * max(samples.shape) * samples.pitch
+    pitch = wave.wavelength * abs(wave.image_distance) / period
+    width = next((w for w in WIDTHS if 2 * leak(w) <= error), WIDTHS[-1])
+    cells = math.ceil(residual.aperture.half_width / pitch)
+    return SpreadGrid(pitch, cells + width // 2 + 1, width, single)
+
+
+def n_bytes(samples: Window, grid: SpreadGrid, rule: PixelRule | None) -> float:
+    """Return the peak memory of `image` without its nodes, bytes."""
+    rows, (ny, nx) = 2 * grid.centre + 1, samples.shape
+    cells = rows * (rows + 2.0 * nx) + (ny + nx) * grid.centre
+    points = 8.0 * ny * nx * (1.0 if rule is None else 4.0 / rule.factor)
+    return points + (8 if grid.single else 16) * cells
+
+
+def image(
+    residual: Residual,
+    samples: Window,
+    counts: tuple[int, ...],
+    grid: SpreadGrid,
+    rule: PixelRule | None,
+) -> Array:
+    """Return the intensity (ny, nx), 1 at the ideal peak.
+
+    Parameters
+    ----------
+    residual : Residual
+        Wave on cells.
+    samples : Window
+        Image points, finer than the pixels if a rule is given.
+    counts : (int, int, int)
+        Shape of the nodes, see `quadrature.coarse_counts`.
+    grid : SpreadGrid
+        Result of `spread_grid`.
+    rule : PixelRule or None
+        Average over pixels; None for point samples.
+    """
+    from . import _antialiased_kernels
+
+    wave, rows, (ny, nx) = residual.wavefront, 2 * grid.centre + 1, samples.shape
+    fits_memory(
+        f"the transform of {math.prod(counts)} nodes on {rows} x {rows} cells",
+        n_bytes(samples, grid, rule) + (80.0 + 16 * grid.width) * math.prod(counts),
+        "use a smaller shape",
+    )
+    half = (nx - 1) / 2 * samples.pitch, (ny - 1) / 2 * samples.pitch
+    middle = samples.first[0] + half[0], samples.first[1] + half[1]
+    points = phasors_about(residual, *quadrature.pupil_nodes(residual, counts), middle, grid.single)
+    values = workspace("values", (rows, rows), points.dtype)
+    values[...] = 0.0
+    make = _kept_cells_of if points.size <= KEPT else _cells_of
+    shares = make(residual.aperture, counts[1], counts[2], grid)
+    _antialiased_kernels.spread(points, *shares, values.view(values.real.dtype))
+    side = samples.pitch * grid.pitch / (wave.wavelength * wave.image_distance)
+    gains = _gains(ny, abs(side), grid.width), _gains(nx, abs(side), grid.width)
+    return folded_intensity(values, (ny, nx), side, rule, 1.0, gains)
+
+
+class _Spreading(NamedTuple):
+    """First cell of each node along u and v, (n,), and its shares of the cells, (n, width)."""
+
+    first_u: NDArray[np.int64]
+    first_v: NDArray[np.int64]
+    along: NDArray[np.floating]
+    across: NDArray[np.floating]
+
+
+def _cells_of(aperture: Aperture, n_s: int, n_t: int, grid: SpreadGrid) -> _Spreading:
+    """Return the shares of an aperture's nodes, read-only."""
+    u, v, _ = shared_cell_nodes(aperture, n_s, n_t)
+    kind: type[np.floating] = np.float32 if grid.single else np.float64
+
+    def along(place: Array) -> tuple[NDArray[np.int64], NDArray[np.floating]]:
+        """First cell and shares of nodes at given places, cells."""
+        first = np.ceil(place - grid.width / 2)
+        away = first[:, None] + np.arange(grid.width) - place[:, None]
+        bend = np.sqrt(np.maximum(1 - (2 * away / grid.width) ** 2, 0.0))
+        shares = _kernel(bend, grid.width)
+        return (first + grid.centre).astype(np.int64), np.asarray(shares, dtype=kind)
+
+    (first_u, along_u), (first_v, along_v) = (along(a.ravel() / grid.pitch) for a in (u, v))
+    for part in (first_u, first_v, along_u, along_v):
+        part.setflags(write=False)
+    return _Spreading(first_u, first_v, along_u, along_v)
+
+
+_kept_cells_of = lru_cache(maxsize=8)(_cells_of)
+
+
+def _kernel(bend: Array, width: int) -> Array:
+    """Return the kernel where ``bend`` is the root of 1 less the square of t over half the width.
+
+    It ends at 0, so that its spectrum falls off with the power 3/2 of the frequency.
+    """
+    sharpness = SHARPNESS * width
+    return np.asarray(np.exp(sharpness * (bend - 1)) - math.exp(-sharpness))
+
+
+def _spectrum(frequency: Array, width: int) -> Array:
+    """Return the kernel's spectrum at frequencies, turns per cell."""
+    # with t = width/2 sin(angle) the kernel has no root at its ends
+    fraction, weights = gauss_legendre(64 + 8 * width + math.ceil(2 * width * np.max(frequency)))
+    angle = math.pi / 2 * fraction
+    values = _kernel(np.cos(angle), width) * np.cos(angle) * weights
+    phase = math.pi * width * np.sin(angle) * frequency[:, None]
+    return np.asarray(math.pi / 2 * width * np.sum(values * np.cos(phase), axis=1))
+
+
+@lru_cache(maxsize=32)
+def _gains(count: int, step: float, width: int) -> Array:
+    """Return the inverse of the kernel's spectrum at half of ``count`` points, middle outward."""
+    places = np.arange((count + 1) // 2, dtype=np.float64) + (0.0 if count % 2 else 0.5)
+    return frozen(1 / _spectrum(places * step, width))
+
+
+@lru_cache(maxsize=32)
+def leak(width: int) -> float:
+    """Return the sum of a kernel's repeats at the window's edge, relative to its spectrum there.
+
+    This is where it is largest. Repeats beyond 40 cells are bounded by their power law.
+    """
+    edge, most = 0.5 / OVERSAMPLING, 40
+    far = np.arange(1.0, most + 1)
+    repeats = np.abs(_spectrum(np.append(far - edge, far + edge), width))
+    rest = 4 * most * float(np.max(repeats.reshape(2, -1)[:, -8:]))
+    return (float(np.sum(repeats)) + rest) / float(_spectrum(np.array([edge]), width)[0])
