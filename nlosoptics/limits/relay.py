@@ -277,7 +277,7 @@ def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
     distance = float(scene.object_point[2])
     wide: list[Material] = [
         lobe
-        for lobe in scene.wall_material.mirror_lobes
+        for lobe in scene.mirror_lobes
         if 2.0 * lobe.slope_rms * distance >= 2.0 * max(size) / cells
     ]
     diffuse = scene.wall_material.diffuse

@@ -14,6 +14,7 @@ from .._checks import counted, path_of
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
+from .parts._material import MirrorLobe
 from .parts._sources import bare_mesh
 from .parts.camera import Camera
 from .parts.hidden import HiddenObject, MeshObject, PlanarObject
@@ -254,12 +255,17 @@ class Scene(Noun, Shown):
         return replace(self, wall=wall, wall_material=material, wall_roughness=None)
 
     @property
+    def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
+        """Mirror-like lobes of the wall; its roughness, if any, is in their slopes as a mean."""
+        lobes = self.wall_material.mirror_lobes
+        if self.wall_roughness is None:
+            return lobes
+        return tuple(self.wall_roughness.mean_lobe(lobe) for lobe in lobes)
+
+    @property
     def mirror_slopes(self) -> tuple[float, ...]:
         """Slope rms of each mirror-like lobe, rad; of a wall with roughness that of its heights."""
-        slopes = tuple(lobe.slope_rms for lobe in self.wall_material.mirror_lobes)
-        if self.wall_roughness is None:
-            return slopes
-        return tuple(self.wall_roughness.slope_rms for _ in slopes)
+        return tuple(lobe.slope_rms for lobe in self.mirror_lobes)
 
     def check_in_front(self, *, meshes: bool = True) -> None:
         """Check that laser, camera and hidden object lie in front of the wall's surface.

@@ -147,6 +147,11 @@ def _framed(scene: Scene, size: int | None) -> Scene:
             f"wall of type {type(scene.wall).__name__}: training draws the wall's wave at random; "
             "give a scene with a flat wall"
         )
+    if scene.wall_roughness is not None:
+        raise SceneError(
+            "scene.wall_roughness is given, but training draws the wall's wave at random; leave "
+            "the roughness out"
+        )
     lobes = scene.wall_material.mirror_lobes
     if not lobes:
         raise SceneError(

@@ -277,6 +277,11 @@ def _plane_fit(u: Array, v: Array, weights: Array) -> tuple[Tensor, Tensor]:
 def _start_values(scene: Scene) -> dict[str, list[float] | float]:
     hidden = scene.hidden
     tilt = [hidden.yaw, hidden.pitch]
+    if scene.wall_roughness is not None:
+        raise SceneError(
+            "scene.wall_roughness is not among the parameters of a fit; leave it out, or give the "
+            "mirror-like lobe its slope_rms"
+        )
     lobes = scene.wall_material.mirror_lobes
     if len(lobes) > 1 and any(lobe.slope_rms > 0 for lobe in lobes):
         raise SceneError(

@@ -263,7 +263,7 @@ def _within(residual: Residual, pitch: float, shape: tuple[int, int], tol: float
 
 def split_lobes(scene: Scene) -> tuple[list[MirrorLobe], float]:
     """Return the mirror-like lobes with a slope, and the total reflectance of those without."""
-    lobes = scene.wall_material.mirror_lobes
+    lobes = scene.mirror_lobes
     smooth = sum(lobe.specular_reflectance for lobe in lobes if lobe.slope_rms == 0)
     return [lobe for lobe in lobes if lobe.slope_rms > 0], smooth
 

@@ -192,6 +192,12 @@ class WallRoughness(Noun):
             return wall, self._relobed(material, self.slope_rms)
         return SumWall(wall, self.heights, size=wall.size), self._relobed(material, 0.0)
 
+    def mean_lobe(self, lobe: MirrorLobe) -> MirrorLobe:
+        """Return a mirror-like lobe with the slope rms of the roughness, its mean for rays."""
+        found = self._relobed(lobe, self.slope_rms)
+        assert isinstance(found, MirrorLobe)
+        return found
+
     def _relobed(self, material: Material, slope: float) -> Material:
         """Return a material whose lobes carried by the roughness have another slope."""
         if isinstance(material, SumMaterial):

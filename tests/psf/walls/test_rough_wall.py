@@ -175,3 +175,17 @@ def test_a_cut_cone_cannot_be_traced_on_steep_facets(letter):
     scene = rough(replace(letter, wall=wall, laser=letter.laser), FacetWall(1e-3, 3e-2))
     with pytest.raises(errors.NlosError, match="realisation = 'mean'|off the wall"):
         psf.scene_point_spread(scene, tol=1e-2, shape=65)
+
+
+def test_statistical_paths_take_the_mean_of_the_roughness(letter):
+    """Lobes of the slope of the roughness, where no single wall is computed."""
+    scene = rough(letter, FACETS)
+    lobe = replace(letter, wall_material=SpecularMicrofacet(0.05, FACETS.slope_rms))
+    assert scene.mirror_lobes == lobe.wall_material.mirror_lobes
+    wave = psf.wavefront(letter)
+    pitch = scene.camera.image_pitch / 8
+    one, other = (
+        psf.lobe_point_spread(s, wave, pitch=pitch, shape=9, tol=1e-2).intensity
+        for s in (scene, lobe)
+    )
+    np.testing.assert_array_equal(one, other)
