@@ -14,6 +14,7 @@ four regimes and says which one it took.
 # The relief is a surface of plane triangles. Its heights are determined by the seed alone, so that
 # rays, waves and every object point see the same wall.
 from dataclasses import replace
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -21,7 +22,8 @@ import numpy as np
 from nlosoptics import Scene, psf, views
 from nlosoptics.scene import FacetWall, GaussianWall, SpecularMicrofacet, WallRoughness
 
-scene = Scene.load("scenes/letter_flat.toml")
+plt.style.use("tableau-colorblind10")
+scene = Scene.load(Path(__file__).parent / "scenes" / "letter_flat.toml")
 scene = replace(scene, wall_material=SpecularMicrofacet(0.05, 0.0))
 wall = FacetWall(cell=1e-3, slope_rms=5e-4, seed=1)
 x, y = np.meshgrid(*[np.linspace(-5e-3, 5e-3, 400)] * 2)
@@ -94,12 +96,20 @@ def speckle(spread):
 
 
 rough = replace(scene, wall_roughness=WallRoughness(wall))
-print("displacement (mm)   correlation of the pattern")
-for step in (1e-3, 3e-3, 10e-3):
+steps, found = (1e-3, 3e-3, 10e-3), []
+for step in steps:
     point = scene.object_point + np.array([step, 0.0, 0.0])
     other = psf.scene_point_spread(
         rough, tol=1e-2, object_point=point, pitch=mean.point_spread.pitch, shape=81
     )
-    found = np.corrcoef(speckle(facets.point_spread), speckle(other.point_spread))[0, 1]
-    print(f"{1e3 * step:17.0f}   {found:.2f}")
+    pair = speckle(facets.point_spread), speckle(other.point_spread)
+    found.append(np.corrcoef(*pair)[0, 1])
 plt.show()
+
+# %%
+# Result:
+
+shown = ", ".join(
+    f"{value:.2f} at {1e3 * step:.0f} mm" for step, value in zip(steps, found, strict=True)
+)
+print(f"The correlation of this wall's pattern with that of a displaced object point is {shown}.")
