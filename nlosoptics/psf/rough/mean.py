@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import fits_memory, in_range, one_of, positive
 from ...errors import SamplingError
-from ...scene import FacetWall, GaussianWall, Scene
+from ...scene import Scene
 from ..pupil.scene_optics import SceneOptics
 from ..transform.models import in_normalisation, wide_pixel_error
 from ..transform.point_spread import (
@@ -26,6 +26,7 @@ from ..wave.regime import regime
 from ..wave.wavefront import Wavefront
 from ..window.error_bounds import rounded_up
 from ..window.window import WIDEST_DEFAULT, Window, check_rays, default_shape, shape_of
+from .relief import Relief
 from .roughness import Roughness
 from .scattered_light import EPSILON, PIXEL_BYTES, scattered_light
 from .source import rough_source
@@ -84,7 +85,7 @@ class RoughPointSpread(PointSpread):
 
 def mean_point_spread(
     source: Wavefront | Scene | SceneOptics,
-    roughness: Roughness | FacetWall | GaussianWall,
+    roughness: Roughness | Relief,
     *,
     footprint: ArrayLike | None = None,
     cos_sum: float | None = None,
@@ -101,8 +102,9 @@ def mean_point_spread(
     source : Wavefront, Scene or SceneOptics
         Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
         sampled as finely as ``tol`` requires.
-    roughness : Roughness, FacetWall or GaussianWall
-        Statistics of the wall's heights. Of a random wall, all seeds are averaged.
+    roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
+        Statistics of the wall's heights. Of a random wall, all seeds are averaged. A height map
+        stands for Gaussian heights of its rms height and slope.
     footprint : float or array_like (2, 2), optional
         Matrix M from a step in the exit pupil to the corresponding step on the wall;
         ``d1/(d1 + d2)`` at normal incidence. Required with a wavefront; a scene defines it

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import in_range
 from ...errors import SceneError
-from ...scene import FacetWall, GaussianWall, Scene
+from ...scene import FacetWall, GaussianWall, HeightMapWall, Scene
 from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
 from ..pupil.wall_view import WallView
 from ..wave.detilted import Residual, split
@@ -166,10 +166,15 @@ def _view(
         return FacetView(roughness, footprint, per_metre * roughness.height_rms, distance)
     if isinstance(roughness, GaussianWall):
         roughness = Roughness(roughness.height_rms, roughness.correlation_length)
+    if isinstance(roughness, HeightMapWall):
+        # Gaussian heights with the rms height and slope of the map
+        height, slope = roughness.height_rms, roughness.slope_rms
+        length = math.sqrt(2) * height / slope if slope > 0 else roughness.pitch
+        roughness = Roughness(height, length)
     if not isinstance(roughness, Roughness):
         raise SceneError(
-            f"roughness is a {type(roughness).__name__}, whose statistics are not known; give a "
-            "Roughness, a FacetWall or a GaussianWall"
+            f"roughness is a {type(roughness).__name__}; give a Roughness, a FacetWall, a "
+            "GaussianWall or a HeightMapWall"
         )
     return RoughView(roughness, footprint, per_metre * roughness.height_rms, distance)
 

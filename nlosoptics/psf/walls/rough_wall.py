@@ -44,7 +44,7 @@ BETWEEN_SECONDS: Final = 4e-7
 #: Longest predicted run time of one pattern, s.
 LONGEST: Final = 60.0
 #: Pupil nodes at which the wave of a relief is sampled: radii and angles, or cells per side.
-RELIEF_NODES: Final = {"polar": (96, 384), "grid": (1024, 1024)}
+RELIEF_NODES: Final = {"polar": (48, 192), "grid": (1024, 1024)}
 #: Seconds per pupil node to find the wall point of its ray.
 RAY_SECONDS: Final = {"FacetWall": 2e-6, "GaussianWall": 8e-5, "HeightMapWall": 1e-5}
 #: Expected error of a phase screen, relative to the peak.
