@@ -489,7 +489,7 @@ class _Splitting:
         )
 
     def _state(self, count: int) -> State:
-        """Return everything that the iteration after the first ``count`` starts from."""
+        """Return the solver's state after ``count`` iterations, from which a fit can resume."""
         numbers = [getattr(self, f"_{name}") for name in _NUMBERS]
         pictures = {name: getattr(self, f"_{name}") for name in _PICTURES}
         return state_of(self.level(), **pictures, numbers=[*numbers, count])

@@ -430,9 +430,10 @@ class Aperture(Noun):
         return float(across.max()), float(max(r.max() for r in along))
 
     def map(self, s: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Return the patches' points at (s, t), m, and their derivatives with s and with t, m.
+        """Return points (u, v) of each patch, m, and their derivatives by s and by t, m.
 
-        ``s`` (n_s,) and ``t`` (n_t,) lie in [0, 1]; results are (n_patches, n_s, n_t, 2).
+        ``s`` (n_s,) and ``t`` (n_t,) are coordinates within a patch, 0 to 1. Each of the three
+        arrays is (n_patches, n_s, n_t, 2).
         """
         a, b = self.patches
         low, high = a.at(t)[:, None], b.at(t)[:, None]

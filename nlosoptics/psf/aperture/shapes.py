@@ -40,9 +40,10 @@ def ellipse_axes(a: float, b: float, angle: float) -> Array:
 
 
 def hexagon_centres(rings: int, pitch: float, angle: float) -> Array:
-    """Points of a triangular lattice, from the centre outward ring by ring, (n, 2), m.
+    """Return the centres of close-packed hexagons, ring by ring from the middle one, (n, 2), m.
 
-    One neighbour of the centre is at ``angle``; neighbours are ``pitch`` apart.
+    Neighbours are ``pitch`` apart, m. One neighbour of the middle is at ``angle`` from the u axis,
+    rad. There are ``1 + 3 rings (rings + 1)`` hexagons.
     """
     turn = angle + math.pi / 3 * np.arange(8)
     step = pitch * np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -38,10 +38,11 @@ def leak(s: Array) -> Array:
 
 
 def cut(radius: float, reach: int) -> float:
-    """Bound the field error caused by cutting the kernel at `REACH` or `SHORT_REACH` cells.
+    """Return a bound of the image's field error by a kernel that ends at ``reach`` cells.
 
-    ``radius`` is in cells. Measured errors within half a period reach half of this bound. For the
-    short reach they fall with the radius, for the long one with its fourth power up to 30 cells.
+    ``reach`` is `REACH` or `SHORT_REACH`, and ``radius`` is that of the disc in cells. The error is
+    relative to the peak. Errors measured within half a period of the image are at most half the
+    bound. The bound falls as 1/radius for `SHORT_REACH`, and as 1/radius^4 to 30 cells for `REACH`.
     """
     if reach == SHORT_REACH:
         return 4e-5 / radius

@@ -191,20 +191,21 @@ def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> in
 def window_side(
     residual: Residual, pitch: float, tol: float, outline: Aperture | None = None
 ) -> int:
-    """Return the side of a window, as `window_shape`, for a wave whose tilt has been removed.
+    """Return the side of the square window that holds a wave's image, as in `window_shape`.
 
     Parameters
     ----------
     residual : Residual
-        Wave without piston and tilt; the tilt's image shift is included.
+        Wave without piston and tilt. The window also covers the image shift by that tilt.
     pitch, tol : float
-        Pixel side, m, and limit relative to the brightest pixel.
+        Pixel side, m, and the largest value outside the window relative to the brightest pixel.
     outline : Aperture, optional
-        Outline of the pupil if the wave does not contain it.
+        Outline of the pupil if the wave has none.
 
     Returns
     -------
     int
+        Pixels, odd.
     """
     peak = peak_pixel(residual, pitch)
     # The tail's energy per pixel at a distance r from the last ray, solved for r.

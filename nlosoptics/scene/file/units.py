@@ -74,13 +74,13 @@ def _kind_of(quantity: Any) -> str:
 
 
 def parse(text: object, kind: Kind) -> float:
-    """Return ``text`` as a quantity of dimension ``kind`` in SI units.
+    """Return the value in SI units of a text such as "2 mrad", for a dimension ``kind``.
 
     Raises
     ------
     ValueError
-        If it is not such a quantity. The message is a predicate, such as "is not a length", which
-        the caller puts after the key and its value.
+        If the text has no such value. The message reads "is not a length", for example; the caller
+        puts the key and its value in front of it.
     """
     match = _NUMBER_AND_UNIT.fullmatch(text) if isinstance(text, str) else None
     if match is None:

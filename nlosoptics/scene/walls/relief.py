@@ -53,8 +53,8 @@ class _Relief(Wall):
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Return the height h(x, y), (...), m, positive toward the room.
 
-        It draws each node of the lattice once for all points, unlike `derivatives`, and has the
-        same bits.
+        The heights equal those of `derivatives` bit by bit, but each node of the lattice is drawn
+        once for all points.
 
         Parameters
         ----------

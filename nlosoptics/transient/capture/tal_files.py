@@ -118,14 +118,17 @@ def _axes(capture: Any) -> tuple[tuple[int, ...], tuple[int, ...], str]:
 
 
 def _brief(values: Array, H: Any) -> Any:
-    """Compress bins stored with ``H``: `SAME` if equal to it, one number if constant."""
+    """Return a short form of bins: `SAME` if they equal ``H``, one number if all are the same.
+
+    Other bins are returned unchanged.
+    """
     if values.dtype == H.dtype and np.array_equal(values, H[...]):
         return SAME
     return values.flat[0] if (values == values.flat[0]).all() else values
 
 
 def _at_length(value: Any, H: Array) -> Array:
-    """Return the bins that `_brief` compressed."""
+    """Return the bins of ``H``'s shape from their short form by `_brief`."""
     if isinstance(value, str):
         return H
     bins = np.asarray(value)

@@ -293,7 +293,7 @@ def true_depths(
 def voxelised(
     meshes: trimesh.Trimesh | Iterable[trimesh.Trimesh], volume: Volume
 ) -> NDArray[np.bool_]:
-    """Mark the voxels that a surface passes through, by rays through their centres.
+    """Mark the voxels that surfaces cross, found by rays through the voxels' centres.
 
     Parameters
     ----------
@@ -305,8 +305,8 @@ def voxelised(
     Returns
     -------
     ndarray of bool
-        (nz, ny, nx). Rays run along every axis with at least two voxels, so that surfaces parallel
-        to one axis are found by rays along another.
+        (nz, ny, nx), True at a surface. Rays run along each axis with at least two voxels. Rays
+        along one axis find the surfaces that are parallel to another.
 
     Raises
     ------
