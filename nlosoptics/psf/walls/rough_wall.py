@@ -47,6 +47,9 @@ LONGEST: Final = 60.0
 RELIEF_NODES: Final = {"polar": (48, 192), "grid": (1024, 1024)}
 #: Seconds per pupil node to find the wall point of its ray.
 RAY_SECONDS: Final = {"FacetWall": 2e-6, "GaussianWall": 8e-5, "HeightMapWall": 1e-5}
+#: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
+#: far outside any image.
+MOST_ACROSS: Final = 2000
 #: Expected error of a phase screen, relative to the peak.
 SCREEN_ERROR: Final = 1e-3
 
@@ -143,11 +146,23 @@ def roughness_view(seen: PointOptics, *, pattern: bool | None = None) -> RoughVi
 
 
 def rough_window(seen: PointOptics, pitch: float, tol: float) -> int:
-    """Return the odd side of a window outside which the mean image is below ``tol`` of its peak."""
+    """Return the odd side of a window outside which the mean image is below ``tol`` of its peak.
+
+    Raises `SamplingError` if the roughness is so fine that the window would be too wide.
+    """
     residual = seen.first.residual
     side = window_side(residual, pitch, tol, seen.first.outline)
-    halo = roughness_view(seen).halo(residual.wavefront) / 3
-    return side + 2 * math.ceil(halo * math.sqrt(2 * math.log(1 / tol)) / pitch)
+    view = roughness_view(seen)
+    if view.rayleigh_parameter > 0:
+        patch = 2 * residual.wavefront.pupil_radius * float(np.linalg.norm(view.footprint, 2))
+        if patch > MOST_ACROSS * view.length:
+            raise SamplingError(
+                f"the wall's roughness changes over {view.length:.3g} m, {patch / view.length:.3g} "
+                f"times within the {patch:.3g} m that the lens sees, limit {MOST_ACROSS}; use a "
+                "larger cell or correlation_length, or a mirror-like lobe with slope_rms instead"
+            )
+    halo = view.halo(residual.wavefront) / 3 * math.sqrt(2 * math.log(1 / tol))
+    return side + 2 * math.ceil(halo / pitch)
 
 
 def rough_choice(

@@ -189,3 +189,8 @@ def test_statistical_paths_take_the_mean_of_the_roughness(letter):
         for s in (scene, lobe)
     )
     np.testing.assert_array_equal(one, other)
+
+
+def test_facets_too_fine_for_any_window_are_refused(letter):
+    with pytest.raises(errors.SamplingError, match="use a larger cell or correlation_length"):
+        plan(rough(letter, FacetWall(1e-6, 2e-3)), tol=1e-3)
