@@ -65,7 +65,7 @@ def _path(view: ReliefView, u: Array, v: Array, wavelength: float) -> tuple[Arra
     """Return path, m, and relative amplitude at pupil points (u, v), each (n,)."""
     assert view.effective_distance is not None
     relief = view.roughness
-    cosines = view.rayleigh_parameter * wavelength / (2 * math.pi * relief.height_rms)
+    cosines = view.cos_sum(wavelength)
     aimed = np.stack([u, v], axis=1) @ view.footprint.T
     throw = cosines * view.effective_distance
     at, place = aimed, view.axes.T

@@ -68,6 +68,10 @@ class ReliefView(RoughView):
         """True: the light of one wall is no Gaussian."""
         return True
 
+    def cos_sum(self, wavelength: float) -> float:
+        """Return the sum of the cosines of incidence and exitance, at a wavelength, m."""
+        return wavelength * self.rayleigh_parameter / (2 * math.pi * self.roughness.height_rms)
+
     def turn(self, wavelength: float) -> float:
         """Return the rms slope per axis of the wave in the pupil, rad, at a wavelength, m.
 
@@ -77,8 +81,8 @@ class ReliefView(RoughView):
         s = self.rayleigh_parameter
         if s == 0:
             return 0.0
-        waves = wavelength * s / (2 * math.pi * self.roughness.height_rms)
-        steep = waves * self.roughness.slope_rms * float(np.linalg.norm(self.footprint, 2))
+        across = float(np.linalg.norm(self.footprint, 2))
+        steep = self.cos_sum(wavelength) * self.roughness.slope_rms * across
         return steep * max(1.0, 1.0 / s)
 
     def halo(self, wave: Wavefront) -> float:

@@ -38,7 +38,7 @@ def ray_counts(view: ReliefView, radius: float, wavelength: float) -> tuple[int,
     """
     assert view.effective_distance is not None
     seen = np.linalg.norm(view.footprint, axis=1) * radius
-    cosines = view.rayleigh_parameter * wavelength / (2 * math.pi * view.roughness.height_rms)
+    cosines = view.cos_sum(wavelength)
     throw = STEEPEST * cosines * view.roughness.slope_rms
     half = seen + throw * np.linalg.norm(view.effective_distance, axis=1)
     share = float(np.prod(seen / half))
@@ -74,7 +74,7 @@ def ray_image(residual: Residual, view: ReliefView, window: Window) -> tuple[Arr
     assert view.effective_distance is not None
     wave, relief = residual.wavefront, view.roughness
     n, half = ray_counts(view, wave.pupil_radius, wave.wavelength)
-    cosines = view.rayleigh_parameter * wave.wavelength / (2 * math.pi * relief.height_rms)
+    cosines = view.cos_sum(wave.wavelength)
     steps = (2 * np.arange(n) + 1) / n - 1
     ny, nx = window.shape
     counts = np.zeros(ny * nx)

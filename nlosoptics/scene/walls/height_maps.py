@@ -231,11 +231,13 @@ class HeightMapWall(Wall):
 
     @cached_property
     def slope_rms(self) -> float:
-        """Rms slope per axis between neighbouring heights, rad; a uniform tilt counts as well."""
-        squares = [
-            float(np.mean((np.diff(self._samples, axis=k) / self.pitch) ** 2)) for k in (0, 1)
-        ]
-        return math.sqrt(sum(squares) / 2)
+        """Rms slope per axis at the nodes, rad; a uniform tilt counts as well."""
+        return math.sqrt(float(np.mean(self.node_slopes() ** 2)))
+
+    def node_slopes(self) -> Array:
+        """Return dh/dx and dh/dy at the nodes, (2, ny nx), of the interpolated surface."""
+        count = self._samples.size
+        return self._fit[1][count : 3 * count].reshape(2, count)
 
     @property
     def finest_period(self) -> float:

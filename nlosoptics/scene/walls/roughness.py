@@ -89,22 +89,14 @@ class WallRoughness(Noun):
     @property
     def slope_rms(self) -> float:
         """Slope rms per axis, rad; of a height map that at its nodes."""
-        if not isinstance(self.heights, HeightMapWall):
-            return self.heights.slope_rms
-        return float(np.sqrt(np.mean(self._node_slopes() ** 2)))
+        return self.heights.slope_rms
 
     @property
     def steepest(self) -> float:
         """Slope that is practically not exceeded, rad: six rms, of a height map the largest."""
         if not isinstance(self.heights, HeightMapWall):
             return 6.0 * self.slope_rms
-        return float(np.hypot(*self._node_slopes()).max())
-
-    def _node_slopes(self) -> np.ndarray:
-        """Return dh/dx and dh/dy at the nodes of a height map, (2, n)."""
-        terms, tables = self.heights.compiled()
-        count = int(terms[0, 5] * terms[0, 6])
-        return tables[count : 3 * count].reshape(2, count)
+        return float(np.hypot(*self.heights.node_slopes()).max())
 
     def check_material(self, material: Material) -> None:
         """Check that no slope of the wall's mirror-like lobes is counted twice.
