@@ -31,11 +31,13 @@ from .published.phase_retrieval import object_from_autocorrelation, phase_retrie
 from .published.training_pairs import TrainingPairs, training_pairs
 from .published.unet import UNet
 from .published.wu2024 import wu2024_fit
+from .wave.facet_psf import FacetPSF
 from .wave.pupil_psf import PupilPSF
 from .wave.scene_parameters import SceneLeaves
 
 __all__ = [
     "CnnBaseline",
+    "FacetPSF",
     "Feasibility",
     "PupilPSF",
     "Reconstruction",

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Self, Unpack
 
-import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
@@ -23,6 +22,7 @@ from .pupil_waves import (
     SlopeWaves,
     ZernikeWaves,
     checked_slopes,
+    checked_tangents,
     fitted_modes,
     like,
     noll_mode,
@@ -219,7 +219,7 @@ class PupilPSF(nn.Module):
             **options,
         )
         slope_pitch = positive("slope_pitch", slope_pitch, unit="m")
-        values = checked_slopes(slopes, slope_pitch, optics)
+        values = checked_slopes("slopes", slopes, slope_pitch, optics.pupil_radius)
         waves = SlopeWaves(len(values), slope_pitch, optics)
         return cls(optics, waves, values * (optics.pupil_radius / optics.wavelength))
 
@@ -271,17 +271,10 @@ class PupilPSF(nn.Module):
             If the angles do not cover the pupil, or pitch, shape or samples do not resolve the
             pupil or the image.
         """
-        try:
-            values = np.asarray(angles, dtype=np.float64)
-        except (TypeError, ValueError):
-            raise SceneError("angles are not an array of real numbers; give (g, g, 2)") from None
-        if values.size and not np.abs(values).max() < np.pi / 2:
-            raise SceneError(
-                f"angles reach {np.abs(values).max():.3g} rad, must stay below pi/2; give finite "
-                "angles from the axis"
-            )
+        angle_pitch = positive("angle_pitch", angle_pitch, unit="m")
+        pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
         return cls.from_slopes(
-            np.tan(values),
+            checked_tangents(angles, angle_pitch, pupil_radius),
             slope_pitch=angle_pitch,
             wavelength=wavelength,
             pupil_radius=pupil_radius,

@@ -184,29 +184,40 @@ def on_cells(series: PolarSpectrum | CellSpectrum, u: Array, v: Array) -> Array:
     return values_at(series, None, u, v, 1e-13)[0]
 
 
-def checked_slopes(slopes: Any, slope_pitch: float, optics: PupilOptics) -> Array:
-    """Return slopes (g, g, 2), rad, checked to be finite and to cover the pupil.
+def checked_slopes(name: str, slopes: Any, pitch: float, pupil_radius: float) -> Array:
+    """Return slopes or angles (g, g, 2), rad, checked to be finite and to cover the pupil.
 
-    ``slope_pitch`` is the distance of the nodes, m.
+    ``name`` is the plural used in messages, ``pitch`` the distance of the nodes, m.
     """
     try:
         values = np.asarray(slopes, dtype=np.float64)
     except (TypeError, ValueError):
-        raise SceneError("slopes are not an array of real numbers; give (g, g, 2), rad") from None
+        raise SceneError(f"{name} are not an array of real numbers; give (g, g, 2), rad") from None
     if values.ndim != 3 or values.shape[0] != values.shape[1] or values.shape[2] != 2:
-        raise SceneError(f"slopes have shape {values.shape}; give (g, g, 2), rad")
+        raise SceneError(f"{name} have shape {values.shape}; give (g, g, 2), rad")
     if not np.isfinite(values).all():
         place = np.argwhere(~np.isfinite(values))[0].tolist()
-        raise SceneError(f"slopes{place} hold NaN or infinity; give finite start values, 0 if none")
+        raise SceneError(f"{name}{place} hold NaN or infinity; give finite start values, 0 if none")
     count = values.shape[0]
-    reach = ((count - 1) // 2 + 0.5) * slope_pitch
-    if count < 2 or reach < optics.pupil_radius * (1 - 1e-9):
-        need = 2 * math.ceil(optics.pupil_radius / slope_pitch - 0.5) + 1
+    reach = ((count - 1) // 2 + 0.5) * pitch
+    if count < 2 or reach < pupil_radius * (1 - 1e-9):
+        need = 2 * math.ceil(pupil_radius / pitch - 0.5) + 1
         raise SamplingError(
-            f"{count} x {count} slopes {slope_pitch:.3g} m apart reach {reach:.3g} m from the "
-            f"axis, the pupil {optics.pupil_radius:.3g} m; give {max(need, 2)} or more a side"
+            f"{count} x {count} {name} {pitch:.3g} m apart reach {reach:.3g} m from the "
+            f"axis, the pupil {pupil_radius:.3g} m; give {max(need, 2)} or more a side"
         )
     return values
+
+
+def checked_tangents(angles: Any, pitch: float, pupil_radius: float) -> Array:
+    """Return the tangents of exit angles (g, g, 2), rad, checked like `checked_slopes`."""
+    values = checked_slopes("angles", angles, pitch, pupil_radius)
+    if np.abs(values).max() >= np.pi / 2:
+        raise SceneError(
+            f"angles reach {np.abs(values).max():.3g} rad, must stay below pi/2; give finite "
+            "angles from the axis"
+        )
+    return np.tan(values)
 
 
 def _spline(nodes: Array, cells: Array) -> Array:

@@ -1,0 +1,215 @@
+"""Differentiable point spread of independent facets: density of their rays in the image."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor, nn
+
+from ..._checks import fits_memory, in_range, positive, real
+from ...errors import SamplingError, SceneError
+from ...psf.aperture.quadrature_nodes import circle_shares
+from ...psf.window.window import shape_of
+from .pupil_waves import checked_tangents
+
+#: Noll's defocus of 1 m rms is ``2 sqrt(3) (u^2 + v^2)/R^2`` m, apart from piston.
+_DEFOCUS = 2.0 * math.sqrt(3.0)
+
+
+class FacetPSF(nn.Module):
+    """Point spread of a round pupil of independent facets as a function of their exit angles.
+
+    Each facet sends its share of the light to one place of the image, ``tan(angle) *
+    image_distance`` from the centre. In contrast to `PupilPSF`, facets are neither joined to a
+    wave nor interfere, so that angles and pixels may have any size. Use it for spots that are much
+    wider than lambda times the F-number. All methods accept batches of coefficients (..., g, g, 2).
+
+    Parameters
+    ----------
+    angles : array_like, (g, g, 2)
+        Start values of the exit angles from the axis toward u and v, rad, with rows along v. Facet
+        [g//2, g//2] is on the axis. Facets outside the pupil have no effect.
+    angle_pitch : float
+        Side of the square facets in the pupil, m; the grid must cover the pupil.
+    pupil_radius : float
+        Radius of the exit pupil, m.
+    image_distance : float
+        Signed distance from exit pupil to image, m.
+    pitch : float
+        Pixel pitch of the image, m.
+    shape : int or (int, int)
+        Image rows H and columns W. The image is periodic.
+    wavelength : float, optional
+        Wavelength, m, to add the diffraction of one facet. None: rays alone.
+    device : torch.device or str
+        Device of the tensors.
+    dtype : torch.dtype
+        Precision, ``torch.float32`` or ``torch.float64``.
+
+    Attributes
+    ----------
+    coefficients : torch.nn.Parameter
+        Fit parameters (g, g, 2): displacements of each facet's light in the image, pixels.
+
+    Raises
+    ------
+    SceneError
+        If a length or an angle is out of range.
+    SamplingError
+        If the facets do not cover the pupil.
+
+    See Also
+    --------
+    PupilPSF : Point spread of a continuous wave.
+    wu2024_fit : Fit of exit angles and a network.
+
+    Notes
+    -----
+    A facet's light fills a square of one pixel, centred where its ray lands, so that energies are
+    bilinear in the displacement and have a gradient. With a wavelength the transfer function is
+    multiplied by that of a square aperture of side c, ``(1 - lambda d |f_x|/c)(1 - lambda d
+    |f_y|/c)``, since patterns of independent facets add without interference. Facets that the
+    pupil's rim cuts count by their area and diffract like whole ones.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics.inverse import FacetPSF
+    >>> angles = np.random.default_rng(1).normal(0.0, 2e-3, size=(16, 16, 2))
+    >>> pupil = {"angle_pitch": 0.85e-3, "pupil_radius": 6.25e-3, "image_distance": 0.025}
+    >>> spread = FacetPSF(angles, **pupil, pitch=12e-6, shape=32)().detach()
+    >>> tuple(spread.shape), round(float(spread.sum()), 4)
+    ((32, 32), 1.0)
+    """
+
+    _share: Tensor
+    _slopes: Tensor
+    _facet: Tensor | None
+
+    def __init__(
+        self,
+        angles: ArrayLike,
+        *,
+        angle_pitch: float,
+        pupil_radius: float,
+        image_distance: float,
+        pitch: float,
+        shape: int | tuple[int, int],
+        wavelength: float | None = None,
+        device: torch.device | str = "cpu",
+        dtype: torch.dtype = torch.float32,
+    ) -> None:
+        super().__init__()
+        if dtype not in (torch.float32, torch.float64):
+            raise SamplingError(f"dtype = {dtype}; use torch.float32 or torch.float64")
+        self.angle_pitch = positive("angle_pitch", angle_pitch, unit="m")
+        self.pupil_radius = positive("pupil_radius", pupil_radius, unit="m")
+        self.image_distance = real("image_distance", image_distance)
+        if self.image_distance == 0.0:
+            raise SceneError(
+                "image_distance = 0 m, must not be 0; give the signed distance from pupil to image"
+            )
+        self.pitch = positive("pitch", pitch, unit="m")
+        self.shape = shape_of(shape)
+        tangents = checked_tangents(angles, self.angle_pitch, self.pupil_radius)
+        count = len(tangents)
+        fits_memory(f"{count} x {count} facets", 200.0 * count**2, "use fewer facets")
+        like: dict[str, Any] = {"device": device, "dtype": dtype}
+        axis = (np.arange(count, dtype=np.float64) - count // 2) * self.angle_pitch
+        share = circle_shares(axis, axis, self.angle_pitch, self.pupil_radius)
+        self.register_buffer("_share", torch.tensor(share / share.sum(), **like))
+        # displacement per metre of defocus, pixels
+        steepness = 2.0 * _DEFOCUS / self.pupil_radius**2 * self.image_distance / self.pitch
+        u, v = np.meshgrid(axis, axis)
+        self.register_buffer("_slopes", torch.tensor(steepness * np.stack([u, v], -1), **like))
+        self.wavelength = None
+        facet = None
+        if wavelength is not None:
+            self.wavelength = in_range(
+                "wavelength", wavelength, 1e-8, 1e-3, unit="m", remedy="give metres in vacuum"
+            )
+            facet = torch.tensor(self._facet_transfer(self.wavelength), **like)
+        self.register_buffer("_facet", facet)
+        moved = tangents * (self.image_distance / self.pitch)
+        self.coefficients = nn.Parameter(torch.tensor(moved, **like))
+
+    def forward(
+        self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
+    ) -> Tensor:
+        """Compute the point spread.
+
+        Parameters
+        ----------
+        coefficients : Tensor, optional
+            Displacements (..., g, g, 2), pixels; by default the module's own.
+        defocus : Tensor or sequence of float, optional
+            Known additional defoci, (K,), m rms (Noll 4).
+
+        Returns
+        -------
+        Tensor
+            Energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``, sum 1, centred at
+            [H//2, W//2].
+
+        Raises
+        ------
+        SamplingError
+            If the coefficients' shape does not match.
+        """
+        rows, columns = self.shape
+        spread = self._density(coefficients, defocus)
+        if self._facet is not None:
+            spread = torch.fft.irfft2(torch.fft.rfft2(spread) * self._facet, s=self.shape)
+        return spread.roll((rows // 2, columns // 2), (-2, -1))
+
+    def transfer(
+        self, coefficients: Tensor | None = None, *, defocus: Tensor | Sequence[float] | None = None
+    ) -> Tensor:
+        """Compute the transfer function, (..., H, W//2 + 1), complex.
+
+        It is the ``rfft2`` of the point spread with the centre at sample [0, 0]. The parameters are
+        those of `forward`.
+        """
+        spectrum: Tensor = torch.fft.rfft2(self._density(coefficients, defocus))
+        return spectrum if self._facet is None else spectrum * self._facet
+
+    def _density(
+        self, coefficients: Tensor | None, defocus: Tensor | Sequence[float] | None
+    ) -> Tensor:
+        """Return the energy of the rays in each pixel, their centre at sample [0, 0]."""
+        moved = self.coefficients if coefficients is None else coefficients
+        wanted = tuple(self._slopes.shape)
+        if tuple(moved.shape[-3:]) != wanted:
+            raise SamplingError(
+                f"coefficients have shape {tuple(moved.shape)}, must end in {wanted}; give one "
+                "displacement per facet"
+            )
+        if defocus is not None:
+            extra = torch.as_tensor(defocus, dtype=moved.dtype, device=moved.device)
+            moved = moved.unsqueeze(-4) + extra[:, None, None, None] * self._slopes
+        rows, columns = self.shape
+        batch = moved.shape[:-3]
+        flat = moved.reshape(-1, self._share.numel(), 2)
+        first = flat.detach().floor()
+        right, up = (flat - first).unbind(-1)
+        column, row = first.long().unbind(-1)
+        spread = flat.new_zeros(len(flat), rows * columns)
+        share = self._share.reshape(-1)
+        for down, tall in ((0, 1.0 - up), (1, up)):
+            line = (row + down).remainder(rows) * columns
+            for across, wide in ((0, 1.0 - right), (1, right)):
+                place = line + (column + across).remainder(columns)
+                spread = spread.scatter_add(1, place, share * tall * wide)
+        return spread.reshape(*batch, rows, columns)
+
+    def _facet_transfer(self, wavelength: float) -> NDArray[np.float64]:
+        """Return the transfer function of one facet's diffraction, (H, W//2 + 1)."""
+        reach = wavelength * abs(self.image_distance) / (self.angle_pitch * self.pitch)
+        y, x = np.fft.fftfreq(self.shape[0]), np.fft.rfftfreq(self.shape[1])
+        up, along = (np.maximum(1.0 - reach * np.abs(f), 0.0) for f in (y, x))
+        return np.outer(up, along)
