@@ -226,23 +226,27 @@ def hybrid_parts(
     decades: float = 6.0,
     axes: Sequence[Axes] | None = None,
 ) -> tuple[Axes, ...]:
-    """Draw the three parts of a hybrid point spread function with a common scale.
+    """Draw the three parts of a hybrid point spread function side by side, with a common scale.
+
+    A hybrid point spread function adds waves for the mirror-like reflection and rays for the
+    diffuse one.
 
     Parameters
     ----------
     point_spread : HybridPointSpread
         Function to draw: its coherent part (specular reflection), its halo (scatter by the
-        roughness of the specular lobes) and its diffuse part.
+        surface roughness of mirror-like lobes, averaged over walls) and its diffuse part.
     decades : float
-        Range of the logarithmic scale below the peak of the sum. Fainter samples are drawn as the
-        faintest.
+        Range of the logarithmic scale below the peak of the sum, powers of ten. Fainter samples get
+        the lowest colour.
     axes : sequence of three matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     tuple of three Axes
-        Axes in image coordinates, um, oriented as `image`: -y points up.
+        Coherent, halo and diffuse part, with axes in um. As in `image`, y increases downward, so
+        that the picture is upright.
 
     See Also
     --------

@@ -7,6 +7,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .._checks import counted
 from .._whole_files import write_whole
 from ..errors import SceneError
 
@@ -27,18 +28,21 @@ def save(
     Parameters
     ----------
     picture : matplotlib Figure, Axes, iterable of Axes or FuncAnimation, or pyvista Plotter
-        Object to write. Axes stand for the whole figure to which they belong.
+        Object to write. Axes stand for the whole figure to which they belong; several must belong
+        to the same one.
     path : str or Path
         File to write. Figures: ``.png``, ``.pdf`` or ``.svg``. Plotters: ``.png``, ``.html`` (the
         page of `html_page`) or ``.glb`` (glTF with surfaces, lines and camera, but no text).
-        Films: ``.gif`` or ``.html`` (a page with a slider). Pages load nothing from the network.
+        Films: ``.gif`` or ``.html`` (a page with a slider). HTML pages are self-contained.
 
     Raises
     ------
     SceneError
-        If the suffix is not one of these, or the file cannot be written.
+        If the suffix is not one of these, the axes belong to several figures, or the file cannot be
+        written.
     MissingExtraError
-        If a plotter is written as PNG on a machine that cannot render, see `rendering_works`.
+        If a plotter is written as PNG on a machine without the libraries for rendering, see
+        `rendering_works`.
 
     See Also
     --------
@@ -83,11 +87,16 @@ def _checked_suffix(path: Path, what: str, known: tuple[str, ...]) -> None:
 
 def _figure_file(picture: Any, suffix: str) -> bytes:
     """Return the figure of axes as the bytes of a file."""
-    if not hasattr(picture, "get_figure"):
-        picture = next(iter(picture))
+    parts = [picture] if hasattr(picture, "get_figure") else list(picture)
+    figures = {part.get_figure(root=True) for part in parts}  # a figure is its own root
+    if len(figures) != 1:
+        raise SceneError(
+            f"picture has axes of {counted(len(figures), 'figure')}, one file holds one; save each "
+            "figure by itself"
+        )
     from matplotlib import rc_context
 
-    figure = picture.get_figure(root=True)  # a figure is its own root
+    (figure,) = figures
     content = BytesIO()
     # without program name, date and random identifiers, equal figures give equal bytes
     metadata = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}

@@ -383,3 +383,12 @@ def test_feasibility_draws_both_ways_and_their_noise() -> None:
     assert levels == pytest.approx([1 / 50, 1 / 20])
     assert float(lines["stroke frequency"].get_xdata()[0]) == pytest.approx(5.0)
     assert "40 modes" in axes.get_title()
+
+
+def test_axes_of_several_figures_are_not_written_to_one_file(tmp_path):
+    first, second = (views.wavefront(one_wave_of_tilt("grid")) for _ in range(2))
+    with pytest.raises(SceneError, match="axes of 2 figures"):
+        views.save([first, second], tmp_path / "both.png")
+    assert not list(tmp_path.iterdir())
+    views.save([first, first], tmp_path / "one.png")
+    assert (tmp_path / "one.png").exists()

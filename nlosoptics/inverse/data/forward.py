@@ -47,15 +47,16 @@ def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, 
 
 
 class TorchForwardModel(nn.Module):
-    """Differentiable convolution with a point spread, or a field of them, on batches of tensors.
+    """Differentiable convolution with a point spread, or with one that varies over the object.
 
-    Build it by `from_numpy`. Grid, boundary, transfer functions and weights are those of the numpy
-    model.
+    Calling it maps objects (..., H, W) to images (..., H, W); ``adjoint`` is the transpose. Build
+    it by `from_numpy`, which also sets device and precision. Grid, boundary, transfer functions and
+    weights are those of the numpy model.
 
     Parameters
     ----------
     model : ForwardModel
-        Model with numpy arrays.
+        Model with numpy arrays, of one point spread or of a `psf.PointSpreadField`.
 
     See Also
     --------

@@ -32,9 +32,10 @@ class TrainingPairs(Noun):
     Parameters
     ----------
     images : ndarray, (N, H, W) float32
-        Images, electrons, [y, x] in the camera's frame.
+        Images, electrons, [y, x] with row 0 at the lowest y.
     objects : ndarray, (N, H, W) float32
-        Objects on the same pixels, without blur, background and noise; maximum 1.
+        Objects on the same pixels, without blur, background or noise, each scaled to a maximum of
+        1.
 
     See Also
     --------

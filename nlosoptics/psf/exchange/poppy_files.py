@@ -112,7 +112,7 @@ def read_poppy(
     pupil_radius: float | None = None,
     half_pixel: HalfPixel = "refuse",
 ) -> Wavefront:
-    """Read a wavefront from the FITS files of a POPPY pupil.
+    """Read a wavefront from the FITS files of a POPPY pupil; give one of the two files or both.
 
     Parameters
     ----------
@@ -121,16 +121,18 @@ def read_poppy(
         unit: metres, microns, nanometres or radians. Values where the amplitude is 0 are ignored
         and may be NaN. Default 0 everywhere.
     amplitude : str or Path, optional
-        File with the amplitude transmission. Default 1 everywhere, which is a square pupil.
+        File with the amplitude (not intensity) transmission, 0 to 1. Default 1 everywhere, which
+        is a square pupil.
     wavelength, image_distance, pupil_radius : float, optional
-        As in `Wavefront`, m. They override the values in the files; files written by POPPY have
-        none. The default radius is that of the disc that just fits the array.
+        As in `Wavefront`, m. They override the values in the files. Wavelength and distance are
+        required for files written by POPPY, which hold neither, and optional for those of
+        `write_poppy`. The default radius is half the array's side.
     half_pixel : {"refuse", "shift", "scattered"}
         Treatment of arrays with an even side. Their centre is between four pixels in POPPY, but on
-        pixel n//2 in a grid of this library; values are never interpolated. "refuse" raises an
-        error. "shift" moves the pupil by half a pixel toward lower u and v, which changes the phase
-        of the image field but not the intensity. "scattered" makes every lit pixel a scattered node
-        at its true position.
+        pixel n//2 in a grid of this library. "refuse" raises an error. "shift" moves the pupil by
+        half a pixel toward lower u and v, which changes the phase of the image field but not the
+        intensity. "scattered" makes every pixel of non-zero amplitude a scattered node at its true
+        position. Values are never interpolated.
 
     Returns
     -------

@@ -161,7 +161,8 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
     Parameters
     ----------
     slopes : array_like, (ny, nx, 2)
-        Derivatives with respect to x (along a row) and to y (along a column) at the nodes, rad.
+        Derivatives at the nodes, dimensionless (m/m): ``[..., 0]`` with respect to x, which
+        increases with the column, and ``[..., 1]`` with respect to y, which increases with the row.
     pitch : float
         Distance between nodes, m.
     mask : array_like of bool, (ny, nx)
@@ -172,15 +173,15 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
     surface : ndarray, (ny, nx)
         Surface, m; its mean is 0 over every piece of the mask, and it is 0 outside the mask.
     residual : float
-        Rms of the slopes that no surface can have, over all pairs of neighbours in the mask, rad;
-        0 if there is no pair.
+        Rms difference between the given slopes and those of the surface, over all pairs of
+        neighbours in the mask. It is 0 for slopes without curl, and if there is no pair.
 
     Raises
     ------
     SceneError
         If shapes differ, the mask is empty, or a slope on it is not finite.
     SamplingError
-        If the iteration does not converge because the mask has long narrow passages.
+        If the iteration does not converge, which long narrow passages of the mask can cause.
 
     See Also
     --------
@@ -191,14 +192,24 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
     -----
     The difference of neighbours a, b is fitted to ``pitch (s_a + s_b)/2`` [1]_. This is exact for
     quadratics; otherwise the error is of second order in the pitch. The normal equations are a
-    Poisson problem with free boundary. They are solved by conjugate gradients, preconditioned by
-    the full rectangle's solution (cosine transforms), so that the number of steps depends on the
-    mask's shape but not on the pitch. Sums do not use BLAS: results are bit-identical for any
-    number of threads.
+    Poisson problem with natural (Neumann) boundary conditions. They are solved by conjugate
+    gradients with the Poisson solver of the full rectangle (cosine transforms) as preconditioner,
+    so that the number of steps depends on the mask's shape but not on the pitch. Sums do not use
+    BLAS: results are bit-identical for any number of threads.
 
     References
     ----------
     .. [1] Southwell, J. Opt. Soc. Am. 70, 998 (1980).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics import psf
+    >>> y, x = np.mgrid[:5, :5] * 1e-3
+    >>> slopes = np.stack([2.0 * x, np.zeros_like(y)], axis=-1)
+    >>> surface, residual = psf.integrated_slopes(slopes, 1e-3, np.ones((5, 5), dtype=bool))
+    >>> np.round(1e6 * (surface[0] - surface[0, 0]), 3), round(residual, 9)
+    (array([ 0.,  1.,  4.,  9., 16.]), 0.0)
     """
     from scipy import ndimage
 

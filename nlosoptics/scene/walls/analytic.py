@@ -34,17 +34,23 @@ def _term(kind: int, *parameters: float) -> Array:
 
 
 class Wall(Noun):
-    """Base class of all relay walls.
+    """Relay wall: the surface that scatters light from the hidden object to the camera.
+
+    This is the common base class; use one of the walls below. The surface is a height h(x, y) above
+    the plane z = 0, positive toward the room. Every wall has ``height``, ``derivatives`` and
+    ``normal``.
 
     Attributes
     ----------
     size : (float, float) or None
-        Full extent in x and y, m, centred on the origin; None for an unbounded wall.
+        Full width (x) and height (y) of the rectangular wall, m, centred on the origin; None for an
+        unbounded wall.
 
     See Also
     --------
     FlatWall : Plane wall.
-    HeightMapWall : Wall from measured heights.
+    ConcaveWall, ConvexWall, WavyWall : Curved walls.
+    HeightMapWall : Wall from heights on a grid, measured or random.
     CallableWall : Wall from Python functions.
     MeshWall : Wall from a triangle mesh.
     """
