@@ -6,7 +6,14 @@ Nothing is computed here, and no window opens. matplotlib and pyvista belong to 
 pyplot, so that they need no display and keep no global state; plotters render off screen.
 """
 
-from .curves import compare_methods, encircled_energy, history, mtf, spot_diagram
+from .curves import (
+    compare_methods,
+    encircled_energy,
+    history,
+    mtf,
+    spot_diagram,
+    through_focus,
+)
 from .films import transient, transient_film
 from .forecasts import feasibility, plan
 from .maps import (
@@ -48,6 +55,7 @@ __all__ = [
     "scene_3d",
     "scene_sketch",
     "spot_diagram",
+    "through_focus",
     "transient",
     "transient_film",
     "volume",

@@ -13,6 +13,7 @@ PICTURES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "Wavefront": lambda noun: views.wavefront(noun),
     "PupilField": lambda noun: views.pupil_field(noun),
     "PointSpread": lambda noun: views.point_spread(noun),
+    "ThroughFocus": lambda noun: views.through_focus(noun),
     "SpeckleImage": lambda noun: views.image(noun),
     "Reconstruction": lambda noun: views.reconstruction(noun),
     "Feasibility": lambda noun: views.feasibility(noun),

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..inverse import Reconstruction, Training
-    from ..psf import Comparison, MetricEstimate, SpotDiagram
+    from ..psf import Comparison, MetricEstimate, SpotDiagram, ThroughFocus
 
 Array = NDArray[np.float64]
 
@@ -192,6 +192,60 @@ def encircled_energy(
     space_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend(loc="lower right")
+    return axes
+
+
+def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
+    """Draw a metric against the displacement of the image plane, and mark the best plane.
+
+    Parameters
+    ----------
+    found : ThroughFocus
+        Result of `psf.through_focus`.
+    axes : matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Axes with the displacement along the light's direction in mm. The metric is in um for "rms"
+        and "spot". The shaded planes are within the depth of focus about the best one,
+        ``2 lambda N^2`` to each side: a quarter of a wave of defocus at the pupil's rim.
+
+    See Also
+    --------
+    nlosoptics.psf.through_focus : Metric in several planes.
+    nlosoptics.psf.best_focus : Displacement of best focus.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from nlosoptics import psf, views
+    >>> wave = psf.Wavefront.from_zernike(
+    ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
+    ... )
+    >>> axes = views.through_focus(psf.through_focus(wave, np.linspace(-2e-4, 4e-4, 31)))
+    >>> axes.get_xlabel(), axes.get_ylabel()
+    ('shift of the image plane (mm)', 'strehl')
+    """
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=6.0, height=4.2)
+    length = found.criterion in ("rms", "spot")
+    shifts, values = 1e3 * found.shifts, (1e6 if length else 1.0) * found.values
+    marker = "o" if len(shifts) <= FEW else None
+    order = np.argsort(shifts)
+    axes.plot(shifts[order], values[order], color=BLUE, marker=marker, markersize=3.5)
+    best, depth = shifts[found.best], 2e3 * found.wavelength * found.f_number**2
+    axes.axvline(best, color=VERMILION, linestyle="--", label=f"best of these, {best:.4g} mm")
+    axes.axvspan(best - depth, best + depth, color=GREY, alpha=0.2, label="depth of focus")
+    axes.set(
+        xlabel="shift of the image plane (mm)",
+        ylabel=f"{found.criterion} (µm)" if length else found.criterion,
+        xlim=(float(shifts.min()), float(shifts.max())) if len(shifts) > 1 else None,
+        title="through focus",
+    )
+    space_ticks(axes)
+    axes.grid(alpha=0.25)
+    axes.legend()
     return axes
 
 

@@ -123,6 +123,19 @@ def test_image_shows_electrons_noise_and_exposure():
     assert {"0.02", "8 x 8 pixels of 10 µm"} <= set(page.cells)
 
 
+def test_through_focus_shows_its_best_plane(wave):
+    pytest.importorskip("matplotlib")
+    # 100 nm rms of defocus are 346 nm from centre to rim, a shift of 8 N^2 times that: 69 um
+    found = psf.through_focus(wave, np.linspace(-60e-6, 120e-6, 37))
+    page = checked(found)
+    assert {"strehl", "37, -0.06 to 0.12 mm", "5"} <= set(page.cells)
+    best = found.shifts[found.best]
+    assert abs(best - psf.best_focus(wave)) <= 2.5e-6  # half a step
+    assert f"{1e3 * best:.4g} mm, {found.values.max():.4g}" in page.cells
+    spots = psf.through_focus(wave, found.shifts, criterion="spot")
+    assert spots.values[spots.best] == spots.values.min()
+
+
 def test_point_spread_shows_method_regime_error_and_pitch(spread):
     pytest.importorskip("matplotlib")
     page = checked(spread)

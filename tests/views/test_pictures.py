@@ -392,3 +392,17 @@ def test_axes_of_several_figures_are_not_written_to_one_file(tmp_path):
     assert not list(tmp_path.iterdir())
     views.save([first, first], tmp_path / "one.png")
     assert (tmp_path / "one.png").exists()
+
+
+def test_through_focus_marks_the_best_plane_and_the_depth_of_focus():
+    wave = one_wave_of_tilt("polar")
+    found = psf.through_focus(wave, np.linspace(-20e-6, 30e-6, 11))
+    axes = views.through_focus(found)
+    x, y = axes.lines[0].get_data()
+    np.testing.assert_allclose(x, 1e3 * found.shifts)
+    np.testing.assert_allclose(y, found.values)
+    assert axes.lines[1].get_xdata()[0] == pytest.approx(1e3 * found.shifts[found.best])
+    width = axes.patches[0].get_width()  # 2 lambda N^2 to each side
+    assert width == pytest.approx(4e3 * WAVELENGTH * wave.f_number**2)
+    spots = views.through_focus(psf.through_focus(wave, found.shifts, criterion="spot"))
+    assert spots.get_ylabel() == "spot (µm)"

@@ -12,6 +12,7 @@ import scipy  # loads scipy.optimize on first use
 from numpy.typing import ArrayLike, NDArray
 
 from ..._checks import one_of, positive, real
+from ..._html import Figures, Shown
 from ..._nouns import Noun
 from ...errors import SamplingError, SceneError
 from ..transform.point_spread import point_spread
@@ -24,6 +25,8 @@ from .spot_diagram import spot_radius
 Array = NDArray[np.float64]
 Criterion = Literal["strehl", "rms", "spot", "mtf"] | Callable[[Wavefront], float]
 CRITERIA: Final = ("strehl", "rms", "spot", "mtf")
+#: Criteria whose least value is best.
+LEAST: Final = ("rms", "spot")
 
 #: Least relative difference: of the criterion over the search, and between its two best maxima.
 DISTINCT: Final = 1e-4
@@ -34,7 +37,7 @@ TOLERANCE: Final = 1e-6
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class ThroughFocus(Noun):
+class ThroughFocus(Noun, Shown):
     """Metric of a wave in a sequence of image planes.
 
     Parameters
@@ -54,6 +57,7 @@ class ThroughFocus(Noun):
     --------
     through_focus : A criterion in several planes.
     best_focus : Displacement of best focus.
+    nlosoptics.views.through_focus : Curve of the metric.
     """
 
     shifts: Array
@@ -61,6 +65,21 @@ class ThroughFocus(Noun):
     criterion: str
     wavelength: float
     f_number: float
+
+    @property
+    def best(self) -> int:
+        """Index of the best plane: the least "rms" or "spot", the largest of other metrics."""
+        return int(np.argmin(self.values) if self.criterion in LEAST else np.argmax(self.values))
+
+    def _figures(self) -> Figures:
+        low, high, best = self.shifts.min(), self.shifts.max(), self.best
+        rows = {
+            "criterion": self.criterion,
+            "planes": f"{self.shifts.size}, {1e3 * low:.4g} to {1e3 * high:.4g} mm",
+            "best plane": f"{1e3 * self.shifts[best]:.4g} mm, {self.values[best]:.4g}",
+            "F-number": f"{self.f_number:.4g}",
+        }
+        return Figures("Through focus", rows, f"{self.criterion} against the image plane's shift")
 
 
 def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
@@ -276,7 +295,7 @@ def best_focus(
     name, measure, score = _metric(criterion, frequency, azimuth)
     d, radius = wavefront.image_distance, _radius(wavefront)
     unit = wavefront.wavelength
-    smooth = criterion in ("rms", "spot")  # parabolas, up to the spheres' higher orders
+    smooth = criterion in LEAST  # parabolas, up to the spheres' higher orders
     if limits is None:
         low, high = _search_range(wavefront, radius)
     else:
