@@ -14,6 +14,7 @@ from .._whole_files import whole_folder
 from ..errors import SceneError
 from ..runs.record import arrays, now, peak_memory, scene_hash, versions
 from .shell import (
+    Changes,
     Debug,
     SceneFile,
     Seed,
@@ -54,6 +55,7 @@ OPTIONS = {
 @app.command("transient")
 def transient_command(
     scene_file: SceneFile,
+    changes: Changes = None,
     out: Annotated[
         Path | None,
         typer.Option(help="HDF5 file to write; ./<scene's name>.hdf5 by default."),
@@ -100,7 +102,7 @@ def transient_command(
         path = Path(f"{scene_file.stem}.hdf5") if out is None else out
         from .. import transient
 
-        scene = load(scene_file, None)
+        scene = load(scene_file, None, changes)
         check_file(path)
         detector = None
         if photons is not None:

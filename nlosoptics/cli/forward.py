@@ -13,6 +13,7 @@ from .._checks import counted
 from .._whole_files import whole_folder
 from .shell import (
     MOST_SECONDS,
+    Changes,
     Debug,
     MaxSeconds,
     Memory,
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
 @app.command("plan")
 def plan_command(
     scene_file: SceneFile,
+    changes: Changes = None,
     tol: Tol = 1e-3,
     size: Size = None,
     memory: Memory = None,
@@ -47,7 +49,7 @@ def plan_command(
     with errors_told(debug):
         from ..runs.plan import plan
 
-        scene = load(scene_file, size)
+        scene = load(scene_file, size, changes)
         planned = plan(
             scene, tol, reconstruct=True, memory=in_bytes(memory), max_seconds=max_seconds
         )
@@ -58,6 +60,7 @@ def plan_command(
 def run_command(
     context: typer.Context,
     scene_file: SceneFile,
+    changes: Changes = None,
     tol: Tol = 1e-3,
     seed: Seed = 0,
     out: Annotated[
@@ -84,7 +87,7 @@ def run_command(
         from ..runs.simulate import carried_out
 
         seed = checked_seed(seed)
-        scene = load(scene_file, size)
+        scene = load(scene_file, size, changes)
         planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
         check_target(folder)
         require("matplotlib", "views")

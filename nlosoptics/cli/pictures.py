@@ -12,6 +12,7 @@ import typer
 
 from .._progress import Progress
 from .shell import (
+    Changes,
     Debug,
     SceneFile,
     Seed,
@@ -42,6 +43,7 @@ class Colour(StrEnum):
 @app.command("view")
 def view_command(
     scene_file: SceneFile,
+    changes: Changes = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -85,7 +87,7 @@ def view_command(
         plotter = views.window() if out is None else None
         with ThreadPoolExecutor(1) as beside:
             trial = beside.submit(_try_to_render, out)
-            scene = load(scene_file, None)
+            scene = load(scene_file, None, changes)
             trial.result()
         with progress_bar() as progress:
             if paths:

@@ -11,6 +11,7 @@ import typer
 from .._checks import counted
 from .shell import (
     FAILED,
+    Changes,
     Debug,
     SceneFile,
     Seed,
@@ -32,6 +33,7 @@ from .shell import (
 @app.command("feasibility")
 def feasibility_command(
     scene_file: SceneFile,
+    changes: Changes = None,
     size: Size = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     out: Annotated[
@@ -43,7 +45,7 @@ def feasibility_command(
     with errors_told(debug):
         from ..limits import feasibility
 
-        scene = load(scene_file, size)
+        scene = load(scene_file, size, changes)
         if out is not None:
             require("matplotlib", "views")
         with progress_bar() as progress:
@@ -64,6 +66,7 @@ def reconstruct_command(
         typer.Argument(metavar="IMAGE...", help="Camera images: greyscale PNG, TIFF or .npy."),
     ],
     scene_file: Annotated[Path, typer.Option("--scene", help="Scene file (TOML).")],
+    changes: Changes = None,
     dark: Annotated[
         Path | None, typer.Option(help="Dark frame, taken with the same exposure.")
     ] = None,
@@ -124,7 +127,7 @@ def reconstruct_command(
         from ..runs import reconstructing
 
         folder = Path(images[0].stem) if out is None else out
-        scene = load(scene_file, size)
+        scene = load(scene_file, size, changes)
         check_target(folder)
         task = reconstructing.prepared(
             scene,
@@ -163,6 +166,7 @@ def reconstruct_command(
 @app.command("train")
 def train_command(
     scene_file: SceneFile,
+    changes: Changes = None,
     out: Annotated[Path, typer.Option(help="File to write the network to (safetensors).")] = Path(
         "cnn.safetensors"
     ),
@@ -194,7 +198,7 @@ def train_command(
     with errors_told(debug):
         require("torch", "inverse")
         require("safetensors", "inverse")
-        scene = load(scene_file, size)
+        scene = load(scene_file, size, changes)
         check_file(out)
         from .. import inverse
 

@@ -50,6 +50,14 @@ Size = Annotated[
         help="Image pixels along x for the same field of view; by default those of the scene."
     ),
 ]
+Changes = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Value that replaces one of the scene file, such as wall.radius=2m; may be repeated.",
+    ),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]
 Memory = Annotated[
     float | None,
@@ -67,11 +75,12 @@ Seed = Annotated[
 ]
 
 
-def load(path: Path, size: int | None) -> Scene:
-    """Load a scene file, and resize its image to ``size`` pixels along x if given."""
+def load(path: Path, size: int | None, changes: list[str] | None) -> Scene:
+    """Load a scene file with changes, and resize its image to ``size`` pixels along x if given."""
     from ..scene import Scene
+    from ..scene.file.addresses import parsed
 
-    scene = Scene.load(path)
+    scene = Scene.load(path, parsed(changes or []))
     return scene if size is None else scene.resized(size)
 
 

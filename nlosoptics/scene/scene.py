@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -133,13 +134,18 @@ class Scene(Noun, Shown):
         return super().__getstate__() | {"occluders": tuple(map(bare_mesh, self.occluders))}
 
     @classmethod
-    def load(cls, path: str | Path) -> Scene:
-        """Read a scene file (TOML).
+    def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
+        """Read a scene file (TOML), with other values at some places if wanted.
 
         Parameters
         ----------
         path : str or Path
             Scene file. Its keys are described by the JSON schema from ``nlosoptics schema``.
+        changes : mapping of str to value, optional
+            Values as the file would hold them, with units, by address: table and key, such as
+            ``wall.radius``, with indices from 0 for lists, such as ``wall.material[1].slope_rms``.
+            Keys that would contradict a new one are dropped: setting ``camera.f_number`` removes
+            ``camera.stop_diameter``.
 
         Returns
         -------
@@ -149,7 +155,7 @@ class Scene(Noun, Shown):
         Raises
         ------
         SceneError
-            If the file is missing or wrong. The message names file, key, value, limit and remedy.
+            If the file or a change is wrong. The message names file, key, value, limit and remedy.
 
         Examples
         --------
@@ -157,10 +163,15 @@ class Scene(Noun, Shown):
         >>> scene = Scene.load("examples/scenes/letter_flat.toml")
         >>> print(f"{1e9 * scene.laser.wavelength:.1f} nm, {type(scene.wall).__name__}")
         632.8 nm, FlatWall
+
+        >>> bent = {"wall.shape": "concave_sphere", "wall.radius": "5 m", "laser.power": "20 mW"}
+        >>> scene = Scene.load("examples/scenes/letter_flat.toml", bent)
+        >>> type(scene.wall).__name__, scene.wall.radius, scene.laser.power
+        ('ConcaveWall', 5.0, 0.02)
         """
         from .file.scene_file import read_scene
 
-        return read_scene(path_of("path", path), cls)
+        return read_scene(path_of("path", path), cls, changes)
 
     def save(self, path: str | Path) -> None:
         """Write a scene file that `load` reads back without any change of values.

@@ -425,3 +425,15 @@ def test_plan_loads_nothing_heavy(scene_file: Path) -> None:
     )
     heavy = {"torch", "matplotlib", "pyvista", "trimesh", "rich.progress"}
     assert heavy & set(answer.stderr.split()) == set()
+
+
+def test_set_changes_values_of_the_scene(run, scene_file):
+    plain = run("feasibility", scene_file, "--json")
+    stronger = run("feasibility", scene_file, "--json", "--set", "laser.power=10mW")
+    assert plain.code == stronger.code == 0
+    factor = json.loads(stronger.out)["photons"] / json.loads(plain.out)["photons"]
+    assert factor == pytest.approx(10e-3 / Scene.load(scene_file).laser.power, rel=1e-9)
+    wrong = run("plan", scene_file, "--set", "laser.power=5")
+    assert wrong.code == shell.BAD_INPUT
+    assert "laser.power = 5 has no unit" in wrong.err
+    assert wrong.err.count("\n") == 1

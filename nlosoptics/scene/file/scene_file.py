@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,6 +30,7 @@ from ..walls.mesh_walls import MeshWall
 from ..walls.relief import FacetWall, GaussianWall
 from ..walls.roughness import WallRoughness
 from . import tables as _file_tables
+from .addresses import changed
 from .errors import located, missing_key, validated
 from .schema import scene_schema
 from .text import saved_files, scene_files
@@ -42,7 +43,9 @@ T = TypeVar("T")
 _ALTERNATIVES = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
 
 
-def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
+def read_scene(
+    path: str | Path, scene: Callable[..., T], changes: Mapping[str, Any] | None = None
+) -> T:
     """Read a scene file, and open the images and meshes that it names.
 
     Parameters
@@ -53,6 +56,8 @@ def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
         The class `Scene`, passed in because this module must not import it. It is called with
         laser, wall, hidden object, camera and occluders, and with the optional keywords
         ``wall_material``, ``wall_roughness`` and ``transient``.
+    changes : mapping of str to value, optional
+        Values that replace those of the file, by address; see `Scene.load`.
 
     Returns
     -------
@@ -74,6 +79,11 @@ def read_scene(path: str | Path, scene: Callable[..., T]) -> T:
     with located(f"{path}: "):
         tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, raw)
     camera = _camera_values(path, tables.camera, (path.resolve(),))
+    if changes:
+        with located(f"{path}: "):
+            raw = changed(raw | {"camera": _whole_camera(path, raw["camera"])}, changes)
+            tables = validated(_file_tables.SceneFile, raw)
+        camera = _camera_values(path, tables.camera, (path.resolve(),))
     with located(f"{path}: "):
         optional: dict[str, Any] = {}
         if tables.wall.material is not None:
@@ -343,10 +353,22 @@ def _camera_values(
     with located(f"{other}: "):
         included: _file_tables.CameraFile = validated(_file_tables.CameraFile, raw)
     values = _camera_values(other, included.camera, (*seen, other.resolve()))
-    for pair in _ALTERNATIVES:
-        if any(name in own for name in pair):
-            values = {name: value for name, value in values.items() if name not in pair}
-    return values | own
+    return _without_alternatives(values, own) | own
+
+
+def _whole_camera(path: Path, own: dict[str, Any]) -> dict[str, Any]:
+    """Return the camera table of a checked file, joined with that of the file that it names."""
+    if "file" not in own:
+        return own
+    other = path.parent / own["file"]
+    values = _whole_camera(other, _read(other)["camera"])
+    return _without_alternatives(values, own) | {k: own[k] for k in own if k != "file"}
+
+
+def _without_alternatives(values: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return camera values without those that the keys of ``own`` replace."""
+    gone = {name for pair in _ALTERNATIVES if not own.keys().isdisjoint(pair) for name in pair}
+    return {name: value for name, value in values.items() if name not in gone}
 
 
 def _camera(values: dict[str, Any]) -> Camera:

@@ -1,0 +1,106 @@
+"""Dotted addresses of the values in a scene file, such as ``occluder[0].position``."""
+
+from __future__ import annotations
+
+import copy
+import re
+import tomllib
+from collections.abc import Mapping
+from typing import Any
+
+from ..._checks import counted
+from ...errors import SceneError
+
+_ADDRESS = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)+")
+_KEYS = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
+#: Keys that say the same thing in two ways, by table. Setting one side removes the other.
+_ALTERNATIVES = (
+    ("laser", ("position",), ("distance", "incidence", "azimuth")),
+    ("camera", ("focal_length",), ("field_of_view",)),
+    ("camera", ("stop_diameter",), ("f_number",)),
+)
+
+
+def parsed(changes: list[str]) -> dict[str, Any]:
+    """Return changes such as ``wall.radius=2 m`` as values by address.
+
+    A value is read like one of a scene file; text needs no quotation marks.
+
+    Raises
+    ------
+    SceneError
+        If a change has no equals sign, or an address is set twice.
+    """
+    values: dict[str, Any] = {}
+    for change in changes:
+        address, equals, text = change.partition("=")
+        address = address.strip()
+        if not equals:
+            raise SceneError(f"--set {change!r} has no value; write for example wall.radius=2m")
+        if address in values:
+            raise SceneError(f"--set {address} is given twice; give one value")
+        try:
+            values[address] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            values[address] = text.strip()
+    return values
+
+
+def changed(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a copy of a scene file's tables with other values at some addresses.
+
+    Parameters
+    ----------
+    raw : dict
+        Tables of the file; not modified.
+    changes : mapping of str to value
+        Values, as the file would hold them, by address. Tables on the way are added.
+
+    Raises
+    ------
+    SceneError
+        If an address is malformed, or leads through something that is no table or list, or beyond
+        the end of a list.
+    """
+    tables = copy.deepcopy(raw)
+    for address in changes:
+        if not _ADDRESS.fullmatch(str(address)):
+            raise SceneError(
+                f"{address!r} is not the address of a value; write for example wall.radius or "
+                "occluder[0].position"
+            )
+    for table, one, other in _ALTERNATIVES:
+        for new, old in ((one, other), (other, one)):
+            if any(f"{table}.{key}" in changes for key in new):
+                for key in old:
+                    tables.get(table, {}).pop(key, None)
+    for address, value in changes.items():
+        _set(tables, address, value)
+    return tables
+
+
+def _set(tables: dict[str, Any], address: str, value: Any) -> None:
+    """Set the value at an address."""
+    keys: list[str | int] = [
+        int(index) if index else name for name, index in _KEYS.findall(address)
+    ]
+    place: Any = tables
+    path = ""
+    for depth, key in enumerate(keys):
+        last = depth + 1 == len(keys)
+        if isinstance(key, int):
+            if not isinstance(place, list):
+                raise SceneError(f"{address}: {path} is not a list here; leave out [{key}]")
+            if key >= len(place):
+                raise SceneError(
+                    f"{address}: {path} has {counted(len(place), 'element')}, counted from 0; "
+                    "give a smaller index, or write the list in the file"
+                )
+        elif not isinstance(place, dict):
+            kind = "a list; give an index such as [0]" if isinstance(place, list) else "one value"
+            raise SceneError(f"{address}: {path} is {kind}")
+        path += f"[{key}]" if isinstance(key, int) else f".{key}" if path else key
+        if last:
+            place[key] = copy.deepcopy(value)
+        else:
+            place = place[key] if isinstance(key, int) else place.setdefault(key, {})
