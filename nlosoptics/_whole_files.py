@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import glob
 import json
 import os
+import shutil
+import sys
 import tempfile
+import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -13,6 +18,9 @@ from .errors import SceneError
 
 #: Record of an output folder; it lists the files that nlosoptics wrote.
 RECORD = "result.json"
+_LOCK = "lock"  # file of a temporary folder that its process holds
+_NEW = 60.0  # age up to which an empty temporary folder may be in use, s
+_IS_LINUX = sys.platform == "linux"
 
 
 def write_whole(contents: Mapping[Path, bytes]) -> None:
@@ -77,17 +85,88 @@ def check_folder(folder: Path) -> None:
 
 @contextmanager
 def whole_folder(target: Path) -> Iterator[Path]:
-    """Yield a temporary folder that replaces ``target`` if the block ends without an error."""
-    target = target.absolute()
-    with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as beside:
+    """Yield a temporary folder that takes the place of ``target`` if the block ends without error.
+
+    The two folders are exchanged in one step where the system can (Linux), so that a process killed
+    at any time leaves the old folder or the new one. Elsewhere the next call puts an old folder
+    back that was left between two steps. It also removes what killed processes left behind.
+    """
+    target = Path(os.path.realpath(target))
+    _sweep(target)
+    with (
+        tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as beside,
+        _locked(Path(beside) / _LOCK),
+    ):
         new, old = Path(beside) / "new", Path(beside) / "old"
         new.mkdir()
         yield new
+        for path in (*new.rglob("*"), new):
+            _written_through(path)
         try:
-            if target.exists():
-                target.rename(old)
-            new.rename(target)
+            if not target.exists() or not _exchanged(new, target):
+                if target.exists():
+                    target.rename(old)
+                new.rename(target)
         except BaseException:
             if old.exists() and not target.exists():
                 old.rename(target)
             raise
+        _written_through(target.parent)
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange two folders in one step; return False where the system has no such call."""
+    import ctypes
+
+    call = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if _IS_LINUX else None
+    if call is None:
+        return False
+    here, exchange = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of linux/fs.h
+    if call(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in (errno.ENOSYS, errno.EINVAL, errno.ENOTSUP):  # an old kernel, or NFS
+        return False
+    raise OSError(code, os.strerror(code), str(other))
+
+
+def _written_through(path: Path) -> None:
+    """Wait until a file or the entries of a folder are on the disk, as far as the system tells."""
+    with suppress(OSError):  # Windows opens no folders
+        number = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[bool]:
+    """Hold a lock file, which ends with the process; yield False if another process holds it."""
+    with path.open("w") as file:
+        try:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except ImportError:  # Windows
+            yield False
+        except OSError:
+            yield False
+        else:
+            yield True
+
+
+def _sweep(target: Path) -> None:
+    """Remove the temporary folders of killed processes, and put back an old folder in one."""
+    for left in target.parent.glob(f".{glob.escape(target.name)}-*"):
+        lock, old = left / _LOCK, left / "old"
+        if not lock.is_file():  # killed at once, or just being made
+            with suppress(OSError):
+                if time.time() - left.stat().st_mtime > _NEW:
+                    left.rmdir()  # if empty
+            continue
+        with suppress(OSError), _locked(lock) as unused:
+            if unused:
+                if old.is_dir() and not target.exists():
+                    old.rename(target)
+                shutil.rmtree(left)

@@ -1,13 +1,15 @@
 """Command line: parses arguments, calls the library and writes the results.
 
 Exit codes: 0 done, 1 failed, 2 bad input. An error is printed as one line on stderr; ``--debug``
-adds the traceback. A failed run leaves no partial output folder.
+adds the traceback. A failed run leaves no partial output folder. SIGTERM acts like Ctrl-C.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Annotated
 
 import typer
@@ -38,11 +40,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     nlosoptics.plan : Predict stages, time and error.
     nlosoptics.simulate : Run a scene's plan.
     """
+    before = None
+    with suppress(ValueError):  # not in the main thread
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         words = tuple(sys.argv[1:] if arguments is None else arguments)
         code = app(args=words, prog_name="nlosoptics", standalone_mode=False, obj=words)
     except (Exception, KeyboardInterrupt) as error:
         code = tell(error)
+    finally:
+        if before is not None:
+            signal.signal(signal.SIGTERM, before)
     sys.exit(code or DONE)
 
 

@@ -144,7 +144,10 @@ def numbers(option: str, text: str) -> tuple[float, ...]:
 
 @contextmanager
 def interruptible() -> Iterator[Callable[[], bool]]:
-    """Yield a function that tells if Ctrl-C was pressed; a second Ctrl-C interrupts at once."""
+    """Yield a function that tells if Ctrl-C was pressed; a second Ctrl-C interrupts at once.
+
+    SIGTERM counts like Ctrl-C.
+    """
     asked = False
 
     def ask(signum: int, frame: object) -> None:
@@ -153,11 +156,13 @@ def interruptible() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         asked = True
 
-    before = signal.signal(signal.SIGINT, ask)
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(kind, ask) for kind in kinds]
     try:
         yield lambda: asked
     finally:
-        signal.signal(signal.SIGINT, before)
+        for kind, handler in zip(kinds, before, strict=True):
+            signal.signal(kind, handler)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import nlosoptics
-from nlosoptics import _random, cli
+from nlosoptics import _random, _whole_files, cli
 from nlosoptics._whole_files import whole_folder
 from nlosoptics.cli import forward, shell
 from nlosoptics.runs import record, results
@@ -349,6 +349,11 @@ def interrupt(*_: object, **__: object) -> None:
     signal.raise_signal(signal.SIGINT)
 
 
+def terminate(*_: object, **__: object) -> None:
+    """End the process like a batch system or the system's shutdown."""
+    signal.raise_signal(signal.SIGTERM)
+
+
 @pytest.mark.usefixtures("interruptible")
 def test_broken_run_leaves_the_old_folder(
     scene_file: Path, run: Run, monkeypatch: pytest.MonkeyPatch
@@ -365,6 +370,7 @@ def test_broken_run_leaves_the_old_folder(
         for break_it, said in (
             (disk_full, "disk full"),
             (interrupt, "interrupted; nothing was written"),
+            (terminate, "interrupted; nothing was written"),
         ):
             with monkeypatch.context() as broken:
                 broken.setattr(where, step, break_it)
@@ -390,6 +396,7 @@ def test_renaming_that_fails_puts_the_old_folder_back(
         return rename(self, to)
 
     monkeypatch.setattr(Path, "rename", break_second)
+    monkeypatch.setattr(_whole_files, "_exchanged", lambda *_: False)
     with pytest.raises(OSError, match="no"), whole_folder(target) as new:
         (new / "new.txt").write_text("new")
     assert contents(tmp_path) == {"result/old.txt": b"old"}

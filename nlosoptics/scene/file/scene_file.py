@@ -39,6 +39,9 @@ __all__ = ["read_scene", "save_scene", "scene_files", "scene_schema"]
 
 T = TypeVar("T")
 
+#: Most characters of a scene file and of a line; a parser's time grows with their square.
+MOST_TEXT, MOST_LINE = 4_000_000, 20_000
+
 #: Either key of a pair determines the other; an override replaces both.
 _ALTERNATIVES = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
 
@@ -142,11 +145,19 @@ def _read(path: Path) -> dict[str, Any]:
         what = "a folder" if path.is_dir() else "missing"
         raise SceneError(f"{path}: the scene file is {what}; give the path of a TOML file")
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if len(text) > MOST_TEXT or max(map(len, text.splitlines()), default=0) > MOST_LINE:
+            raise SceneError(
+                f"{path}: {len(text)} characters, limit {MOST_TEXT:,} and {MOST_LINE:,} in a line; "
+                "give a scene file, and keep heights and meshes in files of their own"
+            )
+        return tomllib.loads(text)
     except UnicodeDecodeError as error:
         raise SceneError(
             f"{path}: byte {error.start} is not UTF-8 text; give a TOML file"
         ) from None
+    except RecursionError:
+        raise SceneError(f"{path}: tables are nested too deeply; give a scene file") from None
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"{path}: not TOML: {error}; correct that line") from None
     except OSError as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from pathlib import Path
 
 import pytest
@@ -623,3 +624,21 @@ def test_saving_nowhere(examples: Path, tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"taken is a folder; name a file"):
         scene.save(tmp_path / "taken")
     assert [path.name for path in tmp_path.iterdir()] == ["taken"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a = " + "[" * 5000, "nested too deeply"),
+        ("a = " + "{b = " * 3000, "nested too deeply"),
+        (f"[{'.'.join('a' * 100_000)}]", "limit 4,000,000 and 20,000 in a line"),
+        ("# x\n" * 1_100_000, "limit 4,000,000"),
+    ],
+)
+def test_texts_that_exhaust_a_parser_are_refused_at_once(text, words, tmp_path):
+    file = tmp_path / "scene.toml"
+    file.write_text(text)
+    began = time.process_time()
+    with pytest.raises(SceneError, match=words):
+        Scene.load(file)
+    assert time.process_time() - began < 2.0  # hours without the limits
