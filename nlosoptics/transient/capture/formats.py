@@ -123,13 +123,6 @@ def load_capture(
 def _read(path: Path, format: str | None) -> Found:
     from . import foreign_files, mat_files, tal_files
 
-    variables = mat_files.variables(path)
-    layout = _layout(variables)
-    if format is not None and format != layout:
-        raise SceneError(
-            f"format = {format!r}, the file has the layout {layout!r} by its variables; omit "
-            "format or give that layout"
-        )
     readers = {
         "tal": tal_files.read,
         "znlos": foreign_files.read_znlos,
@@ -138,7 +131,14 @@ def _read(path: Path, format: str | None) -> Found:
         "phasor_field_2020": foreign_files.read_phasor_field_2020,
         "lct": foreign_files.read_lct,
     }
-    return readers[layout](variables)
+    with mat_files.variables(path) as variables:
+        layout = _layout(variables)
+        if format is not None and format != layout:
+            raise SceneError(
+                f"format = {format!r}, the file has the layout {layout!r} by its variables; omit "
+                "format or give that layout"
+            )
+        return readers[layout](variables)
 
 
 def _layout(variables: Mapping[str, Any]) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, Final, Literal
 
@@ -22,20 +24,22 @@ DEEPEST: Final = 32  # nested structures
 CHARS, SPARSE, INT64 = 4, 5, 14  # array classes; numeric ones are 6 to INT64
 
 
-def variables(path: Path) -> dict[str, Any]:
-    """Read all variables of an HDF5 or MATLAB file (v5, v7.3).
+@contextmanager
+def variables(path: Path) -> Iterator[Mapping[str, Any]]:
+    """Open an HDF5 or MATLAB file (v5, v7.3) as a mapping of its variables.
 
+    A variable is read when it is looked up, so that large ones that nobody needs cost nothing.
     Arrays written by MATLAB get MATLAB's order of axes.
 
-    Returns
-    -------
-    dict of str to Any
+    Yields
+    ------
+    mapping of str to Any
         Arrays; None for empty variables, dict for groups and structures, str for text.
 
     Raises
     ------
     SceneError
-        If the file has neither format or is damaged.
+        If the file has neither format, is damaged, or takes data from another file.
     """
     import h5py
 
@@ -45,33 +49,108 @@ def variables(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise SceneError(f"cannot be read ({error.strerror}); check path and permissions") from None
     if h5py.is_hdf5(path):
-        return _hdf5(path, matlab=head.startswith(b"MATLAB 7.3"))
+        with ExitStack() as opened:
+            with _readable_hdf5():
+                held = opened.enter_context(h5py.File(path, "r"))
+            yield _Hdf5(held, matlab=head.startswith(b"MATLAB 7.3"))
+        return
     if head.startswith(b"\x89HDF"):
         raise SceneError("is a broken HDF5 file (its header cannot be read); copy it again")
-    if head[126:128] in (b"IM", b"MI"):
-        return _mat5(path, "<" if head[126:128] == b"IM" else ">")
-    raise SceneError("is neither HDF5 nor a MATLAB file; give a capture in one of these formats")
+    if head[126:128] not in (b"IM", b"MI"):
+        raise SceneError(
+            "is neither HDF5 nor a MATLAB file; give a capture in one of these formats"
+        )
+    yield _Mat5(path, "<" if head[126:128] == b"IM" else ">")
 
 
-def _hdf5(path: Path, *, matlab: bool) -> dict[str, Any]:
+class _Hdf5(Mapping[str, Any]):
+    """Variables of an open HDF5 file, and their attributes under ``name@attribute``."""
+
+    def __init__(self, file: Any, *, matlab: bool) -> None:
+        self._file, self._matlab = file, matlab
+        self._read: dict[str, Any] = {}
+        with _readable_hdf5():
+            self._keys = tuple(self._names())
+
+    def __len__(self) -> int:
+        return len(self._keys)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._keys)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._keys  # without reading it
+
+    def __getitem__(self, key: str) -> Any:
+        if key not in self._keys:
+            raise KeyError(key)
+        if key not in self._read:
+            name, at, attribute = key.partition(AT)
+            with _readable_hdf5():
+                item = self._file[name]
+                self._read[key] = item.attrs[attribute] if at else self._value(name, item)
+        return self._read[key]
+
+    def _names(self) -> Iterator[str]:
+        """Yield the names of variables and attributes."""
+        for name in self._file:
+            if name.startswith("#"):  # MATLAB's internal references
+                continue
+            item = _linked(name, self._file)
+            yield name
+            for key in item.attrs:
+                if not key.startswith(("MATLAB_", "H5PATH")):
+                    yield f"{name}{AT}{key}"
+
+    def _value(self, name: str, item: Any, depth: int = 0) -> Any:
+        """Return the value of a dataset or group."""
+        import h5py
+
+        if depth > DEEPEST:
+            raise SceneError(
+                f"has {name[:60]}, nested in more than {DEEPEST} groups or in a circle; write the "
+                "capture's arrays at the top"
+            )
+        if isinstance(item, h5py.Group):
+            return {
+                key: self._value(f"{name}.{key}", _linked(key, item), depth + 1) for key in item
+            }
+        if not isinstance(item, h5py.Dataset):
+            raise SceneError(f"has {name}, which is no array; give the file of a capture")
+        if item.shape is None or item.attrs.get("MATLAB_empty", 0):
+            return None
+        if item.external or item.is_virtual:
+            raise SceneError(f"has {name}, whose data are in other files; copy them into this one")
+        fits_memory(name, float(item.nbytes), "free memory, or load a smaller capture")
+        value = item[()]
+        if isinstance(value, bytes):
+            return value.decode("utf-8", "replace")
+        if isinstance(value, h5py.Reference):
+            return self._value(name, self._file[value], depth + 1)
+        if self._matlab and isinstance(value, np.ndarray):
+            value = value.T  # MATLAB stores the first index fastest
+            if item.attrs.get("MATLAB_class", b"") in (b"char", "char"):
+                return "".join(map(chr, value.ravel()))
+        return value
+
+
+def _linked(name: str, group: Any) -> Any:
+    """Return the item of a group, or raise `SceneError` if it is not in this file."""
     import h5py
 
+    if isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+        raise SceneError(f"has {name}, which is in another file; copy it into this one")
+    item = group.get(name)
+    if item is None:
+        raise SceneError(f"is a broken HDF5 file (the link {name} has no target); copy it again")
+    return item
+
+
+@contextmanager
+def _readable_hdf5() -> Iterator[None]:
+    """Convert errors of the HDF5 library, which h5py maps to many types, to `SceneError`."""
     try:
-        with h5py.File(path, "r") as file:
-            found = {}
-            for name, item in file.items():
-                if name.startswith("#"):  # MATLAB's internal references
-                    continue
-                if item is None:
-                    raise SceneError(
-                        f"is a broken HDF5 file (the link {name} has no target); copy it again"
-                    )
-                found[name] = _hdf5_item(name, item, file, matlab)
-                for key, value in item.attrs.items():
-                    if not key.startswith(("MATLAB_", "H5PATH")):
-                        found[f"{name}{AT}{key}"] = value
-            return found
-    # h5py maps errors of the HDF5 library to any of these types
+        yield
     except (ArithmeticError, LookupError, OSError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, SceneError):
             raise
@@ -80,41 +159,51 @@ def _hdf5(path: Path, *, matlab: bool) -> dict[str, Any]:
         ) from None
 
 
-def _hdf5_item(name: str, item: Any, file: Any, matlab: bool) -> Any:
-    import h5py
+class _Mat5(Mapping[str, Any]):
+    """Variables of a MATLAB v5 file."""
 
-    if isinstance(item, h5py.Group):
-        return {key: _hdf5_item(f"{name}.{key}", v, file, matlab) for key, v in item.items()}
-    if not isinstance(item, h5py.Dataset):
-        raise SceneError(f"has {name}, which is no array; give the file of a capture")
-    if item.shape is None or item.attrs.get("MATLAB_empty", 0):
-        return None
-    fits_memory(name, float(item.nbytes), "free memory, or load a smaller capture")
-    value = item[()]
-    if isinstance(value, bytes):
-        return value.decode("utf-8", "replace")
-    if isinstance(value, h5py.Reference):
-        return _hdf5_item(name, file[value], file, matlab)
-    if matlab and isinstance(value, np.ndarray):
-        value = value.T  # MATLAB stores the first index fastest
-        if item.attrs.get("MATLAB_class", b"") in (b"char", "char"):
-            return "".join(map(chr, value.ravel()))
-    return value
+    def __init__(self, path: Path, order: Literal["<", ">"]) -> None:
+        from scipy.io import whosmat
+
+        self._path = path
+        self._read: dict[str, Any] = {}
+        with _readable_mat5():
+            with path.open("rb") as file:
+                _check_elements(file, order, 128, path.stat().st_size, 0)
+            self._shapes = {name: shape for name, shape, _ in whosmat(path)}
+
+    def __len__(self) -> int:
+        return len(self._shapes)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._shapes)
+
+    def __contains__(self, key: object) -> bool:
+        return key in self._shapes  # without reading it
+
+    def __getitem__(self, key: str) -> Any:
+        from scipy.io import loadmat
+
+        if key not in self._read:
+            size = 8.0 * math.prod(self._shapes[key])
+            fits_memory(key, size, "free memory, or load a smaller capture")
+            with _readable_mat5():
+                found = loadmat(
+                    self._path, squeeze_me=False, struct_as_record=True, variable_names=[key]
+                )[key]
+            self._read[key] = _mat5_item(found)
+        return self._read[key]
 
 
-def _mat5(path: Path, order: Literal["<", ">"]) -> dict[str, Any]:
-    from scipy.io import loadmat
-
+@contextmanager
+def _readable_mat5() -> Iterator[None]:
+    """Convert the many types of error of scipy's reader to `SceneError`."""
     try:
-        with path.open("rb") as file:
-            _check_elements(file, order, 128, path.stat().st_size, 0)
-        found = loadmat(path, squeeze_me=False, struct_as_record=True)
-    # scipy's reader raises many types of error on a truncated file
+        yield
     except Exception as error:
         raise SceneError(
             f"is a broken MATLAB file ({type(error).__name__}: {_first_line(error)}); copy it again"
         ) from None
-    return {name: _mat5_item(value) for name, value in found.items() if not name.startswith("__")}
 
 
 def _check_elements(

@@ -206,16 +206,16 @@ def read(variables: Mapping[str, Any]) -> Found:
         pairing=paired,
         outer_legs=_flag(variables, "t_accounts_first_and_last_bounces"),
         by_bounce={
-            int(key.removeprefix(f"H{AT}{PART}")): _at_length(value, H)
-            for key, value in variables.items()
+            int(key.removeprefix(f"H{AT}{PART}")): _at_length(variables[key], H)
+            for key in variables
             if key.startswith(f"H{AT}{PART}") and key.removeprefix(f"H{AT}{PART}").isdecimal()
         },
         standard_error=_at_length(variables[f"H{AT}{ERROR}"], H)
         if f"H{AT}{ERROR}" in variables
         else None,
         details={
-            key.removeprefix(f"H{AT}{DETAIL}"): np.asarray(value)
-            for key, value in variables.items()
+            key.removeprefix(f"H{AT}{DETAIL}"): np.asarray(variables[key])
+            for key in variables
             if key.startswith(f"H{AT}{DETAIL}")
         },
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import h5py
 import numpy as np
 import pytest
@@ -342,10 +344,89 @@ def test_measured_lct_light_comes_when_it_must(data, name):
 def test_broken_elements_of_matlab_files_are_told(tmp_path, held, at, value, words):
     path = tmp_path / "p.mat"
     savemat(path, {"H": held})
-    assert set(variables(path)) == {"H"}
+    with variables(path) as found:
+        assert set(found) == {"H"}
     raw = bytearray(path.read_bytes())
     raw[at] = value
     path.write_bytes(raw)
-    with pytest.raises(SceneError, match=f"is a broken MATLAB file.*{words}") as caught:
-        variables(path)
+    with (
+        pytest.raises(SceneError, match=f"is a broken MATLAB file.*{words}") as caught,
+        variables(path),
+    ):
+        pass
     assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def tal_file(tmp_path):
+    """A small capture in y-tal's layout, and a file of the machine whose bytes it must not show."""
+    path, secret = tmp_path / "capture.hdf5", tmp_path / "secret.bin"
+    secret.write_bytes(np.full(4 * 3 * 3, 7.0).tobytes())
+    with h5py.File(tmp_path / "other.hdf5", "w") as other:
+        other["H"] = np.full((4, 3, 3), 7.0)
+    points = np.stack([*np.meshgrid([0.0, 0.1, 0.2], [0.0, 0.1, 0.2], indexing="ij")], axis=-1)
+    points = np.concatenate([points, np.zeros((3, 3, 1))], axis=-1)
+    with h5py.File(path, "w") as file:
+        file["H"] = np.ones((4, 3, 3))
+        file["sensor_grid_xyz"], file["laser_grid_xyz"] = points, np.zeros((1, 1, 3))
+        file["delta_t"], file["t_start"] = 0.01, 0.0
+        file["t_accounts_first_and_last_bounces"] = 0
+    return path
+
+
+def external_storage(file, folder):
+    del file["H"]
+    file.create_dataset("H", (4, 3, 3), "f8", external=[(str(folder / "secret.bin"), 0, 288)])
+
+
+def external_link(file, folder):
+    del file["H"]
+    file["H"] = h5py.ExternalLink(str(folder / "other.hdf5"), "/H")
+
+
+def virtual_dataset(file, folder):
+    del file["H"]
+    layout = h5py.VirtualLayout((4, 3, 3), "f8")
+    layout[:] = h5py.VirtualSource(str(folder / "other.hdf5"), "H", shape=(4, 3, 3))
+    file.create_virtual_dataset("H", layout)
+
+
+def soft_link_that_leads_nowhere(file, folder):
+    file["unused"] = h5py.SoftLink("/nothing")
+
+
+def groups_in_a_circle(file, folder):
+    del file["scene_info"]
+    group = file.create_group("scene_info")
+    group["again"] = group
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (external_storage, "has H, whose data are in other files"),
+        (external_link, "has H, which is in another file"),
+        (virtual_dataset, "has H, whose data are in other files"),
+        (soft_link_that_leads_nowhere, "the link unused has no target"),
+        (groups_in_a_circle, "nested in more than 32 groups or in a circle"),
+    ],
+)
+def test_data_of_other_files_and_circles_are_refused(spoil, words, tal_file):
+    assert TransientCapture.load(tal_file).H.sum() == 36.0
+    with h5py.File(tal_file, "r+") as file:
+        file.require_dataset("scene_info", (), "f8")
+        spoil(file, tal_file.parent)
+    with pytest.raises(SceneError, match=words) as caught:
+        TransientCapture.load(tal_file)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_a_layout_does_not_need_is_not_read(tal_file):
+    with h5py.File(tal_file, "r+") as file:
+        file.create_dataset("huge", (1 << 28,), "f8", chunks=(1 << 20,))  # 2 GiB without a byte
+    tracemalloc.start()
+    try:
+        TransientCapture.load(tal_file)
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+    finally:
+        tracemalloc.stop()
