@@ -304,7 +304,17 @@ def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> Iterat
 
 def _resolved(folder: Path, name: str) -> Path:
     """Return the absolute path of a file named relative to ``folder``."""
-    return (folder / name).resolve()
+    try:
+        path = (folder / name).resolve()
+        path.stat()
+    except FileNotFoundError:
+        pass  # told with the key's name where the file is opened
+    except (OSError, ValueError) as error:  # a null character is a ValueError
+        raise SceneError(
+            f"{name[:60]!r} cannot be the path of a file ({getattr(error, 'strerror', error)}); "
+            "correct it"
+        ) from None
+    return path
 
 
 def _material(name: str, table: Any) -> Material:
@@ -352,8 +362,9 @@ def _camera_values(
             )
     if table.file is None:
         return own
-    other = path.parent / table.file
-    if other.resolve() in seen:
+    with located(f"{path}: camera.file = "):
+        other = _resolved(path.parent, table.file)
+    if other in seen:
         raise SceneError(f"{path}: camera.file = {table.file!r} leads back to itself; remove it")
     if not other.is_file():
         raise SceneError(
@@ -363,7 +374,7 @@ def _camera_values(
     raw = _read(other)
     with located(f"{other}: "):
         included: _file_tables.CameraFile = validated(_file_tables.CameraFile, raw)
-    values = _camera_values(other, included.camera, (*seen, other.resolve()))
+    values = _camera_values(other, included.camera, (*seen, other))
     return _without_alternatives(values, own) | own
 
 
@@ -371,7 +382,7 @@ def _whole_camera(path: Path, own: dict[str, Any]) -> dict[str, Any]:
     """Return the camera table of a checked file, joined with that of the file that it names."""
     if "file" not in own:
         return own
-    other = path.parent / own["file"]
+    other = _resolved(path.parent, own["file"])
     values = _whole_camera(other, _read(other)["camera"])
     return _without_alternatives(values, own) | {k: own[k] for k in own if k != "file"}
 

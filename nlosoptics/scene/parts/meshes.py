@@ -48,6 +48,14 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
             ) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise SceneError(f"{name}: {given} holds no triangles; give a surface mesh")
+    n_vertices = len(mesh.vertices)
+    if np.shape(mesh.vertices) != (n_vertices, 3):
+        raise SceneError(f"{name}: {given} has vertices without three coordinates; repair the mesh")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= n_vertices:
+        raise SceneError(
+            f"{name}: {given} has triangles between vertices {mesh.faces.min()} and "
+            f"{mesh.faces.max()}, limit 0 to {n_vertices - 1}; repair the mesh"
+        )
     if not np.isfinite(mesh.vertices).all():
         raise SceneError(f"{name}: {given} has NaN or infinite vertices; repair the mesh")
     if not mesh.area > 0:

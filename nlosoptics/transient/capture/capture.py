@@ -365,4 +365,10 @@ class TransientCapture(Noun, Shown):
             raise SceneError(
                 f"{name} has {n_bad} of {array.size} values that are not finite; replace them"
             )
+        with np.errstate(over="ignore"):
+            if not np.isfinite(np.abs(array).sum(dtype=np.float64)):
+                raise SceneError(
+                    f"{name} has values up to {np.abs(array).max():g}, whose sum is not finite; "
+                    "scale the capture"
+                )
         return array

@@ -642,3 +642,34 @@ def test_texts_that_exhaust_a_parser_are_refused_at_once(text, words, tmp_path):
     with pytest.raises(SceneError, match=words):
         Scene.load(file)
     assert time.process_time() - began < 2.0  # hours without the limits
+
+
+@pytest.mark.parametrize("name", ["a\\u0000b.png", "x" * 300 + ".png", "x" * 20_000])
+@pytest.mark.parametrize("key", ["hidden.image", "camera.file"])
+def test_texts_that_no_system_takes_as_a_path_are_told(name, key, examples):
+    change = {key: name.replace("\\u0000", "\0")}
+    with pytest.raises(SceneError, match="cannot be the path of a file") as caught:
+        Scene.load(examples / "scenes" / "letter_flat.toml", change)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text", "words"),
+    [
+        (".obj", "v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "vertices without three coordinates"),
+        (".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n", "is not a mesh"),
+        (".ply", "3 0 1 7", "between vertices 0 and 7, limit 0 to 2"),
+        (".ply", "3 0 1 -1", "between vertices -1 and 1, limit 0 to 2"),
+    ],
+)
+def test_meshes_with_impossible_triangles_are_told(suffix, text, words, examples, tmp_path):
+    if suffix == ".ply":
+        head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+        head += "property float z\nelement face 1\nproperty list uchar int vertex_indices\n"
+        text = f"{head}end_header\n0 0 0\n1 0 0\n0 1 0\n{text}\n"
+    mesh = tmp_path / f"wall{suffix}"
+    mesh.write_text(text)
+    with pytest.raises(SceneError, match=words) as caught:
+        Scene.load(examples / "scenes" / "letter_mesh.toml", {"wall.mesh": str(mesh)})
+    assert "\n" not in str(caught.value)

@@ -276,6 +276,7 @@ NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
         ({"t_start": np.nan}, SceneError, "t_start = nan is not finite"),
         ({"t_accounts_first_and_last_bounces": EMPTY}, SceneError, "give outer_legs"),
         ({"H": NAN}, SceneError, "H has 1 of 42 values that are not finite"),
+        ({"H": np.full_like(NAN, 1e308)}, SceneError, "H has values up to 1e\\+308, whose sum"),
         ({"H": np.ones((7, 3, 3))}, SamplingError, r"H has shape \(7, 3, 3\), must be"),
         ({"H": np.ones(7)}, SamplingError, r"H has shape \(7,\)"),
         ({"H": np.array([b"abc"] * 7)}, SceneError, "must be real numbers"),
