@@ -19,13 +19,13 @@ from .shell import (
     SceneFile,
     Seed,
     app,
+    can_draw,
     check_file,
     check_target,
     errors_told,
     load,
     numbers,
     progress_bar,
-    require,
     typed,
 )
 
@@ -228,7 +228,7 @@ def phasor_command(
         from .. import transient
 
         check_target(folder)
-        require("matplotlib", "views")
+        drawn = can_draw()
         picture = {"wl_mean": wl_mean, "near": near, "far": far, "step": step}
         capture, wanted = _loaded(
             capture_file,
@@ -259,7 +259,7 @@ def phasor_command(
             progress("writing", 1.0)
             report = _report(image, capture, capture_file) | {"command_line": typed(context)}
             with whole_folder(folder) as new:
-                _write_picture(image, new)
+                _write_picture(image, new, drawn)
                 report["seconds"]["total"] = time.perf_counter() - start
                 report["files"] = sorted([*(p.name for p in new.iterdir()), "result.json"])
                 text = json.dumps(report, indent=2, allow_nan=False)
@@ -356,15 +356,17 @@ def _report(image: PhasorImage, capture: TransientCapture, path: Path) -> dict[s
     }
 
 
-def _write_picture(image: PhasorImage, folder: Path) -> None:
+def _write_picture(image: PhasorImage, folder: Path, drawn: bool) -> None:
     """Write the volume with its axes, and pictures of it from the wall, from above and the side."""
     import numpy as np
-
-    from .. import views
 
     np.savez(
         folder / "volume.npz", intensity=image.intensity, field=image.field, **arrays(image.volume)
     )
+    if not drawn:
+        return
+    from .. import views
+
     for name, axis in (("front", "z"), ("top", "y"), ("side", "x")):
         views.save(views.volume(image, axis=axis), folder / f"{name}.png")
 

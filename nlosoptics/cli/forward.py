@@ -22,6 +22,7 @@ from .shell import (
     Size,
     Tol,
     app,
+    can_draw,
     check_target,
     errors_told,
     in_bytes,
@@ -90,7 +91,7 @@ def run_command(
         scene = load(scene_file, size, changes)
         planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
         check_target(folder)
-        require("matplotlib", "views")
+        drawn = can_draw()
         if planned.runs("reconstruction"):
             require("torch", "inverse", ", or pass --no-reconstruct")
         with progress_bar() as progress:
@@ -99,7 +100,8 @@ def run_command(
             with whole_folder(folder) as new:
                 began = time.perf_counter()
                 report = write_result(result, new) | {"command_line": typed(context)}
-                _write_pictures(result, new)
+                if drawn:
+                    _write_pictures(result, new)
                 report["seconds"]["writing"] = time.perf_counter() - began
                 report["seconds"]["total"] = time.perf_counter() - start
                 write_record(report, new)

@@ -97,6 +97,18 @@ def require(package: str, extra: str, otherwise: str = "") -> None:
         )
 
 
+def can_draw() -> bool:
+    """Return whether matplotlib is installed; if not, say that no pictures are written."""
+    found = importlib.util.find_spec("matplotlib") is not None
+    if not found:
+        typer.echo(
+            "nlosoptics: no pictures are written, because matplotlib is not installed; run pip "
+            "install 'nlosoptics[views]'",
+            err=True,
+        )
+    return found
+
+
 @contextmanager
 def errors_told(debug: bool) -> Iterator[None]:
     """Convert an exception to one line on stderr and an exit code."""
