@@ -1,6 +1,8 @@
 """Conversion of quantities with units, such as ``"632.8 nm"``, to SI floats and back.
 
-Decimal arithmetic converts ``"632.8 nm"`` to the float nearest to 6.328e-07.
+Decimal arithmetic converts ``"632.8 nm"`` to the float nearest to 6.328e-07. The usual units are
+looked up in a table. Others, such as ``"3 kg m^2/s^3"``, are read by pint, whose import takes
+longer than reading a scene.
 """
 
 from __future__ import annotations
@@ -28,6 +30,20 @@ TIME = Kind("a time", "s", "40 ms")
 RATE = Kind("a rate", "1/s", "0.1 / s")
 POWER = Kind("a power", "W", "5 mW")
 ANGLE = Kind("an angle", "rad", "15 deg")
+
+_PREFIXES = {"": "1", "k": "1e3", "c": "1e-2", "m": "1e-3", "µ": "1e-6", "μ": "1e-6", "u": "1e-6"}
+_PREFIXES |= {"n": "1e-9", "p": "1e-12"}
+_DEGREE = Decimal("3.14159265358979323846264338327950288") / 180
+#: Kind and value in SI units by the text of a unit.
+_USUAL: dict[str, tuple[Kind, Decimal]] = {
+    "deg": (ANGLE, _DEGREE),
+    "°": (ANGLE, _DEGREE),
+    "in": (LENGTH, Decimal("0.0254")),
+}
+for _prefix, _value in _PREFIXES.items():
+    for _unit, _kind in (("m", LENGTH), ("s", TIME), ("W", POWER), ("rad", ANGLE), ("Hz", RATE)):
+        _USUAL[_prefix + _unit] = (_kind, Decimal(_value))
+    _USUAL[f"/{_prefix}s"] = _USUAL[f"1/{_prefix}s"] = (RATE, 1 / Decimal(_value))
 
 # reading pint's own definitions takes 0.2 s; these suffice for scene files and take 5 ms
 _DEFINITIONS = """
@@ -92,6 +108,11 @@ def parse(text: object, kind: Kind) -> float:
         raise ValueError(f"has no unit, must be {kind.name}")
     if not math.isfinite(float(number)):
         raise ValueError("is not finite")
+    usual = _USUAL.get(re.sub(r"^/\s+", "/", unit))
+    if usual is not None:
+        if usual[0] != kind:
+            raise ValueError(f"is {usual[0].name}, must be {kind.name}")
+        return float(Decimal(number) * usual[1])
     try:
         # a leading slash marks a rate, such as "0.1 / s"
         quantity = _registry().Quantity(Decimal(number), f"1{unit}" if unit[0] == "/" else unit)

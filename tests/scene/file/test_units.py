@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import mpmath
 import pytest
 
+from nlosoptics.scene.file import units
 from nlosoptics.scene.file.units import ANGLE, LENGTH, POWER, RATE, TIME, parse, written
 
 
@@ -44,7 +48,27 @@ def test_angles() -> None:
     assert parse("0.3 rad", ANGLE) == 0.3
 
 
+@pytest.mark.parametrize("unit", sorted(units._USUAL))
+def test_usual_units_are_those_of_pint(unit: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To the bit; the table only saves the import of pint."""
+    kind = units._USUAL[unit][0]
+    numbers = ["1", "632.8", "-0.1", "7e-3", "1_000.3", "123456789.987654321"]
+    usual = [parse(f"{number} {unit}", kind) for number in numbers]
+    monkeypatch.setattr(units, "_USUAL", {})
+    assert [parse(f"{number} {unit}", kind) for number in numbers] == usual
+
+
+def test_usual_units_do_not_load_pint() -> None:
+    code = (
+        "import sys\nfrom nlosoptics import Scene\n"
+        "Scene.load('examples/scenes/letter_flat.toml')\nassert 'pint' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[3], check=True)
+
+
 def test_forms() -> None:
+    assert parse("2 m / m * m", LENGTH) == 2.0
+    assert parse("3 kg m^2 / s^3", POWER) == 3.0
     assert parse("  1.2m ", LENGTH) == 1.2
     assert parse("1_000 meter", LENGTH) == 1000.0
     assert parse(".5 metres", LENGTH) == 0.5
