@@ -1,4 +1,4 @@
-// What the theme and docutils leave to be said to screen readers.
+// Labels for screen readers that the theme and docutils do not set, and the shapes of figures.
 document.addEventListener("DOMContentLoaded", () => {
   for (const summary of document.querySelectorAll(".bd-sidebar summary")) {
     const link = summary.parentElement.parentElement.querySelector("a");
@@ -12,5 +12,13 @@ document.addEventListener("DOMContentLoaded", () => {
   }
   for (const list of document.querySelectorAll(".citation-list, .citation")) {
     list.removeAttribute("role"); // references of one docstring, linked both ways
+  }
+  for (const image of document.querySelectorAll(".bd-article img:not(.sphx-glr-thumbcontainer img)")) {
+    const frame = document.createElement("span");
+    frame.className = "figure-frame";
+    image.replaceWith(frame);
+    frame.append(image);
+    const shape = () => image.style.setProperty("--shape", image.naturalWidth / image.naturalHeight);
+    image.complete ? shape() : image.addEventListener("load", shape);
   }
 });

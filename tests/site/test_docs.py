@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import re
 import shlex
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -196,3 +197,20 @@ def test_site_is_whole(extension: Callable[[str], ModuleType], tmp_path: Path) -
     built = ROOT / "out" / "docs"
     if built.is_dir():
         assert check.faults(built) == []
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium here")
+def test_pages_wider_than_a_phone_are_found(
+    extension: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    """A wide block counts in the page and in an article that scrolls, but not in its own frame."""
+    check = extension("check_site")
+    head = '<!doctype html><body style="margin: 0">'
+    block = '<div style="width: 500px; height: 9px"></div>'
+    frame = f'<div style="overflow-x: auto">{block}</div>'
+    article = f'<div class="bd-article-container" style="overflow-x: auto">{block}</div>'
+    for name, body in (("page", block), ("frame", frame), ("article", article)):
+        (tmp_path / f"{name}.html").write_text(head + body)
+    assert check.wide_pages(tmp_path) == [
+        f"{name}.html: 500 pixels wide, limit 420" for name in ("article", "page")
+    ]
