@@ -54,6 +54,7 @@ sphinx_gallery_conf = {
     "write_computation_times": False,
     "show_signature": False,
     "remove_config_comments": True,
+    "ignore_repr_types": "matplotlib",  # what the last line of a block returns
 }
 
 html_theme = "pydata_sphinx_theme"

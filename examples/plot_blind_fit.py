@@ -64,22 +64,21 @@ fitted = found.physical_parameters["coefficients"]
 # --------------
 # Rows are drawn upward, so that the letter is upright.
 
-figure, axes = plt.subplots(1, 5, figsize=(17, 3.4), layout="constrained")
+figure, axes = plt.subplot_mosaic("ab;cd;ee", figsize=(9.5, 10), layout="constrained")
 panels = {
     "ground truth": letter,
     "image in focus": pictures[0],
     "image with defocus": pictures[1],
     f"reconstruction, {found.status}": found.object,
 }
-for axis, (title, values) in zip(axes, panels.items(), strict=False):
+for axis, (title, values) in zip(axes.values(), panels.items(), strict=False):
     shown = axis.imshow(values, cmap="gray", origin="lower")
-    axis.set(title=title, xlabel="column (pixels)")
+    axis.set(title=title, xlabel="column (pixels)", ylabel="row (pixels)")
     figure.colorbar(shown, ax=axis, shrink=0.8, label="relative brightness")
-axes[0].set_ylabel("row (pixels)")
-axes[4].bar(np.array(modes) - 0.2, wall, 0.4, label="true wall")
-axes[4].bar(np.array(modes) + 0.2, fitted, 0.4, label="fitted")
-axes[4].set(xlabel="Zernike mode (Noll)", ylabel="coefficient (waves rms)", xticks=modes[::2])
-axes[4].legend(fontsize=8)
+axes["e"].bar(np.array(modes) - 0.2, wall, 0.4, label="true wall")
+axes["e"].bar(np.array(modes) + 0.2, fitted, 0.4, label="fitted")
+axes["e"].set(xlabel="Zernike mode (Noll)", ylabel="coefficient (waves rms)", xticks=modes[::2])
+axes["e"].legend(fontsize=8)
 plt.show()
 
 # %%

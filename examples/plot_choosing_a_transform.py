@@ -41,8 +41,8 @@ waves = {
 
 window = {"pitch": 8e-6, "shape": 128, "pixel_integrated": True}
 tables = {name: psf.compare(wave, repeats=2, longest=1.0, **window) for name, wave in waves.items()}
-for name, table in tables.items():
-    figure, axis = plt.subplots(figsize=(9, 5.6), layout="constrained")
+figure, axes = plt.subplots(3, 1, figsize=(8.5, 15), layout="constrained")
+for axis, (name, table) in zip(axes, tables.items(), strict=True):
     views.compare_methods(table, tol=1e-3, axes=axis)
     chosen = psf.point_spread(waves[name], **window)
     axis.set_title(f"{name}: auto selects {chosen.method}")

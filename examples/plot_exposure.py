@@ -45,7 +45,7 @@ model = imaging.ForwardModel(spread, shape=scene.camera.shape)
 # correlation with the ground truth, which is known here.
 
 exposures = [10e-3, 20e-3, 30e-3, 40e-3]
-figure, axes = plt.subplots(2, 4, figsize=(16, 7.4), layout="constrained")
+figure, axes = plt.subplots(2, 4, figsize=(14, 6.5), layout="constrained")
 scores, peaks = [], []
 for exposure, column in zip(exposures, axes.T, strict=True):
     image = imaging.form_image(scene, spread, exposure=exposure, seed=1)

@@ -34,19 +34,21 @@ spots = {
     "unpolarised": psf.point_spread(wave_at(0.7), **window),
     "polarised along x": psf.point_spread(wave_at(0.7), polarisation="x", **window),
 }
-figure, axes = plt.subplots(1, 4, figsize=(15, 3.8), layout="constrained")
-for axis, (name, spot) in zip(axes, spots.items(), strict=False):
+figure, axes = plt.subplots(1, 3, figsize=(11, 3.8), layout="constrained")
+for axis, (name, spot) in zip(axes, spots.items(), strict=True):
     edges = 1e6 * np.array([spot.x[0], spot.x[-1], spot.y[0], spot.y[-1]])
     axis.imshow(np.sqrt(spot.intensity), origin="lower", extent=edges, cmap="cividis", vmin=0)
     axis.set(title=name, xlabel="x (µm)", ylabel="y (µm)")
+plt.show()
 
 # %%
 # The error of the scalar model
 # -----------------------------
-# The last panel shows the bound that every scalar point spread states. Values that add up to 1 over
-# the image plane differ more than those relative to the peak.
+# Every scalar point spread states a bound of its model's error. The bound is larger for values that
+# add up to 1 over the image plane than for values relative to the ideal peak.
 
 f_numbers = np.geomspace(0.55, 16, 16)
+figure, axis = plt.subplots(figsize=(7, 4.4), layout="constrained")
 for normalisation in ("unit-sum", "ideal-peak"):
     bounds = [
         psf.point_spread(
@@ -58,9 +60,9 @@ for normalisation in ("unit-sum", "ideal-peak"):
         ).model_error
         for n in f_numbers
     ]
-    axes[3].loglog(f_numbers, bounds, "o-", label=normalisation)
-axes[3].set(xlabel="F-number", ylabel="model error / peak", title="bound of the scalar model")
-axes[3].legend()
+    axis.loglog(f_numbers, bounds, "o-", label=normalisation)
+axis.set(xlabel="F-number", ylabel="model error / peak", title="bound of the scalar model")
+axis.legend()
 plt.show()
 
 # %%

@@ -38,7 +38,7 @@ def hybrid(height: float, **options: Any) -> psf.HybridPointSpread:
 
 
 example = hybrid(60e-9, shape=65, tol=5e-5)
-figure, axes = plt.subplots(1, 3, figsize=(14, 4.2), layout="constrained")
+figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout="constrained")
 views.hybrid_parts(example, decades=6, axes=axes)
 plt.show()
 

@@ -62,7 +62,8 @@ for (albedo, traced), colour in zip(found.items(), ("C0", "C1"), strict=True):
     loss = [paths.ledger["absorbed by wall"] for paths in traced]
     bars = [2 * paths.ledger_error["absorbed by wall"] for paths in traced]
     axes[0].plot(depths, formula[albedo], color=colour, label=f"formula, albedo {albedo}")
-    axes[0].errorbar(depths, loss, bars, fmt="o", ms=3, capsize=4, color=colour, label="rays")
+    label = f"rays, albedo {albedo}"
+    axes[0].errorbar(depths, loss, bars, fmt="o", ms=3, capsize=4, color=colour, label=label)
 axes[0].set(
     xlabel="depth / period", ylabel="fraction lost", ylim=(0, 0.5), title="loss in the wall"
 )
@@ -72,10 +73,10 @@ traced = found[0.75]
 left = np.array([np.bincount(p.n_bounces, p.weight, minlength=41) for p in traced])
 fates = {
     "leaves after 1 reflection": left[:, 1],
-    "leaves after 2": left[:, 2],
+    "leaves after 2 reflections": left[:, 2],
     "leaves after 3 or more": left[:, 3:].sum(axis=1),
-    "absorbed at the 2nd or later": [p.trapped for p in traced],
-    "absorbed at the 1st": [p.ledger["absorbed by wall"] - p.trapped for p in traced],
+    "absorbed at a later reflection": [p.trapped for p in traced],
+    "absorbed at the 1st reflection": [p.ledger["absorbed by wall"] - p.trapped for p in traced],
 }
 colours = plt.get_cmap("viridis")(np.linspace(0.95, 0.0, len(fates)))
 axes[1].stackplot(depths, *fates.values(), labels=list(fates), colors=colours)

@@ -72,22 +72,21 @@ def width_at_half(values: np.ndarray) -> float:
 
 middle = len(axis) // 2
 widths = [width_at_half(image.intensity[0, middle]) for image in images]
-figure, axes = plt.subplots(
-    1, 5, figsize=(17, 3.6), layout="constrained", width_ratios=(1, 1, 1, 1, 1.5)
-)
-for aperture, image, drawn_on in zip(apertures, images, axes, strict=False):
+figure, axes = plt.subplot_mosaic("ab;cd;ee", figsize=(8.5, 10), layout="constrained")
+maps = [axes[name] for name in "abcd"]
+for aperture, image, drawn_on in zip(apertures, images, maps, strict=True):
     seen = image.intensity[0] / image.intensity.max()
     shown = drawn_on.pcolormesh(1e2 * axis, 1e2 * axis, seen, cmap="inferno", shading="nearest")
     drawn_on.invert_xaxis()
-    drawn_on.set(xlabel="x (cm)", aspect="equal", title=f"aperture {aperture:.2f} m")
-axes[0].set_ylabel("y (cm)")
-figure.colorbar(shown, ax=axes[3], label="relative intensity", shrink=0.8)
+    drawn_on.set(xlabel="x (cm)", ylabel="y (cm)", aspect="equal")
+    drawn_on.set_title(f"aperture {aperture:.2f} m")
+figure.colorbar(shown, ax=maps, label="relative intensity", shrink=0.8)
 line = np.linspace(apertures[0], apertures[-1], 100)
 law = 0.443 * wl_mean / (2.0 * np.sin(np.arctan(line / 2 / distance)))
-axes[4].plot(apertures, 1e2 * np.array(widths), "o", label="measured")
-axes[4].plot(line, 1e2 * law, label="0.443 wavelength / (2 sin a)")
-axes[4].set(xlabel="aperture (m)", ylabel="full width at half maximum (cm)", ylim=(0, None))
-axes[4].legend()
+axes["e"].plot(apertures, 1e2 * np.array(widths), "o", label="measured")
+axes["e"].plot(line, 1e2 * law, label="0.443 wavelength / (2 sin a)")
+axes["e"].set(xlabel="aperture (m)", ylabel="full width at half maximum (cm)", ylim=(0, None))
+axes["e"].legend()
 plt.show()
 
 # %%

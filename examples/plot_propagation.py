@@ -31,13 +31,12 @@ def behind_disc(x, y):
 field = psf.ScalarField.from_function(behind_disc, pitch=pitch, shape=300, wavelength=wavelength)
 distances = (0.05, 0.2, 0.8)
 found = [psf.propagate(field, z, tol=5e-3) for z in distances]
-figure, axes = plt.subplots(1, 4, figsize=(12, 3.4), sharey=True, layout="constrained")
-for each, plane in zip(axes, [field, *found], strict=True):
+figure, axes = plt.subplots(2, 2, figsize=(8, 8), sharex=True, sharey=True, layout="constrained")
+for each, plane in zip(axes.flat, [field, *found], strict=True):
     edges = 1e3 * np.array([plane.x[0], plane.x[-1], plane.y[0], plane.y[-1]])
     each.imshow(plane.intensity, origin="lower", extent=edges, vmin=0, vmax=1.2, cmap="cividis")
     each.set_title(f"z = {plane.z:g} m")
-    each.set_xlabel("x, mm")
-axes[0].set_ylabel("y, mm")
+    each.set(xlabel="x (mm)", ylabel="y (mm)")
 
 for plane in found:
     print(
@@ -72,8 +71,8 @@ shown = each.pcolormesh(
     shading="nearest",
 )
 figure.colorbar(shown, label="amplitude")
-each.set_xlabel("z, mm")
-each.set_ylabel("x, um")
+each.set_xlabel("z (mm)")
+each.set_ylabel("x (µm)")
 
 # %%
 # A grating repeats itself
@@ -97,7 +96,7 @@ each.pcolormesh(
     planes / talbot, 1e6 * grating.x, np.array(carpet).T, cmap="cividis", shading="nearest"
 )
 each.set_xlabel("z in units of 2 period$^2$/wavelength")
-each.set_ylabel("x, um")
+each.set_ylabel("x (µm)")
 
 plt.show()
 

@@ -41,7 +41,8 @@ plotter.show()
 # %%
 # Power budget
 # ------------
-# The fractions of the laser power by fate, on a logarithmic scale.
+# The fractions of the laser power by fate, on a logarithmic scale. "left" is the power that still
+# travels after the third reflection.
 
 shares = {fate: power / scene.laser.power for fate, power in paths.ledger.items() if power > 0}
 figure, axis = plt.subplots(figsize=(7.5, 3.8), layout="constrained")

@@ -57,8 +57,8 @@ print(f"{rows} x {columns} points on the wall, {bins} bins of {1e2 * capture.del
 # at three times, as seen from the room. Each bar of the letter produces its own wavefront on the
 # wall; the wavefronts cross.
 
-figure, axes = plt.subplots(1, 4, figsize=(16, 4.2), layout="constrained")
-views.transient(capture, at=(2.1, 2.25, 2.4), axes=axes)
+figure, axes = plt.subplots(2, 2, figsize=(9.5, 8.5), layout="constrained")
+views.transient(capture, at=(2.1, 2.25, 2.4), axes=axes.ravel())
 plt.show()
 
 # %%

@@ -37,18 +37,20 @@ found = {
 # %%
 # Modulation and score
 # --------------------
-# Left and middle: the modulation against the spatial frequency on the object. Only frequencies with
-# a modulation above the dashed noise limit are detectable. The grey line is the frequency of the
-# strokes of the letter. Right: the predicted correlation of a reconstruction against the rms slope.
+# Top: the modulation against the spatial frequency on the object. Only frequencies with a
+# modulation above the dashed noise limit are detectable. The grey line is the frequency of the
+# strokes of the letter. Bottom: the predicted correlation of a reconstruction against the rms
+# slope.
 
-figure, axes = plt.subplots(1, 3, figsize=(15, 4.4), layout="constrained")
-for axis, slope in zip(axes, (0.01, 0.04), strict=False):
+figure, axes = plt.subplot_mosaic("ab;cc", figsize=(10, 8), layout="constrained")
+for axis, slope in zip((axes["a"], axes["b"]), (0.01, 0.04), strict=True):
     views.feasibility(found[slope], axes=axis)
     axis.set_title(f"rms slope {slope:g} rad: {found[slope].verdict.split(':')[0]}")
-axes[2].plot(slopes, [one.score for one in found.values()], "o-")
-axes[2].axhline(0.9, color="0.5", lw=1, label="recoverable above")
-axes[2].set(xlabel="rms slope (rad)", ylabel="predicted correlation", ylim=(0, 1.05))
-axes[2].legend()
+axes["c"].plot(slopes, [one.score for one in found.values()], "o-")
+axes["c"].axhline(0.9, color="0.5", lw=1, label="recoverable above")
+axes["c"].set(xlabel="rms slope (rad)", ylabel="predicted correlation", ylim=(0, 1.05))
+axes["c"].set_title("correlation of a reconstruction against slope")
+axes["c"].legend()
 plt.show()
 
 # %%
