@@ -6,6 +6,7 @@ tutorial, the gallery and all doctests. A second, empty folder has only the buil
 cache is used as it is. Ends with exit status 1 if a step failed, and prints its output.
 """
 
+import argparse
 import os
 import re
 import shlex
@@ -33,6 +34,7 @@ class Walk:
             "NUMBA_CACHE_DIR": str(folder / "numba"),
             "MPLBACKEND": "agg",
         }
+        self._variables.pop("PYTHONPATH", None)  # what is installed is tried, nothing else
         self("environment", f"{shlex.quote(sys.executable)} -m venv env")
 
     def __call__(self, step: str, command: str) -> str:
@@ -121,6 +123,7 @@ def wheel_only(folder: Path) -> bool:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=__doc__).parse_args()
     with tempfile.TemporaryDirectory() as work:
         passed = [fresh_clone(Path(work) / "clone"), wheel_only(Path(work) / "wheel")]
     sys.exit(not all(passed))
