@@ -186,9 +186,10 @@ def form_image(
     -----
     Each pixel receives the mean of the picture over its footprint, found by chief rays via the
     wall. It is multiplied by the radiance of a white object at the pixel's centre and by the
-    mirror-like reflectance, both taken as smooth. The point spread sums to the energy inside its
-    window; the rest is lost and listed in the ledger. Parts of the object outside the detector's
-    field of view contribute no blur. The beam reflected by a perfectly smooth lobe is not traced.
+    reflectance of the wall's mirror-like lobes. The point spread sums to the energy inside its
+    window; the energy outside is lost and listed in ``SpeckleImage.ledger``. Parts of the object
+    outside the detector's field of view contribute no blur. A perfectly smooth lobe of the wall
+    also reflects the laser beam into the room, which is neglected.
     Occluders dim the light by the fractions in `Shadows`; the point spread remains that of an
     unobstructed pupil.
 

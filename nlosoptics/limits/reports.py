@@ -232,10 +232,11 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
 
     Notes
     -----
-    Light and noise come from `imaging.form_image`, the modulation from the point spread at the
-    object's reference point. Modes of wide lobes are counted by the singular values of their
-    response, modes of mirror-like lobes by their modulation on the same cells; the larger count is
-    reported. Torch is not needed.
+    Signal and noise come from `imaging.form_image`, the modulation from the point spread at the
+    object's reference point. Modes are independent patterns of the object, counted if their signal
+    exceeds the noise. For wide lobes the modes are the singular vectors of the wall's response on a
+    grid of object cells. For mirror-like lobes they are sine patterns on the same grid. The larger
+    count is reported.
 
     Examples
     --------

@@ -89,7 +89,7 @@ class Plan:
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
-        """Layout of the pupil nodes: ``"grid"`` where the wall's edge cuts the cone of light."""
+        """Layout of the pupil nodes: "grid" if the wall cuts the cone of light, else "polar"."""
         return self.exit_pupil.layout
 
     @property

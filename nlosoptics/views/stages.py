@@ -79,7 +79,12 @@ def rendering_works() -> None:
 
 
 def window() -> Plotter:
-    """Return a plotter for an interactive window, which its ``show()`` opens.
+    """Return a plotter for an interactive window.
+
+    Returns
+    -------
+    pyvista Plotter
+        Empty plotter. Its ``show()`` opens the window.
 
     Raises
     ------

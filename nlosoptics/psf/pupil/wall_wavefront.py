@@ -215,7 +215,7 @@ def wavefront(
     Raises
     ------
     CausticError
-        If W is undefined: several rays or none reach a node, or rays cross.
+        If the wave aberration is undefined: several rays or none reach a node, or rays cross.
     NotWaveGradeError
         If a mesh wall is not accurate enough for waves.
     SamplingError

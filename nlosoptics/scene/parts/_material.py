@@ -201,7 +201,7 @@ class MirrorLobe(Material):
 
     @property
     def diffuse(self) -> Material | None:
-        """None if the lobe is mirror-like, otherwise the lobe itself."""
+        """Diffuse part of the material: the lobe itself, or None if the lobe is mirror-like."""
         return None if self.slope_rms <= MIRROR_SLOPE else self
 
 

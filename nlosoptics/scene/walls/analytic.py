@@ -78,7 +78,7 @@ class Wall(Noun):
 
     @property
     def max_curvature(self) -> float:
-        """Upper bound on the principal curvatures over the wall, 1/m; 0 for a plane."""
+        """Upper bound on the magnitude of the principal curvatures, 1/m; 0 for a plane."""
         raise NotImplementedError
 
     def _max_bend(self, size: tuple[float, float]) -> float:
@@ -255,12 +255,12 @@ class FlatWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the plane as one height term."""
+        """Return the plane as one row of parameters; see `Wall.compiled`."""
         return _term(PLANE), np.zeros(1)
 
     @property
     def max_curvature(self) -> float:
-        """Zero, 1/m."""
+        """Curvature of the plane, which is 0 (1/m)."""
         return 0.0
 
     @property
@@ -301,7 +301,7 @@ class _CurvedWall(Wall):
         return across * across / 4
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the sphere or cylinder as one height term."""
+        """Return the sphere or cylinder as one row of parameters; see `Wall.compiled`."""
         curvature = self._sign / self.radius
         if self.shape == "sphere":
             return _term(SPHERE, curvature), np.zeros(1)
@@ -427,7 +427,7 @@ class WavyWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the wave as one height term."""
+        """Return the wave as one row of parameters; see `Wall.compiled`."""
         k = 2 * math.pi / self.period
         kx, ky = k * math.cos(self.direction), k * math.sin(self.direction)
         return _term(WAVE, self.amplitude, kx, ky, self.phase), np.zeros(1)

@@ -48,8 +48,8 @@ class HeightMapWall(Wall):
     Raises
     ------
     SceneError
-        If the file is missing or no array, the heights are too few or not finite, or ``size``
-        exceeds the grid.
+        If the file is missing or holds no array, the heights are too few or not finite, or
+        ``size`` exceeds the grid.
 
     See Also
     --------
@@ -216,12 +216,12 @@ class HeightMapWall(Wall):
         return term, np.concatenate([self._samples.ravel(), *slopes])
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the bicubic grid as one height term."""
+        """Return the bicubic surface as a row of parameters and a table; see `Wall.compiled`."""
         return self._fit
 
     @cached_property
     def max_curvature(self) -> float:
-        """Upper bound on the second derivatives of the height, 1/m."""
+        """Upper bound on the magnitude of the second derivatives of the height, 1/m."""
         return grid_limits(self._fit[0][0], self._fit[1])[2]
 
     @cached_property

@@ -145,7 +145,7 @@ class MeshWall(Wall):
             )
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the fitted bicubic surface as one height term."""
+        """Return the fitted bicubic surface as a row and a table; see `Wall.compiled`."""
         return self._fit[0], self._fit[1]
 
     @property

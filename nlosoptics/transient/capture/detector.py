@@ -118,7 +118,7 @@ class Detector:
 
     @property
     def mean_delay(self) -> float:
-        """Mean error of a time stamp, m of optical path."""
+        """Mean delay of a time stamp after its photon, due to the tail, m of optical path."""
         return self.tail_share * self.tail
 
     @property
