@@ -204,13 +204,15 @@ def refolded(even, odd, out_even, out_odd):
     """Combine even and odd parts (m, 2 c + 1) of the first pass and fold them along the other axis.
 
     ``even - i odd`` is the transform at +x and ``even + i odd`` that at -x. Columns of ``out_even``
-    (c + 1, n) and ``out_odd`` (c, n) hold both signs of x, in increasing order.
+    (c + 1, 2 n) and ``out_odd`` (c, 2 n) hold both signs of x, in increasing order: first the real
+    parts, then the imaginary parts, so that later loops are vectorised.
     """
-    centre, columns = out_odd.shape[0], out_even.shape[1]
+    centre, columns = out_odd.shape[0], out_even.shape[1] // 2
     for i in range(even.shape[0]):
+        above, below = columns // 2 + i, (columns - 1) // 2 - i
         a, b = even[i, centre], odd[i, centre]
-        out_even[0, columns // 2 + i] = complex(a.real + b.imag, a.imag - b.real)
-        out_even[0, (columns - 1) // 2 - i] = complex(a.real - b.imag, a.imag + b.real)
+        out_even[0, above], out_even[0, columns + above] = a.real + b.imag, a.imag - b.real
+        out_even[0, below], out_even[0, columns + below] = a.real - b.imag, a.imag + b.real
     for k in range(centre):
         line, other = out_even[k + 1], out_odd[k]
         for i in range(even.shape[0]):
@@ -218,27 +220,29 @@ def refolded(even, odd, out_even, out_odd):
             a, b = even[i, centre + 1 + k], odd[i, centre + 1 + k]
             c, d = even[i, centre - 1 - k], odd[i, centre - 1 - k]
             p, q = a + c, b + d
-            line[above] = complex(p.real + q.imag, p.imag - q.real)
-            line[below] = complex(p.real - q.imag, p.imag + q.real)
+            line[above], line[columns + above] = p.real + q.imag, p.imag - q.real
+            line[below], line[columns + below] = p.real - q.imag, p.imag + q.real
             p, q = a - c, b - d
-            other[above] = complex(p.real + q.imag, p.imag - q.real)
-            other[below] = complex(p.real - q.imag, p.imag + q.real)
+            other[above], other[columns + above] = p.real + q.imag, p.imag - q.real
+            other[below], other[columns + below] = p.real - q.imag, p.imag + q.real
 
 
 @njit(cache=True, nogil=True)
 def split_squares(even, odd, scale, above, below):
     """Fill ``above`` (m, n) with ``scale |even - i odd|^2``, ``below`` with that of the sum.
 
-    The sum is ``even + i odd``. The rows of ``below`` are in reverse order.
+    The sum is ``even + i odd``. Both are (m, 2 n), with the real parts in the first n columns. The
+    rows of ``below`` are in reverse order.
     """
-    last = above.shape[0] - 1
+    last, n = above.shape[0] - 1, above.shape[1]
     for i in range(above.shape[0]):
         up, down = above[i], below[last - i]
-        for j in range(above.shape[1]):
-            a, b = even[i, j], odd[i, j]
-            real, imaginary = a.real + b.imag, a.imag - b.real
+        a, b, c, d = even[i, :n], even[i, n:], odd[i, :n], odd[i, n:]
+        for j in range(n):
+            real, imaginary = a[j] + d[j], b[j] - c[j]
             up[j] = scale * (real * real + imaginary * imaginary)
-            real, imaginary = a.real - b.imag, a.imag + b.real
+        for j in range(n):  # a loop of its own: with two outputs it is not vectorised
+            real, imaginary = a[j] - d[j], b[j] + c[j]
             down[j] = scale * (real * real + imaginary * imaginary)
 
 

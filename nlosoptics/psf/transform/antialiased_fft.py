@@ -12,7 +12,7 @@ import math
 import threading
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import ducc0
 import numpy as np
@@ -204,16 +204,16 @@ def folded_image(
     values[...] = 0.0
     total = _fill(values, residual, wave, samples, grid, ((ny - 1) / 2, (nx - 1) / 2))
     side = math.copysign(samples.pitch / grid.period, residual.wavefront.image_distance)
-    return folded_intensity(values, samples.shape, side, rule, 1 / total**2)
+    tables = waves(ny, centre, side, kind), waves(nx, centre, side, kind)
+    return folded_intensity(values, samples.shape, tables, rule, 1 / total**2)
 
 
 def folded_intensity(
     values: NDArray[np.complexfloating],
     shape: tuple[int, int],
-    side: float,
+    tables: tuple[Waves, Waves],
     rule: PixelRule | None,
     scale: float,
-    gains: tuple[Array, Array] | None = None,
 ) -> Array:
     """Transform ``values`` (2 c + 1, 2 c + 1) by cosines and sines; return ``scale |.|^2``.
 
@@ -223,14 +223,12 @@ def folded_intensity(
         Pupil function, its middle cell at [c, c].
     shape : (int, int)
         Points (ny, nx), symmetric about frequency 0.
-    side : float
-        Frequency step between points, turns per cell; signed as the image distance.
+    tables : (Waves, Waves)
+        Results of `waves` for y and for x.
     rule : PixelRule or None
         Average over pixels; None for point samples.
     scale : float
         Factor of the intensity.
-    gains : ndarray ((ny + 1)//2,) and ((nx + 1)//2,), optional
-        Factors of the field at the points of either axis, from the middle outward.
     """
     from . import _antialiased_kernels
 
@@ -242,45 +240,45 @@ def folded_intensity(
     _antialiased_kernels.folded(values, even, odd)
     half_even = workspace("half even", ((nx + 1) // 2, rows), kind)
     half_odd = workspace("half odd", ((nx + 1) // 2, rows), kind)
-    waves = _waves(nx, centre, side, half_even.real.dtype, None if gains is None else gains[1])
-    for part, source, out in zip(waves, (even, odd), (half_even, half_odd), strict=True):
+    for part, source, out in zip(tables[1], (even, odd), (half_even, half_odd), strict=True):
         reals, out = source.view(part.dtype), out.view(part.dtype)
         for start, stop in _blocks(len(part), rows, centre):
             np.matmul(part[start:stop], reals, out=out[start:stop])
-    even = workspace("even", (centre + 1, nx), kind)
-    odd = workspace("odd", (centre, nx), kind)
-    _antialiased_kernels.refolded(half_even, half_odd, even, odd)
-    if ny != nx:
-        waves = _waves(ny, centre, side, half_even.real.dtype, None if gains is None else gains[0])
-    return _unfolded(waves, even, odd, ny, rule, scale)
+    real = half_even.real.dtype
+    evens = workspace("even", (centre + 1, 2 * nx), real)
+    odds = workspace("odd", (centre, 2 * nx), real)
+    _antialiased_kernels.refolded(half_even, half_odd, evens, odds)
+    return _unfolded(tables[0], evens, odds, ny, rule, scale)
 
 
 def _unfolded(
-    waves: tuple[NDArray[np.floating], NDArray[np.floating]],
-    even: NDArray[np.complexfloating],
-    odd: NDArray[np.complexfloating],
+    table: Waves,
+    evens: NDArray[np.floating],
+    odds: NDArray[np.floating],
     ny: int,
     rule: PixelRule | None,
     scale: float,
 ) -> Array:
-    """Transform folded columns (c + 1, nx) and (c, nx) to ``ny`` rows; return ``scale |.|^2``."""
+    """Transform folded columns (c + 1, 2 nx) and (c, 2 nx) to ``ny`` rows.
+
+    The first nx columns are real parts and the others imaginary parts. The result is
+    ``scale |.|^2``.
+    """
     from . import _antialiased_kernels
 
-    nx = even.shape[1]
+    nx = evens.shape[1] // 2
     # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
     across = nx if rule is None else rule.count(nx)
     half = np.empty((ny, across))
-    blocks = _blocks((ny + 1) // 2, nx, len(odd))
+    blocks = _blocks((ny + 1) // 2, nx, len(odds))
     rows = blocks[0][1]
-    part_even = workspace("part even", (rows, nx), even.dtype)
-    part_odd = workspace("part odd", (rows, nx), even.dtype)
+    part_even = workspace("part even", (rows, 2 * nx), evens.dtype)
+    part_odd = workspace("part odd", (rows, 2 * nx), evens.dtype)
     fine = np.empty((0 if rule is None else 2, rows, nx))
-    real = waves[0].dtype
-    evens, odds = even.view(real), odd.view(real)
     for start, stop in blocks:
         a, b = part_even[: stop - start], part_odd[: stop - start]
-        np.matmul(waves[0][start:stop], evens, out=a.view(real))
-        np.matmul(waves[1][start:stop], odds, out=b.view(real))
+        np.matmul(table.cosines[start:stop], evens, out=a)
+        np.matmul(table.sines[start:stop], odds, out=b)
         above = half[ny // 2 + start : ny // 2 + stop]
         below = half[(ny + 1) // 2 - stop : (ny + 1) // 2 - start]
         if rule is None:
@@ -292,24 +290,40 @@ def _unfolded(
     return half if rule is None else rule.mean_down(half)
 
 
-def _waves(
-    count: int, centre: int, step: float, kind: np.dtype[Any], gain: Array | None
-) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-    """Return cosines ((count + 1)//2, centre + 1) and sines (.., centre) for half of the points.
+class Waves(NamedTuple):
+    """Cosines ((count + 1)//2, centre + 1) and sines (.., centre) for half of the image points."""
 
-    ``step`` is the phase in turns per point and cell, signed as the image distance; ``gain`` is a
-    factor for each point.
+    cosines: NDArray[np.floating]
+    sines: NDArray[np.floating]
+
+
+def waves(
+    count: int, centre: int, step: float, kind: np.dtype[Any], gain: Array | None = None
+) -> Waves:
+    """Return the tables of `folded_intensity` for one axis.
+
+    Parameters
+    ----------
+    count : int
+        Number of image points.
+    centre : int
+        Number of cells on either side of the middle one.
+    step : float
+        Phase in turns per point and cell, signed as the image distance.
+    kind : dtype
+        Complex dtype of the transform.
+    gain : ndarray, ((count + 1)//2,), optional
+        Factors of the field, from the middle point outward.
     """
     from . import _antialiased_kernels
 
-    half = (count + 1) // 2
-    cosines = workspace("cosines", (half, centre + 1), kind)
-    sines = workspace("sines", (half, centre), kind)
+    half, real = (count + 1) // 2, np.empty(0, kind).real.dtype
+    cosines, sines = np.empty((half, centre + 1), real), np.empty((half, centre), real)
     _antialiased_kernels.waves(0.0 if count % 2 else step / 2, step, cosines, sines)
     if gain is not None:
         cosines *= gain[:, None]
         sines *= gain[:, None]
-    return cosines, sines
+    return Waves(cosines, sines)
 
 
 def _blocks(rows: int, columns: int, inner: int) -> list[tuple[int, int]]:

@@ -208,6 +208,19 @@ def block_errors(
     strongest, error : ndarray, (blocks, blocks)
         At most `BLOCKS` per side.
     """
+    strongest, far = block_maxima(residual, window, intensity, half)
+    rings = RINGS * far.max()
+    ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
+    return strongest, _field_error(residual, rim, rings, period)[ring]
+
+
+def block_maxima(
+    residual: Residual, window: Window, intensity: Array, half: float
+) -> tuple[Array, Array]:
+    """Return the largest intensity in each block of a window, and the block's largest distance.
+
+    The parameters are those of `block_errors`. Distances are from the tilt's image point, m.
+    """
     from . import _antialiased_kernels
 
     ny, nx = window.shape
@@ -215,7 +228,4 @@ def block_errors(
     far = np.empty_like(strongest)
     first = tuple(a - b for a, b in zip(window.first, residual.shift, strict=True))
     _antialiased_kernels.block_maxima(intensity, first, window.pitch, strongest, far)
-    far += math.sqrt(2) * half
-    rings = RINGS * far.max()
-    ring = np.minimum(np.searchsorted(rings, far), RINGS.size - 1)
-    return strongest, _field_error(residual, rim, rings, period)[ring]
+    return strongest, far + math.sqrt(2) * half

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Final, Literal
 
 import ducc0
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 
 from ..._checks import fits_memory, one_of, real
 from ...errors import SamplingError, SceneError
+from ..aperture.aperture import Aperture
+from ..aperture.cell_nodes import shared_cell_nodes
 from ..wave.detilted import Residual
 from ..window.window import Window
 from . import costs, geometric, mdft, nufft, quadrature
@@ -119,10 +122,9 @@ class Nodes:
     size: Array
     energy: Array
 
-    def weights(self, residual: Residual, polarisation: Polarisation) -> list[Array]:
-        """Return the weights of the field's components, (n,) each."""
-        d = residual.wavefront.image_distance
-        return field_weights(self.u / d, self.v / d, polarisation)
+    def weights(self, distance: float, polarisation: Polarisation) -> list[Array]:
+        """Return the weights of the field's components, (n,) each, at an image distance, m."""
+        return field_weights(self.u / distance, self.v / distance, polarisation)
 
     def squares(
         self, residual: Residual, weights: list[Array], window: Window, epsilon: float
@@ -203,17 +205,27 @@ def _more(z: float) -> int:
     return math.ceil(-math.log(WEIGHTS) / (2 * math.log(z + math.sqrt(z * z - 1))))
 
 
-def levels(residual: Residual, nodes: Nodes, weights: list[Array]) -> tuple[float, float]:
+def levels(distance: float, nodes: Nodes, weights: list[Array]) -> tuple[float, float]:
     """Return the ideal peak, relative to the scalar one, and the mean of 1/cos over the energy.
 
     The energy in the image plane is the squared field's integral, by Parseval's theorem the
-    transmitted energy times this mean.
+    transmitted energy times this mean. ``distance`` is that of the image, m.
     """
     share = nodes.size / nodes.size.sum()
     peak = sum(float(np.sum(share * weight)) ** 2 for weight in weights)
-    d = residual.wavefront.image_distance
-    cosine = np.sqrt(1 - (nodes.u**2 + nodes.v**2) / d**2)
+    cosine = np.sqrt(1 - (nodes.u**2 + nodes.v**2) / distance**2)
     return peak, float(np.sum(nodes.energy / cosine) / np.sum(nodes.energy))
+
+
+@lru_cache(maxsize=16)
+def cell_levels(aperture: Aperture, n_s: int, n_t: int, distance: float) -> tuple[float, float]:
+    """Return `levels` of an unpolarised wave of uniform amplitude on the nodes of an aperture.
+
+    ``n_s`` and ``n_t`` are the nodes along both sides of each patch.
+    """
+    u, v, weights = (part.ravel() for part in shared_cell_nodes(aperture, n_s, n_t))
+    nodes = Nodes(u, v, np.zeros_like(u), weights, weights)
+    return levels(distance, nodes, nodes.weights(distance, "unpolarised"))
 
 
 def predicted_seconds(task: Task, polarisation: Polarisation) -> float:
@@ -270,8 +282,8 @@ def _by_nodes(task: Task, method: str, polarisation: Polarisation) -> Result:
     nodes = nodes_of(residual, samples)
     # Coarser than `nufft.epsilon` for small sums, since there are several
     epsilon = max(nufft.BEST, min(nufft.FAST, task.tol / 100))
-    weights = nodes.weights(residual, polarisation)
-    peak, secant = levels(residual, nodes, weights)
+    weights = nodes.weights(residual.wavefront.image_distance, polarisation)
+    peak, secant = levels(residual.wavefront.image_distance, nodes, weights)
     mean = _mean(task, nodes, weights, epsilon) / peak
     rounding = task.transform_error(mean, epsilon) * _gain(task, peak)
     if spectral:
@@ -295,8 +307,9 @@ def _scattered_error(
     residual = task.residual
     u, v, areas, path, amplitude, doubt = nufft.reference_nodes(residual, task.samples)
     better = _gathered(u, v, path, amplitude, areas)
-    weights = better.weights(residual, polarisation)
-    true_peak, true_secant = levels(residual, better, weights)
+    distance = residual.wavefront.image_distance
+    weights = better.weights(distance, polarisation)
+    true_peak, true_secant = levels(distance, better, weights)
     truth = _mean(task, better, weights, epsilon) / true_peak
     # factors for the three normalisations: ideal-peak, flux, unit-sum
     flux = (better.size.sum() / nodes.size.sum()) ** 2 * (true_peak * secant / true_secant / peak)
@@ -330,10 +343,9 @@ def _by_grid(task: Task, polarisation: Polarisation) -> Result:
         48.0 * n * (n + max(samples.shape)) + 64.0 * n * n,
         "use a smaller shape",
     )
-    nodes = nodes_of(residual, samples)
-    weights = nodes.weights(residual, polarisation)
-    peak, secant = levels(residual, nodes, weights)
-    wave = residual.wavefront
+    nodes, wave = nodes_of(residual, samples), residual.wavefront
+    weights = nodes.weights(wave.image_distance, polarisation)
+    peak, secant = levels(wave.image_distance, nodes, weights)
     lit = wave.amplitude * wave.weights > 0
     mean = np.zeros(task.shape)
     for weight in weights:
@@ -359,6 +371,7 @@ def _geometric(task: Task, polarisation: Polarisation) -> Result:
     bright = replace(residual, wavefront=replace(wave, amplitude=amplitude))
     energy, error = geometric.density(bright, task.pixels)
     nodes = nodes_of(residual, task.pixels)
-    peak, secant = levels(residual, nodes, nodes.weights(residual, polarisation))
+    distance = wave.image_distance
+    peak, secant = levels(distance, nodes, nodes.weights(distance, polarisation))
     level = task.level * peak / secant
     return Result("geometric", energy / level, error, level)

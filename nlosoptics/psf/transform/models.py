@@ -199,8 +199,11 @@ def plane_levels(residual: Residual) -> tuple[float, float]:
     wave = residual.wavefront
     if wave.layout == "polar" and residual.is_uniform:
         return _ring_levels(high_aperture.largest_sine(residual), wave.obscuration)
+    distance = wave.image_distance
+    if wave.layout == "cells" and residual.is_uniform:
+        return high_aperture.cell_levels(residual.aperture, *wave.u.shape[1:], distance)
     nodes = high_aperture.own_nodes(residual)
-    return high_aperture.levels(residual, nodes, nodes.weights(residual, "unpolarised"))
+    return high_aperture.levels(distance, nodes, nodes.weights(distance, "unpolarised"))
 
 
 @lru_cache(maxsize=64)

@@ -131,7 +131,7 @@ def phasors_about(
     turns += (per_metre * (residual.shift[1] - middle[1])) * v
     turns += path / wave.wavelength
     points = np.empty(u.size, dtype=np.complex64 if single else np.complex128)
-    _wave_kernels.phasors(turns.ravel(), size.ravel(), points.real, points.imag)
+    _wave_kernels.wave_of(turns.ravel(), size.ravel(), points)
     return points
 
 

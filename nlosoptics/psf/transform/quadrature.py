@@ -17,6 +17,10 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complexfloating]
 #: Range of the accuracies of `coarse_counts`.
 LEAST, MOST = 1e-12, 1e-2
+#: Bound of the field's error over the accuracy of the nodes.
+SAFETY = 4.0
+#: Airy units about the rays within which an image may be as bright as its peak.
+BRIGHT = 2.0
 
 
 def node_counts(residual: Residual, window: Window, threshold: float = 1e-15) -> tuple[int, ...]:
@@ -80,23 +84,59 @@ def cell_counts(residual: Residual, slope: float, threshold: float) -> tuple[int
     return n_patches, counts[0], counts[1]
 
 
-def coarse_counts(residual: Residual, window: Window, accuracy: float) -> tuple[int, int, int]:
+class Coarse(NamedTuple):
+    """Nodes of cells and accuracies of a transform that is only as accurate as wanted.
+
+    Attributes
+    ----------
+    counts : (int, int, int)
+        Shape of the nodes.
+    degrees : (int, int)
+        Degrees of the aberration along both sides of a patch that matter at this accuracy.
+    core : float
+        Error of their sum where the image is bright, relative to the ideal peak of the field.
+    edge : float
+        Error at the farthest point of the window, at least ``core``.
+    epsilon : float
+        Requested error of the transform, relative in the rms sense.
+    """
+
+    counts: tuple[int, int, int]
+    degrees: tuple[int, int]
+    core: float
+    edge: float
+    epsilon: float
+
+    def field_errors(self, residual: Residual, distance: Array) -> Array:
+        """Bound the field's error by the nodes at distances, m, from the tilt's image point.
+
+        Measured errors reach 0.6 of it. It is not claimed to be below that of the core, so that the
+        law of `coarse_counts` is not extrapolated.
+        """
+        slope = distance / abs(residual.wavefront.image_distance) + residual.rays.slope
+        digits = np.full(np.shape(distance), np.inf)
+        for count, degree, size in zip(
+            self.counts[1:], self.degrees, residual.aperture.patch_size, strict=True
+        ):
+            v = np.maximum(residual.wavenumber * slope * size, 1e-3)
+            spare = np.maximum(count - v / 4 - degree / 2, 0.0)
+            digits = np.minimum(digits, (spare / (0.67 * np.cbrt(v))) ** 1.5)
+        return np.asarray(SAFETY * np.maximum(10**-digits, self.core))
+
+
+def coarse_counts(
+    residual: Residual, distance: float, accuracy: float, degrees: tuple[int, int]
+) -> tuple[int, int, int]:
     """Return the shape of the nodes of cells whose sum has a given accuracy, 1e-12 to 0.1.
 
-    It is the error of the field relative to its ideal peak. With L = -log10(accuracy) and v as in
-    `cell_counts`, ``v/4 + 0.67 L^(2/3) v^(1/3)`` nodes integrate exp(i v s) to that accuracy: an
-    error falls as an Airy function once there are more than v/4. Half the degree of the terms of
-    the aberration above accuracy^(1/4) rad is added; smaller terms change a small error only. The
-    counts may be below those of the wavefront's own nodes.
+    It is the error of the field relative to its ideal peak, up to a ``distance``, m, from the
+    tilt's image point. With L = -log10(accuracy) and v as in `cell_counts`,
+    ``v/4 + 0.67 L^(2/3) v^(1/3)`` nodes integrate exp(i v s) to that accuracy: an error falls as
+    an Airy function once there are more than v/4. Half of ``degrees``, those of the aberration, is
+    added. The counts may be below those of the wavefront's own nodes.
     """
-    slope = math.hypot(*window.reach_from(residual.shift)) / abs(residual.wavefront.image_distance)
-    slope += residual.rays.slope
+    slope = distance / abs(residual.wavefront.image_distance) + residual.rays.slope
     digits = -math.log10(accuracy)
-    small = accuracy**0.25
-    degrees = residual.degrees(small / residual.wavenumber)
-    if not residual.is_uniform:
-        more = residual.amplitude_series.degrees(small)
-        degrees = degrees[0] + more[0], degrees[1] + more[1]
     counts = [
         math.ceil(v / 4 + 0.67 * digits ** (2 / 3) * v ** (1 / 3) + degree / 2)
         for degree, v in zip(
@@ -108,37 +148,31 @@ def coarse_counts(residual: Residual, window: Window, accuracy: float) -> tuple[
     return len(residual.aberration), counts[0], counts[1]
 
 
-class Coarse(NamedTuple):
-    """Nodes of cells and accuracies of a transform that is only as accurate as wanted.
+def coarse(residual: Residual, window: Window, tol: float, peak: float, dark: float) -> Coarse:
+    """Return the nodes of cells for an intensity error of a sixth to a third of ``tol``.
 
-    Attributes
-    ----------
-    counts : (int, int, int)
-        Shape of the nodes.
-    accuracy : float
-        Error of their sum, relative to the ideal peak of the field.
-    epsilon : float
-        Requested error of the transform, relative in the rms sense.
+    ``peak`` is the predicted largest intensity, and ``dark`` the predicted modulus of the field at
+    the window's edge: where the image is dark, an error of the field matters less. Terms of the
+    aberration below core^(1/4) rad are ignored; they change a small error only.
     """
-
-    counts: tuple[int, int, int]
-    accuracy: float
-    epsilon: float
-
-    @property
-    def field_error(self) -> float:
-        """Bound of the field's error by the nodes; measured errors reach 0.6 of it."""
-        return 4 * self.accuracy
-
-
-def coarse(residual: Residual, window: Window, tol: float, peak: float) -> Coarse:
-    """Return the nodes of cells for an intensity error of a third of ``tol``.
-
-    ``peak`` is the predicted largest intensity.
-    """
-    accuracy = min(max(tol * math.sqrt(min(peak, 1.0)) / 24, LEAST), MOST)
+    peak = min(peak, 1.0)
+    core = min(max(tol * math.sqrt(peak) / 48, LEAST), MOST)
+    # the square of the error is a sixteenth of tol, or less
+    edge = min(tol * peak / (24 * dark), math.sqrt(tol * peak) / (4 * SAFETY), MOST)
+    edge = max(edge, core)
     epsilon = min(max(tol / 8, nufft.BEST), nufft.COARSEST)
-    return Coarse(coarse_counts(residual, window, accuracy), accuracy, epsilon)
+    small = core**0.25
+    degrees = residual.degrees(small / residual.wavenumber)
+    if not residual.is_uniform:
+        more = residual.amplitude_series.degrees(small)
+        degrees = degrees[0] + more[0], degrees[1] + more[1]
+    farthest = math.hypot(*window.reach_from(residual.shift))
+    bright = min(residual.rays.reach + BRIGHT * residual.airy_unit, farthest)
+    wanted = (
+        coarse_counts(residual, *place, degrees) for place in ((bright, core), (farthest, edge))
+    )
+    n_patches, *counts = map(max, zip(*wanted, strict=True))
+    return Coarse((n_patches, counts[0], counts[1]), degrees, core, edge, epsilon)
 
 
 def epsilon(residual: Residual, window: Window, tol: float) -> float:

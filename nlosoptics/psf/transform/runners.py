@@ -41,8 +41,20 @@ LEAST_SAMPLES = 512
 NO_BEATS = 0.8
 #: Largest error, in units of tol, at which a polynomial wave is repeated with more padding.
 NEAR_MISS = 8.0
+#: Predicted field at a window's edge over that of a clear disc, since straight edges of a rim make
+#: spikes. Where the field exceeds it, the transform is repeated with more nodes.
+DARK = 3.0
 #: Phase, rad, below which series terms of a polar wavefront need not be resolved by its nodes.
 NEGLIGIBLE = 1e-10
+
+
+class SpreadTask(NamedTuple):
+    """Nodes and grid of a wave on cells, and the predicted field at the edge and peak intensity."""
+
+    coarse: quadrature.Coarse
+    grid: spread_grid.SpreadGrid
+    dark: float
+    peak: float
 
 
 class SoftTask(NamedTuple):
@@ -125,17 +137,24 @@ class Task:
         return SoftTask(found, rim, period)
 
     @cached_property
-    def coarse(self) -> quadrature.Coarse:
-        """Nodes for the antialiased grid of a wave on cells."""
-        peak = antialiased_pupil.predicted_peak(self.residual)
-        return quadrature.coarse(self.residual, self.samples, self.tol, peak)
+    def spread(self) -> SpreadTask:
+        """Input of the antialiased grids of a wave on cells, for a window with a dark edge."""
+        residual, samples = self.residual, self.samples
+        peak = antialiased_pupil.predicted_peak(residual)
+        reach = min(samples.shape) * samples.pitch / 2 - math.hypot(*residual.shift)
+        beyond = np.asarray(max(reach - residual.rays.reach, 0.0)) / residual.airy_unit
+        dark = DARK * float(error_bounds.tail(beyond))
+        return self.spread_to(min(dark, math.sqrt(peak)), peak)
 
-    @cached_property
-    def spread(self) -> spread_grid.SpreadGrid:
-        """Antialiased grid of a wave on cells for matrix products."""
+    def spread_to(self, dark: float, peak: float) -> SpreadTask:
+        """Return the nodes and the grid for a field of modulus ``dark`` at the window's edge."""
         single = self.tol >= antialiased_pupil.SINGLE
-        error = self.coarse.field_error
-        return spread_grid.spread_grid(self.residual, self.samples, error, single)
+        coarse = quadrature.coarse(self.residual, self.samples, self.tol, peak, dark)
+        # Repeats may err by four times as much as nodes in the core, and as much at the edge.
+        core, edge = 4 * quadrature.SAFETY * coarse.core, quadrature.SAFETY * coarse.edge
+        edge = max(core, edge)
+        grid = spread_grid.spread_grid(self.residual, self.samples, core, edge, single)
+        return SpreadTask(coarse, grid, dark, peak)
 
     def bound(
         self,
@@ -254,7 +273,7 @@ def _fft(task: Task) -> tuple[Array, float]:
     """Compute mean intensity and error bound by a zero-padded FFT of a grid."""
     residual, samples = task.residual, task.samples
     if residual.wavefront.layout == "cells":
-        return _spread(task)
+        return _spread(task, "fft")
     _check_not_scattered(residual, "fft")
     soft = _soft(task, "fft")
     if soft is not None:
@@ -283,23 +302,34 @@ def _fft(task: Task) -> tuple[Array, float]:
     return mean, grid_bound(task, mean, grid)
 
 
-def _spread(task: Task) -> tuple[Array, float]:
+def _spread(task: Task, method: str) -> tuple[Array, float]:
     """Compute mean intensity and error bound by an antialiased grid of cells.
 
-    As many nodes as ``tol`` needs are spread onto a zero-padded grid by a kernel whose spectrum
-    vanishes where the image repeats, and is divided out after the FFT.
+    As many nodes as ``tol`` needs are spread onto a grid by a kernel whose spectrum vanishes where
+    the image repeats, and is divided out after the transform, by FFTs or by products.
     """
-    residual, found = task.residual, task.coarse
-    mean = task.means(quadrature.field(residual, task.samples, found.epsilon, found.counts))
-    lost = residual.truncation + found.field_error
-    return mean, task.bound(mean, lost, math.inf) + 2 * task.transform_error(mean, found.epsilon)
+    found = _spread_image(task, task.spread, method)
+    bright = math.sqrt(task.spread.peak)
+    if found[1] > task.tol and task.spread.dark < bright:  # the edge is brighter than predicted
+        found = _spread_image(task, task.spread_to(bright, task.spread.peak), method)
+    return found
 
 
-def _spread_folded(task: Task) -> tuple[Array, float]:
-    """Compute mean intensity and error bound by an antialiased grid of cells, by products."""
-    residual, found, grid = task.residual, task.coarse, task.spread
-    mean = spread_grid.image(residual, task.samples, found.counts, grid, task.rule)
-    return mean, task.bound(mean, residual.truncation + found.field_error + grid.error, math.inf)
+def _spread_image(task: Task, spread: SpreadTask, method: str) -> tuple[Array, float]:
+    """Return the image of a wave on cells, and its error bound from that of each block."""
+    residual, samples, (nodes, grid, _, _) = task.residual, task.samples, spread
+    if method == "fft":
+        mean = task.means(quadrature.field(residual, samples, nodes.epsilon, nodes.counts))
+    else:
+        mean = spread_grid.image(residual, samples, nodes.counts, grid, task.rule)
+    half = 0.0 if task.rule is None else task.pitch / 2
+    strongest, far = antialiased_pupil.block_maxima(residual, task.pixels, mean, half)
+    error = residual.truncation + nodes.field_errors(residual, far)
+    if method == "fft":
+        rounding = 2 * task.transform_error(mean, nodes.epsilon)
+        return mean, task.bound(strongest, error, math.inf) + rounding
+    error += grid.errors(mean.shape, strongest.shape)
+    return mean, task.bound(strongest, error, math.inf)
 
 
 def _soft(task: Task, method: str) -> tuple[Array, float] | None:
@@ -333,7 +363,7 @@ def _mdft(task: Task) -> tuple[Array, float]:
     """Compute mean intensity and error bound by a transform of a grid to any pitch."""
     residual, samples = task.residual, task.samples
     if residual.wavefront.layout == "cells":
-        return _spread_folded(task)
+        return _spread(task, "mdft")
     _check_not_scattered(residual, "mdft")
     soft = _soft(task, "mdft")
     if soft is not None:

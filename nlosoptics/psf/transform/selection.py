@@ -10,7 +10,7 @@ from ...errors import MemoryLimitError, NlosError, SamplingError
 from ..wave.regime import Regime
 from ..window import error_bounds
 from ..window.error_bounds import rounded_up
-from . import airy, antialiased_fft, costs, geometric
+from . import airy, antialiased_fft, costs, geometric, quadrature
 from .runners import Result, Task, grid_period_pitch, polar_size, transform
 
 #: Aberration, waves peak to valley, up to which the geometric method is not tried.
@@ -134,14 +134,14 @@ def _quadrature(task: Task) -> Candidate:
 
 def _spread(task: Task) -> Candidate:
     """Return the fastest transform of an antialiased grid of cells."""
-    coarse, grid, beat = task.coarse, task.spread, error_bounds.beat(task.pixel)
+    coarse, grid, beat = task.spread.coarse, task.spread.grid, error_bounds.beat(task.pixel)
     found = []
     for method, seconds, more in (
         ("fft", costs.spread_padded(coarse, task.samples), 0.0),
-        ("mdft", costs.spread_folded(coarse, grid, task.samples), grid.error),
+        ("mdft", costs.spread_folded(coarse, grid, task.samples), grid.least_error),
     ):
         # lower bound of the relative error, since the peak is at most 1
-        least = 2 * beat * (task.residual.truncation + coarse.field_error + more)
+        least = 2 * beat * (task.residual.truncation + quadrature.SAFETY * coarse.core + more)
         ruled_out = f"error of at least {least:.2g} for its nodes" if least > task.tol else ""
         found.append(Candidate(seconds, method, ruled_out))
     return min(found, key=lambda one: (one.ruled_out != "", one.seconds))

@@ -23,7 +23,7 @@ from ..wave.detilted import Residual
 from ..window.pixels import PixelRule
 from ..window.window import Window
 from . import quadrature
-from .antialiased_fft import SINGLE_ERROR, folded_intensity, workspace
+from .antialiased_fft import SINGLE_ERROR, Waves, folded_intensity, waves, workspace
 from .nufft import phasors_about
 
 Array = NDArray[np.float64]
@@ -34,6 +34,8 @@ OVERSAMPLING = 2.0
 SHARPNESS = 2.30
 #: Widths of the kernel, cells; of wider ones rounding would decide.
 WIDTHS = range(3, 14)
+#: Number of places from the middle of a window to its edge at which repeats are bounded.
+PLACES = 16
 
 
 class SpreadGrid(NamedTuple):
@@ -57,17 +59,40 @@ class SpreadGrid(NamedTuple):
     single: bool
 
     @property
-    def error(self) -> float:
-        """Bound of the field's error by repeats and rounding, relative to the ideal peak."""
-        return 2 * leak(self.width) + (SINGLE_ERROR if self.single else 0.0)
+    def rounding(self) -> float:
+        """Bound of the field's error by rounding, relative to the ideal peak."""
+        return SINGLE_ERROR if self.single else 0.0
+
+    @property
+    def least_error(self) -> float:
+        """Bound of the field's error in the middle, relative to the ideal peak."""
+        return 2 * float(leaks(self.width)[0]) + self.rounding
+
+    def errors(self, shape: tuple[int, int], blocks: tuple[int, int]) -> Array:
+        """Bound the field's error by repeats and rounding in blocks of a window of a shape."""
+        across, along = (
+            leaks(self.width)[_outer(n, blocks[i], max(shape))] for i, n in enumerate(shape)
+        )
+        return np.asarray(across[:, None] + along + self.rounding)
 
 
-def spread_grid(residual: Residual, samples: Window, error: float, single: bool) -> SpreadGrid:
-    """Return the grid of least width whose repeats cause at most ``error``, or of the largest."""
+def spread_grid(
+    residual: Residual, samples: Window, core: float, edge: float, single: bool
+) -> SpreadGrid:
+    """Return the grid of least width for given field errors in the middle and at the edge.
+
+    If no width suffices, it is the largest.
+    """
     wave = residual.wavefront
     period = OVERSAMPLING * max(samples.shape) * samples.pitch
     pitch = wave.wavelength * abs(wave.image_distance) / period
-    width = next((w for w in WIDTHS if 2 * leak(w) <= error), WIDTHS[-1])
+    bright = (residual.rays.reach + quadrature.BRIGHT * residual.airy_unit) / period
+    bright += math.hypot(*residual.shift) / period
+    place = min(math.ceil(bright * 2 * OVERSAMPLING * PLACES), PLACES)
+    width = WIDTHS[-1]
+    for width in WIDTHS:
+        if 2 * leaks(width)[place] <= core and 2 * leaks(width)[-1] <= edge:
+            break
     cells = math.ceil(residual.aperture.half_width / pitch)
     return SpreadGrid(pitch, cells + width // 2 + 1, width, single)
 
@@ -119,8 +144,26 @@ def image(
     shares = make(residual.aperture, counts[1], counts[2], grid)
     _antialiased_kernels.spread(points, *shares, values.view(values.real.dtype))
     side = samples.pitch * grid.pitch / (wave.wavelength * wave.image_distance)
-    gains = _gains(ny, abs(side), grid.width), _gains(nx, abs(side), grid.width)
-    return folded_intensity(values, (ny, nx), side, rule, 1.0, gains)
+    tables = _waves(ny, side, grid), _waves(nx, side, grid)
+    return folded_intensity(values, (ny, nx), tables, rule, 1.0)
+
+
+def _waves(count: int, side: float, grid: SpreadGrid) -> Waves:
+    """Return the tables of `folded_intensity`, with the inverse of the kernel's spectrum."""
+    few = count * grid.centre <= KEPT
+    return (_kept_waves_of if few else _waves_of)(count, side, grid.centre, grid.width, grid.single)
+
+
+def _waves_of(count: int, side: float, centre: int, width: int, single: bool) -> Waves:
+    """Return `_waves`, read-only."""
+    kind = np.dtype(np.complex64 if single else np.complex128)
+    found = waves(count, centre, side, kind, _gains(count, abs(side), width))
+    for part in found:
+        part.setflags(write=False)
+    return found
+
+
+_kept_waves_of = lru_cache(maxsize=8)(_waves_of)
 
 
 class _Spreading(NamedTuple):
@@ -181,13 +224,29 @@ def _gains(count: int, step: float, width: int) -> Array:
 
 
 @lru_cache(maxsize=32)
-def leak(width: int) -> float:
-    """Return the sum of a kernel's repeats at the window's edge, relative to its spectrum there.
+def leaks(width: int) -> Array:
+    """Return the sum of a kernel's repeats from the middle to the window's edge, (PLACES + 1,).
 
-    This is where it is largest. Repeats beyond 40 cells are bounded by their power law.
+    It is relative to the kernel's spectrum, and the largest value up to each place. Repeats beyond
+    40 cells are bounded by their power law.
     """
-    edge, most = 0.5 / OVERSAMPLING, 40
+    places, most = np.linspace(0.0, 0.5 / OVERSAMPLING, PLACES + 1), 40
     far = np.arange(1.0, most + 1)
-    repeats = np.abs(_spectrum(np.append(far - edge, far + edge), width))
-    rest = 4 * most * float(np.max(repeats.reshape(2, -1)[:, -8:]))
-    return (float(np.sum(repeats)) + rest) / float(_spectrum(np.array([edge]), width)[0])
+    each = np.stack([far - places[:, None], far + places[:, None]], axis=1)
+    repeats = np.abs(_spectrum(each.ravel(), width)).reshape(each.shape)
+    rest = 4 * most * repeats[:, :, -8:].max(axis=(1, 2))
+    return frozen(
+        np.maximum.accumulate((repeats.sum(axis=(1, 2)) + rest) / _spectrum(places, width))
+    )
+
+
+def _outer(count: int, blocks: int, longest: int) -> NDArray[np.int64]:
+    """Return the index in `leaks` of the outer edge of each of the blocks of ``count`` pixels.
+
+    ``longest`` is the number of pixels along the longer side of the window.
+    """
+    first = -(-np.arange(blocks + 1) * count // blocks)
+    away = np.abs(2.0 * first - count) / longest
+    # Rounding must not move a place to the next one; the tables are continuous.
+    places = np.ceil(np.maximum(away[:-1], away[1:]) * PLACES - 1e-9)
+    return np.asarray(places, dtype=np.int64)

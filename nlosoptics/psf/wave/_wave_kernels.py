@@ -10,6 +10,8 @@ from numba import njit
 #: Adding and subtracting it rounds a double below 2^51 to an integer. Without a call to a rounding
 #: function the loop is vectorised.
 WHOLE = 6755399441055744.0
+#: Nodes whose phasors are computed at a time; their parts fit into the processor's nearest cache.
+BLOCK = 1024
 
 
 @njit(cache=True)
@@ -50,6 +52,22 @@ def phasors(turns, size, real, imaginary):
         sine = x * (1.0 - s * sine)
         real[i] = strength * cosine
         imaginary[i] = strength * sine
+
+
+@njit(cache=True)
+def wave_of(turns, size, out):
+    """Fill the complex ``out`` (n,) with ``size exp(2 pi i turns)``.
+
+    The parts are computed in contiguous blocks, since a loop with strided stores is not vectorised.
+    """
+    block = min(turns.shape[0], BLOCK)
+    real, imaginary = np.empty(block), np.empty(block)
+    for start in range(0, turns.shape[0], BLOCK):
+        stop = min(start + BLOCK, turns.shape[0])
+        count = stop - start
+        phasors(turns[start:stop], size[start:stop], real[:count], imaginary[:count])
+        for i in range(count):
+            out[start + i] = complex(real[i], imaginary[i])
 
 
 @njit(cache=True)
@@ -230,3 +248,23 @@ def patch_products(values, first, second, out):
             for j in range(half.shape[0]):
                 for m in range(line.shape[0]):
                     line[m] += half[j] * second[j, m]
+
+
+@njit(cache=True)
+def patch_terms(coefficients, first_k, first_m, size, high):
+    """Summarise Legendre coefficients (p, k, m) of the patches of a pupil.
+
+    Fills ``size`` (k, m) with the largest modulus over the patches, and ``high`` (p,) with the rms
+    of the terms from degree ``first_k`` or ``first_m`` on. A term of degrees k and m has the mean
+    square ``1/((2 k + 1)(2 m + 1))``.
+    """
+    size[:] = 0.0
+    for p in range(coefficients.shape[0]):
+        total = 0.0
+        for k in range(size.shape[0]):
+            line, most = coefficients[p, k], size[k]
+            for m in range(size.shape[1]):
+                most[m] = max(most[m], abs(line[m]))
+            for m in range(0 if k >= first_k else max(first_m, 0), size.shape[1]):
+                total += line[m] * line[m] / ((2 * k + 1) * (2 * m + 1))
+        high[p] = math.sqrt(total)

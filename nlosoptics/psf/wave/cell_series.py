@@ -50,25 +50,26 @@ class CellSpectrum:
 
         The highest terms are about an eighth of the degrees along s and along t.
         """
-        k, m = (2 * np.arange(n) + 1 for n in self.shape[1:])
-        power = self.coefficients**2 / (k[:, None] * m)
-        n_k, n_m = (max(2, n // 8) for n in self.shape[1:])
-        high = power[:, -n_k:].sum(axis=(1, 2)) + power[:, :-n_k, -n_m:].sum(axis=(1, 2))
-        return LACK * float(np.sum(self.aperture.patch_areas * np.sqrt(high)) / self.aperture.area)
+        return LACK * float(np.sum(self.aperture.patch_areas * self._terms[1]) / self.aperture.area)
 
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Return the highest degrees in s and t with a coefficient above threshold and rounding."""
-        size, rounding = self._sizes
+        size = self._terms[0]
+        k, m = (np.sqrt(2 * np.arange(n) + 1) for n in self.shape[1:])
+        rounding = ROUNDING * float(size.max()) * k[:, None] * m
         above = size > np.maximum(threshold, rounding)
         along_s, along_t = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(along_s.max(initial=0)), int(along_t.max(initial=0))
 
     @cached_property
-    def _sizes(self) -> tuple[Array, Array]:
-        """Largest modulus of each coefficient over all patches, and its rounding error."""
-        size = np.abs(self.coefficients).max(axis=0)
-        k, m = (np.sqrt(2 * np.arange(n) + 1) for n in self.shape[1:])
-        return size, ROUNDING * float(size.max()) * k[:, None] * m
+    def _terms(self) -> tuple[Array, Array]:
+        """Largest modulus of each coefficient over all patches; rms of each patch's high terms."""
+        from . import _wave_kernels
+
+        size, high = np.empty(self.shape[1:]), np.empty(self.shape[0])
+        first_k, first_m = (n - max(2, n // 8) for n in self.shape[1:])
+        _wave_kernels.patch_terms(self.coefficients, first_k, first_m, size, high)
+        return size, high
 
     def at_nodes(self, n_patches: int, n_s: int, n_t: int) -> Array:
         """Return values on the aperture's nodes of the given shape, (n_patches, n_s, n_t)."""

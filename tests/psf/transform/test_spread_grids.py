@@ -161,7 +161,7 @@ def test_energy_is_that_of_quadrature():
 
 
 @pytest.mark.parametrize("width", spread_grid.WIDTHS)
-def test_repeats_of_the_kernel_are_largest_at_the_edge(width):
+def test_repeats_of_the_kernel_stay_below_their_bounds(width):
     beta = spread_grid.SHARPNESS * width
     fraction, weights = gauss_legendre(3000)
     angle = math.pi / 2 * fraction
@@ -173,10 +173,23 @@ def test_repeats_of_the_kernel_are_largest_at_the_edge(width):
     edge = 0.5 / spread_grid.OVERSAMPLING
     # rounding of 300 sums, 1e-15 of the spectrum's peak each
     room = 300 * 1e-15 * spectrum(0.0) / spectrum(edge)
-    for place in np.linspace(0, edge, 5):
+    bounds = spread_grid.leaks(width)
+    # a bound holds up to its place, so that the next smaller place is the least that it must cover
+    for index in range(0, spread_grid.PLACES + 1, 4):
+        place = edge * index / spread_grid.PLACES
         beyond = sum(abs(spectrum(k - place)) + abs(spectrum(k + place)) for k in range(1, 150))
-        assert beyond / spectrum(place) < spread_grid.leak(width) + room
-    assert spread_grid.leak(width) < 4 * 10.0 ** (1.5 - width) + 1e-11
+        assert beyond / spectrum(place) < bounds[index] + room
+    assert np.all(np.diff(bounds) >= 0)
+    assert bounds[-1] < 4 * 10.0 ** (1.5 - width) + 1e-11
+
+
+def test_each_block_has_the_bound_of_its_outer_edge():
+    # 10 pixels in 8 blocks, 16 along the longer side: block 0 begins at the edge of 10/16 of half
+    # the window, block 4 holds pixels 5 and 6, whose outer edge is 2 of 8 pixels from the middle
+    index = spread_grid._outer(10, 8, 16)
+    assert index[0] == 10 * spread_grid.PLACES // 16
+    assert index[4] == 2 * 2 * spread_grid.PLACES // 16
+    assert spread_grid._outer(64, 8, 64).tolist() == [16, 12, 8, 4, 4, 8, 12, 16]
 
 
 def test_spread_nodes_are_read_only():
