@@ -38,7 +38,7 @@ from .metrics.spot_diagram import (
 from .propagation.propagate import propagate
 from .propagation.scalar_field import PropagatedField, ScalarField
 from .pupil.exit_pupil import ExitPupil, exit_pupil
-from .pupil.facet_wavefront import facet_wavefront, pupil_slopes
+from .pupil.pupil_slopes import pupil_slopes
 from .pupil.ray_wavefront import wavefront_from_rays
 from .pupil.scene_optics import SceneOptics
 from .pupil.slope_integration import integrated_slopes, wavefront_from_slopes
@@ -96,7 +96,6 @@ __all__ = [
     "encircled_energy",
     "ensquared_energy",
     "exit_pupil",
-    "facet_wavefront",
     "fit_zernike",
     "focus_shifted",
     "from_prysm",

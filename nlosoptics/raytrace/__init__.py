@@ -1,6 +1,5 @@
-"""Ray tracing: intersections with walls and meshes, facets of rough walls, and light transport."""
+"""Ray tracing: intersections with walls and meshes, and light transport."""
 
-from .fans.facets import facet_angles
 from .fans.paths import RayPaths
 from .fans.pupil_fans import pupil_rays
 from .intersection.intersections import BEHIND, HIT, MISS, OUTSIDE, UNRESOLVED, Hits, intersect
@@ -24,7 +23,6 @@ __all__ = [
     "RayPlan",
     "WallIrradiance",
     "all_hits",
-    "facet_angles",
     "intersect",
     "intersect_mesh",
     "occluded",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SceneError
-from ..raytrace.fans.facets import material_slope
+from ..raytrace.fans.material_slopes import material_slope
 from ..scene import Camera, Laser, Material, Occluder, PlanarObject, Scene
 from .stages import pyvista
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import cached_property
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -46,6 +46,7 @@ class PointOptics:
         self.scene, self.exit_pupil, self.object_point = scene, pupil, object_point
         # Aimed here: the lock of a cached property would make threads for several points wait.
         self.first = aimed_wave(scene, pupil, object_point)
+        self._kept: dict[Hashable, Any] = {}
 
     @property
     def zoom(self) -> float:
@@ -56,6 +57,13 @@ class PointOptics:
     def view(self) -> WallView:
         """First-order view of the wall from the exit pupil about the chief ray of this point."""
         return view_along(self.scene, self.zoom, self.object_point, self.first.rays.points[0])
+
+    def once(self, key: Hashable, make: Callable[[], Found]) -> Found:
+        """Return the result of ``make``, which is called once for a key and then kept."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: Found = self._kept[key]
+        return found
 
     def refined(self, use: Callable[[AimedWave], Found]) -> tuple[AimedWave, Found]:
         """Apply a function to the wave, with more pupil nodes each time they are too few.

@@ -73,31 +73,6 @@ class _Chief:
     tangents: Array
 
 
-def facet_reach(scene: Scene, *, slope_rms: float) -> tuple[float, float]:
-    """Return the rms shift of rays on the wall by facet slopes, and the size of the patch seen.
-
-    Parameters
-    ----------
-    scene : Scene
-        Scene with the camera, the object and the mean wall.
-    slope_rms : float
-        Rms slope of the facets per axis, rad.
-
-    Returns
-    -------
-    reach : float
-        Shift on the wall of the point that a pupil point sees, m: ``(cos_i + cos_o) slope_rms
-        d_eff`` at the chief ray, in the direction in which it is larger; ``2 slope_rms d_eff`` at
-        normal incidence.
-    patch : float
-        Smaller half width of the wall patch that the pupil sees, m: M times the pupil's radius.
-    """
-    chief = _optics(scene, np.zeros((1, 2)))
-    throw = chief.cosines[0] * np.linalg.norm(np.linalg.inv(chief.bend[0]), 2)
-    narrow = np.linalg.norm(chief.footprint[0], -2)
-    return float(slope_rms * throw), float(narrow * exit_pupil(scene).entrance_radius)
-
-
 def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     """Return the first-order map from a scene's exit pupil to the wall about the chief ray.
 

@@ -37,16 +37,12 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Regime = Literal["aberration", "diffraction", "mean", "rays"]
 
-#: Seconds per lattice point of a screen: heights, phases and two Fourier transforms.
-SCREEN_SECONDS: Final = {"FacetWall": 2e-7, "GaussianWall": 5e-7, "HeightMapWall": 5e-7}
 #: Seconds per pupil point to which a coarser screen is interpolated.
 BETWEEN_SECONDS: Final = 4e-7
 #: Longest predicted run time of one pattern, s.
 LONGEST: Final = 60.0
 #: Pupil nodes at which the wave of a relief is sampled: radii and angles, or cells per side.
 RELIEF_NODES: Final = {"polar": (48, 192), "grid": (1024, 1024)}
-#: Seconds per pupil node to find the wall point of its ray.
-RAY_SECONDS: Final = {"FacetWall": 2e-6, "GaussianWall": 8e-5, "HeightMapWall": 1e-5}
 #: Most scales of the heights across the wall that the lens sees. Finer roughness scatters to angles
 #: far outside any image.
 MOST_ACROSS: Final = 2000
@@ -170,6 +166,8 @@ def rough_choice(
 ) -> RoughChoice:
     """Choose how the point spread function of a scene's rough wall is computed.
 
+    The optics keep the choice, so that a plan and its run share it.
+
     Parameters
     ----------
     seen : PointOptics
@@ -188,6 +186,11 @@ def rough_choice(
         its expected error is within ``tol``; propagation, if its phase screen fits into the memory
         and a minute; rays otherwise.
     """
+    return seen.once(("rough choice", pitch, shape, tol), lambda: _choice(seen, pitch, shape, tol))
+
+
+def _choice(seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float) -> RoughChoice:
+    """Make `rough_choice`."""
     view, residual = roughness_view(seen), seen.first.residual
     if not isinstance(view, ReliefView):
         return RoughChoice("mean", 0, 0.0, 0.0, 0.0, tol, "mean over all walls in closed form")
@@ -216,7 +219,7 @@ def _aberration(residual: Residual, view: ReliefView) -> RoughChoice:
         "aberration",
         n,
         0.0,
-        RAY_SECONDS[type(view.roughness).__name__] * nodes,
+        view.roughness.ray_seconds * nodes,
         2e3 * nodes,
         error,
         f"wave aberration of this wall by rays: {_steepness(view)} shift them so little that "
@@ -234,7 +237,7 @@ def _rays(residual: Residual, view: ReliefView, pitch: float, screen: RoughChoic
         "rays",
         n,
         0.0,
-        RAY_SECONDS[type(view.roughness).__name__] / 20 * n * n + 3e-7 * n * n,
+        (view.roughness.ray_seconds / 20 + 3e-7) * n * n,
         2e8,
         min(1.0, blur),
         f"rays on this wall without diffraction: {_steepness(view)} would need a phase screen of "
@@ -270,7 +273,7 @@ def _screen(
     n = grid_size(wave.pupil_radius, step)
     stride = relief_stride(view, step, wave.wavelength)
     size = n // stride + 2 * sum(margins(view, stride * step, wave.wavelength))
-    seconds = SCREEN_SECONDS[type(view.roughness).__name__] * float(size) ** 2
+    seconds = view.roughness.screen_seconds * float(size) ** 2
     seconds += costs.map_sums(n, samples) + (BETWEEN_SECONDS * n * n if stride > 1 else 0.0)
     held = SCREEN_BYTES * float(size) ** 2 + 48.0 * n * (n + max(samples.shape))
     reason = (

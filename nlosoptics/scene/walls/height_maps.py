@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,6 +56,10 @@ class HeightMapWall(Wall):
     CallableWall : Wall from Python functions.
     MeshWall : Wall from a triangle mesh.
     """
+
+    #: Predicted seconds to find a ray's wall point, and per point of a phase screen.
+    ray_seconds: ClassVar[float] = 1e-5
+    screen_seconds: ClassVar[float] = 5e-7
 
     heights: Any
     pitch: float

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,6 +34,10 @@ def relief_limits(row: Array) -> tuple[float, float]:
 
 class _Relief(Wall):
     """Base class of random reliefs."""
+
+    #: Predicted seconds to find a ray's wall point, and per point of a phase screen.
+    ray_seconds: ClassVar[float]
+    screen_seconds: ClassVar[float]
 
     seed: int
 
@@ -141,6 +145,9 @@ class FacetWall(_Relief):
     True
     """
 
+    ray_seconds: ClassVar[float] = 2e-6
+    screen_seconds: ClassVar[float] = 2e-7
+
     cell: float
     slope_rms: float
     _: KW_ONLY
@@ -231,6 +238,9 @@ class GaussianWall(_Relief):
     >>> round(1e3 * wall.slope_rms, 3)
     1.414
     """
+
+    ray_seconds: ClassVar[float] = 8e-5
+    screen_seconds: ClassVar[float] = 5e-7
 
     height_rms: float
     correlation_length: float

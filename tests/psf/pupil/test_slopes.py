@@ -8,10 +8,11 @@ import pytest
 from pytest import approx
 from scipy import fft, ndimage
 
-from nlosoptics import psf, raytrace
-from nlosoptics.errors import CausticError, SamplingError, SceneError
+from nlosoptics import psf
+from nlosoptics.errors import SceneError
 from nlosoptics.psf.pupil import wall_view
 from nlosoptics.psf.pupil.slope_integration import slope_filter
+from nlosoptics.raytrace.fans.footprints import lens_footprint
 from nlosoptics.scene import (
     ConcaveWall,
     ConvexWall,
@@ -323,13 +324,22 @@ def test_normal_incidence_is_twice_the_footprint(flat_scene):
     found = psf.pupil_slopes(scene, slopes, positions, [[0.0, 0.0]])
     m = 1.0 / 1.8
     assert found[0] == approx([2 * m * 1e-3, -2 * m * 3e-3], rel=1e-14)
-    reach, patch = wall_view.facet_reach(scene, slope_rms=1e-3)
-    assert reach == approx(2 * 1e-3 * 0.8 / 1.8, rel=1e-14)
-    assert patch == approx(m * camera.stop_diameter / 2, rel=1e-14)
+
+
+def facets(scene, cell, slope_rms):
+    """Return random slopes and centres of cells that cover what the lens sees."""
+    seen = lens_footprint(scene.wall, scene.object_point, scene.camera)
+    axes = (
+        np.arange(a // cell - 1, b // cell + 3) + 0.5
+        for a, b in zip(seen.low, seen.high, strict=True)
+    )
+    x, y = np.meshgrid(*(cell * axis for axis in axes))
+    slopes = np.random.default_rng(0).normal(scale=slope_rms, size=(*x.shape, 2))
+    return slopes, np.stack([x, y, 0 * x], axis=-1)
 
 
 def test_each_node_takes_the_facet_it_sees(flat_scene):
-    slopes, positions = raytrace.facet_angles(flat_scene, cell=1e-3, slope_rms=1e-4)
+    slopes, positions = facets(flat_scene, 1e-3, 1e-4)
     nodes = few_nodes(900)  # none on an edge of a cell
     optics = wall_view._optics(flat_scene, nodes)
     near = np.linalg.norm(
@@ -369,31 +379,11 @@ def test_gradients_of_a_height_map_leave_no_curl(flat_scene):
     assert residuals[0] / residuals[1] == approx(4, rel=0.2)
     assert residuals[1] / residuals[2] == approx(4, rel=0.2)
     assert residuals[2] < 3e-3
-    _, independent = psf.facet_wavefront(
-        flat_scene, cell=2.5e-4, slope_rms=slope_rms, samples=129, seed=3
-    )
+    slopes, positions = facets(flat_scene, 2.5e-4, slope_rms)
+    nodes = np.stack([u[mask], v[mask]], axis=1)
+    table[mask] = psf.pupil_slopes(flat_scene, slopes, positions, nodes)
+    _, independent = psf.wavefront_from_slopes(table, u[0, 1] - u[0, 0], mask, **SYSTEM)
     assert independent / slope_rms > 50 * residuals[2]
-
-
-def test_facet_wave_is_the_mean_walls_and_the_facets(flat_scene):
-    scene = replace(flat_scene, wall=ConcaveWall(5.0))
-    wave, residual = psf.facet_wavefront(scene, cell=1e-3, slope_rms=2e-4, samples=65, seed=2)
-    mean = psf.wavefront(scene, nodes="grid", samples=65)
-    mask = mean.weights > 1e-12 * mean.weights.max()
-    slopes, positions = raytrace.facet_angles(scene, cell=1e-3, slope_rms=2e-4, seed=2)
-    table = np.zeros((65, 65, 2))
-    nodes = np.stack([mean.u[mask], mean.v[mask]], axis=1)
-    table[mask] = psf.pupil_slopes(scene, slopes, positions, nodes)
-    rough, expected = psf.wavefront_from_slopes(table, mean.pupil_pitch, mask, **SYSTEM)
-    assert wave.aberration == approx(mean.aberration + rough.aberration, abs=1e-20)
-    assert residual == expected
-    assert np.array_equal(wave.amplitude, mean.amplitude)
-    assert wave.removed == mean.removed
-    # slopes 2 cos m s of the chief ray, over the pupil
-    optics = wall_view._optics(scene, np.zeros((1, 2)))
-    share = np.linalg.norm(optics.footprint[0]) * optics.cosines[0] / math.sqrt(2)
-    cells = len(np.unique(table[mask], axis=0)) / 65  # some 17 cells each way
-    assert np.sqrt(np.mean(table[mask] ** 2)) == approx(share * 2e-4, rel=4 / cells)
 
 
 def test_a_wall_that_is_the_stop(flat_scene):
@@ -404,30 +394,11 @@ def test_a_wall_that_is_the_stop(flat_scene):
     assert pupil.stop == "wall"
     zoom = pupil.image_distance / scene.image_distance
     wide = replace(scene, wall=FlatWall())
-    slopes, positions = raytrace.facet_angles(wide, cell=1e-3, slope_rms=1e-4)
+    slopes, positions = facets(wide, 1e-3, 1e-4)
     nodes = few_nodes(20) / 4
     on_lens = psf.pupil_slopes(wide, slopes, positions, nodes)
     found = psf.pupil_slopes(scene, slopes, positions, nodes * zoom)
     assert found == approx(on_lens / zoom, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"slope_rms": 2e-3}, CausticError, r"one cell\), 2.3 times too far: W is undefined"),
-        ({"slope_rms": 0.1, "cell": 0.02}, CausticError, "the patch that the pupil sees"),
-        ({"samples": 8}, SamplingError, "limit cell = 0.001 m; use 20 samples"),
-        ({"slope_rms": None}, SceneError, "no lobe with a slope"),
-    ],
-)
-def test_undefined_waves_are_refused(flat_scene, options, error, message):
-    options = {"cell": 1e-3, "slope_rms": 1e-4, "samples": 64} | options
-    with pytest.raises(error, match=message):
-        psf.facet_wavefront(flat_scene, **options)
-
-
-def test_the_remedies_that_errors_name_work(flat_scene):
-    psf.facet_wavefront(flat_scene, cell=1e-3, slope_rms=8.6e-4, samples=20)
 
 
 @pytest.mark.parametrize(

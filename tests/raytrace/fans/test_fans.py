@@ -1,4 +1,4 @@
-"""Random facets of the wall, and fans of rays to the lens."""
+"""Fans of rays to the lens, and the part of the wall that they meet."""
 
 import math
 from dataclasses import replace
@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pytest import approx
-from scipy import integrate, stats
 
 from nlosoptics import psf, raytrace
 from nlosoptics._random import philox
 from nlosoptics.errors import SceneError
 from nlosoptics.psf.pupil import aiming
 from nlosoptics.raytrace.fans.footprints import lens_footprint
+from nlosoptics.raytrace.fans.material_slopes import material_slope
 from nlosoptics.raytrace.fans.paths import DETECTED, ESCAPED, LEFT
 from nlosoptics.scene import (
     CallableWall,
@@ -69,147 +69,38 @@ def test_philox_gives_the_words_of_its_authors(counter, seed, expected):
     assert " ".join(f"{word:08x}" for word in words) == expected
 
 
-# ---------------------------------------------------------------- facets
-
-
-def moment(slope_rms, function):
-    """Mean of a function of the tilt under the facets' density, by quadrature."""
-
-    def weight(t):
-        return math.exp(-(t**2) / (2 * slope_rms**2)) * math.sin(t)
-
-    top = min(math.pi / 2, 12 * slope_rms)
-    total = integrate.quad(weight, 0, top, epsabs=0, epsrel=1e-12)[0]
-    found = integrate.quad(lambda t: weight(t) * function(t), 0, top, epsabs=0, epsrel=1e-12)[0]
-    return found / total
-
-
-@pytest.mark.parametrize("slope_rms", [0.02, 0.3, 0.8])
-def test_tilts_and_azimuths_follow_their_law(flat_scene, slope_rms):
-    slopes, _ = raytrace.facet_angles(flat_scene, cell=1e-4, slope_rms=slope_rms, seed=4)
-    s = slopes.reshape(-1, 2)
-    tilt, turn = np.arctan(np.hypot(*s.T)), np.arctan2(s[:, 1], s[:, 0])
-    fine = np.linspace(0, min(math.pi / 2, 9 * slope_rms), 200_001)
-    density = np.exp(-(fine**2) / (2 * slope_rms**2)) * np.sin(fine)
-    share = np.append(0.0, np.cumsum(density[1:] + density[:-1]))
-    edges = np.interp(np.linspace(0, 1, 41), share / share[-1], fine)
-    edges[-1] = math.pi / 2
-    tilts = np.histogram(tilt, edges)[0]
-    turns = np.histogram(turn, np.linspace(-math.pi, math.pi, 41))[0]
-    together = np.histogram2d(tilt, turn, [edges[::8], np.linspace(-math.pi, math.pi, 9)])[0]
-    for counts in (tilts, turns, together.ravel()):
-        assert counts.sum() == len(s)
-        # equal shares are expected; one seed, and a chance of 1e-3 to fail for another
-        assert stats.chisquare(counts).pvalue > 1e-3
-
-
-@pytest.mark.parametrize(
-    "slope_rms", [1e-4, 0.02, 0.12]
-)  # tan^2 has no mean where tilts reach pi/2
-def test_slopes_have_their_rms_and_no_mean(flat_scene, slope_rms):
-    slopes, _ = raytrace.facet_angles(flat_scene, cell=1e-4, slope_rms=slope_rms, seed=1)
-    n = slopes[..., 0].size
-    square = moment(slope_rms, lambda t: math.tan(t) ** 2 / 2)
-    fourth = moment(slope_rms, lambda t: 3 * math.tan(t) ** 4 / 8)  # mean of cos^4 is 3/8
-    if slope_rms <= 0.02:
-        # tan^2 t exceeds t^2 by 2 t^4/3, sin t falls below t by t^3/6: some slope_rms^2
-        assert square == approx(slope_rms**2, rel=3 * slope_rms**2 + 1e-9)
-    for axis in (0, 1):
-        s = slopes[..., axis]
-        assert s.mean() == approx(0, abs=4 * math.sqrt(square / n))
-        assert (s**2).mean() == approx(square, abs=4 * math.sqrt((fourth - square**2) / n))
-    # independent cells and axes: products of neighbours have the standard error square/sqrt(n)
-    s0, s1 = slopes[..., 0], slopes[..., 1]
-    for product in (s0[:, 1:] * s0[:, :-1], s0[1:] * s0[:-1], s0 * s1, s1[1:] * s1[:-1]):
-        assert product.mean() == approx(0, abs=4.5 * square / math.sqrt(n))
-
-
-def by_cell(scene, **options):
-    slopes, positions = raytrace.facet_angles(scene, cell=2.5e-4, slope_rms=0.1, **options)
-    index = np.floor(positions[..., :2] / 2.5e-4).astype(int)
-    cells = index.reshape(-1, 2).tolist()
-    return dict(zip(map(tuple, cells), slopes.reshape(-1, 2).tolist(), strict=True))
-
-
-def test_a_cell_keeps_its_facet(flat_scene):
-    before = by_cell(flat_scene, seed=7)
-    camera = flat_scene.camera
-    others = [
-        replace(flat_scene, camera=replace(camera, stop_diameter=0.06)),
-        replace(flat_scene, wall=WavyWall(1e-5, 0.1)),
-        replace(flat_scene, hidden=replace(flat_scene.hidden, position=(0.36, 0.01, 1.0))),
-    ]
-    for scene in others:
-        after = by_cell(scene, seed=7)
-        shared = before.keys() & after.keys()
-        assert len(shared) > 100
-        assert after.keys() != before.keys()
-        assert all(before[cell] == after[cell] for cell in shared)
-    reseeded = by_cell(flat_scene, seed=8)
-    assert not any(before[cell] == reseeded[cell] for cell in before)
-
-
-def test_cells_on_either_side_of_the_origin_differ(flat_scene):
-    """A lattice that straddles 0, where an index of the wrong sign would repeat facets."""
-    camera = replace(flat_scene.camera, position=(-0.4, 0.0, 0.8), aim=(0.0, 0.0, 0.0))
-    hidden = replace(flat_scene.hidden, position=(0.5, 0.0, 1.0))
-    cells = by_cell(replace(flat_scene, camera=camera, hidden=hidden))
-    assert {(i < 0, j < 0) for i, j in cells} == {(a, b) for a in (0, 1) for b in (0, 1)}
-    assert len({tuple(slope) for slope in cells.values()}) == len(cells)
+# ---------------------------------------------------------------- footprints and slopes
 
 
 @pytest.mark.parametrize("wall", WALLS, ids=name)
-def test_facets_cover_what_the_pupil_sees(flat_scene, wall):
+def test_footprint_holds_what_the_pupil_sees(flat_scene, wall):
     scene = replace(flat_scene, wall=wall)
-    _, positions = raytrace.facet_angles(scene, cell=1e-3, slope_rms=0.1)
+    found = lens_footprint(wall, scene.object_point, scene.camera)
     angle = np.linspace(0, 2 * math.pi, 64)
     rim = scene.camera.stop_diameter / 2 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     axes = scene.camera.frame
     ends = aiming.pupil_points(scene.camera.position, axes[2], rim)
-    seen = aiming.aim(wall, scene.object_point, ends, axes[2]).points
-    low, high = positions[0, 0, :2] - 5e-4, positions[-1, -1, :2] + 5e-4  # half a cell
-    size = seen[:, :2].max(axis=0) - seen[:, :2].min(axis=0)
-    assert (low < seen[:, :2] - 0.2 * size).all()
-    assert (high > seen[:, :2] + 0.2 * size).all()
-    # and little more: half as wide again on both sides, with cells and the margin for bend
-    assert ((high - low) < 2 * size + 2e-3).all()
-    heights = wall.height(positions[..., 0], positions[..., 1])
-    assert positions[..., 2] == approx(heights, abs=1e-15)
+    seen = aiming.aim(wall, scene.object_point, ends, axes[2]).points[:, :2]
+    assert (found.low < seen).all()
+    assert (found.high > seen).all()
+    # and little more: a third as wide again, with the margin for bend
+    size = seen.max(axis=0) - seen.min(axis=0)
+    assert ((found.high - found.low) < 4 / 3 * size).all()
 
 
 def test_slope_is_that_of_the_strongest_rough_lobe(flat_scene):
-    def drawn(material):
-        scene = replace(flat_scene, wall_material=material)
-        return raytrace.facet_angles(scene, cell=1e-3)[0]
-
-    def expected(slope_rms):
-        return raytrace.facet_angles(flat_scene, cell=1e-3, slope_rms=slope_rms)[0]
+    def slope(material):
+        return material_slope(replace(flat_scene, wall_material=material))
 
     gloss = SpecularMicrofacet(0.1, 0.05)
-    assert np.array_equal(drawn(gloss), expected(0.05))
+    assert slope(gloss) == 0.05
     # Ward's alpha is sqrt(2) slopes
-    assert drawn(SumMaterial(gloss, Ward(0.3, 0.2))) == approx(expected(0.2 / math.sqrt(2)))
-    assert np.array_equal(drawn(SumMaterial(Lambert(0.8), gloss)), expected(0.05))
-    assert np.array_equal(drawn(SumMaterial(gloss, OrenNayar(0.5, 0.3))), expected(0.3))
+    assert slope(SumMaterial(gloss, Ward(0.3, 0.2))) == approx(0.2 / math.sqrt(2))
+    assert slope(SumMaterial(Lambert(0.8), gloss)) == 0.05
+    assert slope(SumMaterial(gloss, OrenNayar(0.5, 0.3))) == 0.3
     for smooth in (Lambert(0.8), SpecularMicrofacet(0.5, 0.0), OrenNayar(0.5, 0.0)):
-        with pytest.raises(SceneError, match="no lobe with a slope; give slope_rms"):
-            drawn(smooth)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"cell": 0.0}, r"cell = 0 m is out of range"),
-        ({"cell": math.nan}, "cell = nan is not finite"),
-        ({"slope_rms": 0.0}, "slope_rms = 0 rad is out of range"),
-        ({"slope_rms": 1.5}, "slope_rms = 1.5 rad is out of range"),
-        ({"seed": -1}, "seed = -1 is out of range"),
-        ({"cell": 1e-11}, "2\\^31 cells from the origin"),
-    ],
-)
-def test_bad_facets_are_refused(flat_scene, options, message):
-    with pytest.raises(ValueError, match=message):
-        raytrace.facet_angles(flat_scene, **({"cell": 1e-3, "slope_rms": 0.1} | options))
+        with pytest.raises(SceneError, match="no lobe with a slope; use a material"):
+            slope(smooth)
 
 
 # ---------------------------------------------------------------- fans of rays
