@@ -17,8 +17,12 @@ from .view import RoughView
 
 Array = NDArray[np.float64]
 
-#: Positions along each side of the lattice cell over which the transfer function is averaged.
-PER_SIDE: Final = 24
+#: Positions along each side of the lattice cell over which the transfer function is averaged: per
+#: radian of the rms phase, at least and at most. It decays within about a cell over the rms phase,
+#: and pairs of points on both sides of a crease are counted only if positions lie closer than that.
+#: With 24 a side, the mean lacks the light of the creases, 2e-4 of the peak at an rms phase of 10.
+PER_RADIAN: Final = 7.0
+PER_SIDE: Final = (24, 96)
 #: Distance between rows of an equilateral lattice of side 1.
 ROW: Final = math.sqrt(0.75)
 #: Most separations that are summed directly; more are interpolated from a table.
@@ -70,6 +74,12 @@ class FacetView(RoughView):
         """Variance of the phase at a lattice node, rad^2: twice the mean over the facets."""
         return 2 * self.rayleigh_parameter**2
 
+    @property
+    def per_side(self) -> int:
+        """Positions along each side of the lattice cell over which pairs of points are averaged."""
+        least, most = PER_SIDE
+        return min(max(least, math.ceil(PER_RADIAN * self.rayleigh_parameter)), most)
+
     @cached_property
     def coherent_fraction(self) -> float:
         """Fraction of the energy in the coherent core: the squared mean of ``exp(i phase)``."""
@@ -104,7 +114,7 @@ class FacetView(RoughView):
 
         cell, out = self.roughness.cell, np.empty(x.size)
         kernels.pair_terms(
-            np.ravel(x) / cell, np.ravel(y) / cell, self.node_variance, PER_SIDE, out
+            np.ravel(x) / cell, np.ravel(y) / cell, self.node_variance, self.per_side, out
         )
         return out.reshape(x.shape) - self.coherent_fraction
 
