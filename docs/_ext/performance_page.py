@@ -555,7 +555,7 @@ SECTIONS = (
         "--json benchmarks/results/psf_pupils.json",
         psf_peers,
         draw_psf_peers,
-        "Seconds against error of point spreads of a spider and of 19 hexagons by four programs",
+        "Seconds against error of point spreads of a spider and of 19 hexagons by three programs",
     ),
     Section(
         "psf_study.json",
