@@ -164,15 +164,17 @@ def point_spread(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave in the exit pupil. Terms listed in ``wavefront.removed`` are not added back.
+        Wave in the exit pupil. Terms listed in ``wavefront.removed`` are not added back: only
+        tilt that ``aberration`` still contains shifts the spot.
     method : str
         ``auto`` selects the cheapest method whose estimated error is at most ``tol``.
 
-        - ``quadrature`` sums over polar nodes, or the nodes of cells, as many as the window needs.
+        - ``quadrature`` sums over nodes in the pupil, polar or of cells (layout "cells"). The
+          window determines their number.
         - ``fft`` transforms a zero-padded grid; ``mdft`` transforms a grid to any pitch. Both
           resample a polar wave to a grid. If its aberration and amplitude are polynomials, the
-          grid is as fine as ``tol`` requires. Of cells, as many nodes as ``tol`` requires are
-          spread onto an antialiased grid. A grid is never resampled to polar nodes.
+          grid is as fine as ``tol`` requires. For layout "cells" they spread as many nodes as
+          ``tol`` requires onto an antialiased grid. A grid is never resampled to polar nodes.
         - ``nufft`` sums over the given nodes of any layout, such as traced rays.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
@@ -180,30 +182,37 @@ def point_spread(
         - ``huygens`` sums spherical waves on ``image_surface``. It is slow, and ``auto`` does not
           use it. See `huygens_point_spread`.
     tol : float
-        Largest max |dI|/max I that ``auto`` accepts. Other methods use it to save time.
+        Largest error that ``auto`` accepts: the largest difference of intensities, relative to the
+        peak. A method given by name may sample more coarsely as long as its error stays below it.
     pitch : float, optional
-        Image sampling or pixel side, m. Default lambda N/4; for ``fft`` of a grid wavefront, the
-        pitch just below lambda N/2 whose transform size is fast.
+        Image sampling or pixel side, m. Default lambda N/4 with the F-number N; for ``fft`` of a
+        grid wavefront, the pitch just below lambda N/2 whose transform size is fast.
     shape : int or (int, int), optional
-        (ny, nx). It must hold the rays, unless a method that sums the field at points is named:
-        ``quadrature``, ``nufft``, ``huygens``, or ``mdft`` of cells and grids. Default at least
-        256 per side, with all rays and their tails inside; with ``pixel_integrated``, that of
-        `window_shape`; for ``fft`` of a grid wavefront without a pitch, the full period.
+        Pixels (ny, nx). By default
+
+        - at least 256 per side, with all rays and their tails inside,
+        - with ``pixel_integrated``, that of `window_shape`,
+        - for ``fft`` of a grid wavefront without a pitch, the full period.
+
+        All rays must meet the window, except for methods that sum the field at given points, if
+        they are named: ``quadrature``, ``nufft``, ``huygens``, and ``mdft`` of cells and grids.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        ``unit-sum`` and ``flux`` are energy per pixel, with 1 or `Wavefront.flux` in the whole
-        plane; ``ideal-peak`` is relative to the peak of the same pupil without aberration.
+        Energy per pixel, whose sum over the whole plane is 1 (``unit-sum``) or `Wavefront.flux`,
+        relative to a clear disc (``flux``); or intensity relative to the peak of the same pupil
+        without aberration (``ideal-peak``).
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     image_surface : callable, optional
         Function of arrays x and y, m, that returns the height of the image surface above the image
-        plane, along +z, m. For ``huygens`` only, and with a ``shape``. The intensity is per area of
-        the image plane.
+        plane along the direction of the light, m. For ``huygens`` only, and with a ``shape``. The
+        intensity is per area of the image plane.
     max_seconds : float, optional
         Limit of the predicted run time on one core: ``auto`` skips a method beyond it. A method
-        given by name always runs. Default 60 s, or the time left to the enclosing run.
+        given by name always runs. Default 60 s, or the time left to the run of `simulate` that
+        calls it.
     model : {"auto", "scalar", "high-aperture"}
         ``scalar`` is the small-angle model of all the methods above. ``high-aperture`` is the
-        vector diffraction of a lens that satisfies the sine condition, by `quadrature`, ``mdft``
+        vector diffraction of a lens that satisfies the sine condition, by ``quadrature``, ``mdft``
         or ``nufft``, whichever suits the nodes, or by ``geometric``. ``auto`` takes the scalar
         model for a method given by name. With ``method="auto"`` it takes the high-aperture model
         if the scalar model's error exceeds ``tol``, or if the wave is polarised.
@@ -214,6 +223,7 @@ def point_spread(
     Returns
     -------
     PointSpread
+        Intensity (ny, nx), row 0 at the lowest y, with pitch, method, reason and error estimate.
 
     Raises
     ------
@@ -233,7 +243,11 @@ def point_spread(
 
     Notes
     -----
-    ``U(x) = sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))`` with the signed image distance d [1]_.
+    The field at an image point x is a sum over the pupil's nodes p = (u, v), with amplitude A, node
+    area w, aberration W, k = 2 pi/lambda and the signed image distance d [1]_::
+
+        U(x) = sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))
+
     A tilt W = a u moves the spot to x = a d. Piston is dropped; tilt is applied as an exact shift.
 
     Pupil coordinates (u, v) are heights on the wave's reference sphere, of radius ``|d|`` about the
@@ -259,7 +273,7 @@ def point_spread(
     Examples
     --------
     >>> from nlosoptics import psf
-    >>> wave = psf.Wavefront.from_zernike(
+    >>> wave = psf.Wavefront.from_zernike(  # Noll index 4: 50 nm rms of defocus
     ...     {4: 50e-9}, wavelength=500e-9, pupil_radius=5e-3, image_distance=0.1
     ... )
     >>> spread = psf.point_spread(wave, shape=65, normalisation="ideal-peak")
