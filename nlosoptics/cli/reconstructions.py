@@ -243,6 +243,8 @@ def _print_reconstruction(report: dict[str, Any], folder: Path) -> None:
         f"{f['method']}: {f['reconstruction_status']} after {counted(f['iterations'], 'iteration')}"
     )
     table.add_row("reconstruction", told)
+    for reason in f["reconstruction_reasons"]:
+        table.add_row("", reason)
     if f["method"] == "phase_retrieval":
         table.add_row("agreement of halves", f"{f['reconstruction_score']:.4g}")
     else:

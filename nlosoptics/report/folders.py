@@ -67,6 +67,7 @@ class Figures(_Model):
     method: str | None = None
     reconstruction_status: str | None = None
     reconstruction_score: float | None = None
+    reconstruction_reasons: tuple[str, ...] = ()
     iterations: int | None = None
     physical_parameters: dict[str, Any] = Field(default_factory=dict)
     correlation_with_truth: float | None = None

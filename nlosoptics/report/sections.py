@@ -366,6 +366,7 @@ def _settlement(held: Folder) -> Iterator[Html]:
     yield facts(
         [
             ("Status", f"{_spaced(status)}. {words.STATUS.get(status, '')}".rstrip()),
+            ("Because", "; ".join(f.reconstruction_reasons) or None),
             ("Method", f.method),
             ("Iterations", f.iterations),
             ("Agreement" if f.method == "phase_retrieval" else "Residual", score),

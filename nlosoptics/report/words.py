@@ -16,19 +16,22 @@ OUTCOME: Final = {
     "converged": "The reconstruction converged.",
     "unconverged": "The reconstruction did not converge.",
     "trivial": "The reconstruction is trivial: it is the image itself.",
-    "too_few_photons": "There are too few photons to reconstruct an object.",
+    "too_few_photons": "There are too few photons to reconstruct an object reliably.",
+    "does_not_fit": "The image does not fit this scene.",
 }
 
 #: Meaning of a reconstruction's status for its object; see `inverse.Reconstruction`.
 STATUS: Final = {
-    "converged": "The fit converged: more iterations would not change the object by more than the "
-    "tolerance.",
+    "converged": "More iterations would hardly change the object, and with a known point spread no "
+    "test found a fault of the model.",
     "unconverged": "The fit ended before it converged. The object may still change with more "
     "iterations and is not reliable.",
     "trivial": "The wall was fitted too, and the answer is the image itself without any blur. It "
     "says nothing about the object.",
-    "too_few_photons": "The background alone explains the image to within three standard errors. "
-    "No object can be recovered, and the picture is empty.",
+    "too_few_photons": "The noise hides the object: the picture is a rough estimate, or empty if "
+    "no object was detected. Expose longer, or average several images.",
+    "does_not_fit": "Image and model contradict each other, so the object is not to be trusted. "
+    "Check the scene file (wall, distances, focus), the background and the camera's response.",
 }
 
 #: Meaning of a command's status other than "done".

@@ -277,6 +277,7 @@ def _figures(result: Result) -> dict[str, Any]:
 
         found["reconstruction_status"] = result.reconstruction.status
         found["reconstruction_score"] = result.reconstruction.score
+        found["reconstruction_reasons"] = list(result.reconstruction.reasons)
         if image.ideal.any():
             correlation = registered_correlation(result.reconstruction, image.ideal)
             found["correlation_with_truth"] = correlation

@@ -22,6 +22,17 @@ def known_psf(root):
 
 
 @pytest.fixture(scope="session")
+def mismatches(root, known_psf):
+    """The benchmark's generator of images that the model does not describe."""
+    path = root / "benchmarks/inverse/mismatches.py"
+    spec = importlib.util.spec_from_file_location("mismatches", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["mismatches"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
 def case(known_psf, examples):
     """``case(name, wall, seed, noise)``: a measured image and the model of its kernel."""
     from nlosoptics.imaging import ForwardModel

@@ -192,6 +192,7 @@ DRAWN: Mapping[str, Any] = {
     "Status": lambda: "converged",
     "Ordering": lambda: "noll",
     "tuple[int, int]": lambda: (3, 4),
+    "tuple[str, ...]": lambda: ("too dark", "too bright"),
     "tuple[float, float]": lambda: (RNG.random(), RNG.random()),
     "Mapping[str, float]": lambda: {"one": RNG.random(), "other": RNG.random()},
     "Mapping[int, float]": lambda: {4: RNG.random(), 5: np.inf},

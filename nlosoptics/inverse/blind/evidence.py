@@ -17,7 +17,8 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ..data._threads import single_thread
 from ..data.checkpoints import State, goes_on, state_of
-from ..data.reconstruction import Reconstruction, Status, frozen
+from ..data.reconstruction import Reconstruction, frozen
+from ..data.status import Status
 from ..wave.frames import Frames, frames_of
 from ..wave.pupil_psf import PupilPSF
 from .evidence_search import Island, Watch, evolve, gather, refine, sharp, without_blur

@@ -20,8 +20,9 @@ from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
 from ..data.checkpoints import started_from
 from ..data.measurement import real_array
-from ..data.reconstruction import Reconstruction, Status, frozen
+from ..data.reconstruction import Reconstruction, frozen
 from ..data.scores import registered_correlation
+from ..data.status import Status
 from ..known.total_variation import tv_deconvolve
 from ..published.deep_image_prior import deep_image_prior
 from ..wave.frames import Frames, frames_of

@@ -182,6 +182,10 @@ class TorchForwardModel(nn.Module):
         return picture[..., :rows, :columns]
 
 
+#: Image model in numpy or torch.
+AnyModel = ForwardModel | TorchForwardModel
+
+
 def torch_model(
     model: ForwardModel | TorchForwardModel, device: torch.device, dtype: torch.dtype
 ) -> TorchForwardModel:

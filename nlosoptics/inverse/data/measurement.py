@@ -9,16 +9,34 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 from torch import Tensor
 
 from ..._checks import positive, real
 from ...errors import SamplingError, SceneError
+from .forward import AnyModel, model_shape
+from .spectra import (
+    beyond_optics,
+    expected_signal,
+    frame_transfer,
+    half_weights,
+    object_power,
+    periodic_power,
+    power,
+)
 
 # Standard normal quantile at 3/4: median of |x| over sigma.
 _MEDIAN_OVER_SIGMA = 0.6744897501960817
 _BLOCK = 12
 # Noise below this part of the image's range is near float32's rounding in the transforms.
 _FLOAT32_NOISE = 1e-4
+# Least number of frequencies beyond the optics' cut-off for a noise estimate: a relative standard
+# error of 3 %, below that of the second differences for frames of up to 64 x 64 pixels.
+_LEAST_BEYOND = 500
+# Sum of squared weights that is only rounding error.
+_ROUNDING = 1e-9
+# Share of images of noise alone in which an object is detected.
+_FALSE_ALARMS = 1e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -119,12 +137,41 @@ class Measurement:
         rms = math.sqrt(total(self.weighted(residual * residual)) / self.counted)
         return rms / self.sigma if self.sigma > 0.0 else rms
 
-    def is_background(self) -> bool:
-        """Return whether the background alone explains the data within three standard errors."""
-        return self.is_noise_about(self.background(self.background_strength(self.data)))
+    def is_background(self, model: AnyModel | None = None) -> bool:
+        """Return whether no object is detected against the unknown background and noise.
+
+        Parameters
+        ----------
+        model : ForwardModel or TorchForwardModel, optional
+            Image model; if omitted, all frequencies are taken to pass.
+
+        Notes
+        -----
+        Weighted sums of the spectrum's power are compared with their distributions for white
+        noise. The weights are the transfer function's power times 1, 1/f and 1/f^2, for dots,
+        strokes and extended objects. A weighted sum of exponential variables is nearly a gamma
+        variable with the same first three moments. If the noise was estimated, its mean power is
+        taken from the same spectrum, and the weights are relative to their mean. Noise alone is
+        taken for an object in one image of 1000.
+        """
+        if self.sigma == 0.0:
+            return True
+        rest = self.data - self.background(self.background_strength(self.data))
+        if self.weights is not None:
+            rest = rest * self.weights.sqrt()
+        shape = tuple(rest.shape)
+        passed = torch.ones(()) if model is None else frame_transfer(model).abs().square()
+        relative = power(rest.cpu()) * (rest.numel() / (self.counted * self.sigma**2))
+        if not self.fit_background:  # even light is an object then
+            strength = float(rest.mean()) * math.sqrt(rest.numel()) / self.sigma
+            if 0.5 * math.erfc(strength / math.sqrt(2.0)) < _FALSE_ALARMS:
+                return False
+        kinds = [passed * object_power(shape) ** half for half in (0.0, 0.5, 1.0)]
+        chances = [_chance(relative, kind, shape, self.sigma_estimated) for kind in kinds]
+        return len(kinds) * min(chances) > _FALSE_ALARMS
 
     def is_noise_about(self, explained: Tensor | float) -> bool:
-        """Return whether data minus ``explained`` is noise, within three standard errors.
+        """Return whether data minus ``explained`` has the power of noise, within three errors.
 
         The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the measured
         spread of `estimate_noise` (2/sqrt(n) relative, in sigma).
@@ -142,6 +189,31 @@ class Measurement:
         return values.detach().to(device=self.template.device, dtype=dtype)
 
 
+def _chance(relative: Tensor, weights: Tensor, shape: tuple[int, ...], own: bool) -> float:
+    """Return the probability that white noise has this weighted sum of power, or more.
+
+    ``relative`` and ``weights`` are half spectra, the power in units of the noise's variance. If
+    ``own``, the variance is the mean of the same spectrum.
+    """
+    twice = half_weights(shape)
+    count = float(twice.sum())
+    if own:
+        mean = float((twice * relative).sum()) / count
+        if mean == 0.0:
+            return 1.0
+        relative = relative / mean
+        weights = weights - float((twice * weights).sum()) / count
+    weights = weights / weights.abs().max().clamp_min(1e-300)
+    squares, cubes = (float((twice * weights**k).sum()) for k in (2, 3))
+    if squares <= _ROUNDING or cubes <= _ROUNDING:  # all frequencies weigh the same
+        return 1.0
+    variance, third = 2.0 * squares, 8.0 * cubes
+    freedom = 4.0 * variance**3 / third**2
+    deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
+    value = max(freedom + deviation * math.sqrt(freedom), 0.0)
+    return float(special.gammaincc(freedom, value))
+
+
 def total(values: Tensor) -> float:
     """Return the sum of an image in double precision.
 
@@ -152,17 +224,19 @@ def total(values: Tensor) -> float:
 
 def measurement(
     image: Any,
-    shape: tuple[int, int],
+    model: AnyModel | tuple[int, int],
     *,
     noise_sigma: Any,
     background: Any,
     fit_background: bool,
     background_shape: Any,
 ) -> Measurement:
-    """Check an image against a model's shape (H, W), and return it with its noise.
+    """Check an image against a model, and return it with its noise.
 
-    The keyword arguments are those of the solvers, for example `tv_deconvolve`.
+    ``model`` may be the shape (H, W) if the point spread is unknown; the noise is then estimated
+    without it. The keyword arguments are those of the solvers, for example `tv_deconvolve`.
     """
+    shape = model if isinstance(model, tuple) else model_shape(model)
     template = image if isinstance(image, Tensor) else None
     device = torch.device("cpu") if template is None else template.device
     data = _picture("image", image, shape, device)
@@ -172,7 +246,7 @@ def measurement(
         data = data - _picture("background", background, shape, device)
     weights = None
     if noise_sigma is None:
-        sigma = estimate_noise(data.cpu().numpy())
+        sigma = estimate_noise(data, None if isinstance(model, tuple) else model)
         if sigma == 0.0 and float(data.max()) > float(data.min()):
             raise SceneError(
                 "the estimated noise of the image is 0 although it is not uniform; give noise_sigma"
@@ -259,13 +333,16 @@ def shape_of(name: str, value: Any) -> tuple[int, ...]:
         ) from None
 
 
-def estimate_noise(image: ArrayLike) -> float:
+def estimate_noise(image: ArrayLike | Tensor, model: AnyModel | None = None) -> float:
     """Estimate the rms noise of an image, assuming that it is white within about 12 pixels.
 
     Parameters
     ----------
     image : array_like or Tensor
         Image, (H, W), at least 3 x 3 pixels.
+    model : ForwardModel or TorchForwardModel, optional
+        Image model of shape (H, W). If given, the noise is taken from the frequencies that its
+        point spread does not pass, if there are enough of them.
 
     Returns
     -------
@@ -275,7 +352,8 @@ def estimate_noise(image: ArrayLike) -> float:
     Raises
     ------
     SamplingError
-        If the array is not a single image of at least 3 x 3 pixels.
+        If the array is not a single image of at least 3 x 3 pixels, or does not have the model's
+        shape.
     SceneError
         If a value is not finite or not a real number.
 
@@ -286,17 +364,25 @@ def estimate_noise(image: ArrayLike) -> float:
 
     Notes
     -----
-    The estimate is the median absolute response to a second difference along both axes [1]_ [2]_,
-    on which smooth images and a few edges have little effect. It is taken in blocks of about 12
-    pixels, because signal-dependent noise would otherwise be underestimated, and the squares are
-    averaged. A block with zero median, for example a dark region with few counts, contributes its
-    rms response instead. For white noise the result is 2 % too high, with a relative spread of
-    2/sqrt(pixels).
+    Without a model the estimate is the median absolute response to a second difference along both
+    axes [1]_ [2]_, on which smooth images and a few edges have little effect. It is taken in blocks
+    of about 12 pixels, because signal-dependent noise would otherwise be underestimated, and the
+    squares are averaged. A block with zero median, for example a dark region with few counts,
+    contributes its rms response instead. For white noise the result is 2 % too high, with a
+    relative spread of 2/sqrt(pixels). Fine detail of a sharp image raises it: by 35 % at worst for
+    images of 64 x 64 pixels with 0.5 % noise.
+
+    With a model, an object with a power spectrum proportional to 1/f^2 and the image's variance is
+    assumed. The noise is the mean power of those frequencies at which the image of that object is
+    below 5 % of the noise. At least 500 of them are needed; otherwise the second differences are
+    used. The relative standard error is 1/sqrt(2 n) for n frequencies. Differences between opposite
+    edges of the frame are removed first, because they would spread over all frequencies [3]_.
 
     References
     ----------
     .. [1] Immerkaer, Computer Vision and Image Understanding 64 (1996) 300.
     .. [2] Donoho and Johnstone, Biometrika 81 (1994) 425.
+    .. [3] Moisan, J. Math. Imaging Vis. 39 (2011) 161.
 
     Examples
     --------
@@ -327,7 +413,35 @@ def estimate_noise(image: ArrayLike) -> float:
     squares = np.where(
         medians > 0.0, (medians / _MEDIAN_OVER_SIGMA) ** 2, (blocks * blocks).mean(axis=1)
     )
-    return math.sqrt(float(squares.mean()))
+    sigma = math.sqrt(float(squares.mean()))
+    if model is None or sigma == 0.0:
+        return sigma
+    if values.shape != model_shape(model):
+        raise SamplingError(
+            f"image has shape {values.shape}, must be {model_shape(model)} like the model; "
+            "resample it or build the model for that shape"
+        )
+    return _noise_beyond(torch.from_numpy(values.copy()), model, sigma)
+
+
+def _noise_beyond(image: Tensor, model: AnyModel, sigma: float) -> float:
+    """Return the rms noise from the frequencies that the optics do not pass.
+
+    ``sigma`` is a first estimate; it is returned if there are too few such frequencies.
+    """
+    power = periodic_power(image)
+    passed = frame_transfer(model).abs().square().cpu()
+    twice = half_weights(image.shape)
+    found = sigma
+    for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
+        signal = expected_signal(power, passed, found**2, image.shape)
+        beyond = beyond_optics(signal, found**2)
+        count = float(twice[beyond].sum())
+        variance = float((twice * (power - signal))[beyond].sum()) / max(count, 1.0)
+        if count < _LEAST_BEYOND or variance <= 0.0:
+            return sigma
+        found = math.sqrt(variance)
+    return found
 
 
 def _background_shape(value: Any, shape: tuple[int, int], device: torch.device) -> Tensor | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,8 +17,7 @@ from ..._nouns import Noun
 from ...imaging.forward_model import ForwardModel
 from .forward import TorchForwardModel, torch_model
 from .measurement import Measurement
-
-Status = Literal["converged", "trivial", "unconverged", "too_few_photons"]
+from .status import Ending, Status, judged
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -37,11 +36,13 @@ class Reconstruction(Noun, Shown):
         without a known one, image units), ``noise_sigma`` (reference noise, image units), and
         further parameters of the solver such as ``tv_weight``. If the wall was fitted too,
         ``coefficients`` is an array.
-    status : {"converged", "trivial", "unconverged", "too_few_photons"}
-        "converged": the solver's criterion was met. "unconverged": it was not, and the object is
-        not reliable. "trivial": the wall was fitted too, and the answer is the image itself without
-        blur. "too_few_photons": the background alone explains the data to within three standard
-        errors of the mean squared residual; ``object`` is then zero.
+    status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
+        "converged": the solver's criterion was met, and with a known point spread no test found a
+        fault; see `inverse.data.status`. "unconverged": the criterion was not met, and the object
+        is not reliable. "trivial": the wall was fitted too, and the answer is the image itself
+        without blur. "too_few_photons": the noise hides most of the object's detail, and ``object``
+        is a rough estimate; it is zero if no object was detected. "does_not_fit": image and model
+        contradict each other, so the object is not to be trusted.
     score : float
         Weighted rms residual in units of the noise; 1 if only noise remains. For phase retrieval
         the correlation between two halves of the restarts; 1 is full agreement.
@@ -50,6 +51,9 @@ class Reconstruction(Noun, Shown):
         ``change`` (relative). For phase retrieval ``fourier_error`` per restart.
     seconds : float
         Wall-clock time, s.
+    reasons : tuple of str
+        What speaks against "converged", one sentence each, with values and limits. Empty for
+        "converged" and for solvers that do not test the model.
 
     See Also
     --------
@@ -65,6 +69,7 @@ class Reconstruction(Noun, Shown):
     score: float
     history: Mapping[str, NDArray[np.float64]]
     seconds: float
+    reasons: tuple[str, ...] = ()
 
     def _figures(self) -> Figures:
         rows, columns = self.object.shape
@@ -105,6 +110,7 @@ def assemble(
     status: Status,
     history: Mapping[str, Sequence[float]],
     started: float,
+    reasons: tuple[str, ...] = (),
     **parameters: Any,
 ) -> Reconstruction:
     """Return the `Reconstruction` for an object in image units.
@@ -121,12 +127,14 @@ def assemble(
         Fitted strength of the unknown background, image units.
     gain : float or None
         Image units per object unit; if None, the object's maximum becomes 1.
-    status : {"converged", "trivial", "unconverged", "too_few_photons"}
+    status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
         How the fit ended.
     history : mapping of str to sequence of float
         Records of the iterations.
     started : float
         ``time.perf_counter()`` at the start.
+    reasons : tuple of str
+        What speaks against "converged".
     **parameters : float or ndarray
         Further entries of ``physical_parameters``.
     """
@@ -148,6 +156,37 @@ def assemble(
         score=data.score(explained),
         history=frozen(history),
         seconds=time.perf_counter() - started,
+        reasons=reasons,
+    )
+
+
+def concluded(
+    data: Measurement,
+    level: Tensor,
+    *,
+    model: ForwardModel | TorchForwardModel,
+    background: float,
+    gain: float | None,
+    ending: Ending,
+    started: float,
+    **parameters: Any,
+) -> Reconstruction:
+    """Return the `Reconstruction` of a fit with a known point spread, its status tested.
+
+    Parameters as in `assemble`, with how the solver ended in place of status and history.
+    """
+    status, reasons = judged(data, level, background, model, ending)
+    return assemble(
+        data,
+        level,
+        model=model,
+        background=background,
+        gain=gain,
+        status=status,
+        history=ending.history,
+        started=started,
+        reasons=reasons,
+        **parameters,
     )
 
 
@@ -171,7 +210,7 @@ def without_object(
     gain: float | None,
     started: float,
 ) -> Reconstruction:
-    """Return a zero object with status "too_few_photons": the background explains the data."""
+    """Return a zero object with status "too_few_photons": no object was detected."""
     return assemble(
         data,
         torch.zeros_like(data.data),
@@ -181,4 +220,5 @@ def without_object(
         status="too_few_photons",
         history={"objective": [], "residual": [], "change": []},
         started=started,
+        reasons=("no object was detected above the noise, so the object is zero; expose longer",),
     )

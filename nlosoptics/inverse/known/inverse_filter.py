@@ -14,7 +14,8 @@ from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
 from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
 from ..data.measurement import Measurement, measurement
-from ..data.reconstruction import Reconstruction, assemble, beside, without_object
+from ..data.reconstruction import Reconstruction, beside, concluded, without_object
+from ..data.status import Ending
 
 # Transfer modulus, relative to the largest, that is only rounding error.
 _ROUNDING = 1e-13
@@ -93,33 +94,34 @@ def inverse_filter(
     started = time.perf_counter()
     guard = None if guard is None else in_range("guard", guard, _ROUNDING, 1.0)
     gain = None if gain is None else positive("gain", gain)
+    one_kernel_shape(model)
     data = measurement(
         image,
-        one_kernel_shape(model),
+        model,
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
         background_shape=background_shape,
     )
     twin = torch_model(model, data.data.device, torch.float64)
-    if data.is_background():
+    if data.is_background(model):
         return without_object(data, model=model, gain=gain, started=started)
     level, guard = _divided(data, twin, guard)
     strength, score = beside(data, level, twin)
     if progress is not None:
         progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
-    return assemble(
+    history = {
+        "objective": [0.5 * data.counted * score**2],
+        "residual": [score],
+        "change": [1.0],
+    }
+    return concluded(
         data,
         level,
         model=model,
         background=strength,
         gain=gain,
-        status="converged",
-        history={
-            "objective": [0.5 * data.counted * score**2],
-            "residual": [score],
-            "change": [1.0],
-        },
+        ending=Ending(converged=True, history=history),
         started=started,
         guard=guard,
     )

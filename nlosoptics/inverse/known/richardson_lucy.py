@@ -18,7 +18,8 @@ from ..data._threads import single_thread
 from ..data.checkpoints import goes_on, started_from, state_of
 from ..data.forward import TorchForwardModel, model_shape, torch_model
 from ..data.measurement import Measurement, measurement, total
-from ..data.reconstruction import Reconstruction, assemble, without_object
+from ..data.reconstruction import Reconstruction, concluded, without_object
+from ..data.status import MOST_RESIDUAL, Ending
 from .wiener import background_estimate
 
 
@@ -112,25 +113,24 @@ def richardson_lucy(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        model,
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
         background_shape=background_shape,
     )
-    if data.is_background():
+    if data.is_background(model):
         return without_object(data, model=model, gain=gain, started=started)
     first = started_from(start, model_shape(model), data.data.device)
     steps = _Maximisation(data, model, accelerated, first)
     converged = steps.run(max_iterations, tolerance, progress)
-    return assemble(
+    return concluded(
         data,
         steps.best.double() * steps.scale,
         model=model,
         background=steps.background(),
         gain=gain,
-        status="converged" if converged else "unconverged",
-        history=steps.history,
+        ending=Ending(converged=converged, history=steps.history, most_residual=MOST_RESIDUAL),
         started=started,
     )
 

@@ -18,7 +18,8 @@ from ..data._threads import single_thread
 from ..data.checkpoints import State, goes_on, kept_numbers, started_from, state_of
 from ..data.forward import TorchForwardModel, model_shape, torch_model
 from ..data.measurement import Measurement, measurement, real_array, total
-from ..data.reconstruction import Reconstruction, assemble, without_object
+from ..data.reconstruction import Reconstruction, concluded, without_object
+from ..data.status import MOST_RESIDUAL, Ending
 
 # Factor by which each solve reduces the residual, within _MOST_STEPS steps and single precision. It
 # starts from the previous object, which changes little.
@@ -234,13 +235,13 @@ def tv_deconvolve(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        model,
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
         background_shape=background_shape,
     )
-    if data.is_background():
+    if data.is_background(model):
         return without_object(data, model=model, gain=gain, started=started)
     level = started_from(start, model_shape(model), data.data.device)
     splitting = _Splitting(data, model, tv_weight, level)
@@ -259,14 +260,19 @@ def tv_deconvolve(
             break
         if converged:
             break
-    return assemble(
+    ending = Ending(
+        converged=converged,
+        history=splitting.history(),
+        most_residual=MOST_RESIDUAL if tv_weight is None else None,
+        sharp=tv_weight is None,
+    )
+    return concluded(
         data,
         splitting.level(),
         model=model,
         background=splitting.background(),
         gain=gain,
-        status="converged" if converged else "unconverged",
-        history=splitting.history(),
+        ending=ending,
         started=started,
         tv_weight=splitting.tv_weight(),
     )

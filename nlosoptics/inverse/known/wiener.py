@@ -17,7 +17,8 @@ from ..data._threads import single_thread
 from ..data.checkpoints import goes_on, started_from, state_of
 from ..data.forward import TorchForwardModel, model_shape, torch_model
 from ..data.measurement import Measurement, measurement, total
-from ..data.reconstruction import Reconstruction, Status, assemble, beside, without_object
+from ..data.reconstruction import Reconstruction, beside, concluded, without_object
+from ..data.status import Ending
 
 # Transmitted power, relative to that of the mean, that is only rounding error.
 _ROUNDING = 1e-12
@@ -105,28 +106,26 @@ def wiener(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        model,
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
         background_shape=background_shape,
     )
-    if data.is_background():
+    if data.is_background(model):
         return without_object(data, model=model, gain=gain, started=started)
     problem = _NormalEquations(data, torch_model(model, data.data.device, torch.float64))
     first = started_from(start, model_shape(model), data.data.device)
     level, history, converged = _conjugate_gradients(
         problem, max_iterations, tolerance, first, progress
     )
-    status: Status = "converged" if converged else "unconverged"
-    return assemble(
+    return concluded(
         data,
         level,
         model=model,
         background=beside(data, level, problem.model)[0],
         gain=gain,
-        status=status,
-        history=history,
+        ending=Ending(converged=converged, history=history),
         started=started,
     )
 

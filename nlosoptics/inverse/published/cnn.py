@@ -24,10 +24,11 @@ from ..._whole_files import write_whole
 from ...errors import MissingExtraError, SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.forward import TorchForwardModel, model_shape, torch_model
+from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import measurement
-from ..data.reconstruction import Reconstruction, assemble, beside, frozen, without_object
+from ..data.reconstruction import Reconstruction, beside, concluded, frozen, without_object
 from ..data.scaled_images import ScaledImage
+from ..data.status import MOST_RESIDUAL, Ending
 from .training_pairs import TrainingPairs
 from .unet import UNet
 
@@ -125,13 +126,13 @@ class CnnBaseline(nn.Module):
         gain = None if gain is None else positive("gain", gain)
         data = measurement(
             image,
-            model_shape(model),
+            model,
             noise_sigma=noise_sigma,
             background=background,
             fit_background=fit_background,
             background_shape=background_shape,
         )
-        if data.is_background():
+        if data.is_background(model):
             return without_object(data, model=model, gain=gain, started=started)
         scaled = ScaledImage(data, data.sigma)
         blur = torch_model(model, data.data.device, torch.float32)
@@ -140,14 +141,18 @@ class CnnBaseline(nn.Module):
             strength = scaled.misfit(blur(found))[0].item() * scaled.unit
         level = strength * found.double()
         veil, score = beside(data, level, model)
-        return assemble(
+        history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
+        return concluded(
             data,
             level,
             model=model,
             background=veil,
             gain=gain,
-            status="converged" if score <= 1.0 + tolerance else "unconverged",
-            history={"objective": [], "residual": [], "change": []},
+            ending=Ending(
+                converged=score <= 1.0 + tolerance,
+                history=history,
+                most_residual=max(MOST_RESIDUAL, 1.0 + tolerance),
+            ),
             started=started,
         )
 

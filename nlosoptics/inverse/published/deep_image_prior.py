@@ -26,10 +26,11 @@ from ..data.checkpoints import (
     state_of,
     take_up_adam,
 )
-from ..data.forward import TorchForwardModel, model_shape, torch_model
+from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import Measurement, measurement
-from ..data.reconstruction import Reconstruction, assemble, beside, without_object
+from ..data.reconstruction import Reconstruction, beside, concluded, without_object
 from ..data.scaled_images import ScaledImage, total_variation
+from ..data.status import MOST_RESIDUAL, Ending
 from ..known.total_variation import tv_deconvolve
 from ..known.wiener import wiener
 from .unet import UNetObject
@@ -178,13 +179,13 @@ def deep_image_prior(
     gain = None if gain is None else positive("gain", gain)
     data = measurement(
         image,
-        model_shape(model),
+        model,
         noise_sigma=noise_sigma,
         background=background,
         fit_background=fit_background,
         background_shape=background_shape,
     )
-    if data.is_background():
+    if data.is_background(model):
         return without_object(data, model=model, gain=gain, started=started)
     picture, gain_of_guide, found_weight = _guide(guide, tv_weight, data, model, seed)
     network = UNetObject(picture.float(), base=base, depth=depth, seed=seed)
@@ -195,14 +196,17 @@ def deep_image_prior(
     level = fit.chosen()
     strength, score = beside(data, level, model)
     converged = score <= 1.0 + tolerance
-    return assemble(
+    return concluded(
         data,
         level,
         model=model,
         background=strength,
         gain=gain,
-        status="converged" if converged and not ended else "unconverged",
-        history=fit.history,
+        ending=Ending(
+            converged=converged and not ended,
+            history=fit.history,
+            most_residual=max(MOST_RESIDUAL, 1.0 + tolerance),
+        ),
         started=started,
         tv_weight=found_weight,
         iterations=float(len(fit.history["residual"])),

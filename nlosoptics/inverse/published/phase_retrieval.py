@@ -20,8 +20,9 @@ from ..data._threads import single_thread
 from ..data.checkpoints import State, goes_on, state_of
 from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
 from ..data.measurement import measurement, shape_of
-from ..data.reconstruction import Reconstruction, Status
+from ..data.reconstruction import Reconstruction
 from ..data.scores import registered_correlation
+from ..data.status import Status
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
 from .projections import (
     alternating_minimisation,

@@ -1,0 +1,353 @@
+"""Status of a reconstruction with a known point spread, from tests that can fail.
+
+The tests compare the image, the fitted object and what the fit leaves of the image with the noise
+and with what the optics pass. Their limits were set with ``benchmarks/inverse/mismatches.py`` on
+images of 64 x 64 pixels, seeds below 1000: glyphs, drawings, grey pictures and dots in a dark
+surround, 0.5 to 10 % noise.
+
+Three things cannot be told from one image. A blur that is wider than the model's leaves an object
+that is blurred as well, and a sharp object behind the wider blur has the same image as a soft one
+behind the model's. A non-linear camera changes the object's grey values in the same way. Light that
+is absent from the frame's edges, such as a veil in its middle, is fitted as part of the object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from .forward import AnyModel, torch_model
+from .measurement import Measurement
+from .spectra import (
+    beyond_optics,
+    expected_signal,
+    frame_transfer,
+    half_weights,
+    object_power,
+    periodic_power,
+    power,
+)
+
+#: How a solver ended and whether its answer holds; see `inverse.Reconstruction`.
+Status = Literal["converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"]
+
+
+@dataclass(frozen=True)
+class _Band:
+    """Band of frequencies by their expected ratio of signal to noise, and its residual's limits.
+
+    The limits are those of the mean power over that of the noise, for very many frequencies.
+    """
+
+    name: str
+    low: float
+    high: float
+    least: float
+    most: float
+
+
+# Total variation leaves less than the noise where it fits well, and the fit of a wrong point
+# spread leaves much less at the finest detail that is passed, since it models the noise.
+_BANDS = (
+    _Band("coarse", 3.0, 30.0, 0.0, 1.3),
+    _Band("fine", 0.3, 3.0, 0.75, 1.2),
+    _Band("finest", 0.02, 0.3, 0.95, 1.05),
+)
+# Standard errors of a band's mean beyond its limits.
+_ERRORS_BELOW, _ERRORS_ABOVE = 3.0, 6.0
+_LEAST_COUNT = 24.0  # frequencies for a test
+#: Largest rms residual over the noise of a fit that is brought to the noise level.
+MOST_RESIDUAL = 1.05
+# Largest relative drift of the residual over the last fifth of the iterations.
+_MOST_DRIFT = 0.01
+# Largest median change per iteration of a fit that ran out of iterations, and their least number.
+_MOST_CHANGE, _LEAST_ITERATIONS = 5e-4, 100
+# Largest brightness of the object at the frame's edge relative to its mean, in a padded frame.
+_MOST_BORDER = 1.1
+_BORDER = 1 / 32  # width of the edge, relative to the shorter side
+# Largest (mean |grad|)^2 / mean |grad|^2 of an object of least total variation: 0.785 for noise.
+_MOST_GRAIN = 0.3
+# Least expected correlation of object and Wiener estimate.
+_LEAST_SHARE = 0.73
+# Least one for which a residual below the noise is a sign of a wrong model, not of faint light.
+_LEAST_CLEAR = 0.78
+# Largest share of a linear estimate's power in negative pixels, apart from that of the noise.
+_MOST_NEGATIVE = 0.03
+# Largest ratio of measured and stated noise beyond the optics, or of two parts of that noise.
+_MOST_NOISE_RATIO = 1.2
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ending:
+    """End of a solver's iterations, as `judged` needs it.
+
+    Parameters
+    ----------
+    converged : bool
+        Whether it met its own tolerance.
+    history : mapping of str to sequence of float
+        Records of the iterations: ``residual`` (over the noise) and ``change`` (relative).
+    most_residual : float or None
+        Largest rms residual over the noise, for a solver that brings it to the noise level. None
+        for a filter and for a weight that the caller chose: residuals are then not tested.
+    sharp : bool
+        Whether the solver prefers objects with few edges, so that grain is a sign of misfit.
+    """
+
+    converged: bool
+    history: Mapping[str, Sequence[float]]
+    most_residual: float | None = None
+    sharp: bool = False
+
+    def settled(self) -> bool:
+        """Return whether more iterations would hardly change the object.
+
+        A fit that has run out of iterations is settled if its last changes are below 5e-4 and the
+        residual has stayed within 1 % during the last fifth of the iterations.
+        """
+        if self.converged:
+            return True
+        changes, steady = list(self.history["change"]), self.stalled()
+        return steady and sorted(changes[-20:])[10] <= _MOST_CHANGE
+
+    def stalled(self) -> bool:
+        """Return whether the residual no longer changes."""
+        residuals = list(self.history["residual"])
+        if len(residuals) < _LEAST_ITERATIONS:
+            return False
+        earlier = residuals[int(0.8 * len(residuals))]
+        return abs(earlier - residuals[-1]) <= _MOST_DRIFT * residuals[-1]
+
+
+def judged(
+    data: Measurement, level: Tensor, strength: float, model: AnyModel, ending: Ending
+) -> tuple[Status, tuple[str, ...]]:
+    """Return the status of a fit with a known point spread, and the reasons against "converged".
+
+    Parameters
+    ----------
+    data : Measurement
+        Image and noise.
+    level : Tensor, (H, W)
+        Fitted object times gain, image units.
+    strength : float
+        Fitted strength of the unknown background, image units.
+    model : ForwardModel or TorchForwardModel
+        Image model, of which only the mean point spread is used in the tests of spectra.
+    ending : Ending
+        How the solver ended.
+
+    Returns
+    -------
+    status : {"converged", "unconverged", "too_few_photons", "does_not_fit"}
+        "does_not_fit" if a test of the model failed; otherwise "too_few_photons" if the noise
+        hides most of the object.
+    reasons : tuple of str
+        A sentence for each failed test, with the value, the limit and a likely cause.
+
+    Notes
+    -----
+    Every test uses the frame's periodogram, whose values are independent exponential variables for
+    white noise, also if its variance differs from pixel to pixel. A mean over n frequencies has the
+    relative standard error sqrt(2/n). The tests are:
+
+    - the residual of a finished fit exceeds the noise;
+    - beyond the optics' cut-off the image differs from the stated noise, or is not white;
+    - the residual has too much or too little power in one of three bands that the optics pass;
+    - the object is as bright at the edge of a padded frame as inside: a misfit is cheapest to
+      explain there, and a veil and light from outside the frame end there too;
+    - an object of least total variation is grainy, although it should have few edges;
+    - too much of the object's power is negative, which only linear filters allow;
+    - the Wiener filter would recover too little of an object with the spectrum 1/f^2.
+    """
+    if not bool(level.any()):
+        return "too_few_photons", ("the fit explains the image without an object; expose longer",)
+    spectrum = _Spectrum(data, level, strength, model)
+    settled, share = ending.settled(), spectrum.share()
+    hides = (
+        f"the noise hides most of the object: expected correlation {share:.2f} of a linear "
+        f"estimate, least {_LEAST_SHARE:g}; expose longer"
+    )
+    if settled or ending.stalled():
+        faults = [*spectrum.noise_faults(), *_edge_faults(level, model)]
+        if ending.most_residual is not None:
+            faults += spectrum.residual_faults(ending.most_residual)
+        overfitted = [*_grain_faults(level), *spectrum.overfits()] if ending.sharp else []
+        if overfitted and not faults and share < _LEAST_CLEAR:
+            return "too_few_photons", (hides, *overfitted)
+        if faults or overfitted:
+            return "does_not_fit", (*faults, *overfitted)
+    if not settled:
+        return "unconverged", (spectrum.unfinished(len(ending.history["residual"])),)
+    negative = _negative_share(level)
+    noise = 0.5 * (1.0 - share**2)  # of the power; noise is as often negative as positive
+    if negative > _MOST_NEGATIVE + noise:
+        return "does_not_fit", (
+            f"{100 * negative:.2g} % of the object's power is negative, limit "
+            f"{100 * (_MOST_NEGATIVE + noise):.2g} % with this noise; the point spread is wrong",
+        )
+    if negative > _MOST_NEGATIVE:
+        return "too_few_photons", (
+            f"{100 * negative:.2g} % of the object's power is negative, limit "
+            f"{100 * _MOST_NEGATIVE:g} %; the object is mostly noise: expose longer, or use "
+            "tv_deconvolve",
+        )
+    if share < _LEAST_SHARE:
+        return "too_few_photons", (hides,)
+    return "converged", ()
+
+
+class _Spectrum:
+    """Power spectra of the image, of the expected signal and of the residual, over the noise."""
+
+    def __init__(self, data: Measurement, level: Tensor, strength: float, model: AnyModel) -> None:
+        self._data = data
+        self._shape = tuple(data.data.shape)
+        self._twice = half_weights(self._shape)
+        image = data.data - data.background(data.background_strength(data.data))
+        passed = frame_transfer(model).abs().square()
+        variance = data.sigma**2
+        image_power = periodic_power(image.cpu())
+        signal = expected_signal(image_power, passed, variance, self._shape)
+        self._ratio = signal / variance
+        self._beyond = beyond_optics(signal, variance)
+        seen = torch_model(model, level.device, torch.float64)(level.double())
+        residual = (data.data - seen - data.background(strength)) / data.sigma
+        self._rms = data.score(seen + data.background(strength))
+        if data.weights is not None:
+            residual = residual * data.weights.sqrt()
+        self._left = power(residual.cpu()) * (residual.numel() / data.counted)
+        # Excluded pixels hold the mean, and their steps would spread over all frequencies.
+        masked = data.counted < residual.numel()
+        self._noise = self._left if masked else image_power / variance - self._ratio
+
+    def noise_faults(self) -> Iterator[str]:
+        """Compare the image beyond the cut-off with the stated noise, and with white noise."""
+        y = torch.fft.fftfreq(self._shape[0], dtype=torch.float64)[:, None].abs()
+        x = torch.fft.rfftfreq(self._shape[1], dtype=torch.float64)[None]
+        far = torch.hypot(y, x)
+        if float(self._twice[self._beyond].sum()) < 4 * _LEAST_COUNT:
+            return
+        power_there = self._mean(self._noise, self._beyond)
+        inner = far <= far[self._beyond].median()
+        if not self._data.sigma_estimated and _differ(power_there, (1.0, math.inf)):
+            yield (
+                f"beyond the optics' cut-off the image has {max(power_there[0], 0.0):.2f} of the "
+                "stated noise's power; check noise_sigma, or whether the image is of this scene"
+            )
+        for kind, one, other in (
+            ("near the cut-off and far from it", inner, ~inner),
+            ("along rows and along columns", y > x, y < x),
+        ):
+            first = self._mean(self._noise, self._beyond & one)
+            second = self._mean(self._noise, self._beyond & other)
+            if min(first[1], second[1]) >= 2 * _LEAST_COUNT and _differ(first, second):
+                yield (
+                    "the optics pass nothing beyond their cut-off, but the image there is not "
+                    f"white noise: its power {kind} is {first[0]:.2f} and {second[0]:.2f} of the "
+                    "noise's; the noise is coloured, or the image is sharper than the scene allows"
+                )
+
+    def residual_faults(self, most_residual: float) -> Iterator[str]:
+        """Compare the residual with the noise, in all and in the bands that the optics pass."""
+        if self._rms > most_residual:
+            yield (
+                f"the residual is {self._rms:.3g} times the noise, limit {most_residual:g}; the "
+                "fit does not explain the image"
+            )
+        for band, mean, error in self._bands():
+            most = band.most * math.exp(_ERRORS_ABOVE * error)
+            if mean > most:
+                yield (
+                    f"the residual of the {band.name} detail has {mean:.2f} of the noise's power, "
+                    f"limit {most:.2f}; the point spread, the camera's response or the background "
+                    "differs from the model"
+                )
+
+    def overfits(self) -> Iterator[str]:
+        """Find the bands in which an object of few edges explains the noise as well."""
+        for band, mean, error in self._bands():
+            least = band.least * math.exp(-_ERRORS_BELOW * error)
+            if mean < least:
+                yield (
+                    f"the residual of the {band.name} detail has {mean:.2f} of the noise's power, "
+                    f"at least {least:.2f} is usual; to explain the image, the object has to model "
+                    "its noise"
+                )
+
+    def _bands(self) -> Iterator[tuple[_Band, float, float]]:
+        """Yield the bands with the mean power of the residual and its relative error."""
+        for band in _BANDS:
+            inside = (self._ratio >= band.low) & (self._ratio < band.high)
+            mean, count = self._mean(self._left, inside)
+            if count >= _LEAST_COUNT:
+                yield band, mean, math.sqrt(2.0 / count)
+
+    def unfinished(self, count: int) -> str:
+        """Return what an unfinished fit, or a network without iterations, leaves."""
+        left = f"the residual is {self._rms:.3g} times the noise"
+        if count == 0:
+            return f"{left}: the network does not explain this image; train it for this scene"
+        return f"{left} after {count} iterations, and still changes; give more iterations"
+
+    def share(self) -> float:
+        """Return the expected correlation of an object and its Wiener estimate, 0 to 1."""
+        weights = self._twice * object_power(self._shape)
+        gain = self._ratio / (1.0 + self._ratio)
+        return math.sqrt(float((weights * gain).sum() / weights.sum()))
+
+    def _mean(self, values: Tensor, mask: Tensor) -> tuple[float, float]:
+        """Return the mean of a half spectrum in a mask, and the number of its frequencies."""
+        count = float(self._twice[mask].sum())
+        return float((self._twice * values)[mask].sum()) / max(count, 1.0), count
+
+
+def _edge_faults(level: Tensor, model: AnyModel) -> Iterator[str]:
+    """Find light at the edge of a padded frame, outside which the model assumes darkness."""
+    object_ = level.detach().cpu().double()
+    width = max(1, round(_BORDER * min(object_.shape)))
+    inside = torch.zeros_like(object_, dtype=torch.bool)
+    inside[width:-width, width:-width] = True
+    mean = float(object_.mean())
+    edge = float(object_[~inside].mean()) / mean if mean > 0.0 else math.inf
+    if model.boundary == "padded" and edge > _MOST_BORDER:
+        yield (
+            f"the object is {edge:.2f} times as bright at the frame's edge as on average, limit "
+            f"{_MOST_BORDER:g}; there is a veil (give background_shape) or light from outside the "
+            "frame, or the point spread is wrong"
+        )
+
+
+def _grain_faults(level: Tensor) -> Iterator[str]:
+    """Find grain in an object of least total variation, which should have few edges."""
+    object_ = level.detach().cpu().double()
+    steps = torch.hypot(object_ - object_.roll(1, 0), object_ - object_.roll(1, 1))
+    square = float((steps * steps).mean())
+    grain = float(steps.mean()) ** 2 / square if square > 0.0 else 0.0
+    if grain > _MOST_GRAIN:
+        yield (
+            f"the object is grainy: {grain:.2f} on a scale from 0 (few edges) to 0.79 (noise), "
+            f"limit {_MOST_GRAIN:g}; the point spread or the noise differs from the model"
+        )
+
+
+def _negative_share(level: Tensor) -> float:
+    """Return the share of an object's power, sum of squares, in negative pixels."""
+    return float(level.clamp_max(0.0).square().sum() / level.square().sum())
+
+
+def _differ(first: tuple[float, float], second: tuple[float, float]) -> bool:
+    """Return whether two mean powers, each with its number of frequencies, differ.
+
+    Both the difference of six standard errors and the ratio of rms values must exceed their limits.
+    """
+    if min(first[0], second[0]) <= 0.0:
+        return True
+    logarithm = abs(math.log(first[0] / second[0]))
+    error = math.sqrt(2.0 / first[1] + 2.0 / second[1])
+    return logarithm > max(_ERRORS_ABOVE * error, 2.0 * math.log(_MOST_NOISE_RATIO))

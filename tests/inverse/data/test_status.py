@@ -1,0 +1,181 @@
+"""Each test of a fit's status passes a right model and fails on the mismatch that it is for."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+import torch
+
+from nlosoptics import inverse
+from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse.data.status import Ending
+
+SOLVERS = [
+    inverse.inverse_filter,
+    inverse.richardson_lucy,
+    inverse.tv_deconvolve,
+    inverse.wiener,
+]
+SIDE = 64
+NO_HISTORY = {"residual": [], "change": []}
+
+
+@pytest.fixture(scope="module")
+def drawn(mismatches):
+    """``drawn(kind, ...)``: a case of the benchmark's generator and its model."""
+
+    @functools.cache
+    def make(kind, seed=0, **fixed):
+        case = mismatches.case(seed, kind, **fixed)
+        return case, ForwardModel(case.kernel, shape=case.image.shape)
+
+    return make
+
+
+def lobe(width, side=SIDE):
+    """Model of a Gaussian point spread."""
+    axis = np.arange(31.0) - 15.0
+    kernel = np.exp(-(axis**2 + axis[:, None] ** 2) / (2 * width**2))
+    return ForwardModel(kernel / kernel.sum(), shape=(side, side))
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: solver.__name__)
+@pytest.mark.parametrize("width", [0.3, 2.0])
+@pytest.mark.parametrize("kind", ["normal", "exponential", "poisson"])
+def test_noise_shows_no_object(solver, width, kind):
+    rng = np.random.default_rng(77)
+    image = {
+        "normal": rng.normal(200.0, 14.0, (SIDE, SIDE)),
+        "exponential": rng.exponential(200.0, (SIDE, SIDE)),
+        "poisson": rng.poisson(3.0, (SIDE, SIDE)),
+    }[kind]
+    found = solver(image, lobe(width))
+    assert found.status == "too_few_photons"
+    assert not found.object.any()
+    assert "no object was detected" in found.reasons[0]
+
+
+def test_a_faint_object_is_shown_with_low_confidence():
+    """The whole frame's mean square is within its error of the noise's."""
+    model = lobe(2.0)
+    truth = np.zeros((SIDE, SIDE))
+    truth[20:44, 22:30] = 1.0
+    truth[20:28, 22:42] = 1.0
+    detected = 0
+    for seed in range(6):
+        noise = np.random.default_rng(seed).normal(size=truth.shape)
+        image = model.forward(truth) + noise
+        data = measurement(
+            image,
+            model,
+            noise_sigma=1.0,
+            background=0.0,
+            fit_background=True,
+            background_shape=None,
+        )
+        detected += not data.is_background(model)
+        assert data.is_noise_about(data.background(data.background_strength(data.data)))
+    # about 17 standard errors of the strongest component; none is missed by chance
+    assert detected == 6
+    found = inverse.tv_deconvolve(image, model, noise_sigma=1.0)
+    assert found.status == "too_few_photons"
+    assert "noise hides" in found.reasons[0]
+    # the blurred and noisy image itself has 0.3
+    assert inverse.registered_correlation(found, truth) > 0.5
+
+
+def test_even_light_is_an_object_without_a_background():
+    image = 0.2 + np.random.default_rng(0).normal(size=(SIDE, SIDE))
+    model = lobe(2.0)
+    options = {"noise_sigma": 1.0, "background": 0.0, "background_shape": None}
+    # 0.2 of 64 x 64 pixels is 13 standard errors
+    assert not measurement(image, model, fit_background=False, **options).is_background(model)
+    assert measurement(image, model, fit_background=True, **options).is_background(model)
+
+
+@pytest.mark.parametrize("wall", ["smooth", "speckle", "weak", "lobe"])
+@pytest.mark.parametrize("subject", ["glyph", "grey"])
+def test_a_right_model_converges_without_reasons(drawn, wall, subject):
+    case, model = drawn("none", seed=4, wall=wall, subject=subject, noise=0.01)
+    found = inverse.tv_deconvolve(case.image, model)
+    assert (found.status, found.reasons) == ("converged", ())
+    assert inverse.registered_correlation(found, case.truth) > 0.93
+
+
+@pytest.mark.parametrize(
+    ("kind", "wall", "seed", "noise", "words"),
+    [
+        ("coloured", "smooth", 3, 0.03, "not white noise"),
+        ("rows", "weak", 3, 0.03, "along rows and along columns"),
+        ("unblurred_picture", "speckle", 3, 0.03, "the residual is"),
+        ("other_wall", "speckle", 3, 0.03, "the residual of the coarse detail"),
+        ("modes", "speckle", 0, 0.05, "the object has to model its noise"),
+        ("rough", "speckle", 3, 0.03, "the object is grainy"),
+        ("gradient", "smooth", 3, 0.03, "frame's edge"),
+    ],
+)
+def test_a_wrong_model_is_named(drawn, kind, wall, seed, noise, words):
+    case, model = drawn(kind, seed=seed, wall=wall, subject="glyph", noise=noise)
+    found = inverse.tv_deconvolve(case.image, model)
+    assert found.status == "does_not_fit"
+    assert any(words in reason for reason in found.reasons), found.reasons
+
+
+def test_stated_noise_is_compared_with_the_image(drawn):
+    case, model = drawn("none", seed=4, wall="smooth", subject="glyph", noise=0.03)
+    stated = [factor * case.noise_sigma for factor in (1.0, 1.5)]
+    right, wrong = (inverse.tv_deconvolve(case.image, model, noise_sigma=sigma) for sigma in stated)
+    assert right.status == "converged"
+    assert wrong.status == "does_not_fit"
+    # power 1/1.5^2 = 0.44, known to a tenth from about a thousand frequencies
+    assert "0.4" in wrong.reasons[0]
+    assert "stated noise's power" in wrong.reasons[0]
+
+
+def test_negative_light_of_a_linear_filter(drawn):
+    case, model = drawn("other_wall", seed=0, wall="speckle", subject="glyph", noise=0.01)
+    found = inverse.wiener(case.image, model)
+    assert found.status == "does_not_fit"
+    assert "power is negative" in found.reasons[0]
+
+
+def test_an_early_end_asks_for_more_iterations(drawn):
+    case, model = drawn("none", seed=4, wall="smooth", subject="glyph", noise=0.01)
+    found = inverse.tv_deconvolve(case.image, model, max_iterations=20)
+    assert found.status == "unconverged"
+    assert "after 20 iterations" in found.reasons[0]
+
+
+def test_a_fit_that_no_longer_moves_has_settled():
+    steady, moving = [1.0] * 200, list(np.linspace(1.2, 1.0, 200))
+    still, lively = [1e-4] * 200, [1e-2] * 200
+
+    def settled(residual, change, converged=False):
+        history = {"residual": residual, "change": change}
+        return Ending(converged=converged, history=history).settled()
+
+    assert settled(steady, still)
+    assert not settled(steady, lively)
+    assert not settled(moving, still)
+    assert not settled(steady[:50], still[:50])
+    assert settled([], [], converged=True)
+    assert not Ending(converged=False, history=NO_HISTORY).settled()
+
+
+def test_excluded_pixels_are_not_taken_for_a_mismatch(drawn):
+    case, model = drawn("none", seed=4, wall="smooth", subject="glyph", noise=0.01)
+    out = np.random.default_rng(0).random(case.image.shape) < 0.02
+    image, noise = np.where(out, 50.0, case.image), np.where(out, np.inf, case.noise_sigma)
+    found = inverse.tv_deconvolve(image, model, noise_sigma=noise)
+    assert (found.status, found.reasons) == ("converged", ())
+
+
+def test_status_is_the_same_for_a_tensor(drawn):
+    case, model = drawn("gradient", seed=3, wall="smooth", subject="glyph", noise=0.03)
+    array, tensor = (
+        inverse.tv_deconvolve(image, model) for image in (case.image, torch.tensor(case.image))
+    )
+    assert array.reasons == tensor.reasons
