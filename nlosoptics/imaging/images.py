@@ -308,6 +308,26 @@ def diffuse_background(
     return np.asarray(diffuse)
 
 
+def reading_noise(scene: Scene, light: Array) -> Array:
+    """Return the rms noise of pixels at the camera's exposure time, electrons.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the camera and the laser, for dark current and speckle.
+    light : ndarray, (ny, nx)
+        Expected photoelectrons of each image pixel.
+
+    Returns
+    -------
+    ndarray, (ny, nx)
+        Noise of photons, speckle, dark current, readout and digitisation.
+    """
+    camera = scene.camera
+    dark = camera.dark_current * camera.exposure * camera.binning**2
+    return np.sqrt(noise_variance(camera, light, dark, _speckle_freedom(scene)))
+
+
 def _shadows(scene: Scene, given: Shadows | None) -> Shadows | None:
     """Return checked or newly computed shadows; None without occluders."""
     if given is None:

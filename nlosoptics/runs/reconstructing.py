@@ -27,6 +27,7 @@ from ..errors import SamplingError, SceneError
 from ..imaging import CameraImage, ForwardModel, camera_image
 from ..psf import PointSpreadField, SceneOptics
 from ..scene import Scene
+from .noise import camera_noise
 from .plan import plan
 from .record import PAGE, arrays, now, scene_hash, versions
 from .simulate import image_spreads, veil_shape
@@ -239,9 +240,8 @@ def reconstructed(
     (image,) = task.images
     model = model or known_model(task.scene, tol=task.tol)
     veil = veil_shape(task.scene)
-    sigma = inverse.estimate_noise(image.values)
     offered = {
-        "noise_sigma": image.noise(sigma) if sigma > 0.0 else None,
+        "noise_sigma": camera_noise(task.scene, image, model),
         "background_shape": veil if veil.any() else None,
         **_always(task, start, progress),
     }
@@ -449,6 +449,7 @@ def _figures(task: Task, found: Reconstruction) -> dict[str, Any]:
         "method": task.method,
         "reconstruction_status": found.status,
         "reconstruction_score": found.score,
+        "reconstruction_reasons": list(found.reasons),
         "iterations": max(records, default=0),
         "physical_parameters": settled,
         "image_shape": list(task.images[0].values.shape),

@@ -14,6 +14,7 @@ from .._progress import Progress
 from .._random import checked_seed
 from ..errors import NotWaveGradeError
 from ..scene import MeshWall, PlanarObject, Scene
+from .noise import electron_noise
 from .patterns import mean_optics, uses_mean
 from .plan import MOST_SECONDS, Plan, looked_at
 from .refusals import wave_refusal
@@ -233,10 +234,12 @@ def _reconstruct(scene: Scene, image: SpeckleImage, spread: Array) -> Reconstruc
 
     veil = veil_shape(scene)
     model = ForwardModel(spread, shape=image.electrons.shape)
+    dark = image.ledger["dark"] / image.electrons.size
     return inverse.tv_deconvolve(
         image.electrons,
         model,
-        background=image.ledger["dark"] / image.electrons.size,
+        noise_sigma=electron_noise(scene, image.electrons - dark),
+        background=dark,
         background_shape=veil if veil.any() else None,
     )
 

@@ -14,6 +14,7 @@ from PIL import Image
 
 import nlosoptics
 from nlosoptics import cli, inverse, limits, reconstructing
+from nlosoptics.imaging import CameraImage
 from nlosoptics.scene import Lambert, Scene
 
 
@@ -174,3 +175,38 @@ def test_feasibility_command(taken: np.ndarray, capsys) -> None:
     assert Path("f.png").stat().st_size > 5_000
     code, _, err = call(capsys, "feasibility", "nowhere.toml")
     assert (code, err.count("\n")) == (2, 1)
+
+
+@pytest.mark.parametrize("gain", [0.05, 1.0, 40.0])
+def test_noise_of_a_file_follows_the_light_in_any_unit(gain, result: nlosoptics.Result) -> None:
+    """Counts per electron are not known; the mean noise and the light give them."""
+    electrons = result.image.electrons
+    masked = np.zeros(electrons.shape, dtype=bool)
+    masked[3, 60] = masked[30:33, 30] = True
+    image = CameraImage(
+        values=np.where(masked, gain * electrons.mean(), gain * electrons),
+        masked=masked,
+        saturated_fraction=0.0,
+    )
+    model = reconstructing.known_model(result.scene, tol=1e-2)
+    noise = reconstructing.camera_noise(result.scene, image, model)
+    assert np.array_equal(np.isinf(noise), masked)
+    ratio = (noise / (gain * result.image.noise_sigma))[~masked]
+    # the mean is estimated from second differences, which the edges of a sharp letter raise by a
+    # quarter; the light is averaged over 1.5 pixels, which moves it at the letter's edges
+    assert 0.9 < np.median(ratio) < 1.3
+    assert np.quantile(ratio, 0.95) / np.quantile(ratio, 0.05) < 1.3
+    # bright pixels have 1.67 times the noise of dark ones, before the average
+    assert noise[~masked].max() > 1.3 * noise[~masked].min()
+
+
+def test_even_noise_where_the_camera_explains_none(result: nlosoptics.Result) -> None:
+    """Noise below that of speckle, which no number of electrons per count lowers."""
+    speckled = replace(result.scene, laser=replace(result.scene.laser, independent_patterns=1))
+    smooth = np.full((64, 64), 1000.0) + np.random.default_rng(0).normal(0.0, 1e-3, (64, 64))
+    image = CameraImage(values=smooth, masked=np.zeros((64, 64), bool), saturated_fraction=0.0)
+    model = reconstructing.known_model(result.scene, tol=1e-2)
+    noise = reconstructing.camera_noise(speckled, image, model)
+    assert np.ptp(noise) == 0.0
+    # relative spread 2/sqrt(pixels), three errors
+    assert noise[0, 0] == pytest.approx(1e-3, rel=0.12)

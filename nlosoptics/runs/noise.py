@@ -1,0 +1,84 @@
+"""Noise of each pixel of a camera image, from the image and what the scene file says of the camera.
+
+The expected light of a pixel is the mean of the reading around it, with a Gaussian window of 1.5
+pixels. The noise of the pixel itself has little weight in it, so that a pixel does not count for
+more because its reading is low.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..imaging import CameraImage, ForwardModel
+from ..imaging.images import reading_noise
+from ..scene import Scene
+
+Array = NDArray[np.float64]
+
+
+def electron_noise(scene: Scene, electrons: Array) -> Array:
+    """Return the rms noise of each pixel of a reading in electrons, dark current subtracted."""
+    return reading_noise(scene, _local_mean(electrons))
+
+
+def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array | None:
+    """Estimate the noise of each pixel of a camera image, in counts; infinite if it is masked.
+
+    The image gives the mean noise, and the camera its dependence on the light. The electrons per
+    count follow from both, since they need not be known for an image file.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the camera, of which noise, full well and exposure time are used.
+    image : CameraImage
+        Image, minus its dark frame.
+    model : ForwardModel
+        Image model, for the frequencies that the optics do not pass.
+
+    Returns
+    -------
+    ndarray, (ny, nx), or None
+        Noise; uniform if no number of electrons per count explains it, and None if the image has
+        no noise.
+    """
+    from ..inverse import estimate_noise
+
+    values = np.where(image.masked, _surroundings(image), image.values)
+    sigma = estimate_noise(values, model)
+    if sigma == 0.0:
+        return None
+    light = _local_mean(values)
+
+    def noise(gain: float) -> Array:
+        """Noise in counts for a number of electrons per count."""
+        return reading_noise(scene, gain * light) / gain
+
+    # Photon noise in counts falls with the electrons per count, so that the mean noise does too.
+    low, high = math.log(1e-6), math.log(1e6)
+    found = np.full(values.shape, sigma)
+    if np.mean(noise(math.exp(high)) ** 2) < sigma**2 < np.mean(noise(math.exp(low)) ** 2):
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            if np.mean(noise(math.exp(middle)) ** 2) > sigma**2:
+                low = middle
+            else:
+                high = middle
+        found = noise(math.exp(low))
+    return np.where(image.masked, np.inf, found)
+
+
+def _surroundings(image: CameraImage) -> Array:
+    """Return the weighted mean of the valid pixels around each pixel, counts."""
+    valid = ndimage.gaussian_filter((~image.masked).astype(np.float64), 1.5)
+    total = ndimage.gaussian_filter(np.where(image.masked, 0.0, image.values), 1.5)
+    mean = float(image.values[~image.masked].mean())
+    return np.where(valid > 1e-3, total / np.maximum(valid, 1e-3), mean)
+
+
+def _local_mean(values: Array) -> Array:
+    return np.maximum(ndimage.gaussian_filter(values, 1.5), 0.0)
