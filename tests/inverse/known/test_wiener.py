@@ -143,7 +143,8 @@ def test_even_light_without_a_background_is_the_object(shape):
     model = ForwardModel(kernel, shape=shape, boundary="circular")
     image = 100.0 + np.random.default_rng(0).normal(size=shape)
     found = inverse.wiener(image, model, noise_sigma=1.05, fit_background=False, gain=1.0)
-    assert found.status == "converged"
+    # its mean is known, and no detail
+    assert found.status == ("converged" if shape == (1, 1) else "too_few_photons")
     # the residual is noise, and so is the mean's error, 1/32 of 100, shrunk by as little
     assert found.score < 1.1
     assert found.object.mean() == pytest.approx(image.mean(), rel=1e-3)
