@@ -318,7 +318,7 @@ def pictures(found: Row) -> str:
     )
 
 
-def staged(found: Sequence[Row]) -> str:
+def known_start(found: Sequence[Row]) -> str:
     """Return success by what is known."""
     return table(
         ["group, pixels a side", *FITS], fits([r for r in found if "size" in r], "group", "size")
@@ -635,15 +635,14 @@ SECTIONS = (
         evidence,
     ),
     Section(
-        "staged.jsonl",
-        "Staged fits",
-        "near10, near14, near30: one image, start 0.10, 0.14, 0.30 waves off; diversity3: nothing "
-        "known, three defoci; walls4: nothing known, four walls; calibrate: the wall from a known "
-        "object first; noise5: near10 at 5 % noise, noise5unet with an "
-        "untrained network's object; far: one image, nothing known, for the "
-        "verdict's sake.",
-        f"{RUN}/inverse/staged.py --json benchmarks/results/staged.jsonl",
-        staged,
+        "known_start.jsonl",
+        "Wall roughly known, or several walls",
+        "near10, near25: one image, start 0.10, 0.25 waves off; support: near10 with a known dark "
+        "surround; diversity3: nothing known, three defoci; walls4: nothing known, four walls; "
+        "calibrate: the wall from a known object first; noise5: near10 at 5 % noise.",
+        f"{RUN}/inverse/known_start.py --json benchmarks/results/known_start.jsonl --sizes 64 "
+        "--walls 2 --groups near10 near25 support diversity3 walls4 calibrate noise5",
+        known_start,
     ),
     Section(
         "diffusers.jsonl",

@@ -24,11 +24,9 @@ NAMES = (
     "cnn",
     "wu2024",
     "wu2024_warm",
-    "staged",
-    "staged_2frames",
-    "staged_2frames_warm",
     "evidence",
     "evidence_2frames",
+    "evidence_2frames_warm",
 )
 WARM_FROM = "cartoon"  # the object whose result a warm start has
 # of the paper: "more than 4000", "approximately 1800"
@@ -207,19 +205,17 @@ def _blind(key: dict[str, Any], taken: data.Exposure) -> Any:
     return found, {}
 
 
-def _staged_warm(key: dict[str, Any], taken: data.Exposure) -> Any:
+def _evidence_warm(key: dict[str, Any], taken: data.Exposure) -> Any:
     """From the wall that was found with another object."""
     import torch
 
     images, known = _frames(key, WARM_FROM)
-    other = inverse.pcin(
-        images, data.fitted_pupil(key["size"]), recipe="staged", seed=SEED, **known
-    )
+    other = inverse.evidence_fit(images, data.fitted_pupil(key["size"]), seed=SEED, **known)
     pupil = data.fitted_pupil(key["size"])
     with torch.no_grad():
         pupil.coefficients.copy_(torch.tensor(other.physical_parameters["coefficients"]))
     images, known = _frames(key, key["object"])
-    found = inverse.pcin(images, pupil, recipe="staged", seed=SEED, start_error=0.05, **known)
+    found = inverse.evidence_fit(images, pupil, seed=SEED, start_error=0.05, **known)
     return found, {}
 
 
@@ -231,9 +227,7 @@ _METHODS = {
     "cnn": _cnn,
     "wu2024": _wu2024,
     "wu2024_warm": _wu2024_warm,
-    "staged": _blind,
-    "staged_2frames": _blind,
-    "staged_2frames_warm": _staged_warm,
     "evidence": _blind,
     "evidence_2frames": _blind,
+    "evidence_2frames_warm": _evidence_warm,
 }

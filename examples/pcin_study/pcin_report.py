@@ -19,9 +19,7 @@ FAMILY = (
     "hio",
     "cnn",
     "wu2024",
-    "staged",
     "evidence",
-    "staged_2frames",
     "evidence_2frames",
     "tv",
 )
@@ -93,12 +91,12 @@ def _warm(lines: list[Line]) -> str:
                 f"{line['warm_iterations_to_fit']} | {line['cold_correlation']:.3f} | "
                 f"{line['correlation']:.3f} |"
             )
-        if line["method"] == "staged_2frames_warm" and "correlation" in line:
+        if line["method"] == "evidence_2frames_warm" and "correlation" in line:
             for cold in lines:
                 same = all(cold[k] == line[k] for k in ("object", "wall", "exposure_ms", "size"))
-                if same and cold["method"] == "staged_2frames":
+                if same and cold["method"] == "evidence_2frames":
                     rows.append(
-                        f"| staged, two frames | {place} | {cold['iterations']} | "
+                        f"| evidence, two frames | {place} | {cold['iterations']} | "
                         f"{line['iterations']} | {cold['correlation']:.3f} | "
                         f"{line['correlation']:.3f} |"
                     )
@@ -106,7 +104,7 @@ def _warm(lines: list[Line]) -> str:
         return ""
     head = (
         "### Cold and warm starts\n\nwu2024: iterations until the residual is within 2 % of the "
-        "least of the cold run; staged: all that the fit took.\n\n| recipe | case | cold "
+        "least of the cold run; evidence: answers tried.\n\n| recipe | case | cold "
         "iterations | warm iterations | cold correlation | warm correlation |\n" + "|---" * 6 + "|"
     )
     return "\n".join([head, *rows])

@@ -39,7 +39,7 @@ SETTINGS = ("smallest", "small", "full")
 def keys(setting: str) -> list[Key]:
     """All cases of a setting, those that share data beside each other."""
     if setting == "smallest":
-        fast = ("image", "inverse_filter", "tv", "hio", "wu2024", "staged_2frames")
+        fast = ("image", "inverse_filter", "tv", "hio", "wu2024", "evidence_2frames")
         return list(_cases("wall", ["letter"], ["concave"], [40], fast, 48, iterations=20))
     if setting == "full":
         blind = [m for m in methods.NAMES if m not in methods.FAST and m != "evidence"]
@@ -54,19 +54,16 @@ def keys(setting: str) -> list[Key]:
 def _small() -> Iterator[Iterator[Key]]:
     """A part of the grid: each question of the paper on one or two objects."""
     fast = (*methods.FAST, "cnn")
-    two = ("staged_2frames", "evidence_2frames")
     flat, concave = ["flat"], ["concave"]
     yield _cases("wall", ["letter", "hanzi"], data.WALLS, [10, 40], (*fast, "evidence_2frames"), 64)
-    yield _cases("wall", ["letter"], data.WALLS, [40], ("staged", "staged_2frames"), 64)
-    yield _cases("wall", ["hanzi"], concave, [40], ("staged", "staged_2frames"), 64)
-    yield _cases("wall", ["letter", "hanzi"], concave, [20, 30], (*fast, *two), 64)
-    yield _cases("wall", ["posed", "cartoon", "tilted"], concave, [40], (*fast, "staged", *two), 64)
-    yield _cases("wall", ["letter"], concave, [10], ["staged_2frames"], 64)
+    yield _cases("wall", ["letter", "hanzi"], concave, [20, 30], (*fast, "evidence_2frames"), 64)
+    more = ["posed", "cartoon", "tilted"]
+    yield _cases("wall", more, concave, [40], (*fast, "evidence_2frames"), 64)
     yield _cases("paper", ["letter"], flat, EXPOSURES, KNOWN, 192)
     yield _cases("paper", ["hanzi"], flat, [10, 40], KNOWN, 192)
     yield _cases("paper", ["letter"], ["concave", "convex", "wavy"], [10, 40], KNOWN, 192)
     yield _cases("wall", ["letter"], ["flat", "concave"], [40], ("wu2024",), 64)
-    yield _cases("wall", ["letter"], concave, [40], ("wu2024_warm", "staged_2frames_warm"), 64)
+    yield _cases("wall", ["letter"], concave, [40], ("wu2024_warm", "evidence_2frames_warm"), 64)
     yield _cases("wall", ["tilted"], concave, [40], ("wu2024",), 64)
     yield _cases("wall", ["letter"], concave, [40], ("evidence",), 64)
 

@@ -84,7 +84,7 @@ def reconstruct_command(
         typer.Option(
             help="With known point spread: tv, wiener, inverse_filter, richardson_lucy, "
             "deep_image_prior, phase_retrieval. With a trained network: cnn. Fitting the wall's "
-            "wave too: staged, evidence, wu2024."
+            "wave too: evidence, wu2024."
         ),
     ] = "tv",
     network: Annotated[
@@ -99,7 +99,7 @@ def reconstruct_command(
         str,
         typer.Option(
             help="Known additional defocus of each image, waves rms, for example '0, 0.5'. Only "
-            "for staged, evidence and wu2024."
+            "for evidence and wu2024."
         ),
     ] = "",
     tol: Tol = 1e-3,

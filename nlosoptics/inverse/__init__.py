@@ -15,7 +15,6 @@ except ImportError:
 from ..limits import Feasibility, feasibility
 from .blind.evidence import evidence_fit
 from .blind.pcin import pcin
-from .blind.staged import staged_fit
 from .data.checkpoints import Stop
 from .data.forward import TorchForwardModel
 from .data.measurement import estimate_noise
@@ -59,7 +58,6 @@ __all__ = [
     "registered_correlation",
     "registered_scores",
     "richardson_lucy",
-    "staged_fit",
     "train_cnn",
     "training_pairs",
     "tv_deconvolve",

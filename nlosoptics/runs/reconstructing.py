@@ -48,7 +48,7 @@ KNOWN = {
     "phase_retrieval": "phase_retrieval",
 }
 #: Recipes of `inverse.pcin`, which fit the wall's wave as well as the object.
-BLIND = ("staged", "evidence", "wu2024")
+BLIND = ("evidence", "wu2024")
 CNN = "cnn"
 METHODS = (*KNOWN, CNN, *BLIND)
 #: Noll indices of the wave modes that a blind method fits: radial orders 2 to 5.
@@ -175,6 +175,12 @@ def prepared(
             f"defocus has {counted(len(defocus), 'value')} for {counted(len(paths), 'picture')}; "
             "give one for each"
         )
+    if blind and not defocus and len(paths) > 1:
+        raise SceneError(
+            f"{len(paths)} pictures without defocus, but {method} needs the known focus of each, "
+            "and equal ones tell no more than their mean; give their defocus, for example 0 and "
+            "0.5 waves, or average them to one picture"
+        )
     if iterations is not None and method in (CNN, "inverse_filter"):
         raise SceneError(f"iterations is given, but {method} does not iterate; leave it out")
     loaded = _network(method, network)
@@ -197,13 +203,15 @@ def prepared(
 
 def _network(method: str, path: Path | None) -> CnnBaseline | None:
     """Load the trained network if the method is "cnn"; reject one for any other method."""
-    from ..inverse import CnnBaseline
-
     if path is None and method == CNN:
         raise SceneError("cnn needs a trained network; name a file written by nlosoptics train")
     if path is not None and method != CNN:
         raise SceneError(f"network is given, but {method} uses none; leave it out")
-    return None if path is None else CnnBaseline.load(path)
+    if path is None:
+        return None
+    from ..inverse import CnnBaseline
+
+    return CnnBaseline.load(path)
 
 
 def reconstructed(
@@ -259,26 +267,26 @@ def _blind(
 ) -> Reconstruction:
     """Fit object and wave together to frames with known defocus."""
     from .. import inverse
-    from ..inverse.wave.frames import padded_shape
 
     scene = task.scene
     frames = np.stack([image.values for image in task.images])
-    if any(image.masked.any() for image in task.images):
-        raise SceneError(
-            f"some pixels are saturated, and {task.method} cannot mask pixels; expose shorter, or "
-            "use tv"
-        )
-    shape = scene.camera.shape
-    if task.method != "wu2024":  # its frame is circular, without padding
-        shape = padded_shape(shape)
+    offered = _always(task, start, progress)
+    masked = np.stack([image.masked for image in task.images])
+    if masked.any():
+        if task.method == "wu2024":
+            raise SceneError(
+                f"{np.count_nonzero(masked)} pixels are saturated or dead, and wu2024 cannot mask "
+                "pixels; use evidence or tv"
+            )
+        sigmas = [inverse.estimate_noise(frame) for frame in frames]
+        offered["noise_sigma"] = np.where(masked, np.inf, np.reshape(sigmas, (-1, 1, 1)))
     pupil = inverse.PupilPSF.from_scene(
         scene,
         MODES,
         pitch=scene.camera.image_pitch,
-        shape=shape,
+        shape=scene.camera.shape,
         pixel_integrated=True,
     )
-    offered = _always(task, start, progress)
     if task.defocus:
         offered["defocus"] = np.array(task.defocus) * scene.laser.wavelength
     return inverse.pcin(frames, pupil, recipe=task.method, **offered)

@@ -38,7 +38,7 @@ def test_smallest_case_runs_and_is_not_run_again(
     # with the blur known, a filter undoes some of it
     assert found["inverse_filter"]["correlation"] > found["image"]["correlation"] + 0.1
     # two frames tell the wave of 0.50 to a fiftieth of a wave
-    assert found["staged_2frames"]["wave_error"] < 0.02
+    assert found["evidence_2frames"]["wave_error"] < 0.02
     table = (tmp_path / "tables.md").read_text()
     assert f"{found['inverse_filter']['correlation']:.3f}*" in table
     for name in ("walls", "exposures", "objects"):

@@ -1,18 +1,24 @@
-"""Searches for the wave of least free energy, from random starts."""
+"""Search for the wave of least free energy, in steps between which it can be saved and resumed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
 
+from ..._random import generator
+from ...errors import SamplingError, SceneError
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
+from .verdict import Verdict
 
-#: Progress callback with a text and the completed fraction. If it returns True, the search stops
-#: and returns its best result so far.
+#: Callback with a text and the completed fraction; returns whether the search is to end.
 Watch = Callable[[str, float], bool]
+#: Free energy on an FFT grid wider than the images by the given factor, for given Noll indices.
+Energies = Callable[[float, tuple[int, ...]], FreeEnergy]
 
 # Several images. A strong assumed noise at first gives all starts one broad basin of the energy.
 _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave_rate=0.016)
@@ -29,8 +35,30 @@ _REFINE = Stage(iterations=200, kappa=1.0, first=4.0, last=1.5, share=0.8, wave_
 _COMPARE = Stage(iterations=250, kappa=0.5, first=5.0, last=1.5, share=0.6, wave_rate=0.01)
 _FREE = Stage(iterations=200, kappa=0.5, first=2.0, last=1.5, share=0.3, wave_rate=0.005)
 
+# Given coefficients with a known error: the object first, then both, then the best start alone.
+_NEAR = (
+    Stage(iterations=200, kappa=0.5, first=5.0, last=5.0, share=1.0, wave_rate=0.0),
+    Stage(iterations=400, kappa=0.5, first=5.0, last=1.0, share=0.7, wave_rate=0.01),
+    Stage(iterations=200, kappa=0.5, first=1.0, last=1.0, share=1.0, wave_rate=0.004),
+)
+_NEAR_STARTS = 4
+
 #: Norm of the coefficients of a wall without noticeable blur, waves rms.
 _SHARP = 0.01
+#: Ratio of FFT grid to image, so that light leaving at one edge does not re-enter at the other. A
+#: narrow grid is sufficient for the search with one image.
+_PADDING, _NARROW = 1.5, 1.125
+#: Norms of the coefficients of initial walls, waves rms. They are rather too large than too small.
+_STRENGTHS = (0.3, 0.6, 1.0)
+#: Norms of initial walls relative to a known rms of the wave.
+_AROUND = (0.9, 1.1, 1.4)
+_STARTS = 32
+#: Largest number of generations near the best walls: with several images, and with one.
+_NEIGHBOURS = (4, 6)
+#: Smallest norm of the coefficients relative to the fixed norm of the search.
+_LEAST_LENGTH = 0.7
+#: Largest Noll indices, those of complete orders, up to which modes are added.
+_TOPS = (21, 36, 45)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,63 +175,415 @@ class Island:
     generations: tuple[int, int] = (5, 4)
 
 
-def gather(
-    energy: FreeEnergy, lengths: Floats, count: int, *, slow: bool, random: Generator
-) -> Starts:
-    """Fit random walls to images of different defocus; return the best quarter by energy.
+#: Settings of the search for one image, round by round.
+_ISLANDS = (
+    Island(radius=0.6),
+    Island(radius=0.35, kappa=1.0),
+    Island(radius=0.6, first=20.0, wave_rate=0.032),
+    Island(radius=0.9, kappa=1.0, first=20.0),
+)
+#: Default number of rounds with several images, and with one.
+ROUNDS = (2, len(_ISLANDS))
+#: Texts of all steps, in their order.
+_TEXTS = {
+    "reference": "no blur",
+    "near": "about the given wall",
+    "given": "about the given wall",
+    "gather": "random walls",
+    "coarse": "random walls",
+    "breed": "walls and their children",
+    "harden": "walls and their children",
+    "rear": "walls and their children",
+    "settle": "best walls",
+    "neighbours": "near the best walls",
+    "finish": "best walls",
+    "widen": "more modes",
+    "end": "done",
+}
+_STEPS = tuple(_TEXTS)
+_HISTORY = ("objective", "residual", "change")
+
+
+@dataclass(eq=False, kw_only=True)
+class Place:
+    """Position and results of a search after a step.
 
     Parameters
     ----------
-    energy : FreeEnergy
-        Energy of the images, which a wave without blur cannot explain.
-    lengths : ndarray
-        Initial norms of the coefficients, used in turn, waves rms.
-    count : int
-        Number of random walls.
-    slow : bool
-        Whether the assumed noise decreases slowly, which strong walls need.
-    random : Generator
-        Source of random numbers.
+    turn, count : int
+        Number of the round, -1 before the first one, and of repetitions of the step.
+    step : str
+        Name of the next step.
+    floor, sharp : float
+        Free energies of the fits that start without blur and that have no blur; NaN if not needed.
+    held : float
+        Energy that the prior of the coefficients would add to the former.
+    modes : tuple of int
+        Noll indices of ``best``.
+    pool : Starts
+        Starts of the current round; empty before its first step.
+    best : Starts
+        Best answer so far, one start; empty before the first one.
+    history : dict
+        Energy, residual and change after each improvement or round.
     """
-    stage = _GATHER_SLOWLY if slow else _GATHER
-    walls = random_walls(count, energy.modes, lengths, random)
-    return energy.descend(energy.starts(walls, stage.first), stage).best(count // 4)
+
+    turn: int = -1
+    count: int = 0
+    step: str = "reference"
+    floor: float = math.nan
+    sharp: float = math.nan
+    held: float = math.nan
+    modes: tuple[int, ...]
+    pool: Starts
+    best: Starts
+    history: dict[str, list[float]]
+
+    def saved(self) -> dict[str, Any]:
+        """Return all that a resumed search needs, as arrays."""
+        numbers = [self.turn, self.count, _STEPS.index(self.step)]
+        found: dict[str, Any] = {
+            "place": [*numbers, self.floor, self.sharp, self.held],
+            "modes": self.modes,
+            **{f"history_{name}": values for name, values in self.history.items()},
+        }
+        for name, starts in (("pool", self.pool), ("best", self.best)):
+            found |= {f"{name}_{key}": values for key, values in vars(starts).items()}
+        return found
+
+    @classmethod
+    def of(cls, state: Mapping[str, Any], like: Starts, modes: int) -> Place:
+        """Return the place of a saved state.
+
+        ``like`` are starts of the resumed fit, with ``modes`` coefficients for each wall.
+        """
+        names = [f"{part}_{entry.name}" for part in ("pool", "best") for entry in fields(Starts)]
+        names += ["place", "modes", *(f"history_{name}" for name in _HISTORY)]
+        missing = [name for name in names if name not in state]
+        if missing:
+            raise SceneError(
+                f"start holds no {missing[0]}; give a state of evidence_fit, or leave it out"
+            )
+        found = tuple(np.asarray(state["modes"], dtype=int).tolist())
+        arrays: dict[str, dict[str, Floats]] = {"pool": {}, "best": {}}
+        for part, count in (("pool", modes), ("best", len(found))):
+            for name, mine in vars(like).items():
+                values = np.array(state[f"{part}_{name}"], dtype=mine.dtype)
+                wanted = mine.shape[1:]
+                if name == "coefficients":
+                    wanted = (mine.shape[1] // modes * count,)
+                if values.shape[1:] != wanted:
+                    raise SamplingError(
+                        f"start's {name} have shape {values.shape[1:]} for each start, this fit's "
+                        f"{wanted}; it belongs to other images or modes, leave it out"
+                    )
+                arrays[part][name] = values
+        numbers = np.asarray(state["place"], dtype=float).tolist()
+        turn, count, step = (int(value) for value in numbers[:3])
+        return cls(
+            turn=turn,
+            count=count,
+            step=_STEPS[step],
+            floor=numbers[3],
+            sharp=numbers[4],
+            held=numbers[5],
+            modes=found,
+            pool=Starts(**arrays["pool"]),
+            best=Starts(**arrays["best"]),
+            history={name: np.asarray(state[f"history_{name}"]).tolist() for name in _HISTORY},
+        )
 
 
-def without_blur(energy: FreeEnergy, random: Generator) -> Starts:
-    """Fit from a wave without blur and from three weak ones; return results by energy."""
-    walls = random_walls(4, energy.modes, np.array([0.1]), random)
-    walls[0] = 0.0
-    return energy.descend(energy.starts(walls, _TRIVIAL.first), _TRIVIAL).best(4)
-
-
-def sharp(energy: FreeEnergy, random: Generator) -> Starts:
-    """Fit with coefficients fixed near 0, so that the image itself serves as the object."""
-    walls = random_walls(1, energy.modes, np.array([_SHARP]), random)
-    return energy.descend(energy.starts(walls, _TRIVIAL.first, _SHARP), _TRIVIAL)
-
-
-def evolve(
-    energy: FreeEnergy, island: Island, twin: Floats, random: Generator, watch: Watch
-) -> Starts:
-    """Search walls for one image at a fixed norm of the coefficients; return the best.
-
-    Random walls are fitted first, then several generations of their children.
+class Search:
+    """Search of one fit, step by step; each step draws from its own stream of random numbers.
 
     Parameters
     ----------
-    energy : FreeEnergy
-        Energy of the image.
-    island : Island
-        Settings of the search.
-    twin : ndarray, (M,)
-        Signs that convert a wall to the one with the same point spread; see `children`.
-    random : Generator
-        Source of random numbers.
-    watch : callable
-        Progress callback; if it returns True, the search stops.
+    energies : callable
+        Returns the free energy for a padding and Noll indices.
+    verdict : Verdict
+        Tests of answers.
+    first : ndarray, (M,)
+        Given coefficients of all walls, waves rms; zeros if there are none.
+    start_error : float or None
+        Expected rms error of the given coefficients, waves; None: they are only one more start.
+    strength : float or None
+        Known rms of the walls' waves, waves.
+    rounds : int
+        Largest number of rounds.
+    seed : int
+        Seed of the random numbers.
+    state : mapping, optional
+        Saved state to resume from.
+
+    Attributes
+    ----------
+    place : Place
+        Position and results.
     """
-    coarse = Stage(
+
+    def __init__(
+        self,
+        energies: Energies,
+        verdict: Verdict,
+        *,
+        first: Floats,
+        start_error: float | None,
+        strength: float | None,
+        rounds: int,
+        seed: int,
+        state: Mapping[str, Any] | None,
+    ) -> None:
+        self._energies, self._verdict = energies, verdict
+        self._first, self._error, self._strength = first, start_error, strength
+        self._rounds, self._seed = rounds, seed
+        modes = verdict.modes
+        self._energy = energies(_PADDING, modes)
+        self._prior = self._energy
+        if start_error is not None:
+            self._prior = self._energy.about(first, start_error)
+        self._frames = verdict.several
+        flat = self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
+        if state is None:
+            history: dict[str, list[float]] = {name: [] for name in _HISTORY}
+            self.place = Place(modes=modes, pool=flat[:0], best=flat[:0], history=history)
+        else:
+            self.place = Place.of(state, flat, len(modes))
+
+    @property
+    def converged(self) -> bool:
+        """Whether the best answer passes all tests."""
+        return self._verdict.passes(self.place.best, self.margins, self.place.held, self._error)
+
+    @property
+    def margins(self) -> tuple[float, float]:
+        """Energy of the best answer minus those of the fits that start and that stay sharp."""
+        place = self.place
+        if not len(place.best):
+            return math.nan, math.nan
+        energy = float(place.best.energy[0])
+        return energy - place.floor, energy - place.sharp
+
+    def energy(self) -> FreeEnergy:
+        """Return the free energy with the best answer's modes."""
+        return self._wider(self.place.modes)
+
+    def best(self) -> Starts:
+        """Return the best answer so far; before the first one, an object without blur."""
+        if len(self.place.best):
+            return self.place.best
+        return self._energy.starts(np.zeros((1, self._energy.size)), _TRIVIAL.first)
+
+    def run(self, watch: Watch) -> None:
+        """Make steps until the search ends or ``watch`` asks it to."""
+        while self.place.step != "end":
+            now, count = self.place.step, self.place.count
+            part = (_STEPS.index(now) + count / 10.0) / len(_STEPS)
+            whole = self.place.turn + part if self.place.turn >= 0 else 0.1 * part - 0.1
+            if watch(_TEXTS[now], (whole + 0.1) / (self._rounds + 0.1)):
+                return
+            step = getattr(self, f"_{now}")(self._random(now, count))
+            self.place.count = count + 1 if step == now else 0
+            self.place.step = step
+
+    def finished(self) -> None:
+        """Fit an answer quickly if the search ended before it had one."""
+        if len(self.place.best):
+            return
+        pool = self.place.pool
+        if not len(pool):
+            pool = self._energy.starts(self._first[None], _last(self._frames).first)
+        self._offer(self._energy.descend(pool.best(1).held(np.inf), _last(self._frames)))
+
+    def _random(self, step: str, count: int) -> Generator:
+        stream = len(_STEPS) * (self.place.turn + 1) + _STEPS.index(step)
+        return generator(self._seed, 100 * stream + count)
+
+    def _reference(self, random: Generator) -> str:
+        """Fit without blur, which an answer for one image has to beat."""
+        if not self._frames:
+            walls = random_walls(4, self._energy.size, np.array([0.1]), random)
+            walls[0] = 0.0
+            if self._error is not None:
+                found = self._energy.starts(walls[:1], _NEAR[1].first)
+                for stage in _NEAR[1:]:
+                    found = self._energy.descend(found, stage)
+                self.place.held = float(self._prior.held(found.coefficients)[0])
+                self.place.floor = float(found.energy[0])
+            else:
+                found = self._energy.starts(walls, _TRIVIAL.first)
+                found = self._energy.descend(found, _TRIVIAL).best(1)
+                flat = random_walls(1, self._energy.size, np.array([_SHARP]), random)
+                flat_starts = self._energy.starts(flat, _TRIVIAL.first, _SHARP)
+                self.place.floor = float(found.energy[0])
+                self.place.sharp = float(self._energy.descend(flat_starts, _TRIVIAL).energy[0])
+                self._offer(found)
+        if self._error is not None:
+            return "near"
+        if self._first.any():
+            return "given"
+        return self._next()
+
+    def _near(self, random: Generator) -> str:
+        """Fit from given coefficients of known error."""
+        assert self._error is not None  # the step exists only then
+        count, pool = self.place.count, self.place.pool
+        if count == 0:
+            walls = random_walls(_NEAR_STARTS, self._energy.size, np.array([self._error]), random)
+            walls[0] = 0.0
+            pool = self._prior.starts(self._first + walls, _NEAR[0].first)
+        pool = self._prior.descend(pool, _NEAR[count])
+        if count < 2:
+            self.place.pool = pool.best(1 if count else len(pool))
+            return "near"
+        self._offer(pool)
+        return "widen" if self._frames else "end"
+
+    def _given(self, _: Generator) -> str:
+        """Fit from given coefficients of unknown error, one start among others."""
+        settle, finish = _ranking(self._frames), _last(self._frames)
+        pool = self._energy.starts(self._first[None], _NEAR[0].first)
+        pool = self._energy.descend(self._energy.descend(pool, _NEAR[0]), settle)
+        self._offer(self._energy.descend(pool, finish))
+        return "widen" if self._frames else self._next()
+
+    def _gather(self, random: Generator) -> str:
+        """Fit random walls to images that a wave without blur cannot explain."""
+        slow = self.place.turn > 0
+        stage = _GATHER_SLOWLY if slow else _GATHER
+        strengths = np.array(self._strengths()) * (1.3 if slow else 1.0)
+        size = len(self._energy.modes)
+        many = self._energy.size // size
+        lengths = np.repeat(np.resize(strengths, _STARTS), many)
+        walls = random_walls(_STARTS * many, size, lengths, random).reshape(_STARTS, -1)
+        starts = self._energy.starts(walls, stage.first)
+        self.place.pool = self._energy.descend(starts, stage).best(_STARTS // 4)
+        return "settle"
+
+    def _coarse(self, random: Generator) -> str:
+        """Fit random walls of fixed norm to one image."""
+        island = self._island()
+        narrow, stage = self._energies(_NARROW, self._energy.modes), _coarse_stage(island)
+        walls = random_walls(4 * island.population, narrow.size, np.array([island.radius]), random)
+        pool = narrow.descend(narrow.starts(walls, stage.first, island.radius), stage)
+        self.place.pool = pool.best(island.population)
+        return "breed"
+
+    def _breed(self, random: Generator) -> str:
+        self._generation(random, _coarse_stage(self._island()), Breeding(flips=0.12, noise=0.35))
+        return "breed" if self.place.count + 1 < self._island().generations[0] else "harden"
+
+    def _harden(self, _: Generator) -> str:
+        narrow = self._energies(_NARROW, self._energy.modes)
+        self.place.pool = narrow.descend(self.place.pool, _REFINE).best(self._island().population)
+        return "rear"
+
+    def _rear(self, random: Generator) -> str:
+        self._generation(random, _REFINE, Breeding(flips=0.06, noise=0.25))
+        return "rear" if self.place.count + 1 < self._island().generations[1] else "settle"
+
+    def _generation(self, random: Generator, stage: Stage, breeding: Breeding) -> None:
+        """Fit children of the best walls at a fixed norm of the coefficients."""
+        island, pool = self._island(), self.place.pool
+        narrow = self._energies(_NARROW, self._energy.modes)
+        walls = children(pool[:12], island.litter, narrow.twin, breeding, random)
+        young = narrow.descend(narrow.starts(walls, stage.first, island.radius), stage)
+        self.place.pool = joined([pool, young]).best(island.population)
+
+    def _settle(self, _: Generator) -> str:
+        """Fit the best walls with the prior that ranks answers."""
+        pool = self.place.pool.best(8).held(np.inf)
+        self.place.pool = self._energy.descend(pool, _ranking(self._frames)).best(8)
+        return "neighbours"
+
+    def _neighbours(self, random: Generator) -> str:
+        """Fit children of the best walls, with objects of their own.
+
+        The descent alone can stop in a local minimum whose object is right within a few per cent.
+        """
+        pool, frames, turn = self.place.pool, self._frames, self.place.count
+        if self._verdict.well(pool, self.place.floor) or turn == _NEIGHBOURS[not frames]:
+            return "finish"
+        twin = np.ones(self._energy.size) if frames else self._energy.twin
+        walls = children(pool[:4], 12, twin, Breeding(flips=0.03, noise=0.25), random)
+        # the assumed norm is usually too large, so the first generations also try smaller ones
+        least = 0.8 if turn < 2 and not frames else 0.95
+        walls *= random.uniform(least, 1.05, size=(len(walls), 1))
+        stage = _ranking(frames)
+        young = self._energy.descend(self._energy.starts(walls, stage.first), stage)
+        both = joined([pool, young])
+        before = float(pool.energy[0])
+        if not frames:
+            # walls below a least norm approach no blur
+            least_length = _LEAST_LENGTH * self._island().radius
+            long = np.linalg.norm(both.coefficients, axis=1) >= least_length
+            both = both[long] if long.any() else pool
+        self.place.pool = both.best(8)
+        if frames and before - float(self.place.pool.energy[0]) < _STANDSTILL:
+            return "finish"
+        return "neighbours"
+
+    def _finish(self, _: Generator) -> str:
+        self._offer(self._energy.descend(self.place.pool.best(2), _last(self._frames)))
+        return "widen" if self._frames else self._next()
+
+    def _widen(self, _: Generator) -> str:
+        """Add modes while the residual has structure and they lower the energy."""
+        place = self.place
+        tops = [top for top in _TOPS if top > max(self._energy.modes)]
+        if place.count < len(tops) and self._verdict.structured(place.best):
+            added = [mode for mode in range(4, tops[place.count] + 1) if mode not in place.modes]
+            modes = (*place.modes, *added)
+            wide = self._wider(modes)
+            walls = place.best.coefficients.reshape(-1, len(place.modes))
+            wider = np.pad(walls, ((0, 0), (0, len(added)))).reshape(1, -1)
+            found = wide.descend(replace(place.best, coefficients=wider), _FINISH)
+            # Schwarz (1978): a parameter costs half the logarithm of the number of data
+            least = 0.5 * math.log(self._verdict.pixels) * (wide.size - walls.size)
+            if float(place.best.energy[0] - found.energy[0]) > least:
+                self._offer(found, modes)
+            return "widen"
+        return self._next()
+
+    def _next(self) -> str:
+        """Return the first step of the next round, or the end."""
+        self.place.turn += 1
+        if self.place.turn == self._rounds or (len(self.place.best) and self.converged):
+            return "end"
+        return "gather" if self._frames else "coarse"
+
+    def _offer(self, found: Starts, modes: tuple[int, ...] | None = None) -> None:
+        """Keep the start of least energy, and record it in the history."""
+        place, best = self.place, found.best(1)
+        if not len(place.best) or best.energy[0] < place.best.energy[0]:
+            place.best, place.modes = best, self._energy.modes if modes is None else modes
+        now, history = float(place.best.energy[0]), place.history
+        before = history["objective"][-1] if history["objective"] else math.inf
+        history["objective"].append(now)
+        history["residual"].append(math.sqrt(float(place.best.chi_square[0].mean())))
+        change = (before - now) / max(abs(now), 1.0) if math.isfinite(before) else 1.0
+        history["change"].append(change)
+
+    def _wider(self, modes: tuple[int, ...]) -> FreeEnergy:
+        return self._energy if modes == self._energy.modes else self._energies(_PADDING, modes)
+
+    def _island(self) -> Island:
+        island = _ISLANDS[self.place.turn % len(_ISLANDS)]
+        if self._strength is None:
+            return island
+        around = self._strengths()
+        return replace(island, radius=around[(self.place.turn + 1) % len(around)])
+
+    def _strengths(self) -> tuple[float, ...]:
+        """Return the norms of initial walls, used in turn, waves rms."""
+        if self._strength is None:
+            return _STRENGTHS
+        return tuple(self._strength * factor for factor in _AROUND)
+
+
+def _coarse_stage(island: Island) -> Stage:
+    """Return the first stage of a search with one image."""
+    return Stage(
         iterations=200,
         kappa=island.kappa,
         first=island.first,
@@ -211,81 +591,13 @@ def evolve(
         share=0.9,
         wave_rate=island.wave_rate,
     )
-    walls = random_walls(4 * island.population, energy.modes, np.array([island.radius]), random)
-    pool = energy.descend(energy.starts(walls, coarse.first, island.radius), coarse)
-    pool = pool.best(island.population)
-    total, done = sum(island.generations) + 2, 1
-    stages = (
-        (coarse, Breeding(flips=0.12, noise=0.35)),
-        (_REFINE, Breeding(flips=0.06, noise=0.25)),
-    )
-    for (stage, breeding), turns in zip(stages, island.generations, strict=True):
-        if stage is _REFINE:
-            pool = energy.descend(pool, stage).best(island.population)
-            done += 1
-        for _ in range(turns):
-            if watch("walls and their children", done / total):
-                return pool
-            walls = children(pool[:12], island.litter, twin, breeding, random)
-            young = energy.descend(energy.starts(walls, stage.first, island.radius), stage)
-            pool = joined([pool, young]).best(island.population)
-            done += 1
-    return pool
 
 
-def refine(
-    energy: FreeEnergy,
-    pool: Starts,
-    twin: Floats,
-    random: Generator,
-    *,
-    least_length: float,
-    generations: int,
-    enough: Callable[[Starts], bool],
-    watch: Watch,
-    frames: bool = False,
-) -> Starts:
-    """Fit walls with the prior that ranks answers, and children of the best; sort by energy.
+def _ranking(frames: bool) -> Stage:
+    """Return the stage that ranks answers."""
+    return _SETTLE if frames else _COMPARE
 
-    The descent alone can stop in a local minimum whose object is right within a few per cent.
-    Children with objects of their own can leave it.
 
-    Parameters
-    ----------
-    energy : FreeEnergy
-        Energy of the images.
-    pool : Starts
-        Walls by increasing energy.
-    twin : ndarray, (M,)
-        Signs that convert a wall to the one with the same point spread; see `children`.
-    random : Generator
-        Source of random numbers.
-    least_length : float
-        Smallest norm of the coefficients, waves rms. Walls below it approach no blur and are
-        dropped.
-    generations : int
-        Largest number of generations of children.
-    enough : callable
-        Returns whether the best wall needs no further generation.
-    watch : callable
-        Progress callback; if it returns True, the search stops.
-    frames : bool
-        Whether there are images of different defocus. Then the norms are known better, and answers
-        are compared at the actual noise.
-    """
-    compare, finish = (_SETTLE, _FINISH) if frames else (_COMPARE, _FREE)
-    found = energy.descend(pool.best(8).held(np.inf), compare).best(8)
-    for turn in range(generations):
-        if enough(found) or watch("near the best walls", turn / generations):
-            break
-        walls = children(found[:4], 12, twin, Breeding(flips=0.03, noise=0.25), random)
-        # the assumed norm is usually too large, so the first generations also try smaller ones
-        least = 0.8 if turn < 2 and not frames else 0.95
-        walls *= random.uniform(least, 1.05, size=(len(walls), 1))
-        both = joined([found, energy.descend(energy.starts(walls, compare.first), compare)])
-        before = float(found.energy[0])
-        long = np.linalg.norm(both.coefficients, axis=1) >= least_length
-        found = (both[long] if long.any() else found).best(8)
-        if frames and before - found.energy[0] < _STANDSTILL:
-            break
-    return energy.descend(found.best(2), finish).best(2)
+def _last(frames: bool) -> Stage:
+    """Return the last stage of an answer."""
+    return _FINISH if frames else _FREE

@@ -7,18 +7,20 @@ that contains the image. Light that leaves the image is lost, and the object is 
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
+import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...errors import SamplingError, SceneError
-from ..wave.pupil_optics import PupilOptics
+from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
 from ..wave.pupil_waves import DEFOCUS, ZernikeWaves, noll_mode
 from . import _evidence_kernels as kernels
@@ -31,9 +33,11 @@ _CHUNK = 8
 #: Largest pitch relative to Nyquist's that is treated as Nyquist's: the transfer function 2 % below
 #: the cutoff is less than 1e-3.
 _NYQUIST_SLACK = 1.02
-#: Largest rms, waves, of a known wave in addition to the modes that does not affect the answer.
-_MOST_REST = 0.05
 _LEAST_VARIANCE = 1e-6
+#: Noise relative to the images' range below which single precision does not suffice.
+_FLOAT32_NOISE = 1e-4
+#: Largest change of an image's relative brightness in one iteration, and its limits.
+_GAIN_STEP, _MOST_GAIN = 1.2, 10.0
 _SHRINK = np.array([0.9, 0.99])
 
 
@@ -52,7 +56,7 @@ class Stage:
     share : float
         Fraction of the iterations after which ``last`` is reached.
     wave_rate : float
-        Largest step of a coefficient, waves.
+        Largest step of a coefficient, waves; 0 keeps the coefficients.
     object_rate : float
         Largest step of an object value, relative to the image's maximum.
     """
@@ -83,9 +87,11 @@ class Starts:
     Parameters
     ----------
     coefficients : ndarray, (B, M)
-        Zernike coefficients of the walls, waves rms.
-    free : ndarray, (B, n, n)
+        Zernike coefficients of the walls, waves rms; those of several walls one after the other.
+    free : ndarray, (B, H, W)
         Free parameters from which `softly_positive` computes the objects.
+    gains : ndarray, (B, K)
+        Relative brightness of the images.
     variances : ndarray, (B, 2)
         Posterior variances of the objects' differences along x and y.
     energy : ndarray, (B,)
@@ -98,6 +104,7 @@ class Starts:
 
     coefficients: Floats
     free: Floats
+    gains: Floats
     variances: Floats
     energy: Floats
     chi_square: Floats
@@ -129,29 +136,34 @@ class FreeEnergy:
 
     Parameters
     ----------
-    images : ndarray, (K, n, n)
-        Images divided by their maximum.
-    sigmas : ndarray, (K,)
-        Noise in the same unit.
+    frames : Frames
+        The images with their noise, walls and known defoci.
     pupil_psf : PupilPSF
         Point spread with Zernike coefficients, of any shape.
-    defocus : ndarray, (K,)
-        Known additional defocus (Noll 4) of each image, m rms.
-    grid : int
-        Samples p along each side of the padded FFT grid, at least n.
-    fit_background : bool
-        Whether each image has an unknown uniform background.
-    dtype : type
-        ``numpy.float32`` or ``numpy.float64``.
+    grid : (int, int)
+        Rows p and columns c of the padded FFT grid, at least those of the images; c is even.
+    modes : sequence of int, optional
+        Noll indices of the coefficients; by default those of ``pupil_psf``.
+    support : ndarray, optional
+        Mask, (H, W), 0 where the object is known to be dark.
+    known_object : ndarray, optional
+        Known object of unknown brightness, (H, W). Then F is half the squared residuals.
+    fit_gains : bool
+        Whether to fit the relative brightness of the images.
+    dtype : type, optional
+        ``numpy.float32`` or ``numpy.float64``; by default float32 unless the noise is too small.
 
     Notes
     -----
     With residuals r, noise s, prior strength kappa, differences D, mean object m, variances v,
     transfer functions H and posterior covariance C [1]_::
 
-        2 F = sum r^2/s^2 + sum kappa log((D m)^2 + v) + (n/p)^2 sum_f (C |H|^2/s^2 - log C)
+        2 F = sum r^2/s^2 + sum kappa log((D m)^2 + v) + (HW/pc) sum_f (C |H|^2/s^2 - log C)
 
-    The gradient treats v and C as constants, since F is minimal with respect to them.
+    The noise may differ from pixel to pixel in the first sum. Pixels of infinite noise are left
+    out. The last sum uses each image's mean of 1/s^2. The gradient treats v, C, the brightness of
+    the images and their backgrounds as constants, since F is minimal with respect to v, C and the
+    backgrounds, and the brightness is updated by least squares in each iteration.
 
     References
     ----------
@@ -160,46 +172,74 @@ class FreeEnergy:
 
     def __init__(
         self,
-        images: Floats,
-        sigmas: Floats,
+        frames: Frames,
         pupil_psf: PupilPSF,
-        defocus: Floats,
         *,
-        grid: int,
-        fit_background: bool = True,
-        dtype: type = np.float32,
+        grid: tuple[int, int],
+        modes: Sequence[int] | None = None,
+        support: Floats | None = None,
+        known_object: Floats | None = None,
+        fit_gains: bool = False,
+        dtype: type | None = None,
     ) -> None:
-        self.sigma = float(np.mean(np.square(sigmas)) ** 0.5)
-        weights = self.sigma / np.asarray(sigmas, dtype=np.float64)
-        self._weights = weights
-        self._images: Floats = np.ascontiguousarray(images * weights[:, None, None], dtype=dtype)
-        self._dtype, self._grid = dtype, grid
-        self._fit_background = fit_background
-        modes = np.array(pupil_psf.modes)
-        orders = (np.sqrt(8.0 * modes - 7.0) - 1.0) // 2.0
+        if dtype is None:
+            dtype = np.float32 if frames.sigmas.min() > _FLOAT32_NOISE else np.float64
+        self.sigma = float(np.mean(np.square(frames.sigmas)) ** 0.5)
+        self._dtype, self.grid, self._shape = dtype, grid, frames.shape
+        self._levels: Floats = self.sigma / frames.sigmas
+        self._images = self._array(frames.images * self._levels[:, None, None])
+        self._weights = self._array(frames.weights())
+        self._shapes = self._array(frames.background_shapes())
+        self._norms: Floats = (self._weights.astype(float) * self._shapes**2).sum(axis=(1, 2))
+        self._counted, self._walls = frames.counted, frames.walls
+        self._fit_background, self._fit_gains = frames.fit_background, fit_gains
+        self._support = self._array(np.ones(frames.shape) if support is None else support > 0.0)
+        self._known: Floats | None = None
+        if known_object is not None:
+            self._known = self._array(known_object / known_object.max())
+        self.modes = tuple(pupil_psf.modes if modes is None else modes)
+        orders = (np.sqrt(8.0 * np.array(self.modes) - 7.0) - 1.0) // 2.0
         #: signs that convert a wall to the one with the same in-focus point spread, W(x) -> -W(-x)
-        self.twin = np.where(orders % 2 == 0, -1.0, 1.0)
-        self._share = (self._images.shape[1] / grid) ** 2
-        self._steps: Floats = (2.0 - 2.0 * np.cos(2.0 * np.pi * np.arange(grid) / grid)).astype(
-            dtype
-        )
-        optics, basis = _pupil(pupil_psf, grid)
-        self._cells = optics.share.shape
-        self._amplitude = torch.from_numpy(_array(optics, "_amplitude").reshape(-1).astype(dtype))
-        self._basis = torch.from_numpy(np.ascontiguousarray(basis, dtype=dtype))
-        turns = np.asarray(defocus) / optics.wavelength
-        side = math.copysign(2.0 * math.pi, optics.image_distance)
-        known = side * np.outer(turns, noll_mode(DEFOCUS, optics))
-        self._known = torch.from_numpy(known.astype(dtype))
-        pixel = (
-            _array(optics, "_pixel") if optics.pixel_integrated else np.ones((grid, grid // 2 + 1))
-        )
-        self._pixel: Floats = (pixel * weights[:, None, None]).astype(dtype)
+        self.twin = np.tile(np.where(orders % 2 == 0, -1.0, 1.0), frames.n_walls)
+        self._share = math.prod(frames.shape) / math.prod(grid)
+        turns = [2.0 * np.pi * np.arange(side) / side for side in grid]
+        self._steps = self._array(2.0 - 2.0 * np.cos(np.concatenate(turns)))
+        self._sample_pupil(pupil_psf, frames.defocus)
+        self._first: Floats = np.zeros(len(self.twin))
+        self._stiffness = 0.0
 
     @property
-    def modes(self) -> int:
-        """Number of coefficients of a wall."""
-        return int(self._basis.shape[0])
+    def size(self) -> int:
+        """Number of coefficients of all walls."""
+        return len(self.twin)
+
+    @property
+    def known(self) -> bool:
+        """Whether the object is known."""
+        return self._known is not None
+
+    def point_spread(self, starts: Starts) -> Floats:
+        """Return the point spread of the first start for the first image, (p, c), centred."""
+        transfer = self._transfer(starts.coefficients[:1])[0][0, 0] * self._pixel[0]
+        spread = np.fft.fftshift(np.fft.irfft2(transfer / self._levels[0], s=self.grid))
+        found: Floats = np.maximum(spread.astype(np.float64), 0.0)
+        return found
+
+    def about(self, first: Floats, error: float) -> Self:
+        """Return this energy with a Gaussian prior of the coefficients about ``first`` (M,).
+
+        ``error`` is the expected rms difference of a wall's wave, waves.
+        """
+        found = copy.copy(self)
+        found._first = np.asarray(first, dtype=np.float64)
+        found._stiffness = len(self.modes) / (2.0 * error**2)
+        return found
+
+    def held(self, coefficients: Floats) -> Floats:
+        """Return the energy (B,) that the prior of the coefficients adds."""
+        offset = coefficients.astype(np.float64) - self._first
+        energy: Floats = self._stiffness * np.square(offset).sum(axis=1)
+        return energy
 
     def starts(self, coefficients: Floats, noise: float, radius: Any = np.inf) -> Starts:
         """Return starts with given walls and Wiener-filtered objects.
@@ -213,30 +253,34 @@ class FreeEnergy:
         radius : float or ndarray, (B,)
             Fixed norm of the coefficients, waves rms; infinite: free.
         """
-        wall: Floats = np.ascontiguousarray(coefficients, dtype=self._dtype)
-        found = []
-        for first in range(0, len(wall), _CHUNK):
-            found.append(self._objects(wall[first : first + _CHUNK], noise))
-        mean = np.concatenate(found)
+        wall = self._array(coefficients)
+        mean = np.concatenate(self._spread(lambda w: self._objects(w, noise), wall))
         count = len(wall)
         return Starts(
             coefficients=wall,
-            free=(mean - _SOFTNESS**2 / (4.0 * mean)).astype(self._dtype),
+            free=self.parameters(mean),
+            gains=np.ones((count, len(self._images))),
             variances=np.full((count, 2), 1e-3),
             energy=np.full(count, np.inf),
             chi_square=np.full((count, len(self._images)), np.inf),
             radius=np.broadcast_to(np.float64(radius), count).copy(),
         )
 
+    def parameters(self, objects: Floats) -> Floats:
+        """Return the free parameters of positive objects (B, H, W), in the images' unit."""
+        bright = np.maximum(objects, 0.1 * _SOFTNESS)
+        return self._array(bright - _SOFTNESS**2 / (4.0 * bright))
+
     def descend(self, starts: Starts, stage: Stage) -> Starts:
         """Run one stage; return the resulting starts with their energies."""
-        rows = range(0, len(starts), _CHUNK)
-        return joined(self._descend(starts[row : row + _CHUNK], stage) for row in rows)
+        return joined(self._spread(lambda part: self._descend(part, stage), starts))
 
     def objects(self, starts: Starts) -> Floats:
-        """Return the mean objects, (B, n, n), in the images' unit."""
+        """Return the mean objects, (B, H, W), in the images' unit."""
+        if self._known is not None:
+            return np.repeat(self._known[None], len(starts), axis=0)
         mean = np.empty_like(starts.free)
-        kernels.softly_positive(starts.free, _SOFTNESS, mean)
+        kernels.softly_positive(starts.free, self._support, _SOFTNESS, mean)
         return mean
 
     def evaluate(
@@ -247,7 +291,7 @@ class FreeEnergy:
         Parameters
         ----------
         starts : Starts
-            Objects and variances.
+            Objects, variances and gains.
         wall : ndarray, (B, M)
             Coefficients, used instead of those of ``starts``.
         noise : float
@@ -262,55 +306,77 @@ class FreeEnergy:
         values : dict
             ``energy`` (B,), without meaning if not wanted; ``squares`` (B, K), the squared
             residuals over the noise variance; ``background`` (B, K), times the images' weights;
-            ``variances`` (B, 2).
-        by_data : ndarray, (B, p, p)
-            Gradient of the data term with respect to the mean object, in its first n x n samples.
-        by_prior : ndarray, (B, n, n)
+            ``gains`` (B, K), for the next iteration; ``variances`` (B, 2).
+        by_data : ndarray, (B, p, c)
+            Gradient of the data term with respect to the mean object, in its first H x W samples.
+        by_prior : ndarray, (B, H, W)
             Gradient of the prior with respect to the mean object.
         by_wall : ndarray, (B, M)
             Gradient with respect to the coefficients.
         """
-        mean, grid = self.objects(starts), (self._grid, self._grid)
+        mean, grid = self.objects(starts), self.grid
         count, frames = len(mean), len(self._images)
         transfer, pupil, field = self._transfer(wall)
         spectrum = torch.fft.rfft2(torch.from_numpy(mean), s=grid).numpy()
         product = np.empty_like(transfer)
-        kernels.predict(transfer, self._pixel, spectrum, product)
+        kernels.predict(transfer, self._pixel, starts.gains, spectrum, product)
         seen = torch.fft.irfft2(torch.from_numpy(product), s=grid).numpy()
+        gains = self._brightness(seen, starts.gains)
         squares, background = np.empty((count, frames)), np.empty((count, frames))
-        kernels.residuals(seen, self._images, self._fit_background, squares, background)
-        residual = torch.fft.rfft2(torch.from_numpy(seen)).numpy()
-        by_prior, roughness = np.empty_like(mean), np.empty(count)
-        weights = np.empty((count, 2))
-        kernels.roughness(
-            mean, starts.variances.astype(self._dtype), kappa, by_prior, weights, roughness,
-            want_energy,
+        kernels.residuals(
+            seen, self._images, self._weights, self._shapes, self._norms, self._fit_background,
+            squares, background,
         )  # fmt: skip
+        residual = torch.fft.rfft2(torch.from_numpy(seen)).numpy()
+        by_prior, rough, weights = np.zeros_like(mean), np.zeros(count), np.ones((count, 2))
+        if self._known is None:
+            kernels.roughness(
+                mean, starts.variances.astype(self._dtype), kappa, by_prior, weights, rough,
+                want_energy,
+            )  # fmt: skip
         precision = np.full(count, 1.0 / (noise * self.sigma) ** 2)
         variances, volume = np.empty((count, 2)), np.empty(count)
         kernels.spectra(
-            transfer, residual, spectrum, self._pixel, self._steps, weights, precision,
-            self._share, product[:, 0], variances, volume, want_energy,
+            transfer, residual, spectrum, self._pixel, starts.gains, self._steps, weights,
+            precision, self._share if self._known is None else 0.0, product[:, 0], variances,
+            volume, want_energy,
         )  # fmt: skip
         by_data = torch.fft.irfft2(torch.from_numpy(product[:, 0]), s=grid).numpy()
-        energy = 0.5 * (squares.sum(axis=1) * precision + roughness + volume)
+        energy = 0.5 * (squares.sum(axis=1) * precision + rough + volume) + self.held(wall)
         values = {
             "energy": energy,
             "squares": squares / self.sigma**2,
             "background": background,
+            "gains": gains,
             "variances": variances,
         }
-        return values, by_data, by_prior, self._wall_gradient(residual, pupil, field)
+        by_wall = self._wall_gradient(residual, pupil, field)
+        by_wall += 2.0 * self._stiffness * (wall - self._first)
+        return values, by_data, by_prior, by_wall
 
-    def background(self, starts: Starts) -> Floats:
-        """Return the fitted uniform background of each image, (B, K), in the images' unit."""
+    def judged(self, starts: Starts) -> tuple[Starts, Floats]:
+        """Return starts with their residuals, and the backgrounds (B, K) in the images' unit."""
         values = self.evaluate(starts, starts.coefficients, 1.0, 0.5, False)[0]
-        level: Floats = values["background"] / self._weights
-        return level
+        level: Floats = values["background"] / self._levels
+        return replace(starts, chi_square=values["squares"] / self._counted), level
+
+    def _spread(self, work: Any, rows: Any) -> list[Any]:
+        """Apply ``work`` to chunks of rows, on several threads; the chunks do not depend on them.
+
+        Torch and the kernels release the interpreter lock.
+        """
+        parts = [rows[first : first + _CHUNK] for first in range(0, len(rows), _CHUNK)]
+        threads = min(len(parts), numba.get_num_threads())
+        if threads == 1:
+            return [work(part) for part in parts]
+        with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
+            return list(pool.map(work, parts))
 
     def _descend(self, starts: Starts, stage: Stage) -> Starts:
         wall, free = starts.coefficients.copy(), starts.free.copy()
-        now = replace(starts, free=free, variances=starts.variances.copy())
+        now = replace(
+            starts, free=free, variances=starts.variances.copy(), gains=starts.gains.copy()
+        )
         first, second = np.zeros_like(free), np.zeros_like(free)
         wall_first, wall_second = np.zeros(wall.shape), np.zeros(wall.shape)
         held = np.isfinite(starts.radius)[:, None]
@@ -318,7 +384,7 @@ class FreeEnergy:
         for step in range(stage.iterations):
             length = np.linalg.norm(wall, axis=1, keepdims=True)
             placed = np.where(held, wall * (radius / np.maximum(length, 1e-12)), wall)
-            placed = np.ascontiguousarray(placed, dtype=self._dtype)
+            placed = self._array(placed)
             last = step == stage.iterations - 1
             values, by_data, by_prior, slope = self.evaluate(
                 now, placed, stage.noise(step), stage.kappa, last
@@ -328,115 +394,141 @@ class FreeEnergy:
             np.maximum(
                 0.5 * (now.variances + values["variances"]), _LEAST_VARIANCE, out=now.variances
             )
+            now.gains[:] = values["gains"]
             bias, bias_square = 1.0 - _SHRINK ** (step + 1)
             pace = stage.pace(step) / bias
             kernels.object_step(
-                free, by_data, by_prior, first, second, _SOFTNESS, stage.object_rate * pace,
-                bias_square,
+                free, self._support, by_data, by_prior, first, second, _SOFTNESS,
+                stage.object_rate * pace, bias_square,
             )  # fmt: skip
             wall_first += 0.1 * (slope - wall_first)
             wall_second += 0.01 * (slope**2 - wall_second)
             root = np.sqrt(wall_second / bias_square) + 1e-10
             wall = (wall - stage.wave_rate * pace * wall_first / root).astype(self._dtype)
-        pixels = self._images[0].size
         return replace(
             now,
             coefficients=placed if held.all() else np.where(held, placed, wall),
             energy=values["energy"],
-            chi_square=values["squares"] / pixels,
+            chi_square=values["squares"] / self._counted,
         )
 
+    def _brightness(self, seen: Floats, gains: Floats) -> Floats:
+        """Return the relative brightness of the images (B, K) after one step of least squares.
+
+        That of a known object is common to all images; otherwise the geometric mean is 1, since
+        the object's own brightness is free.
+        """
+        if not self._fit_gains and self._known is None:
+            return gains
+        cross, norm = np.empty(gains.shape), np.empty(gains.shape)
+        kernels.brightness(
+            seen, self._images, self._weights, self._shapes, self._fit_background, cross, norm
+        )
+        if not self._fit_gains:
+            cross, norm = cross.sum(axis=1, keepdims=True), norm.sum(axis=1, keepdims=True)
+        ratio = np.maximum(cross, 1e-12) / np.maximum(norm, 1e-12)
+        if self._known is None:
+            ratio /= np.exp(np.log(ratio).mean(axis=1, keepdims=True))
+        found: Floats = gains * np.clip(ratio, 1.0 / _GAIN_STEP, _GAIN_STEP)
+        return found if self._known is not None else np.clip(found, 1.0 / _MOST_GAIN, _MOST_GAIN)
+
     def _objects(self, wall: Floats, noise: float) -> Floats:
-        """Return Wiener-filtered objects, (B, n, n), at least 0.01 of the image's maximum.
+        """Return Wiener-filtered objects, (B, H, W), at least 0.01 of the image's range.
 
         ``noise`` is the ratio of the assumed noise to the actual one.
         """
-        n, grid = self._images.shape[1], (self._grid, self._grid)
+        rows, columns = self._shape
         transfer = self._transfer(wall)[0] * self._pixel
         level = np.zeros(len(self._images))
         if self._fit_background:
             edges = [self._images[:, [0, -1]], self._images[:, :, [0, -1]].swapaxes(1, 2)]
-            level = np.median(np.concatenate(edges, axis=1), axis=(1, 2))
-        data = torch.fft.rfft2(torch.from_numpy(self._images - level[:, None, None]), s=grid)
-        rough = self._steps[:, None] + self._steps[: self._grid // 2 + 1]
+            flat = [edge.reshape(len(level), -1) for edge in edges]
+            level = np.median(np.concatenate(flat, axis=1), axis=1)
+        data = torch.from_numpy(self._array(self._images - level[:, None, None]))
+        seen = torch.fft.rfft2(data, s=self.grid).numpy()
+        down, along = self._steps[: self.grid[0]], self._steps[self.grid[0] :]
+        rough = down[:, None] + along[: seen.shape[-1]]
         prior = (noise * self.sigma) ** 2 * (rough / 0.02 + 1e-3)
         power = (transfer.real**2 + transfer.imag**2).sum(axis=1)
-        spectrum = (transfer.conj() * data.numpy()).sum(axis=1) / (power + prior)
-        mean = torch.fft.irfft2(torch.from_numpy(spectrum), s=grid).numpy()[:, :n, :n]
-        bright: Floats = np.maximum(mean, 0.01)
+        spectrum = (transfer.conj() * seen).sum(axis=1) / (power + prior)
+        mean = torch.fft.irfft2(torch.from_numpy(spectrum), s=self.grid).numpy()
+        bright: Floats = np.maximum(mean[:, :rows, :columns], 0.01)
         return bright
 
     def _transfer(self, wall: Floats) -> tuple[Floats, Tensor, Floats]:
         """Return transfer functions (B, K, p, q), pupil functions, and image fields.
 
-        The transfer functions do not contain that of the detector's pixels.
+        The transfer functions do not contain that of the detector's pixels, unless these are wider
+        than the field's samples.
         """
-        count, frames, p = len(wall), len(self._images), self._grid
-        phase = (torch.from_numpy(wall) @ self._basis)[:, None] + self._known
+        count, frames, rows, columns = len(wall), len(self._images), *self._fine
+        each = torch.from_numpy(wall).view(count, -1, len(self.modes))
+        phase = (each @ self._basis)[:, self._walls] + self._known_phase
         pupil = torch.complex(phase.cos() * self._amplitude, phase.sin() * self._amplitude)
         lit = pupil.view(count, frames, *self._cells)
-        field = torch.fft.fft(torch.fft.fft(lit, n=p, dim=-2), n=p, dim=-1).numpy()
+        field = torch.fft.fft(torch.fft.fft(lit, n=rows, dim=-2), n=columns, dim=-1).numpy()
         spread = np.empty(field.shape, dtype=self._dtype)
         kernels.intensity(field, spread)
-        return torch.fft.rfft2(torch.from_numpy(spread)).numpy(), pupil, field
+        return torch.fft.rfft2(self._to_pixels(torch.from_numpy(spread))).numpy(), pupil, field
 
     def _wall_gradient(self, toward: Floats, pupil: Tensor, field: Floats) -> Floats:
-        p, (rows, columns) = self._grid, self._cells
-        spread = torch.fft.irfft2(torch.from_numpy(toward), s=(p, p)).numpy()
+        rows, columns = self._cells
+        spread = torch.fft.irfft2(torch.from_numpy(toward), s=self.grid)
+        spread = self._from_pixels(spread).contiguous()
         pulled = np.empty(field.shape, dtype=field.dtype)
-        kernels.pull_back(field, spread, 2.0 * float(p) ** 4, pulled)
+        scale = 2.0 * float(math.prod(self.grid)) * math.prod(self._fine)
+        kernels.pull_back(field, spread.numpy(), scale, pulled)
         cells = torch.fft.ifft(torch.from_numpy(pulled), dim=-1)[..., :columns]
         cells = torch.fft.ifft(cells, dim=-2)[..., :rows, :].contiguous()
-        phase = np.empty((len(field), rows * columns), dtype=self._dtype)
-        kernels.phase_gradient(pupil.numpy(), cells.view(pupil.shape).numpy(), phase)
-        slope: Floats = (torch.from_numpy(phase) @ self._basis.T).numpy()
+        walls = len(self.twin) // len(self.modes)
+        phase = np.empty((len(field), walls, rows * columns), dtype=self._dtype)
+        kernels.phase_gradient(pupil.numpy(), cells.view(pupil.shape).numpy(), self._walls, phase)
+        slope: Floats = (torch.from_numpy(phase) @ self._basis.T).flatten(1).numpy()
         return slope
 
+    def _to_pixels(self, spread: Tensor) -> Tensor:
+        """Return the energy per pixel (..., p, c) of intensities on the fine grid."""
+        if self._wide is None:
+            return spread
+        finer = self._fine[0] // self.grid[0]
+        fine: Tensor = torch.fft.irfft2(torch.fft.rfft2(spread) * self._wide, s=self._fine)
+        return fine[..., ::finer, ::finer].contiguous()
 
-def _pupil(pupil_psf: PupilPSF, grid: int) -> tuple[PupilOptics, Floats]:
-    """Return the pupil sampled for the padded grid, and the phases of its modes.
+    def _from_pixels(self, pixels: Tensor) -> Tensor:
+        """Apply the transpose of `_to_pixels`."""
+        if self._wide is None:
+            return pixels
+        finer = self._fine[0] // self.grid[0]
+        fine = torch.zeros((*pixels.shape[:-2], *self._fine), dtype=pixels.dtype)
+        fine[..., ::finer, ::finer] = pixels
+        spread: Tensor = torch.fft.irfft2(torch.fft.rfft2(fine) * self._wide, s=self._fine)
+        return spread
 
-    The phases are (M, cells), rad per wave of the coefficient.
-    """
-    given = pupil_psf.optics
-    waves = pupil_psf.waves
-    if not isinstance(waves, ZernikeWaves):
-        raise SceneError(
-            f"pupil_psf has coefficients of kind {type(waves).__name__}, must be Zernike modes for "
-            "the evidence fit; build it by PupilPSF.from_zernike"
-        )
-    if waves.rest is not None:
-        share = torch.as_tensor(given.share).to(waves.rest)
-        mean = (share * waves.rest).sum() / share.sum()
-        rest = float(((share * (waves.rest - mean) ** 2).sum() / share.sum()).sqrt())
-        if rest > _MOST_REST:
-            raise SceneError(
-                f"pupil_psf has a known wave of {rest:.3g} waves rms besides its modes, limit "
-                f"{_MOST_REST:g}, because the evidence fit uses modes alone; give more modes, or "
-                'use recipe "staged"'
-            )
-    pitch = given.pitch
-    if pitch > given.nyquist_pitch:
-        if pitch > given.nyquist_pitch * _NYQUIST_SLACK:
-            raise SamplingError(
-                f"pitch = {pitch:.6g} m is wider than Nyquist's {given.nyquist_pitch:.6g} m; "
-                "use pixels of lambda |d|/(4 radius) or less for the evidence fit"
-            )
-        pitch = given.nyquist_pitch
-    optics = PupilOptics(
-        wavelength=given.wavelength,
-        pupil_radius=given.pupil_radius,
-        image_distance=given.image_distance,
-        pitch=pitch,
-        shape=grid,
-        pixel_integrated=given.pixel_integrated,
-        dtype=torch.float64,
-    )
-    side = math.copysign(2.0 * math.pi, given.image_distance)
-    basis = np.stack([noll_mode(mode, optics).ravel() for mode in waves.modes])
-    return optics, side * basis
+    def _sample_pupil(self, pupil_psf: PupilPSF, defocus: Floats) -> None:
+        """Sample pupil, modes and known waves for the FFT grid; ``defocus`` (K,) is in m rms."""
+        given = pupil_psf.optics
+        pitch = given.pitch
+        if given.nyquist_pitch < pitch <= given.nyquist_pitch * _NYQUIST_SLACK:
+            pitch = given.nyquist_pitch
+        optics = given.resized(self.grid, pitch)
+        side = math.copysign(2.0 * math.pi, given.image_distance)
+        basis = np.stack([noll_mode(mode, optics).ravel() for mode in self.modes])
+        known = np.outer(defocus / optics.wavelength, noll_mode(DEFOCUS, optics))
+        waves = pupil_psf.waves
+        rest = waves.rest_on(optics) if isinstance(waves, ZernikeWaves) else None
+        if rest is not None:
+            known = known + rest.ravel()
+        self._cells, self._fine = optics.share.shape, optics.fine_grid
+        self._amplitude = torch.from_numpy(self._array(optics.cell_weights().ravel()))
+        self._basis = torch.from_numpy(self._array(side * basis))
+        # whole waves are subtracted before the conversion to single precision, to keep digits
+        self._known_phase = torch.from_numpy(self._array(side * (known - np.round(known))))
+        pixel = optics.pixel_transfer()
+        self._wide: Tensor | None = None
+        half = (self.grid[0], self.grid[1] // 2 + 1)
+        if self._fine != self.grid:
+            self._wide, pixel = torch.from_numpy(self._array(pixel)), np.ones(half)
+        self._pixel = self._array(pixel * self._levels[:, None, None])
 
-
-def _array(optics: PupilOptics, name: str) -> Floats:
-    values: Floats = getattr(optics, name).numpy()
-    return values
+    def _array(self, values: Any) -> Floats:
+        return np.ascontiguousarray(values, dtype=self._dtype)

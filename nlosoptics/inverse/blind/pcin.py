@@ -1,4 +1,4 @@
-"""Blind reconstruction of object and wall: common entry point of three solvers."""
+"""Blind reconstruction of object and wall: common entry point of two solvers."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from ..data.reconstruction import Reconstruction
 from ..published.wu2024 import wu2024_fit
 from ..wave.pupil_psf import PupilPSF
 from .evidence import evidence_fit
-from .staged import staged_fit
 
 #: Solver of each recipe.
 RECIPES: dict[str, Callable[..., Reconstruction]] = {
-    "staged": staged_fit,
     "evidence": evidence_fit,
     "wu2024": wu2024_fit,
 }
@@ -26,7 +24,7 @@ def pcin(
     pupil_psf: PupilPSF,
     *,
     defocus: Any = None,
-    recipe: str = "staged",
+    recipe: str = "evidence",
     noise_sigma: Any = None,
     max_iterations: int | None = None,
     seed: int = 0,
@@ -43,12 +41,10 @@ def pcin(
         defocus of half a wave to one wave rms, give a reliable answer. One image is in general not
         sufficient.
     pupil_psf : PupilPSF
-        Point spread with the unknown wave coefficients; their values are the start of the fit.
+        Point spread with the unknown wave coefficients; their values are a start of the fit.
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms (Noll 4).
-    recipe : {"staged", "evidence", "wu2024"}
-        - ``staged``: fits first the object, then object and wave from several starts, which are
-          compared by their free energy; see `staged_fit`.
+    recipe : {"evidence", "wu2024"}
         - ``evidence``: searches from random starts by the free energy; see `evidence_fit`.
         - ``wu2024``: alternates between a U-net and the angles, as published; see `wu2024_fit`.
     noise_sigma : float or array_like, optional
@@ -80,7 +76,7 @@ def pcin(
 
     See Also
     --------
-    staged_fit, evidence_fit, wu2024_fit : The three solvers with all their options.
+    evidence_fit, wu2024_fit : The two solvers with all their options.
     """
     solver = RECIPES[one_of("recipe", recipe, RECIPES)]
     if max_iterations is not None:

@@ -129,7 +129,7 @@ def wu2024_fit(
     See Also
     --------
     pcin : Entry point of the blind solvers.
-    staged_fit : Blind fit of one or more images in stages.
+    evidence_fit : Blind fit of one or more images by their evidence.
     PupilPSF : Differentiable PSF of a wave.
 
     Notes
@@ -380,7 +380,7 @@ def _only(images: Any, pupil_psf: PupilPSF) -> Any:
     if shape[0] != 1:
         raise SamplingError(
             f'images has {shape[0]} frames, recipe "wu2024" takes one; give one of them, or all of '
-            'them to recipe "staged"'
+            'them to recipe "evidence"'
         )
     return images[0]
 

@@ -114,6 +114,7 @@ class PupilOptics(nn.Module):
         self.shape = shape_of(shape)
         self.method = one_of("method", method, ("fft", "mdft"))
         self.pixel_integrated = bool(pixel_integrated)
+        self.transmission = transmission
         #: lambda |d|, m^2: pupil pitch times image period
         self._spread = self.wavelength * abs(self.image_distance)
         self.nyquist_pitch = self._spread / (4 * self.pupil_radius)
@@ -129,6 +130,44 @@ class PupilOptics(nn.Module):
             self.amplitude = np.zeros_like(self.share)
             self.amplitude[lit] = self.share[lit] * transmission(u[lit], v[lit])
         self._prepare(device, dtype)
+
+    def resized(self, shape: int | tuple[int, int], pitch: float) -> PupilOptics:
+        """Return these optics in double precision for another image, by the method "fft".
+
+        Parameters
+        ----------
+        shape : int or (int, int)
+            Rows and columns of the image.
+        pitch : float
+            Pitch of its samples, m.
+        """
+        return PupilOptics(
+            wavelength=self.wavelength,
+            pupil_radius=self.pupil_radius,
+            image_distance=self.image_distance,
+            pitch=pitch,
+            shape=shape,
+            pixel_integrated=self.pixel_integrated,
+            transmission=self.transmission,
+            dtype=torch.float64,
+        )
+
+    @property
+    def fine_grid(self) -> tuple[int, int]:
+        """Rows and columns of the fine samples of the method "fft"; `shape` if pixels are small."""
+        return self._grid
+
+    def cell_weights(self) -> Array:
+        """Return the pupil function's modulus on the cells, (n_v, n_u); the image sums to 1."""
+        weights: Array = self._amplitude.double().cpu().numpy()
+        return weights
+
+    def pixel_transfer(self) -> Array:
+        """Return the transfer function of a pixel for the half spectrum of the fine samples."""
+        if not self.pixel_integrated:
+            return np.ones((self._grid[0], self._grid[1] // 2 + 1))
+        values: Array = self._pixel.double().cpu().numpy()
+        return values
 
     @property
     def dtype(self) -> torch.dtype:

@@ -339,14 +339,8 @@ class PupilPSF(nn.Module):
             transmission=partial(on_cells, series),
             **options,
         )
-        known, fit = fitted_modes(wave, modes, optics)
+        known, fit = fitted_modes(wave, modes)
         return cls(optics, ZernikeWaves(modes, optics, known), fit)
-
-    @property
-    def holds_more(self) -> bool:
-        """Whether there is a constant wave or transmission besides the coefficients."""
-        known = isinstance(self.waves, ZernikeWaves) and self.waves.rest is not None
-        return known or self.optics.amplitude is not self.optics.share
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ from ...psf.wave.zernikes import zernike
 from .pupil_optics import PupilOptics
 
 Array = NDArray[np.float64]
+#: Function that returns a fixed aberration on the cells of given optics, (n_v, n_u), m.
+Rest = Callable[[PupilOptics], Array]
 #: Noll's defocus.
 DEFOCUS = 4
 
@@ -34,8 +37,8 @@ class ZernikeWaves(nn.Module):
         Distinct Noll indices, without 1, since piston does not affect the image.
     optics : PupilOptics
         Transform with the pupil's cells.
-    rest : ndarray, (n_v, n_u), optional
-        Fixed aberration that is added, m.
+    rest : callable, optional
+        Function of the optics that returns a fixed aberration to add, (n_v, n_u), m.
 
     Attributes
     ----------
@@ -49,9 +52,7 @@ class ZernikeWaves(nn.Module):
     rest: Tensor | None
     _phase: Tensor | None
 
-    def __init__(
-        self, modes: Iterable[int], optics: PupilOptics, rest: Array | None = None
-    ) -> None:
+    def __init__(self, modes: Iterable[int], optics: PupilOptics, rest: Rest | None = None) -> None:
         super().__init__()
         self.modes = _checked_modes(modes)
         self.leaf_shape: tuple[int, ...] = (len(self.modes),)
@@ -66,11 +67,19 @@ class ZernikeWaves(nn.Module):
         fits_memory(held, 24.0 * size, "use fewer modes")
         basis = np.stack([noll_mode(mode, optics) for mode in self.modes])
         self.register_buffer("_basis", like(optics, basis))
-        turns = None if rest is None else np.where(optics.share > 0, rest, 0.0) / optics.wavelength
+        self._rest_of = rest
+        turns = self.rest_on(optics)
         # subtract whole waves before the conversion to single precision, to keep digits
         phase = None if turns is None else turns - np.round(turns)
         self.register_buffer("rest", None if turns is None else like(optics, turns))
         self.register_buffer("_phase", None if phase is None else like(optics, phase))
+
+    def rest_on(self, optics: PupilOptics) -> Array | None:
+        """Return the fixed aberration over the wavelength on the cells of given optics."""
+        if self._rest_of is None:
+            return None
+        turns: Array = np.where(optics.share > 0, self._rest_of(optics), 0.0) / optics.wavelength
+        return turns
 
     def forward(self, coefficients: Tensor) -> Tensor:
         """Return aberration over wavelength, (..., n_v, n_u), modulo whole waves.
@@ -162,19 +171,29 @@ class SlopeWaves(nn.Module):
         return float(np.sqrt(np.mean(squares)))
 
 
-def fitted_modes(
-    wave: Wavefront, modes: Sequence[int], optics: PupilOptics
-) -> tuple[Array, list[float]]:
-    """Fit modes to a polar wave; return the residual on the cells, m, and the fit, waves."""
+def fitted_modes(wave: Wavefront, modes: Sequence[int]) -> tuple[Rest, list[float]]:
+    """Fit modes to a polar wave; return its residual as a function of optics, and the fit, waves.
+
+    The function returns the residual on the cells of the optics, (n_v, n_u), m.
+    """
     found = _checked_modes(modes)
     fit = fit_zernike(wave, max(found))
+    known = {mode: fit[mode] for mode in found}
+    rest = partial(_residual, wave.series(wave.aberration), known)
+    return rest, [fit[mode] / wave.wavelength for mode in found]
+
+
+def _residual(
+    series: PolarSpectrum | CellSpectrum, fit: Mapping[int, float], optics: PupilOptics
+) -> Array:
+    """Return a wave minus its fitted modes on the cells of the optics, (n_v, n_u), m."""
     v, u = np.meshgrid(optics.v, optics.u, indexing="ij")
     rest = np.zeros_like(u)
     lit = optics.share > 0
-    rest[lit] = on_cells(wave.series(wave.aberration), u[lit], v[lit])
-    for mode in found:
-        rest -= fit[mode] * noll_mode(mode, optics)
-    return rest, [fit[mode] / wave.wavelength for mode in found]
+    rest[lit] = on_cells(series, u[lit], v[lit])
+    for mode, strength in fit.items():
+        rest -= strength * noll_mode(mode, optics)
+    return rest
 
 
 def on_cells(series: PolarSpectrum | CellSpectrum, u: Array, v: Array) -> Array:
