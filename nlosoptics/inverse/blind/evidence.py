@@ -161,9 +161,9 @@ def evidence_fit(
     prefer no blur to the truth for one frame.
 
     The answer must explain the images to be "converged": ``model_error`` is at most 0.004, plus
-    0.01 times the wall's rms in waves (counted up to one wave). If the residual exceeds the noise
-    significantly, modes up to radial orders 5, 7 and 8 are added to fits of several images, as long
-    as they lower the free energy by more than their number of parameters explains.
+    0.003 times the wall's rms in waves (0.01 times with one image), counted up to one wave. If the
+    residual exceeds the noise significantly, modes up to radial orders 5, 7 and 8 are added to fits
+    of several images, as long as they lower the free energy by more than their number explains.
 
     One image must also exclude a wave without blur. Without ``start_error``, ``margin`` must be
     below -70, or ``sharp_margin`` below -0.092 per pixel (-0.14 at 0.3 % noise), because fits
@@ -250,11 +250,12 @@ def evidence_fit(
     best, energy = search.best(), search.energy()
     margin, sharp_margin = search.margins
     passed = not ended and search.converged
-    status = "unconverged" if ended else verdict.status(best, margin, passed)
+    status: Status = "unconverged" if ended else verdict.status(best, margin, passed)
+    error = verdict.model_error(best)
     if not ended:
         goes_on(progress, "evidence: done", 1.0, snapshot)
         if single:
-            best = _refined(frames, pupil_psf, energy, best, object_model, seed)
+            best = _refined(frames, energy, best, object_model, seed)
     return _assembled(
         frames,
         energy,
@@ -266,7 +267,7 @@ def evidence_fit(
         given=len(pupil_psf.modes),
         margin=margin,
         sharp_margin=sharp_margin,
-        model_error=verdict.model_error(best),
+        model_error=error,
     )
 
 
@@ -305,12 +306,7 @@ def _search_state(start: Any) -> Mapping[str, Any] | None:
 
 
 def _refined(
-    frames: Frames,
-    pupil_psf: PupilPSF,
-    energy: FreeEnergy,
-    best: Starts,
-    object_model: str,
-    seed: int,
+    frames: Frames, energy: FreeEnergy, best: Starts, object_model: str, seed: int
 ) -> Starts:
     """Return the answer for one image with an object refined by a solver for known walls."""
     data: Measurement = frames.measured[0]

@@ -13,6 +13,7 @@ from numpy.random import Generator
 from ..._random import generator
 from ...errors import SamplingError, SceneError
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
+from .random_walls import Breeding, children, random_walls
 from .verdict import Verdict
 
 #: Callback with a text and the completed fraction; returns whether the search is to end.
@@ -59,88 +60,6 @@ _NEIGHBOURS = (4, 6)
 _LEAST_LENGTH = 0.7
 #: Largest Noll indices, those of complete orders, up to which modes are added.
 _TOPS = (21, 36, 45)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Breeding:
-    """Random changes of coefficients from one generation to the next.
-
-    Parameters
-    ----------
-    flips : float
-        Probability that a coefficient changes its sign.
-    noise : float
-        Norm of a random change relative to the norm of the parent's coefficients.
-    """
-
-    flips: float
-    noise: float
-
-
-def random_walls(count: int, modes: int, lengths: Floats, random: Generator) -> Floats:
-    """Return coefficients (count, modes) with random directions and given norms.
-
-    The norms ``lengths``, waves rms, are used in turn.
-    """
-    walls = random.normal(size=(count, modes))
-    walls *= np.resize(lengths, count)[:, None] / np.linalg.norm(walls, axis=1, keepdims=True)
-    return walls
-
-
-def children(
-    parents: Starts, count: int, twin: Floats, breeding: Breeding, random: Generator
-) -> Floats:
-    """Return coefficients (count, M) that vary those of the best parents.
-
-    Parameters
-    ----------
-    parents : Starts
-        Parents by increasing energy; a better one is chosen with higher probability.
-    count : int
-        Number of children.
-    twin : ndarray, (M,)
-        Signs that convert a wall to the one with the same point spread, W(x) -> -W(-x).
-    breeding : Breeding
-        Size of the changes.
-    random : Generator
-        Source of random numbers.
-
-    Notes
-    -----
-    A third of the children takes each coefficient from one of two parents, of which the second is
-    replaced by its twin if that is closer. A third changes signs. Most others move in a random
-    direction. A few change all signs, which mirrors the point spread.
-    """
-    walls = parents.coefficients.astype(np.float64)
-    chances = np.linspace(1.0, 0.2, len(walls))
-    chances /= chances.sum()
-    found = []
-    for kind in random.random(count):
-        wall = walls[random.choice(len(walls), p=chances)].copy()
-        length = float(np.linalg.norm(wall))
-        if kind < 0.35:
-            other = walls[random.choice(len(walls), p=chances)]
-            if np.linalg.norm(wall - twin * other) < np.linalg.norm(wall - other):
-                other = twin * other
-            wall = np.where(random.random(wall.size) < 0.5, wall, other)
-            wall += 0.15 * length * _direction(wall.size, random)
-        elif kind < 0.65:
-            flipped = random.random(wall.size) < breeding.flips
-            flipped[random.integers(wall.size)] = True
-            wall = np.where(flipped, -wall, wall)
-        elif kind < 0.95:
-            size = breeding.noise * length * random.uniform(0.5, 1.5)
-            wall += size * _direction(wall.size, random)
-        else:
-            wall = -wall
-        found.append(wall)
-    return np.array(found)
-
-
-def _direction(size: int, random: Generator) -> Floats:
-    vector = random.normal(size=size)
-    unit: Floats = vector / np.linalg.norm(vector)
-    return unit
 
 
 @dataclass(frozen=True, kw_only=True)

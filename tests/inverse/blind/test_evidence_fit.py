@@ -10,8 +10,8 @@ import torch
 
 from nlosoptics.errors import SamplingError, SceneError
 from nlosoptics.inverse import PupilPSF, evidence_fit, pcin, registered_correlation
-from nlosoptics.inverse.blind.evidence_search import Breeding, children, random_walls
 from nlosoptics.inverse.blind.free_energy import FreeEnergy, Stage
+from nlosoptics.inverse.blind.random_walls import Breeding, children, random_walls
 from nlosoptics.inverse.wave.frames import frames_of
 from nlosoptics.inverse.wave.pupil_optics import PupilOptics
 from nlosoptics.inverse.wave.pupil_waves import ZernikeWaves, noll_mode
