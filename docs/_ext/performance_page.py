@@ -641,7 +641,7 @@ SECTIONS = (
         "surround; diversity3: nothing known, three defoci; walls4: nothing known, four walls; "
         "calibrate: the wall from a known object first; noise5: near10 at 5 % noise.",
         f"{RUN}/inverse/known_start.py --json benchmarks/results/known_start.jsonl --sizes 64 "
-        "--walls 2 --groups near10 near25 support diversity3 walls4 calibrate noise5",
+        "--walls 1 --groups near10 near25 support diversity3 walls4 calibrate noise5",
         known_start,
     ),
     Section(
