@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from ..data.reconstruction import Status
+from ..data.status import Status
 from ..wave.frames import Frames
 from .free_energy import Starts
 
