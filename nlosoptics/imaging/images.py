@@ -134,6 +134,97 @@ class SpeckleImage(Noun, Shown):
         return Figures("Speckle image", figures, alt)
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LightLevels:
+    """Expected electrons in each image pixel by source, before the blur and without noise.
+
+    Parameters
+    ----------
+    rays : ChiefRays
+        Chief rays of the pixel centres.
+    visible : ndarray, (ny, nx)
+        Fraction of each pixel's light cone that comes from the wall.
+    ideal : ndarray, (ny, nx)
+        Electrons of the object's unblurred image.
+    diffuse, spot : ndarray, (ny, nx)
+        Electrons of the wall's diffuse light and of the image of the laser spot.
+    glare : float
+        Electrons of the glare, uniform over the whole detector.
+    dark : float
+        Dark electrons of one image pixel.
+    freedom : float or None
+        Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle.
+    """
+
+    rays: ChiefRays
+    visible: Array
+    ideal: Array
+    diffuse: Array
+    spot: Array
+    glare: float
+    dark: float
+    freedom: float | None
+
+    @property
+    def stray(self) -> Array:
+        """Electrons in each pixel that do not belong to the object's image, without dark ones."""
+        return np.asarray(self.diffuse + self.spot + self.glare / self.ideal.size)
+
+
+def light_levels(
+    scene: Scene, *, exposure: float | None = None, shadows: Shadows | None = None
+) -> LightLevels:
+    """Compute the expected electrons of an image by source, without a point spread.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene to image.
+    exposure : float, optional
+        Exposure time, s; by default the camera's.
+    shadows : Shadows, optional
+        Result of `cast_shadows` for this scene; computed if omitted and there are occluders.
+
+    Returns
+    -------
+    LightLevels
+
+    Raises
+    ------
+    SceneError
+        If the laser beam misses the wall or is cut by an occluder, or an argument is out of range.
+    MemoryLimitError
+        If the image would not fit in memory.
+
+    See Also
+    --------
+    form_image : Image in electrons, with blur and noise.
+    """
+    camera = scene.camera
+    exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
+    spot, rays, visible, gain = _view(scene, exposure)
+    shadows = _shadows(scene, shadows)
+    ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
+    patches = object_patches(scene.hidden)
+    diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
+    direct = spot_power_through_lens(scene, spot) * exposure * electrons_per_joule(scene)
+    if shadows is not None:
+        ideal *= shadows.image
+        diffuse *= shadows.view * shadows.veil
+        direct *= shadows.spot
+    glare = camera.glare_fraction * direct
+    return LightLevels(
+        rays=rays,
+        visible=visible,
+        ideal=ideal,
+        diffuse=diffuse,
+        spot=(direct - glare) * spot_image(scene, spot) if direct > glare else 0.0 * gain,
+        glare=glare,
+        dark=camera.dark_current * exposure * camera.binning**2,
+        freedom=_speckle_freedom(scene),
+    )
+
+
 def form_image(
     scene: Scene,
     point_spread: PointSpread | PointSpreadField,
@@ -212,26 +303,12 @@ def form_image(
         _check_energy(point_spread)
     if object_image is not None:
         scene = _with_picture(scene, object_image)
-    spot, rays, visible, gain = _view(scene, exposure)
-    shadows = _shadows(scene, shadows)
-    ideal = gain * _mirrored_radiance(scene, spot, rays, visible > 0)
-    if shadows is not None:
-        ideal *= shadows.image
-    model, kept = _blur(scene, point_spread, rays, ideal)
+    levels = light_levels(scene, exposure=exposure, shadows=shadows)
+    ideal, stray, dark, freedom = levels.ideal, levels.stray, levels.dark, levels.freedom
+    model, kept = _blur(scene, point_spread, levels.rays, ideal)
     # the FFT leaves rounding errors of either sign in dark regions
     signal = np.maximum(model.forward(ideal), 0.0)
-    patches = object_patches(scene.hidden)
-    diffuse = gain * background_radiance(scene, spot, patches, rays, visible > 0)
-    direct = spot_power_through_lens(scene, spot) * exposure * electrons_per_joule(scene)
-    if shadows is not None:
-        diffuse *= shadows.view * shadows.veil
-        direct *= shadows.spot
-    glare = camera.glare_fraction * direct
-    image_of_spot = (direct - glare) * spot_image(scene, spot) if direct > glare else 0.0 * gain
-    stray = diffuse + image_of_spot + glare / ideal.size
     light = signal + stray
-    dark = camera.dark_current * exposure * camera.binning**2
-    freedom = _speckle_freedom(scene)
     electrons, saturated = read_out(camera, light, dark, freedom=freedom, seed=seed)
     total = float(ideal.sum())
     return SpeckleImage(
@@ -251,9 +328,9 @@ def form_image(
             "signal": float(signal.sum()),
             "beyond_window": total * (1.0 - kept),
             "beyond_detector": total * kept - float(signal.sum()),
-            "diffuse": float(diffuse.sum()),
-            "spot": float(image_of_spot.sum()),
-            "glare": glare,
+            "diffuse": float(levels.diffuse.sum()),
+            "spot": float(levels.spot.sum()),
+            "glare": levels.glare,
             "dark": dark * ideal.size,
         },
     )

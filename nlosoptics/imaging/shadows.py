@@ -172,7 +172,8 @@ def _path_shares(
     ``seen`` marks pixels that look at the wall.
     """
     met, free, viewed = (np.zeros(seen.shape) for _ in range(3))
-    for rays, lens in _sample_rays(scene):
+    centres, pitch = pixel_centres(scene.camera), scene.camera.image_pitch
+    for rays, lens in _sample_rays(scene, centres, pitch):
         use = seen & np.isfinite(rays.distance)
         on_wall = _on_wall(scene, rays, use, lens)
         open_view = ~occluded(mesh, lens, on_wall)
@@ -187,11 +188,43 @@ def _path_shares(
     return image, np.where(seen, viewed / SIDE**2, 1.0)
 
 
-def _sample_rays(scene: Scene) -> Iterator[tuple[ChiefRays, Array]]:
-    """Yield chief rays of points spread over each pixel, each set with its own lens point."""
-    x, y = pixel_centres(scene.camera)
+def wall_samples(
+    scene: Scene, centres: tuple[Array, Array], pitch: float, use: Mask
+) -> Iterator[tuple[Array, Array]]:
+    """Sample the paths between the lens and the parts of the wall that detector areas see.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with camera and wall.
+    centres : (ndarray, ndarray), (nx,) and (ny,)
+        Detector coordinates x and y of square areas, m.
+    pitch : float
+        Side of the areas, m.
+    use : ndarray of bool, (ny, nx)
+        Areas to sample, m of them.
+
+    Yields
+    ------
+    on_wall : ndarray, (m, 3)
+        Wall points, world, m; NaN where a path misses the wall.
+    lens : ndarray, (3,)
+        Point on the lens from which the light of these paths enters, world, m.
+    """
+    for rays, lens in _sample_rays(scene, centres, pitch):
+        yield _on_wall(scene, rays, use, lens), lens
+
+
+def _sample_rays(
+    scene: Scene, centres: tuple[Array, Array], pitch: float
+) -> Iterator[tuple[ChiefRays, Array]]:
+    """Yield chief rays of points spread over square areas of side ``pitch`` about ``centres``, m.
+
+    Each set of rays has its own lens point.
+    """
+    x, y = centres
     lens = np.array(scene.camera.position) + _lens_points(scene)
-    steps = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * scene.camera.image_pitch
+    steps = ((np.arange(SIDE) + 0.5) / SIDE - 0.5) * pitch
     for k in range(SIDE**2):
         # stride 7: neighbouring points of the pixel get distant points of the lens
         row, column = divmod(7 * k % SIDE**2, SIDE)
