@@ -64,7 +64,8 @@ def lines(stroke: float, frequency: Array, picture: Pair, matt_wall: Pair) -> li
     -------
     list of str
         A heading, then one line for 0 and for each octave of the strokes' frequency. The last line
-        is where the modulation vanishes, but not below the strokes' frequency.
+        is where the modulation vanishes, but not below the strokes' frequency. A note follows if
+        that frequency is above the last one.
     """
     rows = _rows(stroke, frequency, picture[0], matt_wall[0])
     columns = [np.interp(rows, frequency, values) for values in (*picture, *matt_wall)]
@@ -72,6 +73,8 @@ def lines(stroke: float, frequency: Array, picture: Pair, matt_wall: Pair) -> li
     for f, m, s, r, d in zip(rows, *columns, strict=True):
         line = f"{f:8.3g}  {_cell(m):>10}  {_cell(s):>12}  {_cell(r):>9}  {_cell(d):>12}"
         told.append(f"{line}  needed by the strokes" if f == needed(stroke) > 0.0 else line)
+    if needed(stroke) > frequency[-1]:
+        told.append(f"the strokes need {needed(stroke):.3g} cycles/m, which pixels do not resolve")
     return told
 
 

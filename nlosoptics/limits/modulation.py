@@ -9,23 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..imaging import ForwardModel, SpeckleImage
 from ..imaging.geometry import chief_rays, picture_coordinates
-from ..psf import PointSpread
 from ..scene import PlanarObject, Scene
 from .relay import CELLS, CONTRAST
 
 Array = NDArray[np.float64]
 
 RINGS = 64  # rings over which the object's power spectrum is averaged
-#: Fraction of the noise variance with which a Wiener filter reaches the correlation of a
-#: total-variation fit at full noise. Fitted on scenes other than those that
-#: `benchmarks/inverse/feasibility.py` reports.
-NOISE_SHARE = 0.05
-#: `inverse.tv_deconvolve` reports too few photons if the mean squared residual of the background
-#: alone is within ERRORS standard errors of the noise. FREEDOM is the variance of that mean, in
-#: units of the noise variance squared, times the number of samples.
-ERRORS, FREEDOM = 3.0, 18.0
+#: Fraction of the noise variance with which a Wiener filter reaches the correlation of
+#: `inverse.tv_deconvolve` at full noise, in strong light; the factor in its growth toward weak
+#: light, in which that fit smooths more; and the correlation that noise alone reaches at the best
+#: shift. Fitted to the scenes of `benchmarks/inverse/feasibility.py --tune`.
+NOISE_SHARE, WEAK_LIGHT, CHANCE = 0.128, 0.0168, 0.16
+#: Scatter of these fits about the prediction c, over sqrt(1 - c^2), in strong light; its addition
+#: in weak light; the variance of the image over that of the noise at which half is added; and the
+#: least scatter.
+SPREAD, WEAK_SPREAD, WEAK_EXCESS, LEAST_SPREAD = 0.13, 0.1, 0.12, 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +74,7 @@ class Picture:
     power : ndarray, (rows, columns)
         Power spectrum of the unblurred image without its mean, electrons^2, averaged over rings.
     transfer : ndarray, (rows, columns)
-        Modulus of the point spread's transfer function.
+        Modulus of the transfer function.
     frequency : ndarray, (rows, columns)
         Spatial frequency on the object, cycles/m.
     twice : ndarray, (columns,)
@@ -96,6 +95,7 @@ class Picture:
     samples: int
     noise: Noise
 
+    @property
     def excess(self) -> float:
         """Variance of the blurred image divided by that of the noise, averages over the image."""
         blurred = self.transfer**2 * self.power * self.twice
@@ -106,14 +106,11 @@ class Picture:
     def score(self) -> float:
         """Return the predicted correlation between a fit and the true object.
 
-        The prediction is the correlation of a Wiener filter whose noise variance N is
-        `NOISE_SHARE` times the true one: sqrt(sum P w/sum P) over all frequencies, with the
-        object's power P, w = S/(S + N) and the signal power S. It is 0 where a fit that estimates
-        the noise cannot distinguish the image from a uniform one: the image then raises the mean
-        squared residual by less than `ERRORS` standard errors.
+        It is ``sqrt(c^2 + CHANCE^2 (1 - c^2))``, with the correlation c of a Wiener filter:
+        ``c^2 = sum P w/sum P`` over all frequencies, with the object's power P,
+        ``w = S/(S + N)``, signal power S, and a noise power N that is
+        ``NOISE_SHARE (1 + WEAK_LIGHT/excess)`` times the true one.
         """
-        if self.excess() < ERRORS * math.sqrt(FREEDOM / self.samples):
-            return 0.0
         power = self.power * self.twice
         total = float(power.sum())
         if total <= 0.0:
@@ -121,8 +118,15 @@ class Picture:
         signal = self.transfer**2 * self.power
         # by Parseval, white noise has this power at each frequency of an unnormalised FFT
         noise = NOISE_SHARE * self.noise.variance * self.samples
-        passed = power * signal / (signal + noise)
-        return math.sqrt(float(passed.sum()) / total)
+        noise *= 1.0 + WEAK_LIGHT / max(self.excess, 1e-30)
+        passed = power * signal / np.maximum(signal + noise, 1e-300)
+        squared = float(passed.sum()) / total
+        return math.sqrt(squared + CHANCE**2 * (1.0 - squared))
+
+    def spread(self) -> float:
+        """Return the expected rms difference between a fit's correlation and `score`."""
+        strong = SPREAD * math.sqrt(max(1.0 - self.score() ** 2, 0.0))
+        return max(strong + WEAK_SPREAD / (1.0 + self.excess / WEAK_EXCESS), LEAST_SPREAD)
 
     def with_noise(self, noise: Noise) -> Picture:
         """Return a copy with another noise."""
@@ -192,34 +196,39 @@ def object_scale(scene: Scene) -> float:
     return scale if math.isfinite(scale) and scale > 0.0 else flat
 
 
-def spectra(image: SpeckleImage, spread: PointSpread, scale: float, noise: Noise) -> Picture:
+def spectra(ideal: Array, transfer: Array, pitch: float, noise: Noise) -> Picture:
     """Return power spectrum and transfer function of an expected image.
 
     Parameters
     ----------
-    image : SpeckleImage
-        Expected image; its unblurred part ``ideal`` is used.
-    spread : PointSpread
-        Point spread, at the image's pitch.
-    scale : float
-        Metres on the object per metre on the detector.
+    ideal : ndarray, (ny, nx)
+        Unblurred image, electrons.
+    transfer : ndarray, (rows, columns//2 + 1)
+        Modulus of the transfer function on the half spectrum of the grid from `padded`.
+    pitch : float
+        Pixel side on the object, m.
     noise : Noise
         Noise of an image pixel.
     """
-    model = ForwardModel(spread, shape=image.ideal.shape)
-    rows, columns = model.grid
-    frequency = _frequencies(model.grid, image.pitch * scale)
+    rows, columns = padded(ideal.shape)
+    frequency = _frequencies((rows, columns), pitch)
     # a correlation ignores the mean, which would leak if the grid is wider than the frame
-    varied = image.ideal - image.ideal.mean()
+    varied = ideal - ideal.mean()
     return Picture(
-        power=_ring_average(np.abs(fft.rfft2(varied, s=model.grid)) ** 2, frequency),
-        transfer=np.abs(model.transfer),
+        power=_ring_average(np.abs(fft.rfft2(varied, s=(rows, columns))) ** 2, frequency),
+        transfer=transfer,
         frequency=frequency,
         twice=_twice(columns),
         grid=(rows, columns),
-        samples=image.ideal.size,
+        samples=ideal.size,
         noise=noise,
     )
+
+
+def padded(shape: tuple[int, ...]) -> tuple[int, int]:
+    """Return a grid of at least twice the rows and columns, on which light does not wrap around."""
+    rows, columns = (int(fft.next_fast_len(2 * n, real=True)) for n in shape)
+    return rows, columns
 
 
 def stroke_width(picture: Array, pixel: float) -> float:
@@ -278,21 +287,6 @@ def picture_modes(
     )
     passed = np.interp(radial, frequency, modulation, right=0.0) * cell
     return int(np.count_nonzero(CONTRAST * snr / math.sqrt(math.prod(counts)) * passed > 1.0))
-
-
-def transfer_on(spread: PointSpread, grid: tuple[int, int]) -> Array:
-    """Return the modulus of a point spread's transfer function on the half spectrum of a grid.
-
-    The point spread is cropped to the grid.
-    """
-    side = [min(n, m - 1 + m % 2) for n, m in zip(spread.shape, grid, strict=True)]
-    cut = spread.intensity[
-        tuple(
-            slice(n // 2 - k // 2, n // 2 - k // 2 + k)
-            for n, k in zip(spread.shape, side, strict=True)
-        )
-    ]
-    return np.asarray(np.abs(fft.rfft2(cut, s=grid)))
 
 
 def _frequencies(grid: tuple[int, int], step: float) -> Array:

@@ -21,12 +21,16 @@ from ..imaging.radiometry import (
     laser_spot,
     object_radiance,
 )
+from ..imaging.shadows import wall_samples
+from ..raytrace import occluded
 from ..scene import Material, PlanarObject, Scene, SumMaterial
 
 Array = NDArray[np.float64]
 
 CELLS = 24  # cells of the object along its longer side
-BINS = 48  # bins of the detector along its longer side
+FIRST_BINS, MOST_BINS = 6, 96  # fewest and most bins of the detector along its longer side
+CONVERGED = 0.03  # relative change of the degrees of freedom at which bins are fine enough
+PARTS = 4  # samples of visibility along each side of a cell
 CONTRAST = 0.3  # assumed rms variation of a cell's reflectance about the mean
 MEAN_ALBEDO = 0.35  # assumed mean reflectance of the object, for the photon noise
 PAIRS = 200_000  # pairs of wall point and cell held in memory at a time
@@ -169,7 +173,7 @@ def relay_modes(
     light: Array | None = None,
     freedom: float | None = None,
     cells: int = CELLS,
-    bins: int = BINS,
+    bins: int | None = None,
 ) -> int:
     """Count the object's modes that the wall's wide lobes pass above the noise.
 
@@ -184,14 +188,15 @@ def relay_modes(
         the light that these lobes pass from an object of reflectance `MEAN_ALBEDO`.
     freedom : float, optional
         Degrees of freedom of an image pixel's speckle, 1/contrast^2; None for no speckle.
-    cells, bins : int
-        Cells of the object and bins of the detector along the longer side of each.
+    cells : int
+        Cells of the object along its longer side.
+    bins : int, optional
+        Bins of the detector along its longer side; by default as many as `relay_signal` needs.
 
     Returns
     -------
     int
-        Number of singular values above 1 of the matrix `CONTRAST` times response over noise, rows
-        being bins and columns cells. The cells vary independently by `CONTRAST`.
+        Number of singular values of `relay_signal` above 1.
 
     Raises
     ------
@@ -199,28 +204,123 @@ def relay_modes(
         If ``light`` does not have the camera's shape.
     SceneError
         If a value is out of range or not finite.
+    """
+    signal = relay_signal(
+        scene, exposure=exposure, light=light, freedom=freedom, cells=cells, bins=bins
+    )
+    return 0 if signal is None else count_modes(signal)
+
+
+def relay_signal(
+    scene: Scene,
+    *,
+    exposure: float | None = None,
+    light: Array | None = None,
+    freedom: float | None = None,
+    cells: int = CELLS,
+    bins: int | None = None,
+) -> Array | None:
+    """Return the signal-to-noise ratio of every object cell in the light of the wall's wide lobes.
+
+    Parameters
+    ----------
+    scene, exposure, light, freedom, cells
+        See `relay_modes`.
+    bins : int, optional
+        Bins of the detector along its longer side. By default their number is doubled until the
+        degrees of freedom, the sum of v^2/(1 + v^2) over the singular values v, change by less than
+        `CONVERGED`, or bins are as small as pixels, or there are `MOST_BINS`.
+
+    Returns
+    -------
+    ndarray, (n_bins, n_cells), or None
+        Matrix A, `CONTRAST` times response over rms noise; None without a wide lobe. The Fisher
+        information on the cells' reflectances is ``A^T A/CONTRAST^2``.
 
     Notes
     -----
-    Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or more.
-    Narrower lobes form an image; `picture_modes` counts its modes.
+    The singular values are the signal-to-noise ratios of independent patterns of contrast
+    `CONTRAST`. Wide lobes are the diffuse ones, and mirror-like ones that blur over two cells or
+    more. Narrower lobes form an image; `picture_modes` counts its modes.
     """
     material = wide_lobes(scene, cells=cells)
     if material is None:
-        return 0
-    exposure = positive("exposure", scene.camera.exposure if exposure is None else exposure)
-    response, pixels = relay_response(scene, material, exposure=exposure, cells=cells, bins=bins)
+        return None
     camera = scene.camera
+    exposure = positive("exposure", camera.exposure if exposure is None else exposure)
     freedom = None if freedom is None else positive("freedom", freedom)
-    if light is None:
-        arriving = MEAN_ALBEDO * response.sum(axis=1)
-    else:
-        arriving = _binned(
-            _checked_light(light, camera.shape), _bin_counts(camera.shape, bins)
-        ).ravel()
+    light = None if light is None else _checked_light(light, camera.shape)
     dark = camera.dark_current * exposure * camera.binning**2
-    variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
-    return count_modes(response, variance)
+
+    def signal(count: int) -> Array:
+        response, pixels = relay_response(
+            scene, material, exposure=exposure, cells=cells, bins=count
+        )
+        if light is None:
+            arriving = MEAN_ALBEDO * response.sum(axis=1)
+        else:
+            arriving = _binned(light, _bin_counts(camera.shape, count)).ravel()
+        variance = pixels * noise_variance(camera, arriving / pixels, dark, freedom)
+        response *= (CONTRAST / np.sqrt(variance))[:, None]
+        return response
+
+    if bins is not None:
+        return signal(bins)
+    count, found = FIRST_BINS, signal(FIRST_BINS)
+    while count < min(max(camera.shape), MOST_BINS):
+        before, count = _freedom_of(found), 2 * count
+        found = signal(count)
+        if abs(_freedom_of(found) - before) <= CONVERGED * before:
+            break
+    return found
+
+
+def relay_score(scene: Scene, signal: Array | None) -> float:
+    """Return the predicted correlation of a linear fit to the diffuse light with the object.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with the hidden object, whose picture is averaged over the cells.
+    signal : ndarray, (n_bins, n_cells), or None
+        Result of `relay_signal` for `CELLS` cells.
+
+    Returns
+    -------
+    float
+        Correlation over the cells, 0 to 1; 0 without light or for a uniform object.
+
+    Notes
+    -----
+    The fit knows the response of every cell and weighs the pattern of singular value v by
+    ``w = v^2/(1 + v^2)``, as a Wiener filter does for independent cells of contrast `CONTRAST`.
+    With the object's share o of a pattern, and noise of variance ``(CONTRAST/v)^2``, the
+    correlation is ``sum w o^2/sqrt(sum o^2 sum w^2 (o^2 + (CONTRAST/v)^2))``. A mesh has no
+    picture, and its cells are taken as independent.
+    """
+    if signal is None:
+        return 0.0
+    values, left = (
+        np.linalg.eigh(signal @ signal.T)
+        if len(signal) < signal.shape[1]
+        else (np.linalg.eigh(signal.T @ signal))
+    )
+    kept = values > 1e-12 * max(float(values[-1]), 1e-300)
+    values, left = values[kept], left[:, kept]
+    weights = values / (1.0 + values)
+    varied = _cell_picture(scene)
+    if varied is None:
+        shares, whole_power = np.full(len(values), CONTRAST**2), CONTRAST**2 * signal.shape[1]
+    else:
+        varied = varied - varied.mean()
+        whole_power = float((varied * varied).sum())
+        if len(signal) < signal.shape[1]:
+            shares = (left.T @ (signal @ varied)) ** 2 / values
+        else:
+            shares = (left.T @ varied) ** 2
+    noise = CONTRAST**2 * float((weights / (1.0 + values)).sum())  # sum of w^2 (CONTRAST/v)^2
+    total = whole_power * (float((weights**2 * shares).sum()) + noise)
+    return float((weights * shares).sum()) / math.sqrt(total) if total > 0.0 else 0.0
 
 
 def _frequencies(values: ArrayLike) -> Array:
@@ -250,25 +350,21 @@ def _checked_light(light: ArrayLike, shape: tuple[int, int]) -> Array:
     return found
 
 
-def count_modes(response: Array, variance: Array) -> int:
-    """Count the singular values above 1 of ``CONTRAST * response/sqrt(variance)``.
+def count_modes(signal: Array) -> int:
+    """Count the singular values above 1 of a matrix (n_bins, n_cells), see `relay_signal`."""
+    return int(np.count_nonzero(_squares(signal) > 1.0))
 
-    Parameters
-    ----------
-    response : ndarray, (n_bins, n_cells)
-        Electrons in each bin from a white cell.
-    variance : ndarray, (n_bins,)
-        Noise variance of each bin, electrons^2.
 
-    Returns
-    -------
-    int
-        Number of modes above the noise.
-    """
-    whitened = response * (CONTRAST / np.sqrt(variance))[:, None]
-    # the Gram matrix keeps singular values down to 1e-8 of the largest, far below 1
-    values = np.linalg.eigvalsh(whitened.T @ whitened)
-    return int(np.count_nonzero(values > 1.0))
+def _freedom_of(signal: Array) -> float:
+    """Return the degrees of freedom, the sum of v^2/(1 + v^2) over the singular values v."""
+    squares = np.maximum(_squares(signal), 0.0)
+    return float((squares / (1.0 + squares)).sum())
+
+
+def _squares(signal: Array) -> Array:
+    """Return the squared singular values of a matrix, accurate to 1e-16 of the largest."""
+    small = signal if len(signal) <= signal.shape[1] else signal.T
+    return np.asarray(np.linalg.eigvalsh(small @ small.T))
 
 
 def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
@@ -286,7 +382,7 @@ def wide_lobes(scene: Scene, *, cells: int = CELLS) -> Material | None:
 
 
 def relay_response(
-    scene: Scene, material: Material, *, exposure: float, cells: int = CELLS, bins: int = BINS
+    scene: Scene, material: Material, *, exposure: float, cells: int = CELLS, bins: int
 ) -> tuple[Array, float]:
     """Electrons in each detector bin from each white cell of the object.
 
@@ -327,7 +423,46 @@ def relay_response(
     points, normals, view = rays.points[seen], rays.normals[seen], -rays.directions[seen]
     for block, radiance in passed_radiance(scene, spot, material, patches, points, normals, view):
         response[rows[block]] = radiance * gain.ravel()[rows[block], None]
+    if scene.occluders:
+        step = camera.image_pitch * camera.shape[1] / counts[1]
+        response[rows] *= _visible_cells(scene, spot, (x, y), step, seen, cells)
     return response, pixels
+
+
+def _visible_cells(
+    scene: Scene,
+    spot: LaserSpot,
+    centres: tuple[Array, Array],
+    step: float,
+    seen: NDArray[np.bool_],
+    cells: int,
+) -> Array:
+    """Return the shares of each cell's light that pass the occluders, (n_seen, n_cells).
+
+    The shares are averages over 16 paths from the lens to each bin. ``centres`` are the detector
+    coordinates x and y of the bins of side ``step``, m; ``seen`` selects the bins. On the
+    object, samples of a cell count if the spot lights them and the wall point sees them.
+    """
+    from . import _shadow_kernels
+
+    mesh = scene.occluding_mesh
+    assert mesh is not None  # the caller has seen occluders
+    vertices = np.array(mesh.vertices, dtype=np.float64)
+    faces = np.array(mesh.faces, dtype=np.int64)
+    centre, (right, up, normal), (width, height) = plate(scene)
+    corner = centre - right * width / 2 - up * height / 2
+    frame = np.array([corner, right / width, up / height, normal])
+    n_x, n_y = _cell_counts((width, height), cells)
+    lit = np.ones((n_y * PARTS, n_x * PARTS), dtype=np.uint8)
+    _shadow_kernels.hide(spot.point, vertices, faces, frame, lit)
+    paths = list(wall_samples(scene, centres, step, seen))
+    points = np.stack([on_wall for on_wall, _ in paths], axis=1)
+    met = np.isfinite(points[..., 0])
+    points[~met] = spot.point
+    lens = np.array([at for _, at in paths])
+    free = met & ~occluded(mesh, np.broadcast_to(lens, points.shape), points)
+    shares = _shadow_kernels.seen_shares(points, free, vertices, faces, frame, lit, (n_y, n_x))
+    return np.asarray(shares * (met.shape[1] / np.maximum(met.sum(axis=1), 1))[:, None])
 
 
 def passed_radiance(
@@ -392,8 +527,7 @@ def plate(scene: Scene) -> tuple[Array, Array, tuple[float, float]]:
 
 def _cells(scene: Scene, cells: int) -> Patches:
     centre, (right, up, normal), (width, height) = plate(scene)
-    longer = max(width, height)
-    n_x, n_y = (max(1, round(cells * side / longer)) for side in (width, height))
+    n_x, n_y = _cell_counts((width, height), cells)
     across, upward = np.meshgrid(
         ((np.arange(n_x) + 0.5) / n_x - 0.5) * width, ((np.arange(n_y) + 0.5) / n_y - 0.5) * height
     )
@@ -404,6 +538,23 @@ def _cells(scene: Scene, cells: int) -> Patches:
         normals=np.broadcast_to(normal, points.shape),
         areas=np.full(len(points), area),
     )
+
+
+def _cell_counts(size: tuple[float, float], cells: int) -> tuple[int, int]:
+    """Return the numbers of nearly square cells along both sides of a plate of a given size, m."""
+    n_x, n_y = (max(1, round(cells * side / max(size))) for side in size)
+    return n_x, n_y
+
+
+def _cell_picture(scene: Scene) -> Array | None:
+    """Return the mean reflectance of each cell, in the order of `_cells`; None for a mesh."""
+    hidden = scene.hidden
+    if not isinstance(hidden, PlanarObject):
+        return None
+    n_x, n_y = _cell_counts(hidden.size, CELLS)
+    # row 0 of a picture is its top, and cells run upward
+    sums = _binned(hidden.reflectance[::-1], (n_y, n_x))
+    return np.asarray(sums.ravel() * (n_x * n_y / hidden.reflectance.size))
 
 
 def _bin_counts(shape: tuple[int, int], bins: int) -> tuple[int, int]:

@@ -10,39 +10,35 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from .._checks import positive
 from .._html import Figures, Shown
 from .._nouns import Noun
 from ..errors import SceneError
-from ..imaging import SpeckleImage, form_image
 from ..imaging.detector import noise_variance
-from ..imaging.geometry import chief_rays, picture_coordinates, pixel_centres
-from ..psf import (
-    PointSpread,
-    SceneOptics,
-    Wavefront,
-    mtf,
-    scene_point_spread,
-    wide_point_spread,
-)
+from ..imaging.geometry import picture_coordinates
+from ..imaging.images import light_levels
+from ..imaging.radiometry import laser_spot
+from ..imaging.stray import spot_image
+from ..psf import SceneOptics, rms_aberration
 from ..scene import PlanarObject, Scene
 from . import frequency_table
-from .modulation import (
-    Noise,
-    object_scale,
-    picture_modes,
-    spectra,
-    stroke_width,
-    transfer_on,
-)
-from .relay import lambert_relay_transfer, plate, relay_modes
+from .blind import BlindForecast, blind_forecast
+from .modulation import Noise, object_scale, padded, picture_modes, spectra, stroke_width
+from .relay import count_modes, lambert_relay_transfer, plate, relay_score, relay_signal
+from .transfer import scene_transfer
 from .verdicts import Case, verdict
 from .wave_bounds import DEFOCUS, wave_bounds
 
 Array = NDArray[np.float64]
 
-TOL = 1e-2  # error tolerance of the point spread, relative to its peak
+#: Most image pixels along the longer side. Finer ones are joined, which keeps the signal-to-noise
+#: ratio of every frequency that the joined pixels resolve.
+MOST_PIXELS = 64
+STROKE_PIXELS = 3  # fewest joined pixels along a stroke
+LIMITS = 400  # frequencies at which the resolution limit is searched
+LOWEST = 1e-4  # lowest of them, relative to the highest
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,12 +48,17 @@ class Feasibility(Noun, Shown):
     Parameters
     ----------
     recoverable : bool
-        Whether a fit with known point spread is expected to reach a correlation of at least 0.9
-        with the true object.
+        Whether a fit with known wall is expected to reach a correlation of at least 0.9 with the
+        true object, by the image or by the diffuse light.
     verdict : str
         "recoverable", or "not recoverable: ..." with the changes that would help.
     score : float
-        Predicted correlation of that fit.
+        Predicted correlation of a fit to the image with known point spread; 0 without an image.
+    score_spread : float
+        Expected rms difference between the correlation that such a fit reaches and ``score``.
+    relay_score : float
+        Predicted correlation of a linear fit to the diffuse light on 24 x 24 cells, if their
+        response is known. Occluders' shadows are part of that response.
     photons : float
         Photons of the object's image on the detector in one exposure.
     electrons : mapping of str to float
@@ -87,17 +88,23 @@ class Feasibility(Noun, Shown):
     relay_signal_to_noise : ndarray, (n,)
         Signal-to-noise ratio of that sinusoid in the diffuse light, using all pixels.
     limit : float
-        Highest frequency at which either ratio is at least 1, cycles/m; 0 if there is none.
+        Resolution: the frequency at which the larger of both ratios first falls below 1, cycles/m;
+        0 if it begins below 1.
     modes : int
         Independent patterns on 24 x 24 object cells, of contrast 0.3, that exceed the noise.
     diffuse_modes : int
-        Number of these modes that wide lobes alone would carry.
+        Number of these modes that wide lobes alone would carry, including the shadows of occluders.
     wave_bounds : mapping of int to float
         Cramer-Rao bounds for the wave's Zernike coefficients from one image of a known object:
         standard deviation in waves rms by Noll index; infinity without information. Empty if the
         wall forms no image.
     two_frame_bounds : mapping of int to float
         Cramer-Rao bounds from two images, the second with a known defocus of half a wave rms.
+    one_frame_fits, two_frame_fits : float
+        Share of tested blind fits, to one image or to two of known defocus, that found the object
+        behind walls of this strength; NaN where no such case was tested or no fit is needed.
+    blind : str
+        Forecast of blind fits, which know neither object nor wall, with its reason.
 
     See Also
     --------
@@ -108,6 +115,8 @@ class Feasibility(Noun, Shown):
     recoverable: bool
     verdict: str
     score: float
+    score_spread: float
+    relay_score: float
     photons: float
     electrons: Mapping[str, float]
     brightest: float
@@ -125,6 +134,9 @@ class Feasibility(Noun, Shown):
     diffuse_modes: int
     wave_bounds: Mapping[int, float]
     two_frame_bounds: Mapping[int, float]
+    one_frame_fits: float
+    two_frame_fits: float
+    blind: str
 
     def __post_init__(self) -> None:
         for name in ("electrons", "noise", "wave_bounds", "two_frame_bounds"):
@@ -143,7 +155,7 @@ class Feasibility(Noun, Shown):
         e, n = self.electrons, self.noise
         lines = [
             self.verdict,
-            f"predicted correlation   {self.score:.3f}",
+            f"predicted correlation   {self._scores()}",
             f"photons of the picture  {self.photons:.3g}, brightest pixel "
             f"{self.brightest:.3g} electrons",
             f"electrons               signal {e['signal']:.3g}, diffuse {e['diffuse']:.3g}, spot "
@@ -160,6 +172,7 @@ class Feasibility(Noun, Shown):
             if bounds:
                 told = ", ".join(f"Z{index} {value:.2g}" for index, value in bounds.items())
                 lines.append(f"{name:23s} {told} waves rms at least")
+        lines.append(f"wall unknown            {self.blind}")
         lines += frequency_table.lines(
             self.stroke,
             self.frequency,
@@ -167,6 +180,13 @@ class Feasibility(Noun, Shown):
             (self.relay_modulation, self.relay_signal_to_noise),
         )
         return "\n".join(lines)
+
+    def _scores(self) -> str:
+        """Predicted correlations with the image and with the diffuse light, as text."""
+        return (
+            f"{self.score:.3f} +- {self.score_spread:.2g} by the image, {self.relay_score:.3f} by "
+            "diffuse light"
+        )
 
     def _strokes(self) -> str:
         """Width of the strokes and the frequency that they need, as text."""
@@ -179,13 +199,14 @@ class Feasibility(Noun, Shown):
         e = self.electrons
         figures = {
             "verdict": self.verdict,
-            "predicted correlation": f"{self.score:.3f}",
+            "predicted correlation": self._scores(),
             "photons of the picture": f"{self.photons:.3g}",
             "brightest pixel": f"{self.brightest:.3g} electrons",
             "veil": f"{100 * self.veil:.2g} % of the light",
             "electrons": ", ".join(f"{name} {e[name]:.3g}" for name in e),
             "modes above noise": f"{self.modes}, by diffuse light alone {self.diffuse_modes}",
             "resolution": f"{self.limit:.3g} cycles/m; {self._strokes()}",
+            "wall unknown": self.blind,
         }
         alt = "Modulation against frequency on the object, with the noise limit"
         return Figures("Feasibility", figures, alt)
@@ -232,11 +253,17 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
 
     Notes
     -----
-    Signal and noise come from `imaging.form_image`, the modulation from the point spread at the
-    object's reference point. Modes are independent patterns of the object, counted if their signal
-    exceeds the noise. For wide lobes the modes are the singular vectors of the wall's response on a
-    grid of object cells. For mirror-like lobes they are sine patterns on the same grid. The larger
-    count is reported.
+    Signal and noise are those of `imaging.form_image`. Pixels are first joined to at most 64 along
+    the longer side, as far as strokes stay resolved. The modulation is the transfer function at the
+    object's reference point; that of lobes is a closed form. Modes are independent patterns of the
+    object, counted if their signal exceeds the noise. For wide lobes the modes are the singular
+    vectors of the wall's response on a grid of object cells, with the shadows of occluders. For
+    mirror-like lobes they are sine patterns on the same grid. The larger count is reported.
+
+    The predicted correlation is that of `inverse.tv_deconvolve` with its default settings. It is a
+    smooth function of signal and noise at every frequency, whose constants were fitted to such
+    fits; ``score_spread`` is the scatter of other fits about it. No test of the solver whether
+    there is an object at all is part of it. See `benchmarks/inverse/feasibility.py`.
 
     Examples
     --------
@@ -251,145 +278,196 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     if exposure is not None:
         camera = replace(scene.camera, exposure=positive("exposure", exposure, unit="s"))
         scene = replace(scene, camera=camera)
-    optics = SceneOptics(scene)
-    found = scene_point_spread(optics, tol=TOL)
-    image = form_image(scene, found.point_spread)
-    view = _View(optics, found.wavefront, found.point_spread, image)
-    modulation, strength = view.modulation(), view.strength()
-    relay, diffuse = view.relay_modulation(), view.diffuse_strength()
-    picture = view.picture
-    by_diffuse = view.diffuse_modes()
-    recoverable, words = verdict(
-        Case(
-            picture=picture,
-            sharp=view.sharp_transfer(),
-            mirror=view.mirror,
-            slope=view.slope,
-            reach=view.reach,
-            stroke=view.stroke,
-            full=view.full,
-            diffuse_modes=by_diffuse,
-        )
-    )
-    ledger = image.ledger
-    stray = ledger["diffuse"] + ledger["spot"] + ledger["glare"]
-    lit = stray + ledger["signal"]
+    view = _View(scene)
+    modulation, strength = view.modulation(view.frequency), view.strength()
+    relay, diffuse = view.relay_modulation(view.frequency), view.diffuse_strength()
+    signal = view.relay_signal()
+    by_diffuse = 0 if signal is None else count_modes(signal)
+    case = view.case(by_diffuse, relay_score(scene, signal))
+    recoverable, words = verdict(case)
+    electrons = view.electrons
+    stray = electrons["diffuse"] + electrons["spot"] + electrons["glare"]
+    lit = stray + electrons["signal"]
+    one, two = view.wave_bounds()
+    blind = view.blind(two)
     return Feasibility(
         recoverable=recoverable,
         verdict=words,
-        score=picture.score() if view.mirror > 0.0 else 0.0,
-        photons=ledger["signal"] / scene.camera.quantum_efficiency,
-        electrons={k: ledger[k] for k in ("signal", "diffuse", "spot", "glare", "dark")},
-        brightest=float(image.ideal.max()),
+        score=case.score,
+        score_spread=view.picture.spread() if case.score > 0.0 else 0.0,
+        relay_score=case.relay_score,
+        photons=electrons["signal"] / scene.camera.quantum_efficiency,
+        electrons=electrons,
+        brightest=float(view.levels.ideal.max()) / view.joined,
         veil=stray / lit if lit > 0.0 else 0.0,
         saturated=view.full,
-        noise=picture.noise.figures(),
+        noise={name: rms / math.sqrt(view.joined) for name, rms in view.noise.figures().items()},
         stroke=view.stroke,
         frequency=view.frequency,
         modulation=modulation,
         relay_modulation=relay,
         signal_to_noise=modulation * strength,
         relay_signal_to_noise=relay * diffuse,
-        limit=_limit(view.frequency, np.maximum(modulation * strength, relay * diffuse)),
+        limit=view.limit(),
         modes=max(view.picture_modes(modulation), by_diffuse),
         diffuse_modes=by_diffuse,
-        wave_bounds=view.wave_bounds((0.0,)),
-        two_frame_bounds=view.wave_bounds((0.0, DEFOCUS)),
+        wave_bounds=one,
+        two_frame_bounds=two,
+        one_frame_fits=blind.one_frame,
+        two_frame_fits=blind.two_frames,
+        blind=blind.text,
     )
 
 
 class _View:
-    """Intermediate results for the report on one scene, computed when needed."""
+    """Intermediate results for the report on one scene."""
 
-    def __init__(
-        self, optics: SceneOptics, wave: Wavefront, spread: PointSpread, image: SpeckleImage
-    ) -> None:
-        self._optics, self._wave, self._spread, self._image = optics, wave, spread, image
-        self._scene = scene = optics.scene
-        self._scale = object_scale(scene)
-        camera, dark = scene.camera, image.ledger["dark"] / image.ideal.size
-        # dark current is part of the background; its shot noise counts with the photons'
-        light = np.maximum(image.expected - dark, 0.0)  # rounding may leave negative values
-        self._light = light
-        self._freedom = image.speckle_contrast**-2 if image.speckle_contrast > 0.0 else None
-        still = np.zeros((1, 1))
-        self.picture = spectra(
-            image,
-            spread,
-            self._scale,
-            Noise(
-                photons=float(image.expected.mean()),
-                readout=float(noise_variance(camera, still, 0.0, None)[0, 0]),
-                speckle=0.0 if self._freedom is None else float((light**2).mean()) / self._freedom,
-            ),
-        )
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        # the smooth wall's geometry needs no open path, and nor does diffuse light
+        open_scene = scene if scene.mirror_lobes else replace(scene, occluders=())
+        self._optics = SceneOptics(open_scene)
         self.mirror = scene.wall_material.specular_reflectance
         self.slope = max(scene.mirror_slopes, default=0.0)
-        self.distance = float(scene.object_point[2])
-        self.reach = self._reach()
+        self.transfer = scene_transfer(self._optics) if self.mirror > 0.0 else None
+        self._scale = object_scale(scene)
         self.stroke = self._stroke()
-        well = camera.full_well * camera.binning**2
-        self.full = float((image.expected >= well).mean())
-        top = 0.5 / (image.pitch * self._scale)
+        self._coarse, self.joined = _coarser(scene, self.stroke, self._scale)
+        self.levels = levels = light_levels(self._coarse)
+        if not isinstance(scene.hidden, PlanarObject):
+            self.stroke = stroke_width(levels.ideal, self._pixel)
+        self._sums()
+        top = 0.5 / (scene.camera.image_pitch * self._scale)
         self.frequency = frequency_table.frequencies(self.stroke, top)
-        self._shown = self._object_pixels()
 
-    def _reach(self) -> float:
-        """Blur on the object per lobe slope, m/rad, rms over both axes."""
-        seen = self._optics.reference.view
-        turn = seen.cos_sum * float(np.linalg.norm(seen.footprint)) / math.sqrt(2.0)
-        return turn * abs(self._wave.image_distance) * self._scale
+    @property
+    def _pixel(self) -> float:
+        """Side of a joined pixel on the object, m."""
+        return self._coarse.camera.image_pitch * self._scale
 
     def _stroke(self) -> float:
         hidden = self._scene.hidden
-        if isinstance(hidden, PlanarObject):
-            return stroke_width(hidden.reflectance, hidden.size[0] / hidden.reflectance.shape[1])
-        return stroke_width(self._image.ideal, self._image.pitch * self._scale)
+        if not isinstance(hidden, PlanarObject):
+            return 0.0
+        return stroke_width(hidden.reflectance, hidden.size[0] / hidden.reflectance.shape[1])
+
+    def _sums(self) -> None:
+        """Compute light, noise and the spectra of the image."""
+        levels, camera = self.levels, self._coarse.camera
+        shape = levels.ideal.shape
+        grid = padded(shape)
+        u = np.fft.rfftfreq(grid[1], camera.image_pitch).astype(np.float64)
+        v = np.fft.fftfreq(grid[0], camera.image_pitch).astype(np.float64)
+        passed = np.zeros((len(v), len(u)))
+        sharp = passed
+        if self.transfer is not None:
+            passed, sharp = self.transfer(u, v), self.transfer.sharp(u, v)
+        spectrum = fft.rfft2(levels.ideal, s=grid) * passed
+        blurred = fft.irfft2(spectrum, s=grid)[: shape[0], : shape[1]]
+        self.blurred = signal = np.maximum(blurred, 0.0)
+        self._light = light = signal + levels.stray
+        dark = levels.dark
+        self._variance = noise_variance(camera, light, dark, levels.freedom)
+        bright = 0.0 if levels.freedom is None else float((light**2).mean()) / levels.freedom
+        self.noise = Noise(
+            photons=float(light.mean()) + dark,
+            readout=float(noise_variance(camera, np.zeros(1), 0.0, None)[0]),
+            speckle=bright,
+        )
+        self.picture = spectra(levels.ideal, passed, self._pixel, self.noise)
+        self._sharp = sharp
+        self.electrons = {
+            "signal": float(signal.sum()),
+            "diffuse": float(levels.diffuse.sum()),
+            "spot": float(levels.spot.sum()),
+            "glare": levels.glare,
+            "dark": dark * light.size,
+        }
+        self._shown = self._object_pixels()
+
+    @property
+    def full(self) -> float:
+        """Expected fraction of saturated pixels."""
+        camera, levels = self._scene.camera, self.levels
+        well = camera.full_well * camera.binning**2
+        light = self._light + levels.dark
+        if self.joined == 1 or self.electrons["spot"] == 0.0:
+            return float((light >= well * self.joined).mean())
+        # the spot's image is narrower than joined pixels
+        side = math.isqrt(self.joined)
+        rest = np.kron((light - levels.spot) / self.joined, np.ones((side, side)))
+        image = spot_image(self._scene, laser_spot(self._scene))
+        power = self.electrons["spot"] / max(float(image.sum()), 1e-300)
+        return float((rest + power * image >= well).mean())
 
     def _object_pixels(self) -> NDArray[np.bool_]:
         """Mask of the image pixels that show the object."""
         hidden = self._scene.hidden
         if not isinstance(hidden, PlanarObject):
-            return np.asarray(self._image.ideal > 0.0)
-        rays = chief_rays(self._scene, *pixel_centres(self._scene.camera))
-        column, row = picture_coordinates(hidden, rays)
+            return np.asarray(self.levels.ideal > 0.0)
+        column, row = picture_coordinates(hidden, self.levels.rays)
         rows, columns = hidden.reflectance.shape
         with np.errstate(invalid="ignore"):
             inside = (column >= 0) & (column <= columns) & (row >= 0) & (row <= rows)
         return np.asarray(inside)
 
-    def modulation(self) -> Array:
-        """Modulation of the image at `frequency`, rms of both axes; 0 without mirror-like lobes."""
-        if self.mirror == 0.0:
-            return np.zeros_like(self.frequency)
-        along, across = (
-            mtf(self._spread, self.frequency * self._scale, azimuth=a) for a in (0.0, math.pi / 2)
-        )
+    def modulation(self, frequency: Array) -> Array:
+        """Modulation of the image, rms of both axes; 0 without mirror-like lobes."""
+        if self.transfer is None:
+            return np.zeros_like(frequency)
+        f, zero = frequency * self._scale, np.zeros(1)
+        along, across = self.transfer(f, zero)[0], self.transfer(zero, f)[:, 0]
         return np.asarray(np.hypot(along, across) / math.sqrt(2.0))
 
-    def relay_modulation(self) -> Array:
-        """Modulation transfer of a matt wall at `frequency`."""
-        return lambert_relay_transfer(self.frequency, self.distance)
+    def relay_modulation(self, frequency: Array) -> Array:
+        """Modulation transfer of a matt wall."""
+        return lambert_relay_transfer(frequency, float(self._scene.object_point[2]))
 
     def strength(self) -> float:
         """Signal-to-noise ratio of a full-contrast sinusoid in the image if it were not blurred."""
-        return self._strength(self._image.ledger["ideal"], self._shown)
+        return self._strength(float(self.levels.ideal.sum()), self._shown)
 
     def diffuse_strength(self) -> float:
         """Signal-to-noise ratio of a full-contrast sinusoid in the diffuse light, all pixels."""
-        everywhere = np.ones_like(self._shown)
-        return self._strength(self._image.ledger["diffuse"], everywhere)
+        return self._strength(self.electrons["diffuse"], np.ones_like(self._shown))
 
     def _strength(self, electrons: float, where: NDArray[np.bool_]) -> float:
         count = int(np.count_nonzero(where))
         if count == 0 or electrons <= 0.0:
             return 0.0
-        variance = float((self._image.noise_sigma[where] ** 2).mean())
-        return electrons / math.sqrt(2.0 * count * variance)
+        return electrons / math.sqrt(2.0 * count * float(self._variance[where].mean()))
 
-    def diffuse_modes(self) -> int:
-        """Number of modes above the noise through wide lobes."""
-        return relay_modes(self._scene, light=self._light, freedom=self._freedom)
+    def limit(self) -> float:
+        """Frequency at which the signal first falls below the noise, cycles/m."""
+        frequency = float(self.frequency[-1]) * np.geomspace(LOWEST, 1.0, LIMITS)
+        image = self.modulation(frequency) * self.strength()
+        relay = self.relay_modulation(frequency) * self.diffuse_strength()
+        return first_crossing(frequency, np.maximum(image, relay))
+
+    def relay_signal(self) -> Array | None:
+        """Signal-to-noise ratios of the object's cells in the diffuse light."""
+        return relay_signal(self._coarse, light=self._light, freedom=self.levels.freedom)
+
+    def case(self, diffuse_modes: int, by_diffuse: float) -> Case:
+        """Inputs of the verdict."""
+        return Case(
+            picture=self.picture,
+            sharp=self._sharp,
+            mirror=self.mirror,
+            slope=self.slope,
+            reach=self._reach(),
+            stroke=self.stroke,
+            full=self.full,
+            diffuse_modes=diffuse_modes,
+            relay_score=by_diffuse,
+            shadowed=bool(self._scene.occluders),
+        )
+
+    def _reach(self) -> float:
+        """Blur on the object per lobe slope, m/rad, rms over both axes."""
+        seen = self._optics.reference
+        turn = seen.view.cos_sum * float(np.linalg.norm(seen.view.footprint)) / math.sqrt(2.0)
+        return turn * abs(seen.first.wave.image_distance) * self._scale
 
     def picture_modes(self, modulation: Array) -> int:
         """Number of modes above the noise in the image formed by mirror-like lobes."""
@@ -400,37 +478,76 @@ class _View:
         white = self.strength() * math.sqrt(2.0) / mean
         return picture_modes(modulation, self.frequency, plate(self._scene)[2], white)
 
-    def sharp_transfer(self) -> Array:
-        """Modulus of the image's transfer function if the lobes had no slopes."""
-        if self.slope == 0.0:
-            return self.picture.transfer
-        spread = wide_point_spread(
-            self._wave, pitch=self._image.pitch, shape=self._spread.shape, tol=TOL
-        )
-        return transfer_on(spread, self.picture.grid)
-
-    def wave_bounds(self, frames: tuple[float, ...]) -> dict[int, float]:
-        """Bounds for the wave's coefficients from frames of known defocus; empty without image."""
-        if self.mirror == 0.0 or self._image.ledger["ideal"] == 0.0:
-            return {}
-        return wave_bounds(
+    def wave_bounds(self) -> tuple[dict[int, float], dict[int, float]]:
+        """Bounds for the wave's coefficients from one frame and from two; empty without image."""
+        if self.transfer is None or not self.levels.ideal.any():
+            return {}, {}
+        one, two = wave_bounds(
             self.picture,
-            self._wave,
+            self.transfer.wave,
             scale=self._scale,
-            pitch=self._image.pitch,
-            blur=self.slope * self.reach,
-            defocus=frames,
+            pitch=self._scene.camera.image_pitch,
+            blur=self.slope * self._reach(),
+            defocus=(0.0, DEFOCUS),
+        )
+        return one, two
+
+    def blind(self, bounds: dict[int, float]) -> BlindForecast:
+        """Forecast of blind fits; ``bounds`` are those of two frames."""
+        if self.transfer is None or not bounds:
+            return blind_forecast(math.nan, math.inf, 0.0, bounds)
+        wave = self.transfer.wave
+        brightest = float(self.blurred.max()) / self.joined
+        noise = math.sqrt(self.noise.variance / self.joined) / max(brightest, 1e-300)
+        pitch = self._scene.camera.image_pitch * self._scale
+        return blind_forecast(
+            rms_aberration(wave) / wave.wavelength,
+            noise,
+            self.slope * self._reach() / pitch,
+            bounds,
         )
 
 
-def _limit(frequency: Array, ratio: Array) -> float:
-    """Highest frequency at which a falling ratio reaches 1, interpolated; 0 if it never does."""
-    above = np.nonzero(ratio >= 1.0)[0]
-    if not len(above):
-        return 0.0
-    last = int(above[-1])
-    if last + 1 == len(ratio):
+def _coarser(scene: Scene, stroke: float, scale: float) -> tuple[Scene, int]:
+    """Return the scene with joined pixels, and how many form one of them.
+
+    As many are joined as leave `MOST_PIXELS` along the longer side and `STROKE_PIXELS` along a
+    stroke of width ``stroke``, m, and fill the detector. ``scale`` is that of `object_scale`.
+    """
+    camera = scene.camera
+    most = max(camera.shape) / MOST_PIXELS
+    if stroke > 0.0:
+        most = min(most, stroke / (STROKE_PIXELS * camera.image_pitch * scale))
+    side = next(
+        k
+        for k in range(max(math.floor(most), 1), 0, -1)
+        if all(n % (camera.binning * k) == 0 for n in camera.pixels)
+    )
+    joined = replace(scene, camera=replace(camera, binning=camera.binning * side))
+    return (joined if side > 1 else scene), side * side
+
+
+def first_crossing(frequency: Array, ratio: Array) -> float:
+    """Return the frequency at which a ratio first falls below 1.
+
+    Parameters
+    ----------
+    frequency : ndarray, (n,)
+        Increasing frequencies above 0.
+    ratio : ndarray, (n,)
+        Values of the ratio, at least 0.
+
+    Returns
+    -------
+    float
+        Frequency, interpolated between logarithms; 0 if the first value is below 1, and the last
+        frequency if none is.
+    """
+    below = np.flatnonzero(ratio < 1.0)
+    if not len(below):
         return float(frequency[-1])
-    high, low = math.log(ratio[last]), math.log(max(float(ratio[last + 1]), 1e-300))
-    step = frequency[last + 1] - frequency[last]
-    return float(frequency[last] + step * high / (high - low))
+    k = int(below[0])
+    if k == 0:
+        return 0.0
+    high, low = math.log(ratio[k - 1]), math.log(max(float(ratio[k]), 1e-300))
+    return float(frequency[k - 1] * (frequency[k] / frequency[k - 1]) ** (high / (high - low)))

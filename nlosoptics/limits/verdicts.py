@@ -43,6 +43,10 @@ class Case:
         Expected fraction of saturated pixels.
     diffuse_modes : int
         Modes above the noise through wide lobes.
+    relay_score : float
+        Predicted correlation of a linear fit to the light of wide lobes.
+    shadowed : bool
+        Whether the scene has occluders.
     """
 
     picture: Picture
@@ -53,6 +57,13 @@ class Case:
     stroke: float
     full: float
     diffuse_modes: int
+    relay_score: float
+    shadowed: bool
+
+    @property
+    def score(self) -> float:
+        """Predicted correlation of a fit to the image; 0 without one."""
+        return self.picture.score() if self.mirror > 0.0 else 0.0
 
 
 def verdict(case: Case) -> tuple[bool, str]:
@@ -60,6 +71,10 @@ def verdict(case: Case) -> tuple[bool, str]:
     reasons = list(_reasons(case))
     if not reasons:
         return True, "recoverable"
+    # without shadows, light of wide mirror-like lobes is the image that the score already judges
+    other = case.mirror == 0.0 or case.shadowed
+    if other and case.full <= FULL and case.relay_score >= GOOD:
+        return True, f"recoverable without an image: {_diffuse_words(case)}"
     return False, f"not recoverable: {'; '.join(reasons)}"
 
 
@@ -89,10 +104,18 @@ def _reasons(case: Case) -> list[str]:
 def _diffuse(case: Case) -> str:
     needed = case.stroke / case.reach
     told = f" of slope below {needed:.2g} rad" if needed > 0.0 else ""
+    remedy = f"a lobe{told} would carry more"
+    if not case.shadowed:
+        remedy = f"a lobe{told}, or an occluder near the object, would carry more"
+    return f"the wall has no mirror-like lobe, and {_diffuse_words(case)}; {remedy}"
+
+
+def _diffuse_words(case: Case) -> str:
+    past = " past the occluders" if case.shadowed else ""
+    rise = "rises" if case.diffuse_modes == 1 else "rise"
     return (
-        "the wall has no mirror-like lobe, and by diffuse light "
-        f"{counted(case.diffuse_modes, 'mode')} {'rises' if case.diffuse_modes == 1 else 'rise'} "
-        f"above the noise; a lobe{told}, or an occluder near the object, would carry more"
+        f"by diffuse light{past} {counted(case.diffuse_modes, 'mode')} {rise} above the noise, "
+        f"which give a correlation of {case.relay_score:.2f}"
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..psf import Wavefront, fit_zernike
-from ..psf.wave.zernikes import zernike
+from ..psf.wave.zernikes import zernike, zernike_order
 from .modulation import Picture
 
 Array = NDArray[np.float64]
@@ -21,6 +21,7 @@ DEFOCUS = 0.5
 RADII, ANGLES = 20, 12  # polar grid of the spatial frequencies
 NODES = 14  # quadrature nodes along each axis of the overlap of two pupils
 FITTED = 28  # Zernike terms that represent the scene's own wave
+SMALLEST = 1e-4  # coefficients below this are left out, waves rms
 #: Eigenvalues of the information below this fraction of the largest are rounding errors.
 RANK = 1e-10
 
@@ -34,7 +35,7 @@ def wave_bounds(
     blur: float = 0.0,
     modes: Sequence[int] = MODES,
     defocus: Sequence[float] = (0.0,),
-) -> dict[int, float]:
+) -> list[dict[int, float]]:
     """Return Cramer-Rao bounds for the wave's Zernike coefficients when the object is known.
 
     Parameters
@@ -56,10 +57,10 @@ def wave_bounds(
 
     Returns
     -------
-    dict of int to float
-        Smallest standard deviation of an unbiased estimate by Noll index, waves rms. It is
-        infinite where the image does not depend on the coefficient to first order, for example
-        for defocus of a wave in focus.
+    list of dict of int to float
+        Bounds from the first frame, from the first two, and so on: the smallest standard deviation
+        of an unbiased estimate by Noll index, waves rms. It is infinite where the images do not
+        depend on the coefficient to first order, for example for defocus of a wave in focus.
 
     Notes
     -----
@@ -86,21 +87,28 @@ def wave_bounds(
     # spectrum samples per unit frequency area; the factor 2 accounts for the other half plane
     density = _density(picture) / scale**2
     area = frequencies * (cut / 2.0 * weights) * (math.pi / ANGLES) * density * 2.0
-    coefficients = fit_zernike(wave, FITTED)
+    coefficients = {
+        j: c for j, c in fit_zernike(wave, FITTED).items() if abs(c) > SMALLEST * wave.wavelength
+    }
     separations = frequencies / per_separation / radius
-    steps, overlap = _steps(separations, angles, {*coefficients, *modes, 2, 3})
+    steps, overlap = _steps(separations, angles, {*coefficients, *modes, 2, 3, 4})
     along, across = (frequencies[:, None] * f(angles) * pitch for f in (np.cos, np.sin))
     passed = lobe[:, None] * np.sinc(along) * np.sinc(across)
     phase = sum(c * steps[j] for j, c in coefficients.items()) * (2 * math.pi / wave.wavelength)
     weight = area * power / (picture.noise.variance * math.prod(picture.grid))
-    information = np.zeros((len(modes), len(modes)))
+    moved = np.stack([2 * math.pi * steps[j] for j in (*modes, 2, 3)])
+    information, found = np.zeros((len(modes), len(modes))), []
     for extra in defocus:
-        turned = overlap * np.exp(1j * (phase + 2 * math.pi * extra * steps[4]))
-        moved = [2j * math.pi * (steps[j] * turned).sum(axis=-1) for j in (*modes, 2, 3)]
-        derivatives = np.stack([*moved, turned.sum(axis=-1)], axis=-1) * passed[..., None]
-        full = np.einsum("i,ijk,ijl->kl", weight, derivatives.conj(), derivatives).real
+        turn = phase + 2 * math.pi * extra * steps[4]
+        # a shift of the phase by a coefficient multiplies the sum's terms by i times its step
+        even, odd = (overlap[:, None] * f(turn) for f in (np.cos, np.sin))
+        real, imaginary = (np.einsum("mran,ran->mra", moved, part) for part in (-odd, even))
+        derivatives = np.concatenate([real + 1j * imaginary, [(even + 1j * odd).sum(axis=-1)]])
+        derivatives *= passed
+        full = np.einsum("r,kra,lra->kl", weight, derivatives.conj(), derivatives).real
         information += _reduced(full, len(modes))
-    return dict(zip(modes, _bounds(information), strict=True))
+        found.append(dict(zip(modes, _bounds(information), strict=True)))
+    return found
 
 
 def _steps(
@@ -109,32 +117,49 @@ def _steps(
     """Return differences of Zernike polynomials between pairs of pupil points, and weights.
 
     The pairs are the points of the pupils' overlap for each separation. ``separations`` are in
-    pupil radii, below 2; ``angles`` in rad. Arrays have the shape (radii, angles, nodes); the dict
-    is keyed by Noll index.
+    pupil radii, below 2; ``angles`` in rad. The differences, keyed by Noll index, have the shape
+    (radii, angles, nodes); the weights (radii, nodes) hold for all angles.
     """
-    nodes = [[_overlap(s, angle) for angle in angles] for s in separations]
-    x, y, weights = (np.array([[node[k] for node in row] for row in nodes]) for k in range(3))
-    dx, dy = (separations[:, None, None] / 2 * f(angles)[:, None] for f in (np.cos, np.sin))
-    ends = [(np.hypot(x + s * dx, y + s * dy), np.arctan2(y + s * dy, x + s * dx)) for s in (1, -1)]
-    return {j: zernike(j, *ends[0]) - zernike(j, *ends[1]) for j in indices}, weights
+    x, y, weights = _overlaps(separations)
+    half = separations[:, None] / 2
+    ends = [(np.hypot(x + s * half, y), np.arctan2(y, x + s * half)) for s in (1, -1)]
+
+    def difference(index: int, turn: float) -> Array:
+        (r, at), (other, there) = ends
+        return zernike(index, r, at + turn) - zernike(index, other, there + turn)
+
+    found = {}
+    for j in indices:
+        m = abs(zernike_order(j)[1])
+        step = np.broadcast_to(
+            difference(j, 0.0)[:, None] * np.cos(m * angles)[:, None],
+            (len(separations), len(angles), x.shape[1]),
+        )
+        if m:
+            # cos(m (t + a)) is a sum of cos(m t) and of cos(m (t + pi/2m)) = -sin(m t)
+            quarter = difference(j, math.pi / (2 * m))
+            step = step + quarter[:, None] * np.sin(m * angles)[:, None]
+        found[j] = step
+    return found, weights
 
 
-def _overlap(separation: float, angle: float) -> tuple[Array, Array, Array]:
-    """Return quadrature nodes in the overlap of two unit discs, and their weights over pi.
+def _overlaps(separations: Array) -> tuple[Array, Array, Array]:
+    """Return quadrature nodes in the overlaps of two unit discs, and their weights over pi.
 
-    The nodes are relative to the centre of the overlap.
+    The discs are separated along x, by ``separations`` (radii,). Nodes (radii, nodes) are relative
+    to the centre of the overlap.
     """
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
-    top = math.sqrt(max(1.0 - separation**2 / 4.0, 0.0))
+    top = np.sqrt(np.maximum(1.0 - separations**2 / 4.0, 0.0))[:, None]
     # the substitution v = sin removes the square-root singularity at the tips
     v = top * np.sin(math.pi / 2 * nodes)
     dv = top * math.pi / 2 * np.cos(math.pi / 2 * nodes) * weights
-    half = np.sqrt(np.maximum(1.0 - v**2, 0.0)) - separation / 2
-    along = half[:, None] * nodes
-    area = (dv * half)[:, None] * weights / math.pi
-    across = np.broadcast_to(v[:, None], along.shape)
-    c, s = math.cos(angle), math.sin(angle)
-    return (c * along - s * across).ravel(), (s * along + c * across).ravel(), area.ravel()
+    half = np.sqrt(np.maximum(1.0 - v**2, 0.0)) - separations[:, None] / 2
+    along = half[..., None] * nodes
+    area = (dv * half)[..., None] * weights / math.pi
+    shape = (len(separations), -1)
+    across = np.broadcast_to(v[..., None], along.shape)
+    return along.reshape(shape), across.reshape(shape), area.reshape(shape)
 
 
 def _reduced(full: Array, count: int) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import math
 import warnings
@@ -17,7 +18,8 @@ from nlosoptics import limits
 from nlosoptics.errors import NlosError
 from nlosoptics.imaging.objects import Patches
 from nlosoptics.imaging.radiometry import laser_spot
-from nlosoptics.limits.relay import count_modes, passed_radiance, relay_modes
+from nlosoptics.limits._shadow_kernels import hide
+from nlosoptics.limits.relay import CONTRAST, count_modes, passed_radiance, relay_modes
 from nlosoptics.scene import (
     Camera,
     FlatWall,
@@ -149,7 +151,8 @@ def test_modes_above_noise(row: dict) -> None:
     for block, radiance in passed:
         response[block] = radiance * per_radiance
     variance = 0.35 * response.sum(axis=1) + pixels * 3.6**2
-    assert count_modes(response, variance) == int(row["value"][0])
+    signal = response * (CONTRAST / np.sqrt(variance))[:, None]
+    assert count_modes(signal) == int(row["value"][0])
 
 
 @pytest.mark.parametrize(
@@ -159,6 +162,51 @@ def test_modes_of_a_scene(wall: str, expected: int, within: int) -> None:
     """The camera's own view of nearly that patch; the truth allows one mode more or less."""
     _, exposure = WALLS[wall]
     assert relay_modes(truth_scene(exposure)) == approx(expected, abs=within)
+
+
+@pytest.fixture(scope="module")
+def benchmark():
+    """Scenes with occluders, and their modes by brute force with closed-form shadows."""
+    root = Path(__file__).parents[2]
+    spec = importlib.util.spec_from_file_location("modes", root / "benchmarks/relay_modes.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("index", [4, 5, 6])
+def test_modes_past_occluders_are_those_of_brute_force(benchmark, index: int) -> None:
+    """A disc, a rectangle and a ball, seen by 16 x 16 pixels."""
+    scene, drawn = benchmark.drawn_scene(index)
+    scene = replace(scene, camera=replace(scene.camera, binning=256))
+    found, expected = relay_modes(scene), benchmark.brute_force(scene, drawn)
+    # both average 16 paths over a pixel, each its own, and cut cells into 16 and 9 parts
+    assert found == approx(expected, rel=0.1)
+    assert relay_modes(replace(scene, occluders=())) < 0.8 * expected
+
+
+def test_triangles_hide_what_lies_behind_them_only() -> None:
+    """Shadow of a square on a rectangle: its central projection, cut at the point's depth."""
+    frame = np.array([(-1.0, -1.0, 1.0), (0.5, 0.0, 0.0), (0.0, 0.5, 0.0), (0.0, 0.0, -1.0)])
+
+    def shadow(low: float, high: float, z: float) -> np.ndarray:
+        corners = np.array([[low, low, z], [high, low, z], [high, high, z], [low, high, z]])
+        samples = np.ones((64, 64), dtype=np.uint8)
+        hide(np.zeros(3), corners, np.array([[0, 1, 2], [0, 2, 3]]), frame, samples)
+        return samples
+
+    samples = shadow(0.0, 0.25, 0.5)  # 0 to 0.5 on the rectangle, which spans -1 to 1
+    expected = np.ones((64, 64))
+    expected[32:48, 32:48] = 0
+    assert np.array_equal(samples, expected)
+    for z in (-0.5, 1.5):
+        assert shadow(0.0, 0.25, z).all()
+    # a plate at y = 0.1 through the heights -1 to 0.5: what is left of it shades y above 0.2
+    wall = np.array([(-5.0, 0.1, -1.0), (5.0, 0.1, -1.0), (5.0, 0.1, 0.5), (-5.0, 0.1, 0.5)])
+    samples = np.ones((64, 64), dtype=np.uint8)
+    hide(np.zeros(3), wall, np.array([[0, 1, 2], [0, 2, 3]]), frame, samples)
+    y = (np.arange(64) + 0.5) / 32 - 1
+    assert np.array_equal(samples, np.broadcast_to((y < 0.2)[:, None], (64, 64)))
 
 
 def test_more_light_shows_more_modes_and_other_light_fewer() -> None:

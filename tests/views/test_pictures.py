@@ -358,6 +358,8 @@ def test_feasibility_draws_both_ways_and_their_noise() -> None:
         recoverable=True,
         verdict="recoverable",
         score=0.97,
+        score_spread=0.03,
+        relay_score=0.4,
         photons=1e6,
         electrons={},
         brightest=10.0,
@@ -375,6 +377,9 @@ def test_feasibility_draws_both_ways_and_their_noise() -> None:
         diffuse_modes=6,
         wave_bounds={},
         two_frame_bounds={},
+        one_frame_fits=0.6,
+        two_frame_fits=1.0,
+        blind="",
     )
     axes = views.feasibility(found)
     lines = {line.get_label(): line for line in axes.get_lines()}

@@ -1,0 +1,96 @@
+"""Whether a fit without a known wall can be expected to work, from tested cases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Strengths of walls in the tests, waves rms, and the shares of fits that found the object, with
+#: one frame and with two. The tests are those of `benchmarks/inverse/evidence.py`: 36 or 48 fits
+#: per strength, noise of 1 % of the brightest pixel. Those of one frame at 1 wave are six.
+STRENGTHS = (0.25, 0.5, 1.0)
+ONE_FRAME = (45 / 48, 30 / 48, 0.0)
+TWO_FRAMES = (36 / 36, 36 / 36, 35 / 36)
+WEAK = 1 / 14  # waves rms below which a wave is diffraction-limited (Marechal)
+NOISY = 0.02  # largest noise over brightest pixel to which the tests apply
+BLURRED = 0.5  # largest blur by a lobe's slope to which the tests apply, pixels rms
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindForecast:
+    """Expected success of fits that know neither the object nor the wall.
+
+    Parameters
+    ----------
+    one_frame, two_frames : float
+        Share of tested fits that found the object, in cases like this one; NaN if no such case
+        was tested or no fit is needed.
+    text : str
+        Statement of the forecast and of its reason.
+    """
+
+    one_frame: float
+    two_frames: float
+    text: str
+
+
+def blind_forecast(
+    strength: float, noise: float, blur: float, bounds: Mapping[int, float]
+) -> BlindForecast:
+    """Forecast the success of a blind fit with one frame, and with two of known defocus.
+
+    Parameters
+    ----------
+    strength : float
+        Wave aberration of the wall without piston and tilt, waves rms; NaN without a wave.
+    noise : float
+        Rms noise of a pixel over the object's brightest pixel in the blurred image.
+    blur : float
+        Blur by the wall's lobe, pixels rms.
+    bounds : mapping of int to float
+        Cramer-Rao bounds for the wave from two frames, waves rms.
+
+    Returns
+    -------
+    BlindForecast
+
+    Notes
+    -----
+    Shares are interpolated between the tested strengths of 0.25, 0.5 and 1 wave; weaker walls count
+    as 0.25 waves. In these tests pixels resolve the smooth wall's point spread, lobes have no
+    slope, and the second frame has a defocus of half a wave rms (one wave for the strongest walls).
+    The Cramer-Rao bounds hold for a known object and can only be larger for an unknown one. If
+    together they exceed the wave's own strength, the image does not hold the wave.
+    """
+    unknown = math.nan
+    if math.isnan(strength) or not bounds:
+        return BlindForecast(
+            one_frame=0.0, two_frames=0.0, text="no image, so no wall can be fitted"
+        )
+    told = f"the wall's wave is {strength:.2g} waves rms"
+    if strength < WEAK:
+        text = f"{told}, below {WEAK:.2g}: a fit that knows the smooth wall needs no other"
+        return BlindForecast(one_frame=unknown, two_frames=unknown, text=text)
+    least = math.sqrt(sum(value**2 for value in bounds.values()))
+    if least > strength:
+        text = f"{told}, of which two frames tell {least:.2g} at best: it cannot be found"
+        return BlindForecast(one_frame=0.0, two_frames=0.0, text=text)
+    reason = ""
+    if strength > STRENGTHS[-1]:
+        reason = f"walls above {STRENGTHS[-1]:g} wave"
+    elif noise > NOISY:
+        reason = f"noise of {100 * noise:.2g} % of the brightest pixel"
+    elif blur > BLURRED:
+        reason = f"a lobe that blurs by {blur:.2g} pixels rms"
+    if reason:
+        text = f"{told}; blind fits were not tested for {reason}"
+        return BlindForecast(one_frame=unknown, two_frames=unknown, text=text)
+    one, two = (float(np.interp(strength, STRENGTHS, s)) for s in (ONE_FRAME, TWO_FRAMES))
+    text = (
+        f"{told}; of such walls {100 * two:.0f} % were found from two frames of known defocus and "
+        f"{100 * one:.0f} % from one"
+    )
+    return BlindForecast(one_frame=one, two_frames=two, text=text)

@@ -1,0 +1,123 @@
+"""Transfer function of the image that mirror-like lobes form, without a wide point spread."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..psf import PointSpread, SceneOptics, Wavefront
+from ..psf.rough.view import RoughView
+from ..psf.walls.lobe_psf import MirrorLobes, lobes_of
+from ..psf.walls.scene_psf import scene_point_spread
+
+Array = NDArray[np.float64]
+
+TOL = 1e-3  # error tolerance of point spreads, relative to their peak
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Transfer:
+    """Modulus of the transfer function of lens, wall and pixels.
+
+    Parameters
+    ----------
+    core : PointSpread
+        Point spread of the smooth wall, energy per pixel.
+    rough : PointSpread or None
+        Point spread of a wall with a given roughness, which replaces the lobes.
+    smooth : float
+        Share of the light in lobes without slope.
+    lobes : tuple of (float, RoughView)
+        Share and statistics of each lobe with a slope. Their transfer function is a closed form.
+    wave : Wavefront
+        Wave of the smooth wall.
+    """
+
+    core: PointSpread
+    rough: PointSpread | None
+    smooth: float
+    lobes: tuple[tuple[float, RoughView], ...]
+    wave: Wavefront
+
+    def sharp(self, u: Array, v: Array) -> Array:
+        """Return the modulus of the smooth wall's transfer function, (len(v), len(u)).
+
+        ``u`` and ``v`` are image frequencies along x and y, 1/m.
+        """
+        return _modulus(self.core, u, v)
+
+    def __call__(self, u: Array, v: Array) -> Array:
+        """Return the modulus of the wall's transfer function, (len(v), len(u)).
+
+        ``u`` and ``v`` are image frequencies along x and y, 1/m. Values below the point spread's
+        own error are set to 0, since they carry no known signal.
+        """
+        if self.rough is not None:
+            return _modulus(self.rough, u, v)
+        if not self.lobes:
+            return self.sharp(u, v)
+        shift = self.wave.wavelength * self.wave.image_distance
+        blur = np.full((len(v), len(u)), self.smooth)
+        for share, view in self.lobes:
+            blur += share * view.scattered_transfer(shift * u, shift * v[:, None])
+        return np.asarray(self.sharp(u, v) * blur)
+
+
+def scene_transfer(optics: SceneOptics) -> Transfer:
+    """Return the transfer function at the hidden object's reference point.
+
+    Parameters
+    ----------
+    optics : SceneOptics
+        Optics of a scene whose wall has a mirror-like lobe.
+
+    Raises
+    ------
+    NlosError
+        If the wave or the point spread cannot be computed; see `psf.scene_point_spread`.
+    """
+    scene, seen = optics.scene, optics.at()
+    pitch = scene.camera.image_pitch
+    smooth = MirrorLobes([], 1.0, None)
+    side = smooth.window(seen.first.residual, pitch, TOL, seen.first.outline)
+    aimed, core = seen.refined(
+        lambda wave: smooth.point_spread(wave.residual, pitch, (side, side), TOL)
+    )
+    if scene.wall_roughness is not None:
+        rough = scene_point_spread(optics, TOL)
+        return Transfer(
+            core=core, rough=rough.point_spread, smooth=1.0, lobes=(), wave=rough.wavefront
+        )
+    found = lobes_of(scene, lambda: seen.view)
+    total = scene.wall_material.specular_reflectance
+    shares = [lobe.specular_reflectance / total for lobe in found.rough]
+    views = found.views(aimed.residual)
+    return Transfer(
+        core=core,
+        rough=None,
+        smooth=found.smooth / total,
+        lobes=tuple(zip(shares, views, strict=True)),
+        wave=aimed.wave,
+    )
+
+
+def _modulus(spread: PointSpread, u: Array, v: Array) -> Array:
+    """Return the modulus of a point spread's Fourier sums over its total, (len(v), len(u)).
+
+    An error e of the point spread, relative to its peak, changes each sum by at most e times the
+    peak and the number of pixels; smaller values are set to 0.
+    """
+    x, y = (2 * math.pi * np.outer(f, at) for f, at in ((u, spread.x), (v, spread.y)))
+    intensity = spread.intensity
+    # real products: the imaginary part of a complex one would be mostly zeros
+    rows = [wave(x) @ intensity.T for wave in (np.cos, np.sin)]
+    even, odd = np.cos(y), np.sin(y)
+    real = even @ rows[0].T - odd @ rows[1].T
+    imaginary = even @ rows[1].T + odd @ rows[0].T
+    total = float(intensity.sum())
+    found = np.hypot(real, imaginary) / total
+    error = spread.error_estimate * float(intensity.max()) * intensity.size / total
+    return np.asarray(np.where(found > error, found, 0.0))
