@@ -39,14 +39,15 @@ found = {
 # --------------------
 # Top: the modulation against the spatial frequency on the object. Only frequencies with a
 # modulation above the dashed noise limit are detectable. The grey line is the frequency of the
-# strokes of the letter. Bottom: the predicted correlation of a reconstruction against the rms
-# slope.
+# strokes of the letter. Bottom: the predicted correlation of a reconstruction, with the expected
+# scatter of single fits, against the rms slope.
 
 figure, axes = plt.subplot_mosaic("ab;cc", figsize=(10, 8), layout="constrained")
 for axis, slope in zip((axes["a"], axes["b"]), (0.01, 0.04), strict=True):
     views.feasibility(found[slope], axes=axis)
     axis.set_title(f"rms slope {slope:g} rad: {found[slope].verdict.split(':')[0]}")
-axes["c"].plot(slopes, [one.score for one in found.values()], "o-")
+scores, spreads = zip(*((one.score, one.score_spread) for one in found.values()), strict=True)
+axes["c"].errorbar(slopes, scores, spreads, fmt="o-", capsize=3)
 axes["c"].axhline(0.9, color="0.5", lw=1, label="recoverable above")
 axes["c"].set(xlabel="rms slope (rad)", ylabel="predicted correlation", ylim=(0, 1.05))
 axes["c"].set_title("correlation of a reconstruction against slope")

@@ -107,8 +107,9 @@ def scene_transfer(optics: SceneOptics) -> Transfer:
 def _modulus(spread: PointSpread, u: Array, v: Array) -> Array:
     """Return the modulus of a point spread's Fourier sums over its total, (len(v), len(u)).
 
-    An error e of the point spread, relative to its peak, changes each sum by at most e times the
-    peak and the number of pixels; smaller values are set to 0.
+    An error e of the point spread, relative to its peak, changes each sum by about e times the peak
+    and the root of the number of pixels, if errors of pixels are independent; smaller values are
+    set to 0.
     """
     x, y = (2 * math.pi * np.outer(f, at) for f, at in ((u, spread.x), (v, spread.y)))
     intensity = spread.intensity
@@ -119,5 +120,5 @@ def _modulus(spread: PointSpread, u: Array, v: Array) -> Array:
     imaginary = even @ rows[1].T + odd @ rows[0].T
     total = float(intensity.sum())
     found = np.hypot(real, imaginary) / total
-    error = spread.error_estimate * float(intensity.max()) * intensity.size / total
+    error = spread.error_estimate * float(intensity.max()) * math.sqrt(intensity.size) / total
     return np.asarray(np.where(found > error, found, 0.0))
