@@ -1,6 +1,6 @@
 """Modes that a wall's wide lobes pass, by `limits.relay` and by brute force.
 
-    python benchmarks/relay_modes.py [--scenes 24] [--json FILE]
+    python benchmarks/relay_modes.py [--scenes 20] [--json FILE]
 
 Each scene is drawn at random: wall with matt and wide mirror-like lobes, exposure, distance and
 size of the object, and a disc, a rectangle, a ball or nothing in between. Brute force takes every
@@ -206,7 +206,7 @@ def compared(index):
 def main():
     """Compare all scenes and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scenes", type=int, default=24)
+    parser.add_argument("--scenes", type=int, default=20)
     parser.add_argument("--json", type=Path, default=RESULTS, help="file of results")
     options = parser.parse_args()
     rows = []
@@ -218,7 +218,7 @@ def main():
             f"{row['cpu_seconds']:.2f} s, brute force {row['brute_force_cpu_seconds']:.1f} s",
             flush=True,
         )
-    options.json.write_text("".join(json.dumps(row) + "\n" for row in rows))
+        options.json.write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
 if __name__ == "__main__":

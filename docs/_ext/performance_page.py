@@ -378,6 +378,61 @@ def feasibility(found: Sequence[Row]) -> str:
             ]
         )
     head = ["predicted", "fit above 0.9", "fit below", "seconds of the verdict", "of the fit"]
+    return table(head, body) + "\n" + forecast(found)
+
+
+def forecast(found: Sequence[Row]) -> str:
+    """Return how near the predicted correlations are, by their predicted spread."""
+    body = []
+    told = [row for row in found if row["correlation"] != 0.0]
+    for name, low, high in (
+        ("below 0.05", 0.0, 0.05),
+        ("0.05 to 0.1", 0.05, 0.1),
+        ("above 0.1", 0.1, 1.0),
+    ):
+        part = [row for row in told if low <= row["spread"] < high]
+        if not part:
+            continue
+        off = [abs(row["score"] - row["correlation"]) for row in part]
+        within = sum(d < row["spread"] for d, row in zip(off, part, strict=True))
+        between = [d for d, row in zip(off, part, strict=True) if 0.3 < row["correlation"] < 0.95]
+        body.append(
+            [
+                name,
+                len(part),
+                number(median(off)),
+                f"{sum(d < 0.05 for d in between)} of {len(between)}",
+                f"{within / len(part):.0%}",
+            ]
+        )
+    body.append(["no object found", len(found) - len(told), "", "", ""])
+    head = [
+        "predicted spread",
+        "fits",
+        "median difference",
+        "within 0.05, fits of 0.3 to 0.95",
+        "within the spread",
+    ]
+    return table(head, body)
+
+
+def relay_modes(found: Sequence[Row]) -> str:
+    """Return counts of modes next to those of brute force, by kind of occluder."""
+    body = []
+    for (kind,), part in grouped(found, "kind").items():
+        off = [abs(row["modes"] - row["brute_force"]) / max(row["brute_force"], 1) for row in part]
+        body.append(
+            [
+                kind,
+                len(part),
+                f"{min(row['brute_force'] for row in part)} to "
+                f"{max(row['brute_force'] for row in part)}",
+                f"{max(off):.0%}",
+                seconds(median(row["cpu_seconds"] for row in part)),
+                seconds(median(row["brute_force_cpu_seconds"] for row in part)),
+            ]
+        )
+    head = ["occluder", "scenes", "modes", "largest difference", "CPU s", "of brute force"]
     return table(head, body)
 
 
@@ -662,9 +717,19 @@ SECTIONS = (
     Section(
         "feasibility.jsonl",
         "Verdicts before the fit",
-        "Random scenes; the fit is `tv_deconvolve` with the point spread known.",
+        "Random scenes of 64 x 64 pixels, none of which set a constant of the forecast; the fit is "
+        "`tv_deconvolve` with the point spread known. Differences are those of the predicted and "
+        "the reached correlation.",
         f"{RUN}/inverse/feasibility.py --json benchmarks/results/feasibility.jsonl",
         feasibility,
+    ),
+    Section(
+        "relay_modes.jsonl",
+        "Modes of diffuse light past occluders",
+        "Random scenes with a matt wall, every third with a wide mirror-like lobe too; the number "
+        "of `limits.feasibility` next to the singular values of the whole matrix.",
+        f"{RUN}/relay_modes.py --json benchmarks/results/relay_modes.jsonl",
+        relay_modes,
     ),
     Section(
         "wu2024.jsonl",
