@@ -311,7 +311,6 @@ def solved(seed, solver, kind=None):
         "strength": data.strength,
         "noise": data.noise,
         "status": found.status,
-        "reasons": found.reasons,
         "correlation": inverse.registered_correlation(found, data.truth),
         "correlation_known_noise": inverse.registered_correlation(known, data.truth),
         "noise_ratio": inverse.estimate_noise(data.image, model) / data.noise_sigma,

@@ -5,6 +5,10 @@ and with what the optics pass. Their limits were set with ``benchmarks/inverse/m
 images of 64 x 64 pixels, seeds below 1000: glyphs, drawings, grey pictures and dots in a dark
 surround, 0.5 to 10 % noise.
 
+On about 370 other cases, two thirds of them with a mismatch, 195 answers were called converged and
+18 of those had a correlation below 0.85 with the truth, 10 because the model lacks a part of the
+blur. Of 162 answers above 0.93, 9 were not called converged.
+
 Three things cannot be told from one image. A blur that is wider than the model's leaves an object
 that is blurred as well, and a sharp object behind the wider blur has the same image as a soft one
 behind the model's. A non-linear camera changes the object's grey values in the same way. Light that

@@ -179,7 +179,8 @@ class _NormalEquations:
             steady, passed = 0.0, passed + of_mean
         if passed <= _ROUNDING * of_mean:  # an even kernel over a periodic frame, or one pixel
             passed = of_mean
-        excess = data.score(steady) ** 2 - 1.0
+        # A detected object may be fainter than the error of the whole frame's mean square.
+        excess = max(data.score(steady) ** 2 - 1.0, math.sqrt(2.0 / data.counted))
         # Parseval: sum |H|^2 S = samples * (summed variance of the image); S = strength * prior.
         samples = rows * columns
         strength = samples * data.counted * data.sigma**2 * excess / passed

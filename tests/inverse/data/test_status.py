@@ -87,6 +87,21 @@ def test_a_faint_object_is_shown_with_low_confidence():
     assert inverse.registered_correlation(found, truth) > 0.5
 
 
+# the inverse filter keeps the mean alone: all else may be noise by its discrepancy principle
+@pytest.mark.parametrize("solver", SOLVERS[1:], ids=lambda solver: solver.__name__)
+def test_an_object_below_the_error_of_the_mean_square_is_solved(solver):
+    """The stated noise is a little too large, so that the image has less than its power."""
+    model = lobe(2.0)
+    truth = np.zeros((SIDE, SIDE))
+    truth[20:44, 22:30] = 1.0
+    image = model.forward(truth) + np.random.default_rng(0).normal(size=truth.shape)
+    found = solver(image, model, noise_sigma=1.06)
+    assert found.status == "too_few_photons"
+    assert np.isfinite(found.object).all()
+    # the image itself has about 0.3
+    assert inverse.registered_correlation(found, truth) > 0.3
+
+
 def test_even_light_is_an_object_without_a_background():
     image = 0.2 + np.random.default_rng(0).normal(size=(SIDE, SIDE))
     model = lobe(2.0)
