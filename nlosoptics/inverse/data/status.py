@@ -6,8 +6,8 @@ images of 64 x 64 pixels, seeds below 1000: glyphs, drawings, grey pictures and 
 surround, 0.5 to 10 % noise.
 
 On the 200 cases of seeds 3000 to 3199, three quarters of them with a mismatch, 106 answers of
-`tv_deconvolve` were called converged. 9 of them had a correlation below 0.85 with the truth, most of
-these because the model lacks a part of the blur. Of 85 answers above 0.93, 6 were not called
+`tv_deconvolve` were called converged. 9 of them had a correlation below 0.85 with the truth, most
+of these because the model lacks a part of the blur. Of 85 answers above 0.93, 6 were not called
 converged, all with a mismatch. Of 200 images that show nothing of the scene, 3 were called
 converged: two of walls of the same kind as the model's, and one with 10 % noise.
 
