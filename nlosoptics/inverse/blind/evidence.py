@@ -249,8 +249,11 @@ def evidence_fit(
     search.finished()
     best, energy = search.best(), search.energy()
     margin, sharp_margin = search.margins
-    passed = not ended and search.converged
-    status: Status = "unconverged" if ended else verdict.status(best, margin, passed)
+    status: Status = "unconverged"
+    reasons: tuple[str, ...] = ("the progress callback ended the search; resume it",)
+    if not ended:
+        reasons = search.faults
+        status = verdict.status(best, margin, reasons)
     error = verdict.model_error(best)
     if not ended:
         goes_on(progress, "evidence: done", 1.0, snapshot)
@@ -262,6 +265,7 @@ def evidence_fit(
         best,
         gain=gain,
         status=status,
+        reasons=reasons,
         history=search.place.history,
         started=started,
         given=len(pupil_psf.modes),
@@ -352,6 +356,7 @@ def _without_object(
             "coefficients": np.zeros(_walls_first(frames, len(pupil_psf.modes))),
         },
         status="too_few_photons",
+        reasons=("no object was detected above the noise, so the object is zero; expose longer",),
         score=math.sqrt(float(np.mean(np.square(scores)))),
         history=frozen({"objective": [], "residual": [], "change": []}),
         seconds=time.perf_counter() - started,
@@ -369,6 +374,7 @@ def _assembled(
     *,
     gain: float | None,
     status: Status,
+    reasons: tuple[str, ...],
     history: Mapping[str, list[float]],
     started: float,
     given: int,
@@ -402,6 +408,7 @@ def _assembled(
             **figures,
         },
         status=status,
+        reasons=reasons,
         score=math.sqrt(float(np.average(best.chi_square[0], weights=frames.counted))),
         history=frozen(history),
         seconds=time.perf_counter() - started,

@@ -270,9 +270,9 @@ class Search:
             self.place = Place.of(state, flat, len(modes))
 
     @property
-    def converged(self) -> bool:
-        """Whether the best answer passes all tests."""
-        return self._verdict.passes(self.place.best, self.margins, self.place.held, self._error)
+    def faults(self) -> tuple[str, ...]:
+        """Reason against the best answer; empty if it passes all tests."""
+        return self._verdict.faults(self.place.best, self.margins, self.place.held, self._error)
 
     @property
     def margins(self) -> tuple[float, float]:
@@ -467,7 +467,7 @@ class Search:
     def _next(self) -> str:
         """Return the first step of the next round, or the end."""
         self.place.turn += 1
-        if self.place.turn == self._rounds or (len(self.place.best) and self.converged):
+        if self.place.turn == self._rounds or (len(self.place.best) and not self.faults):
             return "end"
         return "gather" if self._frames else "coarse"
 

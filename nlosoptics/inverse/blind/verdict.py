@@ -93,10 +93,10 @@ class Verdict:
         excess = _EXCESS * math.sqrt(2.0 / self.pixels)
         return float(np.average(best.chi_square[0], weights=self._frames.counted)) > 1.0 + excess
 
-    def passes(
+    def faults(
         self, best: Starts, margins: tuple[float, float], held: float, start_error: float | None
-    ) -> bool:
-        """Return whether an answer passes all tests.
+    ) -> tuple[str, ...]:
+        """Return the reason against an answer, or nothing if it passes all tests.
 
         Parameters
         ----------
@@ -109,23 +109,32 @@ class Verdict:
         start_error : float or None
             Expected rms error of the given coefficients, waves; None without such a prior.
         """
-        if self.model_error(best) > self.model_limit(best, complete=self.several):
-            return False
+        error, most = self.model_error(best), self.model_limit(best, complete=self.several)
+        if error > most:
+            return (
+                f"wall and object leave {100 * error:.2g} % of the images' range beyond the noise, "
+                f"limit {100 * most:.2g} %; check the defocus and the pupil, or give more modes",
+            )
         if self.several:
-            return True
+            return ()
         margin, sharp = margins
+        rival = (
+            f"a wave without blur explains the image nearly as well: its free energy is above the "
+            f"answer's by {-margin:.3g} only; give a second image with a known defocus",
+        )
         noise = float(self._frames.sigmas[0])
         if start_error is None:
             finer = max(0.0, math.log(_SHARP_NOISE / noise))
             limit = self.pixels * (_SHARP_MARGIN[0] + _SHARP_MARGIN[1] * finer)
-            return margin < -_SURE_MARGIN or sharp < -limit
+            return () if margin < -_SURE_MARGIN or sharp < -limit else rival
         fitted_noise = math.sqrt(float(best.chi_square[0, 0])) < _OVERFITTED
         by_prior = margin - held < -_BY_PRIOR and margin * noise < _LITTLE_ABOVE
-        return margin < -_NEAR_MARGIN or (by_prior and not fitted_noise)
+        sure = margin < -_NEAR_MARGIN or (by_prior and not fitted_noise)
+        return () if sure else rival
 
-    def status(self, best: Starts, margin: float, passed: bool) -> Status:
-        """Return the status of an answer; ``passed`` is the result of `passes`."""
-        if passed:
+    def status(self, best: Starts, margin: float, faults: tuple[str, ...]) -> Status:
+        """Return the status of an answer; ``faults`` is the result of `faults`."""
+        if not faults:
             return "converged"
         weak = float(np.linalg.norm(best.coefficients[0])) < _NO_BLUR
         return "trivial" if not self.several and (weak or margin == 0.0) else "unconverged"

@@ -246,6 +246,7 @@ def test_a_wall_that_no_mode_holds_is_not_called_right(pupil):
     data[1] = data[1].T[::-1]
     found = evidence_fit(data, pupil, defocus=DEFOCUS, noise_sigma=sigma, max_iterations=1)
     assert found.status == "unconverged"
+    assert "beyond the noise" in found.reasons[0]
 
 
 def test_no_blur_is_flagged(pupil):
@@ -253,6 +254,7 @@ def test_no_blur_is_flagged(pupil):
     data, sigma = images(32, wall(0.3), defocus=np.zeros(1))
     found = evidence_fit(data, pupil, noise_sigma=sigma, max_iterations=1, max_seconds=1e-9)
     assert found.status == "trivial"
+    assert "give a second image" in found.reasons[0]
     assert found.physical_parameters["margin"] == 0.0
 
 
