@@ -20,10 +20,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ..._checks import counted
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
-from .measurement import real_array
 
 
 def joined(parts: Sequence[Tensor]) -> Tensor:
@@ -33,21 +31,9 @@ def joined(parts: Sequence[Tensor]) -> Tensor:
 
 
 def spread(name: str, values: Any, parts: Sequence[Tensor]) -> None:
-    """Write a vector of values into tensors, in their order.
+    """Write a vector (n,) of values into tensors of n elements together, in their order.
 
-    Parameters
-    ----------
-    name : str
-        Name of the values in the error message.
-    values : array_like, (n,)
-        Values for all tensors.
-    parts : sequence of Tensor
-        Tensors with n elements together; changed in place.
-
-    Raises
-    ------
-    SamplingError
-        If the number of values differs from the number of elements.
+    Another number of values raises a `SamplingError`, in which ``name`` stands for the values.
     """
     vector = torch.from_numpy(np.array(values)).reshape(-1)
     sizes = [part.numel() for part in parts]
@@ -62,19 +48,10 @@ def spread(name: str, values: Any, parts: Sequence[Tensor]) -> None:
 
 
 def adam_state(name: str, adam: torch.optim.Adam) -> dict[str, Tensor]:
-    """Return values, moments and step count of an Adam optimiser as tensors.
+    """Return values, moments and step count of an Adam optimiser that updates all its values.
 
-    Parameters
-    ----------
-    name : str
-        Prefix of the keys, which says what the values are.
-    adam : Adam
-        Optimiser that updates all its values in every step.
-
-    Returns
-    -------
-    dict of str to Tensor
-        Vectors, (n,), under ``name``, ``name_exp_avg`` and ``name_exp_avg_sq``, and ``name_steps``.
+    The vectors (n,) have the keys ``name``, ``name_exp_avg`` and ``name_exp_avg_sq``; the number of
+    steps has the key ``name_steps``.
     """
     values = _values(adam)
     found = {name: joined(values)}
@@ -86,23 +63,10 @@ def adam_state(name: str, adam: torch.optim.Adam) -> dict[str, Tensor]:
 
 
 def take_up_adam(name: str, adam: torch.optim.Adam, state: Mapping[str, Any]) -> None:
-    """Restore an Adam optimiser from a dict of `adam_state`.
+    """Restore values and moments of an Adam optimiser, in place, from a dict of `adam_state`.
 
-    Parameters
-    ----------
-    name : str
-        Prefix of the keys.
-    adam : Adam
-        Optimiser; its values and moments are changed in place.
-    state : mapping
-        State with the entries of `adam_state`.
-
-    Raises
-    ------
-    SceneError
-        If the state holds no such values.
-    SamplingError
-        If it holds more or fewer values than the optimiser.
+    A `SceneError` is raised if the state holds no such values, and a `SamplingError` if it holds
+    more or fewer than the optimiser.
     """
     if name not in state:
         raise SceneError(f"start holds no {name}; give a state of the same solver, or leave it out")
@@ -117,6 +81,13 @@ def take_up_adam(name: str, adam: torch.optim.Adam, state: Mapping[str, Any]) ->
     for part, mean, square in zip(values, moments["exp_avg"], moments["exp_avg_sq"], strict=True):
         steps = torch.tensor(float(state[f"{name}_steps"]))
         adam.state[part] = {"step": steps, "exp_avg": mean, "exp_avg_sq": square}
+
+
+def descend(adam: torch.optim.Adam, loss: Tensor) -> None:
+    """Make one step of an Adam optimiser along the gradient of a loss, a single number."""
+    adam.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    adam.step()
 
 
 def _values(adam: torch.optim.Adam) -> list[Tensor]:
@@ -143,16 +114,8 @@ class Stop(Exception):
 def goes_on(progress: Progress | None, text: str, fraction: float, snapshot: Snapshot) -> bool:
     """Call a progress callback; return False if it asks to stop.
 
-    Parameters
-    ----------
-    progress : callable or None
-        Callback of the user, or None.
-    text : str
-        Description of the fit's current state.
-    fraction : float
-        Completed fraction, 0 to 1.
-    snapshot : callable
-        Returns the solver's state as a dict of arrays.
+    ``text`` describes the fit, ``fraction`` is the completed part of it, 0 to 1, and ``snapshot``
+    returns the solver's state as a dict of arrays.
     """
     if progress is None:
         return True
@@ -176,38 +139,11 @@ def state_of(level: Tensor, **more: Any) -> State:
     return arrays
 
 
-def kept_numbers(state: Mapping[str, Any], count: int, solver: str) -> list[float]:
-    """Return the entry ``numbers`` of a saved state, checked to be ``count`` finite values.
-
-    ``solver`` names the solver in the error message.
-    """
-    numbers: list[float] = real_array("start's numbers", state["numbers"]).ravel().tolist()
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise SceneError(
-            f"start's numbers are {numbers}, must be {counted(count, 'finite value')}; give a "
-            f"state of {solver}, or leave it out"
-        )
-    return numbers
-
-
 def started_from(start: Any, shape: tuple[int, int], device: torch.device) -> Tensor | None:
     """Return the initial object (H, W), float64 in image units; None for the solver's own start.
 
-    Parameters
-    ----------
-    start : array_like, mapping or None
-        Object, or a saved state that holds one.
-    shape : (int, int)
-        Shape (H, W) of the model.
-    device : torch.device
-        Device of the result.
-
-    Raises
-    ------
-    SamplingError
-        If the object's shape is not that of the model.
-    SceneError
-        If the state holds no object, or one that is not finite.
+    ``start`` is an object, or a saved state that holds one. A `SamplingError` is raised if its
+    shape is not that of the model, ``shape``, and a `SceneError` if it is not finite or missing.
     """
     if start is None:
         return None

@@ -16,20 +16,11 @@ from ...imaging.forward_model import ForwardModel, padded_grid
 def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, int], Tensor]:
     """Return the FFT grid for a frame, and the transfer functions of kernels on it.
 
-    Parameters
-    ----------
-    kernel : Tensor, (..., ky, kx)
-        Point spreads with the centre at [ky//2, kx//2].
-    frame : (int, int)
-        Rows and columns of object and image.
-
-    Returns
-    -------
-    grid : (int, int)
-        Rows and columns of the grid, equal to that of `imaging.ForwardModel`.
-    transfer : Tensor, (..., rows, columns//2 + 1)
-        ``rfft2`` of the kernels with their centre at sample [0, 0]. Parts of a kernel longer than
-        the frame are omitted, since no light of the frame reaches the frame through them.
+    ``kernel`` (..., ky, kx) has its centre at [ky//2, kx//2], and ``frame`` is rows and columns of
+    object and image. The grid equals that of `imaging.ForwardModel`. The transfer functions (...,
+    rows, columns//2 + 1) are the ``rfft2`` of the kernels with their centre at sample [0, 0]. Parts
+    of a kernel longer than the frame are omitted, since no light of the frame reaches the frame
+    through them.
     """
     sides = kernel.shape[-2:]
     grid = padded_grid(tuple(sides), frame)
@@ -44,6 +35,18 @@ def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, 
     on_grid = functional.pad(kept, (0, room[1], 0, room[0])).roll(places, (-2, -1))
     transfer: Tensor = torch.fft.rfft2(on_grid)
     return grid, transfer
+
+
+def half_spectrum_weights(columns: int) -> Tensor:
+    """Return how often each column of an ``rfft2`` counts in the whole spectrum, float64.
+
+    It holds every column once for two but the first, and the last of an even grid.
+    """
+    weights = torch.full((columns // 2 + 1,), 2.0, dtype=torch.float64)
+    weights[0] = 1.0
+    if columns % 2 == 0:
+        weights[-1] = 1.0
+    return weights
 
 
 class TorchForwardModel(nn.Module):

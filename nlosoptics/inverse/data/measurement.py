@@ -222,6 +222,16 @@ def total(values: Tensor) -> float:
     return float(values.sum(dim=-1, dtype=torch.float64).sum())
 
 
+def weighted(values: Tensor, weights: Tensor | None) -> Tensor:
+    """Return values times the pixel weights; None for weights of 1."""
+    return values if weights is None else values * weights
+
+
+def norm(values: Tensor) -> float:
+    """Return the root of the sum of squares of an image, in double precision."""
+    return math.sqrt(total(values * values))
+
+
 def measurement(
     image: Any,
     model: AnyModel | tuple[int, int],

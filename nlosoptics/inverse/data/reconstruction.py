@@ -115,28 +115,10 @@ def assemble(
 ) -> Reconstruction:
     """Return the `Reconstruction` for an object in image units.
 
-    Parameters
-    ----------
-    data : Measurement
-        Image and noise.
-    level : Tensor, (H, W)
-        Object times gain, image units.
-    model : ForwardModel or TorchForwardModel
-        Image model.
-    background : float
-        Fitted strength of the unknown background, image units.
-    gain : float or None
-        Image units per object unit; if None, the object's maximum becomes 1.
-    status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
-        How the fit ended.
-    history : mapping of str to sequence of float
-        Records of the iterations.
-    started : float
-        ``time.perf_counter()`` at the start.
-    reasons : tuple of str
-        What speaks against "converged".
-    **parameters : float or ndarray
-        Further entries of ``physical_parameters``.
+    ``level`` (H, W) is the object times the gain and ``background`` the fitted strength of the
+    unknown background, image units. If ``gain`` is None, the object's maximum becomes 1.
+    ``reasons`` speak against "converged". ``started`` is ``time.perf_counter()`` at the start, and
+    ``parameters`` are further entries of ``physical_parameters``.
     """
     level = level.to(torch.float64)
     explained = torch_model(model, level.device, torch.float64)(level)

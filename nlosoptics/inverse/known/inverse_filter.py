@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..._checks import in_range, positive
+from ..._checks import in_range
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
-from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
-from ..data.measurement import Measurement, measurement
-from ..data.reconstruction import Reconstruction, beside, concluded, without_object
+from ..data.driver import reconstructed
+from ..data.forward import (
+    TorchForwardModel,
+    half_spectrum_weights,
+    one_kernel_shape,
+    torch_model,
+)
+from ..data.measurement import Measurement
+from ..data.reconstruction import Reconstruction, beside
 from ..data.status import Ending
 
 # Transfer modulus, relative to the largest, that is only rounding error.
@@ -91,40 +96,25 @@ def inverse_filter(
     .. [1] Wu et al., Advanced Photonics Nexus 3 (2024) 026010, eq. 1.
     .. [2] Hansen, Discrete Inverse Problems, SIAM (2010), sec. 5.2.
     """
-    started = time.perf_counter()
     guard = None if guard is None else in_range("guard", guard, _ROUNDING, 1.0)
-    gain = None if gain is None else positive("gain", gain)
+
+    def solve(data: Measurement) -> dict[str, Any]:
+        twin = torch_model(model, data.data.device, torch.float64)
+        level, used = _divided(data, twin, guard)
+        strength, score = beside(data, level, twin)
+        if progress is not None:
+            progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
+        history = {"objective": [0.5 * data.counted * score**2], "residual": [score]}
+        return {
+            "level": level,
+            "background": strength,
+            "ending": Ending(converged=True, history={**history, "change": [1.0]}),
+            "guard": used,
+        }
+
+    known = noise_sigma, background, fit_background, background_shape, gain
     one_kernel_shape(model)
-    data = measurement(
-        image,
-        model,
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
-    twin = torch_model(model, data.data.device, torch.float64)
-    if data.is_background(model):
-        return without_object(data, model=model, gain=gain, started=started)
-    level, guard = _divided(data, twin, guard)
-    strength, score = beside(data, level, twin)
-    if progress is not None:
-        progress(f"inverse filter: residual {score:.2g} of the noise", 1.0)
-    history = {
-        "objective": [0.5 * data.counted * score**2],
-        "residual": [score],
-        "change": [1.0],
-    }
-    return concluded(
-        data,
-        level,
-        model=model,
-        background=strength,
-        gain=gain,
-        ending=Ending(converged=True, history=history),
-        started=started,
-        guard=guard,
-    )
+    return reconstructed(solve, image, model, *known)
 
 
 def _divided(
@@ -156,8 +146,7 @@ def _noise_guard(data: Measurement, spectrum: Tensor, size: Tensor, grid: tuple[
     relative to its maximum, both (rows, columns//2 + 1).
     """
     power = spectrum.real**2 + spectrum.imag**2
-    # A half spectrum holds every column but the first, and the last of an even grid, once for two.
-    power[:, 1 : (grid[1] + 1) // 2] *= 2.0
+    power *= half_spectrum_weights(grid[1]).to(power.device)
     order = torch.argsort(size.flatten())
     left_out = torch.cumsum(power.flatten()[order], dim=0) / (grid[0] * grid[1])
     allowed = data.noise_power()

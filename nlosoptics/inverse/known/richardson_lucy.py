@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import math
-import time
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
-from ..data.checkpoints import goes_on, started_from, state_of
-from ..data.forward import TorchForwardModel, model_shape, torch_model
-from ..data.measurement import Measurement, measurement, total
-from ..data.reconstruction import Reconstruction, concluded, without_object
+from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
+from ..data.forward import TorchForwardModel, torch_model
+from ..data.measurement import Measurement, norm, total, weighted
+from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
 from .wiener import background_estimate
 
@@ -107,53 +105,57 @@ def richardson_lucy(
     .. [3] Snyder, Hammoud and White, J. Opt. Soc. Am. A 10 (1993) 1014.
     .. [4] Biggs and Andrews, Applied Optics 36 (1997) 1766.
     """
-    started = time.perf_counter()
-    max_iterations = whole("max_iterations", max_iterations)
-    tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
-    gain = None if gain is None else positive("gain", gain)
-    data = measurement(
-        image,
-        model,
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
-    if data.is_background(model):
-        return without_object(data, model=model, gain=gain, started=started)
-    first = started_from(start, model_shape(model), data.data.device)
-    steps = _Maximisation(data, model, accelerated, first)
-    converged = steps.run(max_iterations, tolerance, progress)
-    return concluded(
-        data,
-        steps.best.double() * steps.scale,
-        model=model,
-        background=steps.background(),
-        gain=gain,
-        ending=Ending(converged=converged, history=steps.history, most_residual=MOST_RESIDUAL),
-        started=started,
-    )
+    rule = stop_rule(max_iterations, tolerance)
+
+    def solve(data: Measurement) -> dict[str, Any]:
+        return solved(_Maximisation(data, model, rule, accelerated), start, progress)
+
+    known = noise_sigma, background, fit_background, background_shape, gain
+    return reconstructed(solve, image, model, *known)
 
 
-class _Maximisation:
-    """State of the Richardson-Lucy iteration. Internally the image is divided by its range."""
+@dataclass(eq=False, kw_only=True)
+class _Estimate(Iterate):
+    """State of the iteration.
+
+    ``before`` and ``move`` are the last object before extrapolation and its last step; ``best`` has
+    the least objective so far, or ended the fit.
+    """
+
+    current: Tensor
+    before: Tensor
+    move: Tensor
+    best: Tensor
+    strength: float
+    best_strength: float
+    least: float = math.inf
+    residual: float = math.inf
+    change: float = math.inf
+
+
+class _Maximisation(Solver[_Estimate]):
+    """Richardson-Lucy iteration. Internally the image is divided by its range."""
+
+    name = "richardson_lucy"
+    report = "Richardson-Lucy: residual {residual:.3g} of the noise"
 
     def __init__(
         self,
         data: Measurement,
         model: ForwardModel | TorchForwardModel,
+        rule: tuple[int, float],
         accelerated: bool,
-        first: Tensor | None,
     ) -> None:
-        dtype, device = data.working_dtype(), data.data.device
-        self.scale = data.span()
+        self.data = data
+        self.max_iterations, self._tolerance = rule
         self._accelerated = accelerated
-        self._sigma = data.sigma / self.scale
-        self._counted = data.counted
+        dtype, device = data.working_dtype(), data.data.device
+        self._scale = data.span()
+        self._sigma = data.sigma / self._scale
         self._model = torch_model(model, device, dtype)
         self._weights = None if data.weights is None else data.weights.to(dtype)
-        self._level = background_estimate(data, torch_model(model, device, torch.float64))
-        image = ((data.data - data.background(self._level)) / self.scale).to(dtype)
+        self._level = background_estimate(data, model)
+        image = ((data.data - data.background(self._level)) / self._scale).to(dtype)
         self._pedestal = self._sigma + max(0.0, -float(image.min()))
         self._image = image + self._pedestal
         # The fitted background starts one noise sigma below its estimate. It is positive, so that
@@ -163,104 +165,81 @@ class _Maximisation:
             shape = data.background_shape
             self._shape = torch.ones_like(image) if shape is None else shape.to(dtype)
             self._image += self._sigma * self._shape
-        self._strength = self._best_strength = self._sigma
-        self._ceiling = self._model.adjoint(self._weighted(torch.ones_like(image)))
+        self._ceiling = self._model.adjoint(weighted(torch.ones_like(image), self._weights))
         # An object pixel without light in the frame cannot be determined; it stays dark.
         self._reached = self._ceiling > 1e-6 * self._ceiling.max()
         reached = self._reached.to(dtype)
-        flat = total(image.clamp_min(0.0)) / total(self._model(reached))
-        self._object = self.best = flat * reached
+        self._flat = total(image.clamp_min(0.0)) / total(self._model(reached)) * reached
+
+    def init(self, first: Tensor | None) -> _Estimate:
+        """Return the initial state; its object is uniform if none is given."""
+        current = self._flat
         if first is not None:
-            self._object = self.best = (first / self.scale).to(dtype).clamp_min(0.0) * reached
-            if not bool(self._object.any()):
+            current = (first / self._scale).to(current).clamp_min(0.0) * self._reached
+            if not bool(current.any()):
                 raise SceneError(
                     f"start has no light (largest value {float(first.max()):g}), and what is dark "
                     "stays dark; leave it out"
                 )
-        self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
+        return _Estimate(
+            current=current,
+            before=current,
+            move=torch.zeros_like(current),
+            best=current,
+            strength=self._sigma,
+            best_strength=self._sigma,
+        )
 
-    def run(self, max_iterations: int, tolerance: float, progress: Progress | None) -> bool:
-        """Iterate until the residual equals the noise or the object stops changing.
+    def step(self, state: _Estimate) -> tuple[float, float, float]:
+        """Make one iteration; return objective, residual and change of the object before it."""
+        ratio, objective, state.residual = self._misfit(state)
+        drawn = self._model.adjoint(ratio).clamp_min_(0.0)
+        new = torch.where(self._reached, state.current * drawn / self._ceiling, 0.0)
+        state.change = norm(new - state.before) / max(norm(new), 1e-30)
+        if objective < state.least or self.done(state):
+            state.least = objective
+            state.best, state.best_strength = state.current, state.strength
+        move = new - state.current
+        reach = _reach(state.move, move) if self._accelerated else 0.0
+        state.current = (new + reach * (new - state.before)).clamp_min_(0.0)
+        state.before, state.move = new, move
+        if self._shape is not None:
+            drawn_level = total(self._shape * ratio)
+            state.strength *= drawn_level / total(weighted(self._shape, self._weights))
+        return objective, state.residual, state.change
 
-        Returns False if the iterations ran out, or the callback stopped the fit, before that.
-        """
-        before = self._object
-        moves: list[Tensor] = []
-        least = math.inf
-        for iteration in range(max_iterations):
-            ratio, objective, residual = self._misfit()
-            if objective < least:
-                least = objective
-                self.best, self._best_strength = self._object, self._strength
-            new = self._step(ratio)
-            moves = [*moves[-1:], new - self._object]
-            change = _norm(new - before) / max(_norm(new), 1e-30)
-            self.history["objective"].append(objective)
-            self.history["residual"].append(residual)
-            self.history["change"].append(change)
-            done = residual <= 1.0 or change <= tolerance
-            if done:
-                self.best, self._best_strength = self._object, self._strength
-            last = done or iteration + 1 == max_iterations
-            on = True
-            if last or iteration % 10 == 9:
-                on = goes_on(
-                    progress,
-                    f"Richardson-Lucy: residual {residual:.3g} of the noise after "
-                    f"{counted(iteration + 1, 'iteration')}",
-                    1.0 if last else (iteration + 1) / max_iterations,
-                    partial(state_of, self.best.double() * self.scale),
-                )
-            if done or not on:
-                return done
-            reach = _reach(moves) if self._accelerated else 0.0
-            self._object = (new + reach * (new - before)).clamp_min_(0.0)
-            before = new
-            self._strength *= self._background_step(ratio)
-        return False
+    def done(self, state: _Estimate) -> bool:
+        """Return whether the residual is at the noise, or the object no longer changes."""
+        return state.residual <= 1.0 or state.change <= self._tolerance
 
-    def background(self) -> float:
+    def level(self, state: _Estimate) -> Tensor:
+        """Return the object (H, W) in image units."""
+        return state.best.double() * self._scale
+
+    def answer(self, found: Run[_Estimate], level: Tensor) -> dict[str, Any]:
         """Return the mean of the fitted background in image units."""
-        return self._level + (self._best_strength - self._sigma) * self.scale
+        moved = (found.state.best_strength - self._sigma) * self._scale
+        converged = self.done(found.state)
+        ending = Ending(converged=converged, history=found.history, most_residual=MOST_RESIDUAL)
+        return {"background": self._level + moved, "ending": ending}
 
-    def _misfit(self) -> tuple[Tensor, float, float]:
+    def _misfit(self, state: _Estimate) -> tuple[Tensor, float, float]:
         """Return weighted ratio image/model (H, W), divergence, and rms residual over the noise.
 
         The divergence is the weighted generalised Kullback-Leibler divergence of image and model.
         """
-        model = self._model(self._object) + self._pedestal
+        model = self._model(state.current) + self._pedestal
         if self._shape is not None:
-            model = model + self._strength * self._shape
+            model = model + state.strength * self._shape
         # FFT rounding errors may lower the model below the pedestal, which is at least one sigma.
         model = model.clamp_min_(0.5 * self._pedestal)
         ratio = self._image / model
         residual = self._image - model
-        squares = total(self._weighted(residual * residual)) / self._counted
-        divergence = total(self._weighted(self._image * ratio.log() - residual))
-        return self._weighted(ratio), divergence, math.sqrt(squares) / self._sigma
-
-    def _step(self, ratio: Tensor) -> Tensor:
-        """Return the next object: the current one times the back-projected ``ratio`` (H, W)."""
-        drawn = self._model.adjoint(ratio).clamp_min_(0.0)
-        return torch.where(self._reached, self._object * drawn / self._ceiling, 0.0)
-
-    def _background_step(self, ratio: Tensor) -> float:
-        """Return the factor by which an iteration changes the strength of the background."""
-        if self._shape is None:
-            return 1.0
-        return total(self._shape * ratio) / total(self._weighted(self._shape))
-
-    def _weighted(self, values: Tensor) -> Tensor:
-        return values if self._weights is None else values * self._weights
+        squares = total(weighted(residual * residual, self._weights)) / self.data.counted
+        divergence = total(weighted(self._image * ratio.log() - residual, self._weights))
+        return weighted(ratio, self._weights), divergence, math.sqrt(squares) / self._sigma
 
 
-def _reach(moves: list[Tensor]) -> float:
+def _reach(earlier: Tensor, later: Tensor) -> float:
     """Return the extrapolation factor, 0 to 1, computed from the last two steps."""
-    if len(moves) < 2:
-        return 0.0
-    earlier, later = moves
     return min(max(total(later * earlier) / max(total(earlier * earlier), 1e-30), 0.0), 1.0)
-
-
-def _norm(values: Tensor) -> float:
-    return math.sqrt(total(values * values))

@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..._checks import counted, in_range, positive, whole
+from ..._checks import positive
 from ..._progress import Progress
-from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
-from ..data.checkpoints import State, goes_on, kept_numbers, started_from, state_of
-from ..data.forward import TorchForwardModel, model_shape, torch_model
-from ..data.measurement import Measurement, measurement, real_array, total
-from ..data.reconstruction import Reconstruction, concluded, without_object
+from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
+from ..data.forward import TorchForwardModel, torch_model
+from ..data.measurement import Measurement, norm, total, weighted
+from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
+from .wiener import conjugate_direction
 
 # Factor by which each solve reduces the residual, within _MOST_STEPS steps and single precision. It
 # starts from the previous object, which changes little.
@@ -32,17 +31,8 @@ class FieldStep:
 
     It minimises ``p |A x - a|^2 + x' R x - 2 x' b`` over objects x, where A is the convolution with
     the field on the whole FFT grid and R is diagonal in Fourier space. Outside the frame, where the
-    final object is zero, each weight of the field is replaced by its mean. Each solution is the
-    start of the next one.
-
-    Parameters
-    ----------
-    model : TorchForwardModel
-        Model of a field, float64.
-    response : float
-        Factor by which the transfer functions are divided.
-    dtype : torch.dtype
-        Real type of the computation.
+    final object is zero, each weight of the field is replaced by its mean. ``model`` is that of a
+    field, float64; its transfer functions are divided by ``response``.
     """
 
     def __init__(self, model: TorchForwardModel, response: float, dtype: torch.dtype) -> None:
@@ -57,29 +47,29 @@ class FieldStep:
         self._weights = extended.to(dtype)
         complex_dtype = torch.complex64 if dtype == torch.float32 else torch.complex128
         self._transfer = (model.transfer / response).to(complex_dtype)
-        self._free = torch.zeros(model.grid, dtype=dtype, device=weights.device)
-        self._image = torch.zeros_like(self._free)
 
     def solve(
-        self, image: Tensor, pull: Tensor, penalty: float, rest: Tensor, inverse: Tensor
+        self,
+        image: Tensor,
+        pull: Tensor,
+        penalty: float,
+        rest: Tensor,
+        inverse: Tensor,
+        start: tuple[Tensor, Tensor],
     ) -> tuple[Tensor, Tensor]:
-        """Return the minimising object and its image, both on the FFT grid.
+        """Return the minimising object and its image, both on the FFT grid, (rows, columns).
 
-        Parameters
-        ----------
-        image, pull : Tensor, (rows, columns)
-            The vectors a and b.
-        penalty : float
-            The factor p.
-        rest, inverse : Tensor, (rows, columns//2 + 1)
-            Half spectra of R and of the preconditioner, which is positive.
+        ``image``, ``pull`` and ``penalty`` are a, b and p; ``rest`` and ``inverse``, (rows,
+        columns//2 + 1), the half spectra of R and of the preconditioner, which is positive.
+        ``start`` is an earlier result.
         """
-        free, seen = self._free.clone(), self._image.clone()
+        free, seen = start[0].clone(), start[1].clone()
         residual = penalty * self._adjoint(image - seen) + pull - self._filtered(free, rest)
-        step = self._filtered(residual, inverse)
-        direction, product = step, total(residual * step)
-        goal = _FALL**2 * product
-        for _ in range(_MOST_STEPS):
+        direction, product, goal = torch.zeros_like(free), math.inf, 0.0
+        for number in range(_MOST_STEPS):
+            step = self._filtered(residual, inverse)
+            direction, product = conjugate_direction(residual, step, direction, product)
+            goal = goal if number else _FALL**2 * product
             if product <= goal or product == 0.0:
                 break
             moved = self._forward(direction)
@@ -88,10 +78,6 @@ class FieldStep:
             free += length * direction
             seen += length * moved
             residual = residual - length * turned
-            step = self._filtered(residual, inverse)
-            last, product = product, total(residual * step)
-            direction = step + (product / last) * direction
-        self._free, self._image = free, seen
         return free, seen
 
     def _forward(self, picture: Tensor) -> Tensor:
@@ -121,10 +107,6 @@ _ADAPT_EVERY = 10
 _ADAPT_UNTIL = 100
 # Weight of the residual mismatch in the stopping criterion.
 _RESIDUAL_SHARE = 0.05
-
-# Attributes that, together with the image, determine the next iteration.
-_PICTURES = ("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual")
-_NUMBERS = ("background", "multiplier", "data_penalty", "edge_penalty", "sign_penalty")
 
 
 @single_thread()
@@ -228,81 +210,68 @@ def tv_deconvolve(
     >>> found.status, registered_correlation(found, truth) > 0.99
     ('converged', True)
     """
-    started = time.perf_counter()
-    max_iterations = whole("max_iterations", max_iterations)
-    tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
+    rule = stop_rule(max_iterations, tolerance)
     tv_weight = None if tv_weight is None else positive("tv_weight", tv_weight)
-    gain = None if gain is None else positive("gain", gain)
-    data = measurement(
-        image,
-        model,
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
-    if data.is_background(model):
-        return without_object(data, model=model, gain=gain, started=started)
-    level = started_from(start, model_shape(model), data.data.device)
-    splitting = _Splitting(data, model, tv_weight, level)
-    first = splitting.go_on(start) if isinstance(start, Mapping) else 0
-    converged = False
-    for iteration in range(first, max_iterations):
-        change = splitting.iterate()
-        # The first change is due to the data alone and is tiny if the weight is large.
-        converged = change <= tolerance and iteration > 0
-        last = converged or iteration + 1 == max_iterations
-        told = last or iteration % 10 == 9
-        if iteration < _ADAPT_UNTIL and iteration % _ADAPT_EVERY == _ADAPT_EVERY - 1:
-            splitting.adapt()
-        done = 1.0 if last else (iteration + 1) / max_iterations
-        if told and not splitting.report(progress, done, iteration + 1):
-            break
-        if converged:
-            break
-    ending = Ending(
-        converged=converged,
-        history=splitting.history(),
-        most_residual=MOST_RESIDUAL if tv_weight is None else None,
-        sharp=tv_weight is None,
-    )
-    return concluded(
-        data,
-        splitting.level(),
-        model=model,
-        background=splitting.background(),
-        gain=gain,
-        ending=ending,
-        started=started,
-        tv_weight=splitting.tv_weight(),
-    )
+
+    def solve(data: Measurement) -> dict[str, Any]:
+        return solved(_Splitting(data, model, rule, tv_weight), start, progress)
+
+    known = noise_sigma, background, fit_background, background_shape, gain
+    return reconstructed(solve, image, model, *known)
 
 
-class _Splitting:
-    """State of the alternating direction method of multipliers (ADMM) for total variation.
+@dataclass(eq=False, kw_only=True)
+class _Split(Iterate):
+    """State of the splitting: copies of image, gradient and object, their duals and penalties.
+
+    ``free`` and ``seen`` are object and image of the last step for a field of point spreads;
+    ``measure`` is compared with the tolerance.
+    """
+
+    signed: Tensor
+    predicted: Tensor
+    edges: Tensor
+    data_dual: Tensor
+    sign_dual: Tensor
+    edge_dual: Tensor
+    free: Tensor | None
+    seen: Tensor | None
+    background: float = 0.0
+    multiplier: float
+    data_penalty: float
+    edge_penalty: float
+    sign_penalty: float
+    measure: float = math.inf
+
+
+class _Splitting(Solver[_Split]):
+    """Alternating direction method of multipliers (ADMM) for total variation.
 
     Dual variables are scaled by their penalties. Internally the image is divided by its range and
     the kernel by its largest transfer modulus. Total variation has weight 1, and half the squared
     residual has the weight ``multiplier``.
     """
 
+    name, records = "tv_deconvolve", ("variation", "residual", "change")
+    report = "total variation: residual {residual:.3f}, change {change:.1e}"
+
     def __init__(
         self,
         data: Measurement,
         model: ForwardModel | TorchForwardModel,
+        rule: tuple[int, float],
         tv_weight: float | None,
-        level: Tensor | None,
     ) -> None:
+        self.data = data
+        self.max_iterations, self._tolerance = rule
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
         dtype = data.working_dtype()
-        self._fit_background = data.fit_background
         # A background far above the noise would exhaust single precision, so it is subtracted.
         self._level = data.border_strength()
-        self._background = 0.0
-        shape = data.background_shape
-        self._shape = None if shape is None else shape.to(dtype)
         self._image = ((data.data - data.background(self._level)) / self._scale).to(dtype)
+        shape = data.background_shape
+        self._shape = torch.ones_like(self._image) if shape is None else shape.to(dtype)
         self._weights = None if data.weights is None else data.weights.to(dtype)
         self._grid = model.grid
         self._frame = tuple(slice(None, length) for length in model.shape)
@@ -310,271 +279,233 @@ class _Splitting:
         transfer = twin.mean_transfer
         self._response = float(transfer.abs().max())
         transfer = transfer / self._response
-        self._field = None
-        if twin.weights is not None:
-            self._field = FieldStep(twin, self._response, dtype)
+        self._field = None if twin.weights is None else FieldStep(twin, self._response, dtype)
         self._transfer = transfer.to(dtype.to_complex())
         self._power = (transfer.real**2 + transfer.imag**2).to(dtype)
         self._laplacian = _laplacian(self._grid, data.data.device).to(dtype)
-        self._count = data.counted
-        self._start(level)
-        self._sought = tv_weight is None
-        outline = 2 * sum(model.shape)
-        freedom = max(self._count - outline, self._count / 2)
+        self._given = None if tv_weight is None else self._response / (self._sigma * tv_weight)
+        freedom = max(data.counted - 2 * sum(model.shape), data.counted / 2)
         self._target = self._sigma * math.sqrt(freedom)
-        if tv_weight is None:
-            self._data_penalty = 1.0 / (self._sigma * self._brightness)
-            self._multiplier = self._data_penalty / _DATA_SHARE
-        else:
-            self._multiplier = self._response / (self._sigma * tv_weight)
-            self._data_penalty = _DATA_SHARE * self._multiplier
-        self._factorise()
-        self._residuals: list[float] = []
-        self._variations: list[float] = []
-        self._changes: list[float] = []
+        self._factored: tuple[tuple[float, ...], tuple[Tensor, Tensor, Tensor]] | None = None
 
-    def _start(self, level: Tensor | None) -> None:
-        """Set the initial object, from ``level`` (H, W) in image units or by a mild inverse filter.
+    def init(self, first: Tensor | None) -> _Split:
+        """Return the initial state, from an object or by a mild inverse filter.
 
         Negative values and values outside the frame are removed. The predicted image starts as the
-        image itself. The image of ``level`` would leave nothing to do in the first step, and the
+        image itself. The image of ``first`` would leave nothing to do in the first step, and the
         iteration would appear to have converged.
         """
-        self._predicted = torch.zeros(
-            self._grid, dtype=self._image.dtype, device=self._image.device
-        )
-        self._predicted[self._frame] = self._image
-        spectrum = self._transfer.conj() * torch.fft.rfft2(self._predicted)
+        predicted = torch.zeros(self._grid, dtype=self._image.dtype, device=self._image.device)
+        predicted[self._frame] = self._image
+        spectrum = self._transfer.conj() * torch.fft.rfft2(predicted)
         spectrum /= self._power + 1e-2
-        first = torch.fft.irfft2(spectrum, s=self._grid)
-        if level is not None:
-            first = torch.zeros_like(self._predicted)
-            first[self._frame] = (level * (self._response / self._scale)).to(first.dtype)
-        self._signed = self._allowed(first)
-        framed = self._signed[self._frame].flatten()
-        bright = float(framed.kthvalue(math.ceil(0.99 * framed.numel())).values)
-        self._brightness = bright if bright > 0.0 else 1.0
-        self._sign_penalty = _SIGN_PENALTY / self._brightness
-        self._edge_penalty = _EDGE_PENALTY / self._brightness
-        self._edges = _gradient(self._signed)
-        self._data_dual = torch.zeros_like(self._image)
-        self._sign_dual = torch.zeros_like(self._signed)
-        self._edge_dual = torch.zeros_like(self._edges)
+        begun = torch.fft.irfft2(spectrum, s=self._grid)
+        if first is not None:
+            begun = torch.zeros_like(predicted)
+            begun[self._frame] = (first * (self._response / self._scale)).to(begun.dtype)
+        signed = self._allowed(begun)
+        framed = signed[self._frame].flatten()
+        brightness = float(framed.kthvalue(math.ceil(0.99 * framed.numel())).values)
+        brightness = brightness if brightness > 0.0 else 1.0
+        edges = _gradient(signed)
+        if self._given is None:
+            data_penalty = 1.0 / (self._sigma * brightness)
+            multiplier = data_penalty / _DATA_SHARE
+        else:
+            multiplier = self._given
+            data_penalty = _DATA_SHARE * multiplier
+        return _Split(
+            signed=signed,
+            predicted=predicted,
+            edges=edges,
+            data_dual=torch.zeros_like(self._image),
+            sign_dual=torch.zeros_like(signed),
+            edge_dual=torch.zeros_like(edges),
+            free=None if self._field is None else torch.zeros_like(signed),
+            seen=None if self._field is None else torch.zeros_like(signed),
+            multiplier=multiplier,
+            data_penalty=data_penalty,
+            edge_penalty=_EDGE_PENALTY / brightness,
+            sign_penalty=_SIGN_PENALTY / brightness,
+        )
 
-    def _factorise(self) -> None:
-        self._rest = self._edge_penalty * self._laplacian + self._sign_penalty
-        self._inverse = 1.0 / (self._data_penalty * self._power + self._rest)
-        self._filter = self._data_penalty * self._transfer.conj() * self._inverse
+    def resumed(self, state: _Split) -> None:
+        """Use a given weight instead of the saved one, which may be that of another fit."""
+        if self._given is not None and self._given != state.multiplier:
+            state.multiplier, state.measure = self._given, math.inf
 
-    def iterate(self) -> float:
-        """Run one iteration; return the change that `tv_deconvolve` compares with its tolerance."""
-        wanted = self._predicted.clone()
-        wanted[self._frame] -= self._data_dual
-        pull = _transposed_gradient(self._edges - self._edge_dual) * self._edge_penalty
-        pull += self._sign_penalty * (self._signed - self._sign_dual)
-        free, predicted = self._object_step(wanted, pull)
-        self._data_step(predicted)
-        self._variations.append(self._edge_step(_gradient(free)))
-        change, distance = self._sign_step(free)
-        self._changes.append(change)
-        if not self._sought:
-            return max(change, distance)
-        expected = self._target / (self._sigma * math.sqrt(self._count))
-        return max(change, distance, _RESIDUAL_SHARE * abs(self._residuals[-1] - expected))
+    def step(self, state: _Split) -> tuple[float, float, float]:
+        """Make one iteration; return total variation, residual and change of the object."""
+        wanted = state.predicted.clone()
+        wanted[self._frame] -= state.data_dual
+        pull = _transposed_gradient(state.edges - state.edge_dual) * state.edge_penalty
+        pull += state.sign_penalty * (state.signed - state.sign_dual)
+        free, predicted = self._object_step(state, wanted, pull)
+        residual = self._data_step(state, predicted)
+        variation = _edge_step(state, _gradient(free))
+        change, distance = self._sign_step(state, free)
+        state.measure = max(change, distance)
+        if self._given is None:
+            expected = self._target / (self._sigma * math.sqrt(self.data.counted))
+            state.measure = max(state.measure, _RESIDUAL_SHARE * abs(residual - expected))
+        if state.count < _ADAPT_UNTIL and state.count % _ADAPT_EVERY == _ADAPT_EVERY - 1:
+            _adapt(state)
+        return variation, residual, change
 
-    def _object_step(self, wanted: Tensor, pull: Tensor) -> tuple[Tensor, Tensor]:
+    def done(self, state: _Split) -> bool:
+        """Return whether object, sign and residual have settled."""
+        # The first change is due to the data alone and is tiny if the weight is large.
+        return state.measure <= self._tolerance and state.count > 1
+
+    def level(self, state: _Split) -> Tensor:
+        """Return the object (H, W) in image units."""
+        return state.signed[self._frame].double() * (self._scale / self._response)
+
+    def answer(self, found: Run[_Split], level: Tensor) -> dict[str, Any]:
+        """Return background, dimensionless weight of total variation, and history.
+
+        The objective is computed with the final weight, since in some steps the weight is
+        undefined.
+        """
+        tv_weight = self._response / (self._sigma * max(found.state.multiplier, 1e-30))
+        price = tv_weight / (self._response * self._sigma)
+        variations, residuals, changes = found.history.values()
+        objective = [
+            0.5 * self.data.counted * residual**2 + price * variation
+            for residual, variation in zip(residuals, variations, strict=True)
+        ]
+        ending = Ending(
+            converged=self.done(found.state),
+            history={"objective": objective, "residual": residuals, "change": changes},
+            most_residual=MOST_RESIDUAL if self._given is None else None,
+            sharp=self._given is None,
+        )
+        background = self._level + found.state.background * self._scale
+        return {"background": background, "tv_weight": tv_weight, "ending": ending}
+
+    def _factors(self, state: _Split) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the half spectra of R, of the preconditioner and of the data filter.
+
+        They are computed again only when a penalty has changed.
+        """
+        penalties = state.data_penalty, state.edge_penalty, state.sign_penalty
+        if self._factored is None or self._factored[0] != penalties:
+            rest = state.edge_penalty * self._laplacian + state.sign_penalty
+            inverse = 1.0 / (state.data_penalty * self._power + rest)
+            filtered = state.data_penalty * self._transfer.conj() * inverse
+            self._factored = penalties, (rest, inverse, filtered)
+        return self._factored[1]
+
+    def _object_step(self, state: _Split, wanted: Tensor, pull: Tensor) -> tuple[Tensor, Tensor]:
         """Return the object whose image and gradients best match their targets, and its image.
 
         ``wanted`` is the target image and ``pull`` the target gradients and values, transposed and
         times their penalties, on the FFT grid.
         """
-        if self._field is not None:
-            return self._field.solve(wanted, pull, self._data_penalty, self._rest, self._inverse)
-        spectrum = torch.fft.rfft2(wanted) * self._filter
-        spectrum += torch.fft.rfft2(pull) * self._inverse
+        rest, inverse, filtered = self._factors(state)
+        if self._field is not None and state.free is not None and state.seen is not None:
+            state.free, state.seen = self._field.solve(
+                wanted, pull, state.data_penalty, rest, inverse, (state.free, state.seen)
+            )
+            return state.free, state.seen
+        spectrum = torch.fft.rfft2(wanted) * filtered
+        spectrum += torch.fft.rfft2(pull) * inverse
         free = torch.fft.irfft2(spectrum, s=self._grid)
         return free, torch.fft.irfft2(spectrum * self._transfer, s=self._grid)
 
-    def _data_step(self, predicted: Tensor) -> None:
+    def _data_step(self, state: _Split, predicted: Tensor) -> float:
         """Move the predicted image toward the measured one until the residual equals the noise.
 
-        The background and, if searched for, the multiplier are updated too.
+        The background and, if searched for, the multiplier are updated too. Returns the rms
+        residual before, over the noise.
         """
-        residual = predicted[self._frame] - self._image + self._shaped(self._background)
-        squared = total(self._weighted(residual * residual))
-        self._residuals.append(math.sqrt(squared / self._count) / self._sigma)
-        relaxed = _relaxed(predicted, self._predicted)
-        relaxed[self._frame] += self._data_dual
+        residual = predicted[self._frame] - self._image + state.background * self._shape
+        squared = total(weighted(residual * residual, self._weights))
+        relaxed = _relaxed(predicted, state.predicted)
+        relaxed[self._frame] += state.data_dual
         misfit = relaxed[self._frame] - self._image
-        if self._fit_background:
-            self._background = -self._strength(misfit)
-            misfit += self._shaped(self._background)
-        if self._sought:
-            self._seek_multiplier(misfit)
-        self._data_dual = misfit - misfit * self._shrinkage()
-        relaxed[self._frame] -= self._data_dual
-        self._predicted = relaxed
+        if self.data.fit_background:
+            state.background = -self._strength(misfit, self._shrinkage(state))
+            misfit += state.background * self._shape
+        if self._given is None:
+            self._seek_multiplier(state, misfit)
+        state.data_dual = misfit - misfit * self._shrinkage(state)
+        relaxed[self._frame] -= state.data_dual
+        state.predicted = relaxed
+        return math.sqrt(squared / self.data.counted) / self._sigma
 
-    def _shrinkage(self) -> Tensor | float:
+    def _shrinkage(self, state: _Split) -> Tensor | float:
         """Return the factor, 0 to 1, by which the data step reduces a misfit."""
-        if self._weights is None:
-            return self._data_penalty / (self._data_penalty + self._multiplier)
-        return self._data_penalty / (self._data_penalty + self._multiplier * self._weights)
+        multiplier = state.multiplier if self._weights is None else state.multiplier * self._weights
+        return state.data_penalty / (state.data_penalty + multiplier)
 
-    def _shaped(self, strength: float) -> Tensor | float:
-        """Return the background of a given strength, as a number or as an image (H, W)."""
-        return strength if self._shape is None else strength * self._shape
-
-    def _strength(self, misfit: Tensor) -> float:
+    def _strength(self, misfit: Tensor, shrinkage: Tensor | float) -> float:
         """Return the background strength that best fits a misfit (H, W).
 
         Pixels are weighted as in the data step.
         """
+        weights = self._shape
         if self._weights is not None:
-            weights = self._weights * self._shrinkage()
-            if self._shape is None:
-                return total(weights * misfit) / total(weights)
-            weights = weights * self._shape
-            return total(weights * misfit) / total(weights * self._shape)
-        if self._shape is None:
-            return total(misfit) / misfit.numel()
-        return total(self._shape * misfit) / total(self._shape * self._shape)
+            weights = self._weights * shrinkage * self._shape
+        return total(weights * misfit) / total(weights * self._shape)
 
-    def _seek_multiplier(self, misfit: Tensor) -> None:
+    def _seek_multiplier(self, state: _Split, misfit: Tensor) -> None:
         """Set the multiplier for which the residual after the data step equals the noise, rms."""
         target = self._target
         if self._weights is None:
-            norm = math.sqrt(total(misfit * misfit))
-            self._multiplier = self._data_penalty * max(norm / target - 1.0, 0.0)
+            state.multiplier = state.data_penalty * max(norm(misfit) / target - 1.0, 0.0)
             return
         squares = self._weights * misfit * misfit
         # Newton's method for 1/norm, which is nearly linear in the multiplier (exactly for uniform
         # noise).
         for _ in range(2):
-            kept = self._data_penalty / (self._data_penalty + self._multiplier * self._weights)
+            kept = self._shrinkage(state)
             square = total(squares * kept**2)
-            slope = total(squares * self._weights * kept**3) / self._data_penalty
+            slope = total(squares * self._weights * kept**3) / state.data_penalty
             if slope <= 0.0:
                 return
             step = (1.0 / target - square**-0.5) * square**1.5 / slope
-            self._multiplier = max(self._multiplier + step, 0.0)
+            state.multiplier = max(state.multiplier + step, 0.0)
 
-    def _edge_step(self, gradient: Tensor) -> float:
-        """Shrink the gradients (soft threshold); return their total variation."""
-        relaxed = _relaxed(gradient, self._edges) + self._edge_dual
-        # vector_norm over the first axis is ten times slower on a processor.
-        length = torch.addcmul(relaxed[0].square(), relaxed[1], relaxed[1]).sqrt_()
-        left = (length - 1.0 / self._edge_penalty).clamp_min_(0.0)
-        self._edges = relaxed * (left / length.clamp_min_(torch.finfo(length.dtype).tiny))
-        self._edge_dual = relaxed - self._edges
-        return total(left)
-
-    def _sign_step(self, free: Tensor) -> tuple[float, float]:
+    def _sign_step(self, state: _Split, free: Tensor) -> tuple[float, float]:
         """Update the non-negative object.
 
         Returns its change and its distance from the unconstrained object ``free``, both relative to
         its norm.
         """
-        relaxed = _relaxed(free, self._signed) + self._sign_dual
-        before, self._signed = self._signed, self._allowed(relaxed)
-        self._sign_dual = relaxed - self._signed
-        norm = max(_norm(self._signed), 1e-30)
-        return _norm(self._signed - before) / norm, _norm(free - self._signed) / norm
-
-    def report(self, progress: Progress | None, done: float, count: int) -> bool:
-        """Call the progress callback; return False if it asks to stop.
-
-        ``done`` is the completed fraction and ``count`` the number of iterations.
-        """
-        return goes_on(
-            progress,
-            f"total variation: residual {self._residuals[-1]:.3f}, change "
-            f"{self._changes[-1]:.1e} after {counted(count, 'iteration')}",
-            done,
-            lambda: self._state(count),
-        )
-
-    def _state(self, count: int) -> State:
-        """Return the solver's state after ``count`` iterations, from which a fit can resume."""
-        numbers = [getattr(self, f"_{name}") for name in _NUMBERS]
-        pictures = {name: getattr(self, f"_{name}") for name in _PICTURES}
-        return state_of(self.level(), **pictures, numbers=[*numbers, count])
-
-    def go_on(self, state: Mapping[str, Any]) -> int:
-        """Resume from a saved state; return the number of its iterations.
-
-        A state that holds an object alone counts as 0 iterations.
-        """
-        if not {*_PICTURES, "numbers"} <= set(state):
-            return 0
-        *numbers, count = kept_numbers(state, len(_NUMBERS) + 1, "tv_deconvolve")
-        for name in _PICTURES:
-            mine = getattr(self, f"_{name}")
-            kept = torch.tensor(real_array(f"start's {name}", state[name])).to(mine)
-            if kept.shape != mine.shape:
-                raise SamplingError(
-                    f"start's {name} has shape {tuple(kept.shape)}, this fit's has "
-                    f"{tuple(mine.shape)}; it is of another model, leave it out"
-                )
-            if not bool(torch.isfinite(kept).all()):
-                raise SceneError(f"start's {name} holds values that are not finite; leave it out")
-            setattr(self, f"_{name}", kept)
-        given = self._multiplier
-        for name, number in zip(_NUMBERS, numbers, strict=True):
-            setattr(self, f"_{name}", number)
-        if not self._sought:
-            self._multiplier = given  # the saved one may belong to another weight
-        self._factorise()
-        return int(count)
-
-    def adapt(self) -> None:
-        """Adapt the data penalty to the multiplier, by at most a factor of 3."""
-        ratio = _DATA_SHARE * self._multiplier / self._data_penalty
-        ratio = min(max(ratio, 1.0 / 3.0), 3.0)
-        self._data_penalty *= ratio
-        self._data_dual /= ratio
-        self._factorise()
-
-    def level(self) -> Tensor:
-        """Return the object (H, W) in image units."""
-        return self._signed[self._frame].double() * (self._scale / self._response)
-
-    def background(self) -> float:
-        """Return the mean of the fitted background in image units, without the known background."""
-        return self._level + self._background * self._scale
-
-    def tv_weight(self) -> float:
-        """Return the dimensionless weight of total variation that corresponds to the multiplier."""
-        return self._response / (self._sigma * max(self._multiplier, 1e-30))
-
-    def history(self) -> dict[str, list[float]]:
-        """Return the records of all iterations.
-
-        The objective is computed with the final weight, since in some steps the weight is
-        undefined.
-        """
-        price = self.tv_weight() / (self._response * self._sigma)
-        objective = [
-            0.5 * self._count * residual**2 + price * variation
-            for residual, variation in zip(self._residuals, self._variations, strict=True)
-        ]
-        return {"objective": objective, "residual": self._residuals, "change": self._changes}
+        relaxed = _relaxed(free, state.signed) + state.sign_dual
+        before, state.signed = state.signed, self._allowed(relaxed)
+        state.sign_dual = relaxed - state.signed
+        size = max(norm(state.signed), 1e-30)
+        return norm(state.signed - before) / size, norm(free - state.signed) / size
 
     def _allowed(self, picture: Tensor) -> Tensor:
         allowed = torch.zeros_like(picture)
         allowed[self._frame] = picture[self._frame].clamp_min(0.0)
         return allowed
 
-    def _weighted(self, values: Tensor) -> Tensor:
-        return values if self._weights is None else values * self._weights
+
+def _edge_step(state: _Split, gradient: Tensor) -> float:
+    """Shrink the gradients (soft threshold); return their total variation."""
+    relaxed = _relaxed(gradient, state.edges) + state.edge_dual
+    # vector_norm over the first axis is ten times slower on a processor.
+    length = torch.addcmul(relaxed[0].square(), relaxed[1], relaxed[1]).sqrt_()
+    left = (length - 1.0 / state.edge_penalty).clamp_min_(0.0)
+    state.edges = relaxed * (left / length.clamp_min_(torch.finfo(length.dtype).tiny))
+    state.edge_dual = relaxed - state.edges
+    return total(left)
+
+
+def _adapt(state: _Split) -> None:
+    """Adapt the data penalty to the multiplier, by at most a factor of 3."""
+    ratio = _DATA_SHARE * state.multiplier / state.data_penalty
+    ratio = min(max(ratio, 1.0 / 3.0), 3.0)
+    state.data_penalty *= ratio
+    state.data_dual /= ratio
 
 
 def _relaxed(new: Tensor, old: Tensor) -> Tensor:
     return torch.lerp(old, new, _RELAXATION)
-
-
-def _norm(values: Tensor) -> float:
-    return math.sqrt(total(values * values))
 
 
 def _gradient(picture: Tensor) -> Tensor:

@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-import time
-from functools import partial
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
-from ..data.checkpoints import goes_on, started_from, state_of
-from ..data.forward import TorchForwardModel, model_shape, torch_model
-from ..data.measurement import Measurement, measurement, total
-from ..data.reconstruction import Reconstruction, beside, concluded, without_object
-from ..data.status import Ending
+from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
+from ..data.forward import TorchForwardModel, half_spectrum_weights, torch_model
+from ..data.measurement import Measurement, norm, total
+from ..data.reconstruction import Reconstruction, beside
 
 # Transmitted power, relative to that of the mean, that is only rounding error.
 _ROUNDING = 1e-12
@@ -100,59 +97,68 @@ def wiener(
     ----------
     .. [1] Field, J. Opt. Soc. Am. A 4 (1987) 2379.
     """
-    started = time.perf_counter()
-    max_iterations = whole("max_iterations", max_iterations)
-    tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
-    gain = None if gain is None else positive("gain", gain)
-    data = measurement(
-        image,
-        model,
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
-    if data.is_background(model):
-        return without_object(data, model=model, gain=gain, started=started)
-    problem = _NormalEquations(data, torch_model(model, data.data.device, torch.float64))
-    first = started_from(start, model_shape(model), data.data.device)
-    level, history, converged = _conjugate_gradients(
-        problem, max_iterations, tolerance, first, progress
-    )
-    return concluded(
-        data,
-        level,
-        model=model,
-        background=beside(data, level, problem.model)[0],
-        gain=gain,
-        ending=Ending(converged=converged, history=history),
-        started=started,
-    )
+    rule = stop_rule(max_iterations, tolerance)
+
+    def solve(data: Measurement) -> dict[str, Any]:
+        return solved(_NormalEquations(data, model, rule), start, progress)
+
+    known = noise_sigma, background, fit_background, background_shape, gain
+    return reconstructed(solve, image, model, *known)
 
 
-def background_estimate(data: Measurement, model: TorchForwardModel) -> float:
+def background_estimate(data: Measurement, model: ForwardModel | TorchForwardModel) -> float:
     """Return the fitted strength of the unknown background, image units; 0 if it is known.
 
     It is the background that explains what the image of the Wiener-filtered object leaves.
     """
     if not data.fit_background:
         return 0.0
-    problem = _NormalEquations(data, model)
     # The background is then within a tenth of the noise; fine detail takes ten times longer.
-    level, _, _ = _conjugate_gradients(problem, 300, 1e-4, None, None)
-    return data.background_strength(data.data - model(level))
+    problem = _NormalEquations(data, model, (300, 1e-4))
+    return beside(data, run(problem).state.solution, problem.model)[0]
 
 
-class _NormalEquations:
+def conjugate_direction(
+    residual: Tensor, step: Tensor, direction: Tensor, last: float
+) -> tuple[Tensor, float]:
+    """Return the next direction of preconditioned conjugate gradients, and its product.
+
+    ``step`` is the preconditioned residual, and the product that of residual and ``step``. Before
+    the first step ``direction`` is zero and ``last``, the product of the last step, is infinite.
+    """
+    product = total(residual * step)
+    return step + (product / last) * direction, product
+
+
+@dataclass(eq=False, kw_only=True)
+class _Gradients(Iterate):
+    """State of the conjugate gradients; ``left`` is the residual over the right-hand side."""
+
+    solution: Tensor
+    misfit: Tensor
+    penalised: Tensor
+    residual: Tensor
+    direction: Tensor
+    product: float = math.inf
+    left: float
+
+
+class _NormalEquations(Solver[_Gradients]):
     """Normal equations of the Wiener filter, with the background eliminated.
 
     The matrix is ``A' W A + sigma^2 S^-1`` for objects inside the frame, with image model A, pixel
-    weights W and prior spectrum S.
+    weights W and prior spectrum S. They are solved by preconditioned conjugate gradients.
     """
 
-    def __init__(self, data: Measurement, model: TorchForwardModel) -> None:
+    name, every = "wiener", 1
+    report = "Wiener filter: residual {left:.1e}"
+
+    def __init__(
+        self, data: Measurement, model: ForwardModel | TorchForwardModel, rule: tuple[int, float]
+    ) -> None:
+        self.max_iterations, self._tolerance = rule
         self.data = data
-        self.model = model
+        self.model = model = torch_model(model, data.data.device, torch.float64)
         rows, columns = model.grid
         device = data.data.device
         # The mean transfer function of a field of point spreads is used for preconditioning and
@@ -163,12 +169,7 @@ class _NormalEquations:
         column_frequencies = torch.fft.rfftfreq(columns, dtype=torch.float64, device=device)
         corner = 1.0 / max(model.shape)
         prior = 1.0 / (row_frequencies**2 + column_frequencies**2 + corner**2)
-        # A half spectrum holds every column but the first, and the last of an even grid, once
-        # for two.
-        twice = torch.full((columns // 2 + 1,), 2.0, dtype=torch.float64, device=device)
-        twice[0] = 1.0
-        if columns % 2 == 0:
-            twice[-1] = 1.0
+        twice = half_spectrum_weights(columns).to(device)
         of_mean = float(power[0, 0] * prior[0, 0])
         passed = total(power * prior * twice) - of_mean
         # The object's mean is not counted as variance of the prior.
@@ -186,80 +187,73 @@ class _NormalEquations:
         strength = samples * data.counted * data.sigma**2 * excess / passed
         self._penalty = data.sigma**2 * samples / (strength * prior)
         self._preconditioner = 1.0 / (power + self._penalty)
-        self.right_side = model.adjoint(self.cleaned(data.data))
+        self._right_side = model.adjoint(self._cleaned(data.data))
 
-    def cleaned(self, image: Tensor) -> Tensor:
+    def init(self, first: Tensor | None) -> _Gradients:
+        """Return the initial state; its object is zero if none is given."""
+        solution = torch.zeros_like(self.data.data) if first is None else first.clone()
+        seen, penalised = self.model(solution), self._filtered(solution, self._penalty)
+        residual = self._right_side - self._normal(seen, penalised)
+        return _Gradients(
+            solution=solution,
+            misfit=self.data.data - seen,
+            penalised=penalised,
+            residual=residual,
+            direction=torch.zeros_like(residual),
+            left=math.inf if bool(residual.any()) else 0.0,
+        )
+
+    def step(self, state: _Gradients) -> tuple[float, float, float]:
+        """Minimise along the next direction; return objective, residual and change."""
+        step = self._filtered(state.residual, self._preconditioner)
+        state.direction, state.product = direction, product = conjugate_direction(
+            state.residual, step, state.direction, state.product
+        )
+        seen = self.model(direction)
+        penalised = self._filtered(direction, self._penalty)
+        image = self._normal(seen, penalised)
+        length = product / total(direction * image)
+        state.solution += length * direction
+        state.misfit -= length * seen
+        state.penalised += length * penalised
+        state.residual = state.residual - length * image
+        state.left = norm(state.residual) / norm(self._right_side)
+        squared = max(total(self._cleaned(state.misfit) * state.misfit), 0.0)
+        prior = total(state.solution * state.penalised)
+        return (
+            0.5 * (squared + prior) / self.data.sigma**2,
+            math.sqrt(squared / self.data.counted) / self.data.sigma,
+            abs(length) * float(direction.norm() / state.solution.norm()),
+        )
+
+    def done(self, state: _Gradients) -> bool:
+        """Return whether the residual of the normal equations is below the tolerance."""
+        return state.left <= self._tolerance
+
+    def level(self, state: _Gradients) -> Tensor:
+        """Return the object (H, W) in image units."""
+        return state.solution
+
+    def fraction(self, state: _Gradients) -> float:
+        """Return the completed fraction, of the fall of the residual or of the iterations."""
+        fallen = math.log(min(state.left, 1.0)) / math.log(self._tolerance)
+        return max(fallen, super().fraction(state))
+
+    def answer(self, found: Run[_Gradients], level: Tensor) -> dict[str, Any]:
+        """Return the background that fits best beside the object."""
+        return {"background": beside(self.data, level, self.model)[0]}
+
+    def _cleaned(self, image: Tensor) -> Tensor:
         """Return the weighted image minus its best-fitting background."""
         image = image - self.data.background(self.data.background_strength(image))
         return self.data.weighted(image)
 
-    def normal(self, seen: Tensor, penalised: Tensor) -> Tensor:
-        """Return the matrix times an object, given its image and the result of `penalised`."""
-        return self.model.adjoint(self.cleaned(seen)) + penalised
-
-    def penalised(self, level: Tensor) -> Tensor:
-        """Return ``sigma^2 S^-1`` times an object, with the prior spectrum S."""
-        return self._filtered(level, self._penalty)
-
-    def preconditioned(self, residual: Tensor) -> Tensor:
-        """Apply the Wiener filter of a periodic frame with uniform noise, as a preconditioner."""
-        return self._filtered(residual, self._preconditioner)
+    def _normal(self, seen: Tensor, penalised: Tensor) -> Tensor:
+        """Return the matrix times an object, given its image and ``sigma^2 S^-1`` times it."""
+        return self.model.adjoint(self._cleaned(seen)) + penalised
 
     def _filtered(self, picture: Tensor, response: Tensor) -> Tensor:
         rows, columns = self.model.shape
         grid = self.model.grid
         filtered: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture, s=grid) * response, s=grid)
         return filtered[:rows, :columns]
-
-
-def _conjugate_gradients(
-    problem: _NormalEquations,
-    max_iterations: int,
-    tolerance: float,
-    first: Tensor | None,
-    progress: Progress | None,
-) -> tuple[Tensor, dict[str, list[float]], bool]:
-    """Solve the normal equations; return object, history, and whether the tolerance was met.
-
-    The object is in image units. ``first`` is the initial object, or None for zero.
-    """
-    history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
-    data = problem.data
-    level = torch.zeros_like(data.data) if first is None else first.clone()
-    seen, level_penalised = problem.model(level), problem.penalised(level)
-    misfit = data.data - seen
-    residual = problem.right_side - problem.normal(seen, level_penalised)
-    start = math.sqrt(total(problem.right_side * problem.right_side))
-    direction = torch.zeros_like(residual)
-    last = math.inf
-    for iteration in range(max_iterations):
-        step = problem.preconditioned(residual)
-        product = total(residual * step)
-        if product == 0.0:  # started from the solution itself
-            return level, history, True
-        direction = step + (product / last) * direction
-        seen = problem.model(direction)
-        penalised = problem.penalised(direction)
-        image = problem.normal(seen, penalised)
-        length = product / total(direction * image)
-        last = product
-        level += length * direction
-        misfit -= length * seen
-        level_penalised += length * penalised
-        residual = residual - length * image
-        squared = max(total(problem.cleaned(misfit) * misfit), 0.0)
-        prior = total(level * level_penalised)
-        history["objective"].append(0.5 * (squared + prior) / data.sigma**2)
-        history["residual"].append(math.sqrt(squared / data.counted) / data.sigma)
-        history["change"].append(abs(length) * float(direction.norm() / level.norm()))
-        left = math.sqrt(total(residual * residual)) / start
-        done = math.log(min(left, 1.0)) / math.log(tolerance) if left > tolerance else 1.0
-        on = goes_on(
-            progress,
-            f"Wiener filter: residual {left:.1e} after {counted(iteration + 1, 'iteration')}",
-            min(max(done, (iteration + 1) / max_iterations), 1.0),
-            partial(state_of, level),
-        )
-        if left <= tolerance or not on:
-            return level, history, left <= tolerance
-    return level, history, False

@@ -13,7 +13,7 @@ from scipy import fft, ndimage
 
 from ...errors import SamplingError, SceneError
 from ..data.forward import TorchForwardModel
-from ..data.measurement import Measurement
+from ..data.measurement import Measurement, real_array
 
 Array = NDArray[np.float64]
 
@@ -78,22 +78,9 @@ def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
 def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> SpectrumModulus:
     """Estimate the modulus of the object's spectrum from an autocorrelation with background.
 
-    Parameters
-    ----------
-    lags : ndarray, (odd, odd)
-        Autocorrelation with the zero lag at the centre. The zero lag itself is not used.
-    object_size : (int, int) or None
-        Rows and columns of the object; None: half the extent of the lags above the background.
-
-    Returns
-    -------
-    SpectrumModulus
-        Modulus, its grid and the object's size.
-
-    Raises
-    ------
-    SamplingError
-        If no lags exceed the background, or the object's lags do not fit the array.
+    ``lags`` (odd, odd) have the zero lag at the centre, which is not used itself. ``object_size``
+    is the object's rows and columns; None: half the extent of the lags above the background. A
+    `SamplingError` is raised if no lags exceed it, or the object's lags do not fit the array.
     """
     if min(lags.shape) < 3:
         raise SamplingError(
@@ -134,16 +121,7 @@ def spectrum_modulus(lags: Array, object_size: tuple[int, int] | None) -> Spectr
 
 def checked_lags(autocorrelation: Any) -> Array:
     """Return an autocorrelation as an array made symmetric about its centre; raise if invalid."""
-    try:
-        if isinstance(autocorrelation, torch.Tensor):
-            autocorrelation = autocorrelation.detach().cpu().numpy()
-        if np.iscomplexobj(autocorrelation):
-            raise TypeError
-        lags = np.asarray(autocorrelation, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise SceneError(
-            "autocorrelation is not an array of real numbers; give one of shape (odd, odd)"
-        ) from None
+    lags = real_array("autocorrelation", autocorrelation)
     if lags.ndim != 2 or min(lags.shape) < 5 or not all(n % 2 for n in lags.shape):
         raise SamplingError(
             f"autocorrelation has shape {lags.shape}, must be (odd, odd) with the zero lag at the "

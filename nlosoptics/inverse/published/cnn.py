@@ -24,9 +24,11 @@ from ..._whole_files import write_whole
 from ...errors import MissingExtraError, SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
+from ..data.checkpoints import descend
+from ..data.driver import reconstructed
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import measurement
-from ..data.reconstruction import Reconstruction, beside, concluded, frozen, without_object
+from ..data.measurement import Measurement
+from ..data.reconstruction import Reconstruction, beside, frozen
 from ..data.scaled_images import ScaledImage
 from ..data.status import MOST_RESIDUAL, Ending
 from .training_pairs import TrainingPairs
@@ -121,40 +123,28 @@ class CnnBaseline(nn.Module):
         SceneError
             If a value is out of range or not finite.
         """
-        started = time.perf_counter()
         tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
-        gain = None if gain is None else positive("gain", gain)
-        data = measurement(
-            image,
-            model,
-            noise_sigma=noise_sigma,
-            background=background,
-            fit_background=fit_background,
-            background_shape=background_shape,
-        )
-        if data.is_background(model):
-            return without_object(data, model=model, gain=gain, started=started)
-        scaled = ScaledImage(data, data.sigma)
-        blur = torch_model(model, data.data.device, torch.float32)
-        with torch.no_grad():
-            found = self(scaled.image[None].to(next(self.parameters())))[0].to(scaled.image)
-            strength = scaled.misfit(blur(found))[0].item() * scaled.unit
-        level = strength * found.double()
-        veil, score = beside(data, level, model)
-        history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
-        return concluded(
-            data,
-            level,
-            model=model,
-            background=veil,
-            gain=gain,
-            ending=Ending(
-                converged=score <= 1.0 + tolerance,
-                history=history,
-                most_residual=max(MOST_RESIDUAL, 1.0 + tolerance),
-            ),
-            started=started,
-        )
+
+        def solve(data: Measurement) -> dict[str, Any]:
+            scaled = ScaledImage(data, data.sigma)
+            blur = torch_model(model, data.data.device, torch.float32)
+            with torch.no_grad():
+                found = self(scaled.image[None].to(next(self.parameters())))[0].to(scaled.image)
+                strength = scaled.misfit(blur(found))[0].item() * scaled.unit
+            level = strength * found.double()
+            veil, score = beside(data, level, model)
+            return {
+                "level": level,
+                "background": veil,
+                "ending": Ending(
+                    converged=score <= 1.0 + tolerance,
+                    history={"objective": [], "residual": [], "change": []},
+                    most_residual=max(MOST_RESIDUAL, 1.0 + tolerance),
+                ),
+            }
+
+        known = noise_sigma, background, fit_background, background_shape, gain
+        return reconstructed(solve, image, model, *known)
 
     def save(self, path: Path | str) -> None:
         """Save the weights to a safetensors file, atomically.
@@ -353,10 +343,8 @@ def train_cnn(
                 done = (epoch + start / shown) / epochs
                 adam.param_groups[0]["lr"] = learning_rate * 0.5 * (1 + math.cos(math.pi * done))
                 chosen = order[start : start + batch]
-                adam.zero_grad()
                 loss = (made(images[chosen]) - objects[chosen]).square().mean()
-                loss.backward()
-                adam.step()
+                descend(adam, loss)
                 total += loss.item() * len(chosen)
                 if progress is not None:
                     told = f", validation {least:.4f}" if best is not None else ""

@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from ..._checks import counted, in_range, one_of, positive, whole
+from ..._checks import in_range, one_of
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.checkpoints import (
-    State,
-    adam_state,
-    goes_on,
-    kept_numbers,
-    started_from,
-    state_of,
-    take_up_adam,
-)
+from ..data.checkpoints import descend
+from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement, measurement
-from ..data.reconstruction import Reconstruction, beside, concluded, without_object
+from ..data.measurement import Measurement
+from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.status import MOST_RESIDUAL, Ending
 from ..known.total_variation import tv_deconvolve
@@ -159,14 +151,12 @@ def deep_image_prior(
     .. [1] Ulyanov, Vedaldi and Lempitsky, Int. J. Comput. Vis. 128 (2020) 1867.
     .. [2] Cheng, Gadelha, Maji and Sheldon, CVPR 2019, 5443.
     """
-    started = time.perf_counter()
     checked_seed(seed)
-    max_iterations = whole("max_iterations", max_iterations)
-    tolerance = in_range("tolerance", tolerance, 0.0, 0.5, open_low=True)
+    rule = stop_rule(max_iterations, tolerance)
     tv_weight = None if tv_weight is None else in_range("tv_weight", tv_weight, 0.0)
     if learning_rate is None:
         learning_rate = 0.01 if guide == "noise" else 0.03
-    learning_rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
+    rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
     guide = one_of("guide", guide, ("tv", "wiener", "noise"))  # type: ignore[assignment]
     if guide_share is None:
         guide_share = _GUIDE_SHARE if guide == "tv" else 0.0
@@ -176,41 +166,15 @@ def deep_image_prior(
             f'guide_share = {guide_share:g}, but guide="noise" is not an object; leave it out, or '
             'give guide="tv" or "wiener"'
         )
-    gain = None if gain is None else positive("gain", gain)
-    data = measurement(
-        image,
-        model,
-        noise_sigma=noise_sigma,
-        background=background,
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
-    if data.is_background(model):
-        return without_object(data, model=model, gain=gain, started=started)
-    picture, gain_of_guide, found_weight = _guide(guide, tv_weight, data, model, seed)
-    network = UNetObject(picture.float(), base=base, depth=depth, seed=seed)
-    fit = _Fit(network, data, model, found_weight, learning_rate)
-    if guide_share > 0.0:
-        fit.lean_on(gain_of_guide * picture, guide_share)
-    ended = not fit.run(0 if start is None else fit.go_on(start), max_iterations, progress)
-    level = fit.chosen()
-    strength, score = beside(data, level, model)
-    converged = score <= 1.0 + tolerance
-    return concluded(
-        data,
-        level,
-        model=model,
-        background=strength,
-        gain=gain,
-        ending=Ending(
-            converged=converged and not ended,
-            history=fit.history,
-            most_residual=max(MOST_RESIDUAL, 1.0 + tolerance),
-        ),
-        started=started,
-        tv_weight=found_weight,
-        iterations=float(len(fit.history["residual"])),
-    )
+
+    def solve(data: Measurement) -> dict[str, Any]:
+        picture, gain_of_guide, weight = _guide(guide, tv_weight, data, model, seed)
+        network = UNetObject(picture.float(), base=base, depth=depth, seed=seed)
+        known = (gain_of_guide * picture, guide_share) if guide_share > 0.0 else None
+        return solved(_Fit(data, model, rule, network, weight, rate, known), start, progress)
+
+    known = noise_sigma, background, fit_background, background_shape, gain
+    return reconstructed(solve, image, model, *known)
 
 
 def _guide(
@@ -240,131 +204,110 @@ def _guide(
     return picture, gain, float(tv_weight)
 
 
-class _Fit:
-    """State of the fit of a network's weights to an image in units of its noise."""
+@dataclass(eq=False, kw_only=True)
+class _Weights(Iterate):
+    """State of the fit: the network's weights, the best iterate, and the average of the last."""
+
+    network: torch.optim.Adam
+    best: Tensor
+    average: Tensor
+    before: Tensor
+    least: float = math.inf
+    residual: float = math.inf
+
+
+class _Fit(Solver[_Weights]):
+    """Fit of a network's weights to an image in units of its noise.
+
+    ``known`` is another object (H, W) in image units and its share of the result, or None.
+    """
+
+    name, takes_object = "deep_image_prior", False
+    report = "deep image prior: residual {residual:.3f}"
 
     def __init__(
         self,
-        network: UNetObject,
         data: Measurement,
         model: ForwardModel | TorchForwardModel,
+        rule: tuple[int, float],
+        network: UNetObject,
         tv_weight: float,
         learning_rate: float,
+        known: tuple[Tensor, float] | None,
     ) -> None:
-        self._network = network
-        self._model = torch_model(model, data.data.device, torch.float32)
+        self.data = data
+        self.max_iterations, self._tolerance = rule
+        self._network, self._model = network, model
+        self._blur = torch_model(model, data.data.device, torch.float32)
         self._image = ScaledImage(data, data.sigma)
-        self._tv_weight = tv_weight
-        self._rate = learning_rate
-        self._adam = torch.optim.Adam(network.parameters(), learning_rate, fused=True)
+        self._tv_weight, self._rate, self._known = tv_weight, learning_rate, known
         outline = 2 * sum(data.data.shape)
         self._target = math.sqrt(max(1.0 - outline / data.data.numel(), 0.5))
-        self._best = (math.inf, torch.zeros_like(self._image.image))
-        self._average: Tensor | None = None
-        self._known: tuple[Tensor, float] | None = None
-        self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
 
-    def run(self, first: int, max_iterations: int, progress: Progress | None) -> bool:
-        """Iterate until the residual equals the expected noise, or to the last iteration.
+    def init(self, first: Tensor | None) -> _Weights:
+        """Return the initial state; a given object has no effect, the network is the start."""
+        dark = torch.zeros_like(self._image.image)
+        adam = torch.optim.Adam(self._network.parameters(), self._rate, fused=True)
+        return _Weights(network=adam, best=dark, average=dark, before=dark)
 
-        Returns False if the callback stopped the fit before.
-        """
-        before = self._best[1]
-        for iteration in range(first, max_iterations):
-            share = 0.5 + 0.5 * math.cos(math.pi * iteration / max_iterations)
-            rate = self._rate * (_LAST_RATE + (1.0 - _LAST_RATE) * share)
-            self._adam.param_groups[0]["lr"] = rate
-            objective, residual, level = self._step()
-            self._keep(iteration, objective, level)
-            change = float((level - before).norm() / level.norm().clamp_min(1e-30))
-            before = level
-            for name, value in zip(self.history, (objective, residual, change), strict=True):
-                self.history[name].append(value)
-            done = residual <= self._target or iteration + 1 == max_iterations
-            on = True
-            if done or iteration % 10 == 9:
-                on = goes_on(
-                    progress,
-                    f"deep image prior: residual {residual:.3f} after "
-                    f"{counted(iteration + 1, 'iteration')}",
-                    1.0 if done else (iteration + 1) / max_iterations,
-                    partial(self._state, iteration + 1),
-                )
-            if done or not on:
-                return done
-        return True
+    def step(self, state: _Weights) -> tuple[float, float, float]:
+        """Make one step of Adam; return objective, residual and change of the object before it."""
+        share = 0.5 + 0.5 * math.cos(math.pi * state.count / self.max_iterations)
+        rate = self._rate * (_LAST_RATE + (1.0 - _LAST_RATE) * share)
+        state.network.param_groups[0]["lr"] = rate
+        loss, square, level = self._objective(self._network())
+        descend(state.network, loss)
+        objective, level = loss.item(), level.detach()
+        state.residual = math.sqrt(square.item())
+        if objective < state.least:
+            state.least, state.best = objective, level
+        if state.count > _AVERAGE_FROM:
+            state.average = state.average.lerp(level, _AVERAGE)
+        elif state.count == _AVERAGE_FROM:
+            state.average = level
+        change = float((level - state.before).norm() / level.norm().clamp_min(1e-30))
+        state.before = level
+        return objective, state.residual, change
 
-    def _state(self, count: int) -> State:
-        """Return everything that the iteration after the first ``count`` starts from."""
-        more = {} if self._average is None else {"average": self._average}
-        objective, level = self._best
-        return state_of(
-            self.chosen(),
-            **adam_state("network", self._adam),
-            **more,
-            best=level,
-            numbers=[objective, float(count)],
-        )
+    def done(self, state: _Weights) -> bool:
+        """Return whether the residual equals the expected noise."""
+        return state.residual <= self._target
 
-    def go_on(self, state: Mapping[str, Any]) -> int:
-        """Resume from a saved state; return the number of its iterations."""
-        if not isinstance(state, Mapping) or not {"numbers", "best"} <= set(state):
-            raise SceneError(
-                "start holds no network; give a state of deep_image_prior, or leave it out"
-            )
-        take_up_adam("network", self._adam, state)
-        objective, count = kept_numbers(state, 2, "deep_image_prior")
-        self._best = (objective, self._picture(state["best"]))
-        self._average = self._picture(state["average"]) if "average" in state else None
-        return int(count)
-
-    def _picture(self, values: Any) -> Tensor:
-        image = self._image.image
-        level = started_from(values, (image.shape[0], image.shape[1]), image.device)
-        assert level is not None  # one was given
-        return level.to(image)
-
-    def lean_on(self, level: Tensor, share: float) -> None:
-        """Mix a fraction ``share`` of another object, image units, into the result."""
-        self._known = level, share
-
-    def chosen(self) -> Tensor:
-        """Return the resulting object in image units.
+    def level(self, state: _Weights) -> Tensor:
+        """Return the resulting object (H, W) in image units.
 
         It is the running average or the best iterate, whichever has the lower objective, mixed with
-        the object of `lean_on`.
+        the known object.
         """
-        objective, level = self._best
-        if self._average is not None:
+        chosen = state.best
+        if state.count > _AVERAGE_FROM:
             with torch.no_grad():
-                averaged = self._objective(self._average)[0].item()
-            if averaged <= objective:
-                level = self._average
-        level = level.double() * self._image.unit
+                averaged = self._objective(state.average)[0].item()
+            chosen = state.average if averaged <= state.least else chosen
+        level = chosen.double() * self._image.unit
         return level if self._known is None else level.lerp(*self._known)
 
-    def _step(self) -> tuple[float, float, Tensor]:
-        """Make one step of Adam; return objective, residual and object before the step."""
-        self._adam.zero_grad()
-        objective, square, level = self._objective(self._network())
-        objective.backward()  # type: ignore[no-untyped-call]
-        self._adam.step()
-        return objective.item(), math.sqrt(square.item()), level.detach()
+    def answer(self, found: Run[_Weights], level: Tensor) -> dict[str, Any]:
+        """Return background and status, and the parameters of the fit."""
+        strength, score = beside(self.data, level, self._model)
+        ending = Ending(
+            converged=score <= 1.0 + self._tolerance and not found.stopped,
+            history=found.history,
+            most_residual=max(MOST_RESIDUAL, 1.0 + self._tolerance),
+        )
+        return {
+            "background": strength,
+            "ending": ending,
+            "tv_weight": self._tv_weight,
+            "iterations": float(found.state.count),
+        }
 
     def _objective(self, picture: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return the objective per pixel, the mean squared residual, and the object times gain."""
-        gain, residual = self._image.misfit(self._model(picture))
+        gain, residual = self._image.misfit(self._blur(picture))
         level = gain * picture
         objective = 0.5 * self._image.weighted(residual * residual).mean()
         if self._tv_weight > 0.0:
             edges = gain * total_variation(picture, _SMOOTH) / level.numel()
             objective = objective + self._tv_weight * edges
         return objective, self._image.mean_square(residual.detach()), level
-
-    def _keep(self, iteration: int, objective: float, level: Tensor) -> None:
-        if objective < self._best[0]:
-            self._best = (objective, level)
-        if self._average is not None:
-            self._average.lerp_(level, _AVERAGE)
-        elif iteration >= _AVERAGE_FROM:
-            self._average = level.clone()

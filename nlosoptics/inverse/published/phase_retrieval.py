@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -17,18 +19,21 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
-from ..data.checkpoints import State, goes_on, state_of
+from ..data.driver import Iterate, Solver, run
 from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
 from ..data.measurement import measurement, shape_of
-from ..data.reconstruction import Reconstruction
+from ..data.reconstruction import Reconstruction, frozen
 from ..data.scores import registered_correlation
 from ..data.status import Status
 from .autocorrelations import SpectrumModulus, checked_lags, image_lags, spectrum_modulus
 from .projections import (
+    CHUNK,
+    allowed,
     alternating_minimisation,
     averaged,
     fourier_errors,
     projected,
+    settled,
     spectral_start,
 )
 
@@ -54,6 +59,7 @@ def phase_retrieval(
     background: Any = 0.0,
     max_iterations: int = 400,
     seed: int = 0,
+    start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct an object from the autocorrelation of its speckle image via an unknown wall.
@@ -84,10 +90,12 @@ def phase_retrieval(
         Maximum number of iterations of each restart.
     seed : int
         Seed of the random starts.
+    start : mapping or None
+        Saved state of this solver with the same image and options; the resumed run is bit-identical
+        to an uninterrupted one. See `inverse.data.checkpoints`.
     progress : callable or None
         Called repeatedly with a text and the completed fraction; may raise `Stop`, which returns
-        the mean of the restarts so far. The state passed to its method ``look`` is only a preview
-        with a maximum of 1; a run cannot be resumed from it.
+        the mean of the restarts so far. The preview in a state has a maximum of 1.
 
     Returns
     -------
@@ -142,24 +150,24 @@ def phase_retrieval(
         fit_background=True,
         background_shape=None,
     )
-    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
+    options = _Options(method, object_size, restarts, max_iterations, seed)
     if data.is_background():
         status: Status = "too_few_photons"
-        found, score, errors = torch.zeros_like(data.data), 0.0, np.empty(0)
+        found, score = torch.zeros_like(data.data), 0.0
+        errors: list[float] = []
         parameters: dict[str, Any] = {}
     else:
         twin = None if model is None else torch_model(model, data.data.device, torch.float64)
-        found, score, errors, parameters = search.run(
-            image_lags(data, twin), shape, data.data.device
+        found, score, errors, parameters, _ = _retrieved(
+            options, image_lags(data, twin), shape, data.data.device, start, progress
         )
         status = "unconverged"
-    errors.flags.writeable = False
     return Reconstruction(
         object=data.like_input(found),
         physical_parameters={**parameters, "noise_sigma": data.sigma},
         status=status,
         score=score,
-        history={"fourier_error": errors},
+        history=frozen({"fourier_error": errors}),
         seconds=time.perf_counter() - started,
     )
 
@@ -173,6 +181,7 @@ def object_from_autocorrelation(
     restarts: int = 12,
     max_iterations: int = 400,
     seed: int = 0,
+    start: Mapping[str, Any] | None = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
     """Reconstruct an object from its measured autocorrelation.
@@ -193,6 +202,9 @@ def object_from_autocorrelation(
         Maximum number of iterations of each restart.
     seed : int
         Seed of the random starts.
+    start : mapping or None
+        Saved state of a run with the same options, from which this one resumes bit-identically. See
+        `inverse.data.checkpoints`.
     progress : callable or None
         Called repeatedly with a text and the completed fraction; may raise `Stop`, which returns
         the mean of the restarts so far.
@@ -217,135 +229,192 @@ def object_from_autocorrelation(
     """
     started = time.perf_counter()
     lags = checked_lags(autocorrelation)
-    search = _Search(method, object_size, restarts, max_iterations, seed, progress)
-    found, score, errors, parameters = search.run(lags, lags.shape, torch.device("cpu"))
-    errors.flags.writeable = False
+    options = _Options(method, object_size, restarts, max_iterations, seed)
+    found, score, errors, parameters, stopped = _retrieved(
+        options, lags, lags.shape, torch.device("cpu"), start, progress
+    )
     return Reconstruction(
         object=found.numpy(),
         physical_parameters=parameters,
-        status=search.status(score),
+        status="converged" if score >= _AGREED and not stopped else "unconverged",
         score=score,
-        history={"fourier_error": errors},
+        history=frozen({"fourier_error": errors}),
         seconds=time.perf_counter() - started,
     )
 
 
-class _Search:
-    """Options of a phase retrieval, and the random restarts."""
+@dataclass
+class _Options:
+    """Options of a phase retrieval, which are checked."""
+
+    method: Method
+    object_size: tuple[int, int] | None
+    restarts: int
+    iterations: int
+    seed: int
+
+    def __post_init__(self) -> None:
+        one_of("method", self.method, METHODS)
+        self.restarts = whole("restarts", self.restarts, 2)
+        self.iterations = whole("max_iterations", self.iterations)
+        self.seed = checked_seed(self.seed)
+        size = self.object_size
+        if size is not None:
+            if not hasattr(size, "__len__") or len(size) != 2:
+                raise SceneError(f"object_size = {size!r} is not a size; give (rows, columns)")
+            rows, columns = (whole(f"object_size[{i}]", v, 2) for i, v in enumerate(size))
+            self.object_size = rows, columns
+
+
+def _retrieved(
+    options: _Options,
+    lags: Any,
+    shape: tuple[int, ...],
+    device: torch.device,
+    start: Mapping[str, Any] | None,
+    progress: Progress | None,
+) -> tuple[Tensor, float, list[float], dict[str, Any], bool]:
+    """Retrieve an object of a given shape from its autocorrelation.
+
+    Returns object, correlation of two halves of the restarts, their errors, parameters, and whether
+    a callback stopped the run. The errors are rms differences of the spectra's moduli, relative.
+    """
+    spectrum = spectrum_modulus(lags, options.object_size)
+    kind = _Alternating if options.method == "alternating" else _Projecting
+    search = kind(options, spectrum, shape, device)
+    ended = run(search, start, progress)
+    objects = search.settled(ended.state)
+    errors = fourier_errors(objects, search.modulus)
+    score = 0.0
+    if len(objects) > 1:
+        halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
+        score = registered_correlation(halves[0], halves[1], flip=True)
+    parameters = {"fourier_error": float(errors.min()), "object_size": spectrum.object_size}
+    frame = _framed(averaged(objects, errors), spectrum, shape)
+    return frame, score, errors.tolist(), parameters, ended.stopped
+
+
+@dataclass(eq=False, kw_only=True)
+class _Objects(Iterate):
+    """State of the restarts: their objects, (R, g_y, g_x)."""
+
+    objects: Tensor
+
+
+class _Restarts(Solver[_Objects]):
+    """Random restarts of a phase retrieval."""
+
+    name, records, takes_object = "phase_retrieval", (), False
 
     def __init__(
         self,
-        method: Method,
-        object_size: tuple[int, int] | None,
-        restarts: int,
-        max_iterations: int,
-        seed: int,
-        progress: Progress | None,
+        options: _Options,
+        spectrum: SpectrumModulus,
+        shape: tuple[int, ...],
+        device: torch.device,
     ) -> None:
-        one_of("method", method, METHODS)
-        self._method: Method = method
-        self._restarts = whole("restarts", restarts, 2)
-        self._iterations = whole("max_iterations", max_iterations)
-        self._seed = checked_seed(seed)
-        self._object_size = object_size
-        self._progress = progress
-        self._ended = False
-        if object_size is not None:
-            if not hasattr(object_size, "__len__") or len(object_size) != 2:
-                raise SceneError(
-                    f"object_size = {object_size!r} is not a size; give (rows, columns)"
-                )
-            rows, columns = (whole(f"object_size[{i}]", v, 2) for i, v in enumerate(object_size))
-            self._object_size = (rows, columns)
-
-    def run(
-        self, lags: Any, shape: tuple[int, ...], device: torch.device
-    ) -> tuple[Tensor, float, Any, dict[str, Any]]:
-        """Return object, correlation of two halves of the restarts, errors, and parameters.
-
-        ``lags`` is the autocorrelation and ``shape`` that of the returned object. The errors, one
-        per restart, are rms differences of the spectra's moduli, relative.
-        """
-        spectrum = spectrum_modulus(lags, self._object_size)
-        modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
-
-        def watch(done: float, objects: Tensor) -> bool:
-            def preview() -> State:
-                errors = fourier_errors(objects, modulus)
-                return state_of(_framed(averaged(objects, errors), spectrum, shape))
-
-            self._ended = not goes_on(
-                self._progress,
-                f"phase retrieval: {counted(self._restarts, 'restart')} by {self._method}",
-                done,
-                preview,
-            )
-            return not self._ended
-
-        objects, errors = self._objects(spectrum, modulus, watch)
-        if not self._ended:
-            watch(1.0, objects)
-            self._ended = False  # nothing was left to do
-        score = 0.0
-        if len(objects) > 1:
-            halves = [averaged(objects[i::2], errors[i::2]).cpu().numpy() for i in (0, 1)]
-            score = registered_correlation(halves[0], halves[1], flip=True)
-        parameters = {
-            "fourier_error": float(errors.min()),
-            "object_size": spectrum.object_size,
-        }
-        frame = _framed(averaged(objects, errors), spectrum, shape)
-        return frame, score, errors.double().cpu().numpy(), parameters
-
-    def status(self, score: float) -> Status:
-        """Return "converged" if the objects of two halves of the restarts agree."""
-        return "converged" if score >= _AGREED and not self._ended else "unconverged"
-
-    def _objects(
-        self, spectrum: SpectrumModulus, modulus: Tensor, watch: Callable[[float, Tensor], bool]
-    ) -> tuple[Tensor, Tensor]:
-        """Return objects (R, g_y, g_x) and Fourier errors (R,) of the completed restarts."""
+        self._options, self._spectrum, self._shape = options, spectrum, shape
+        self.report = f"phase retrieval: {counted(options.restarts, 'restart')} by {options.method}"
+        self.modulus = torch.from_numpy(spectrum.modulus).to(device, torch.float32)
         rows, columns = spectrum.object_size
-        support = torch.zeros(spectrum.grid, dtype=torch.bool, device=modulus.device)
-        support[:rows, :columns] = True
-        random = generator(self._seed, _STARTS)
-        starts = random.random((self._restarts, *spectrum.grid), dtype=np.float32)
-        first = torch.from_numpy(starts).to(modulus)
-        if self._method != "alternating":
-            return projected(
-                modulus,
-                support,
-                first,
-                method=self._method,
-                iterations=self._iterations,
-                watch=watch,
-            )
-        draws = random.random((self._restarts, *modulus.shape)) < 0.5
-        used = torch.from_numpy(draws).to(modulus.device)
-        found: list[Tensor] = []
-        for begin in zip(first, used, strict=True):
-            found.append(self._alternating(modulus, support, *begin))
-            if len(found) < len(first) and not watch(len(found) / len(first), torch.stack(found)):
-                break
-        return torch.stack(found), fourier_errors(torch.stack(found), modulus)
+        self._support = torch.zeros(spectrum.grid, dtype=torch.bool, device=device)
+        self._support[:rows, :columns] = True
+        random = generator(options.seed, _STARTS)
+        starts = random.random((options.restarts, *spectrum.grid), dtype=np.float32)
+        self._first = torch.from_numpy(starts).to(self.modulus) * self._support
+        draws = random.random((options.restarts, *self.modulus.shape)) < 0.5
+        self._used = torch.from_numpy(draws).to(device)
+        self._per_chunk = max(1, CHUNK // self._support.numel())
+        chunks = -(-options.restarts // self._per_chunk)
+        whole_restarts = options.method == "alternating"
+        self.max_iterations = options.restarts if whole_restarts else chunks * options.iterations
 
-    def _alternating(self, modulus: Tensor, support: Tensor, first: Tensor, used: Tensor) -> Tensor:
+    def init(self, first: Tensor | None) -> _Objects:
+        """Return the random objects of all restarts; a given object has no effect."""
+        return _Objects(objects=self._first.clone())
+
+    @abstractmethod
+    def begun(self, state: _Objects) -> Tensor:
+        """Return the objects of those restarts that were begun."""
+
+    def settled(self, state: _Objects) -> Tensor:
+        """Return these objects with all constraints met."""
+        return self.begun(state)
+
+    def level(self, state: _Objects) -> Tensor:
+        """Return a preview of the object (H, W), with a maximum of 1."""
+        objects = self.begun(state)
+        errors = fourier_errors(objects, self.modulus)
+        return _framed(averaged(objects, errors), self._spectrum, self._shape)
+
+
+class _Projecting(_Restarts):
+    """Projections of many restarts at once; the first chunk is finished before the next begins."""
+
+    every = 20
+
+    def step(self, state: _Objects) -> tuple[float, ...]:
+        """Make one iteration of the restarts of the current chunk."""
+        chunk, iteration = divmod(state.count, self._options.iterations)
+        part = slice(chunk * self._per_chunk, (chunk + 1) * self._per_chunk)
+        objects = state.objects[part]
+        share = iteration / self._options.iterations
+        objects = projected(objects, self.modulus, self._support, self._options.method, share)
+        if iteration + 1 == self._options.iterations:
+            objects = settled(objects, self.modulus, self._support)
+        state.objects[part] = objects
+        return ()
+
+    def begun(self, state: _Objects) -> Tensor:
+        """Return the objects of those restarts that were begun, where they may be bright."""
+        chunks = -(-state.count // self._options.iterations)
+        return allowed(state.objects[: chunks * self._per_chunk], self._support)
+
+    def settled(self, state: _Objects) -> Tensor:
+        """Return the objects, those of an unfinished chunk after alternating projections."""
+        chunks, rest = divmod(state.count, self._options.iterations)
+        done = state.objects[: chunks * self._per_chunk]
+        if not rest:
+            return done
+        last = state.objects[chunks * self._per_chunk :][: self._per_chunk]
+        return torch.cat((done, settled(last, self.modulus, self._support)))
+
+
+class _Alternating(_Restarts):
+    """Alternating minimisation; an iteration of the search is a whole restart."""
+
+    every, unit = 1, "restart"
+
+    def step(self, state: _Objects) -> tuple[float, ...]:
+        """Make one restart."""
+
         def within(spectrum: Tensor) -> Tensor:
             # This is also the least-squares solution, because the transform is unitary.
-            picture: Tensor = torch.fft.irfft2(spectrum, s=tuple(support.shape))
-            return picture * support
+            picture: Tensor = torch.fft.irfft2(spectrum, s=self._spectrum.grid)
+            return picture * self._support
 
-        start = spectral_start(modulus, torch.fft.rfft2, within, first=first * support, used=used)
+        start = spectral_start(
+            self.modulus,
+            torch.fft.rfft2,
+            within,
+            first=self._first[state.count],
+            used=self._used[state.count],
+        )
         found, _ = alternating_minimisation(
-            modulus,
+            self.modulus,
             torch.fft.rfft2,
             within,
             start,
-            max_iterations=self._iterations,
+            max_iterations=self._options.iterations,
             tolerance=_TOLERANCE,
         )
         # The modulus does not determine the overall sign.
-        return found if float(found.sum()) >= 0.0 else -found
+        state.objects[state.count] = found if float(found.sum()) >= 0.0 else -found
+        return ()
+
+    def begun(self, state: _Objects) -> Tensor:
+        """Return the objects of the completed restarts."""
+        return state.objects[: state.count]
 
 
 def _framed(objects: Tensor, spectrum: SpectrumModulus, shape: tuple[int, ...]) -> Tensor:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal
 
 import torch
 from torch import Tensor
+
+from ..data.forward import half_spectrum_weights
 
 # Power iterations of the spectral start; the direction converges long before.
 _POWER_ITERATIONS = 50
@@ -25,17 +26,10 @@ def spectral_start(
 ) -> Tensor:
     """Return the leading eigenvector of ``sum y_i^2 a_i a_i'``, scaled to the measurements.
 
-    Parameters
-    ----------
-    sizes : Tensor
-        Measured moduli ``y = |A x|``.
-    forward, adjoint : callable
-        The linear map A with rows a_i', and its conjugate transpose.
-    first : Tensor
-        Start of the power iteration, with the shape of x.
-    used : Tensor of bool
-        Measurements to use, with the shape of y. Those above three times the rms are omitted, since
-        a few of them would dominate the sum.
+    ``sizes`` are the moduli ``y = |A x|``; ``forward`` and ``adjoint`` are the linear map A with
+    rows a_i' and its conjugate transpose. ``first`` starts the power iteration, and ``used`` are
+    the measurements to use. Those above three times the rms are omitted, since a few of them would
+    dominate the sum.
     """
     squares = sizes * sizes
     limit = _TRUNCATION**2 * squares[used].mean()
@@ -61,27 +55,9 @@ def alternating_minimisation(
 ) -> tuple[Tensor, float]:
     """Solve ``|A x| = y`` by estimating phases and solving for x in turn [1]_.
 
-    Parameters
-    ----------
-    sizes : Tensor
-        Measured moduli ``y = |A x|``.
-    forward : callable
-        The linear map A.
-    least_squares : callable
-        Returns the x that minimises ``|A x - c|`` for given c.
-    start : Tensor
-        Initial x.
-    max_iterations : int
-        Maximum number of iterations.
-    tolerance : float
-        Relative change of x per iteration at which to stop.
-
-    Returns
-    -------
-    vector : Tensor
-        Solution x.
-    error : float
-        ``| |A x| - y | / |y|``.
+    ``sizes`` are the moduli y, ``forward`` is A, and ``least_squares`` returns the x that minimises
+    ``|A x - c|`` for given c. The iteration stops at a relative change of x of ``tolerance``. Also
+    returns the error ``| |A x| - y | / |y|``.
 
     References
     ----------
@@ -100,85 +76,61 @@ def alternating_minimisation(
     return vector, math.sqrt(float((misfit * misfit).sum()) / float((sizes * sizes).sum()))
 
 
-Projections = Literal["hio", "raar"]
-
 # Final iterations that alternate between both constraints only.
 _SETTLING = 50
 # Fienup's feedback decreases to zero; Luke's relaxation decreases between the two values.
 _FEEDBACK = 2.0
 _RELAXATION = (0.9, 0.5)
-# Largest number of samples in a tensor; the restarts are divided accordingly.
-_CHUNK = 2**20
+#: Largest number of samples in a tensor; the restarts are divided accordingly.
+CHUNK = 2**20
 # Restarts whose Fourier error exceeds the least by at most this fraction are averaged.
 _AS_GOOD = 0.02
 
 
 def projected(
-    modulus: Tensor,
-    support: Tensor,
-    starts: Tensor,
-    *,
-    method: Projections,
-    iterations: int,
-    watch: Callable[[float, Tensor], bool],
-) -> tuple[Tensor, Tensor]:
-    """Find non-negative objects within a support whose spectra have a given modulus.
+    objects: Tensor, modulus: Tensor, support: Tensor, method: str, share: float
+) -> Tensor:
+    """Make one iteration towards non-negative objects whose spectra have a given modulus.
 
     Parameters
     ----------
+    objects : Tensor, (R, H, W)
+        Objects of the restarts.
     modulus : Tensor, (H, W//2 + 1)
         Modulus of the object's ``rfft2``.
     support : Tensor of bool, (H, W)
         Pixels that may be bright.
-    starts : Tensor, (R, H, W)
-        Initial objects of the restarts.
     method : {"hio", "raar"}
         Hybrid input-output (Fienup 1982), with feedback decreasing from 2 to 0, or relaxed averaged
         alternating reflections (Luke 2005), with relaxation decreasing from 0.9 to 0.5.
-    iterations : int
-        Number of iterations.
-    watch : callable
-        Called with the completed fraction and the current objects (R', H, W). If it returns False,
-        only these objects are completed and returned.
-
-    Returns
-    -------
-    objects : Tensor, (R, H, W)
-        Objects.
-    errors : Tensor, (R,)
-        Rms differences of the spectra's moduli from ``modulus``, relative.
+    share : float
+        Completed fraction of the iterations.
     """
-    per_chunk = max(1, _CHUNK // support.numel())
-    chunks = [starts[i : i + per_chunk] for i in range(0, len(starts), per_chunk)]
-    found: list[Tensor] = []
-    for number, chunk in enumerate(chunks):
-        objects = chunk * support
-        on = True
-        for iteration in range(iterations):
-            share = iteration / iterations
-            objects = _step(objects, modulus, support, method, share)
-            if iteration % 20 == 19:
-                allowed = _allowed(objects, support)
-                on = watch((number + share) / len(chunks), torch.cat([*found, allowed]))
-            if not on:
-                break
-        for _ in range(_SETTLING):
-            objects = _allowed(_with_modulus(objects, modulus), support)
-        found.append(objects)
-        if not on:
-            break
-    objects = torch.cat(found)
-    return objects, fourier_errors(objects, modulus)
+    projection = _with_modulus(objects, modulus)
+    if method == "hio":
+        feedback = _FEEDBACK * (1.0 - share)
+        bright = support & (projection > 0.0)
+        return torch.where(bright, projection, objects - feedback * projection)
+    relaxation = _RELAXATION[0] + (_RELAXATION[1] - _RELAXATION[0]) * share
+    reflection = allowed(2.0 * projection - objects, support)
+    return relaxation * (reflection + objects) + (1.0 - 2.0 * relaxation) * projection
+
+
+def settled(objects: Tensor, modulus: Tensor, support: Tensor) -> Tensor:
+    """Return objects (R, H, W) after final iterations between the two constraints only."""
+    for _ in range(_SETTLING):
+        objects = allowed(_with_modulus(objects, modulus), support)
+    return objects
+
+
+def allowed(objects: Tensor, support: Tensor) -> Tensor:
+    """Return the non-negative parts of objects (R, H, W) within their support."""
+    return objects.clamp_min(0.0) * support
 
 
 def fourier_errors(objects: Tensor, modulus: Tensor) -> Tensor:
     """Return the relative rms differences (R,) of the objects' spectral moduli from ``modulus``."""
-    columns = objects.shape[-1]
-    # A half spectrum holds every column but the first, and the last of an even grid, for two.
-    twice = torch.full_like(modulus[0], 2.0)
-    twice[0] = 1.0
-    if columns % 2 == 0:
-        twice[-1] = 1.0
+    twice = half_spectrum_weights(objects.shape[-1]).to(modulus)
     misfit = (torch.fft.rfft2(objects).abs() - modulus) ** 2 * twice
     whole = (modulus**2 * twice).sum()
     errors: Tensor = (misfit.sum(dim=(-2, -1)) / whole).sqrt()
@@ -215,26 +167,9 @@ def onto(picture: Tensor, reference: Tensor) -> Tensor:
     return found
 
 
-def _step(
-    objects: Tensor, modulus: Tensor, support: Tensor, method: Projections, share: float
-) -> Tensor:
-    projection = _with_modulus(objects, modulus)
-    if method == "hio":
-        feedback = _FEEDBACK * (1.0 - share)
-        allowed = support & (projection > 0.0)
-        return torch.where(allowed, projection, objects - feedback * projection)
-    relaxation = _RELAXATION[0] + (_RELAXATION[1] - _RELAXATION[0]) * share
-    reflection = _allowed(2.0 * projection - objects, support)
-    return relaxation * (reflection + objects) + (1.0 - 2.0 * relaxation) * projection
-
-
 def _with_modulus(objects: Tensor, modulus: Tensor) -> Tensor:
     """Return the objects closest to the given ones whose spectra have the given modulus."""
     spectrum = torch.fft.rfft2(objects)
     size = spectrum.abs().clamp_min(torch.finfo(modulus.dtype).tiny)
     result: Tensor = torch.fft.irfft2(spectrum * (modulus / size), s=tuple(objects.shape[-2:]))
     return result
-
-
-def _allowed(objects: Tensor, support: Tensor) -> Tensor:
-    return objects.clamp_min(0.0) * support

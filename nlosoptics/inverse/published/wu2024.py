@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Mapping
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -13,15 +12,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import counted, in_range, one_of, positive, whole
+from ..._checks import in_range, one_of, positive, whole
 from ..._progress import Progress
 from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.checkpoints import State, adam_state, goes_on, joined, spread, state_of, take_up_adam
-from ..data.measurement import Measurement, measurement, real_array, shape_of
-from ..data.reconstruction import Reconstruction, assemble, without_object
+from ..data.checkpoints import descend, joined, spread
+from ..data.driver import Iterate, Run, Solver, reconstructed, solved
+from ..data.measurement import Measurement, real_array, shape_of
+from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.scores import registered_correlation
 from ..wave.frames import known_defoci
@@ -141,14 +141,14 @@ def wu2024_fit(
     randomly initialized weights"; U-net                ``seed``
     "incorporated into the physical model with a        ``_random_angles``; `PupilPSF`, W(2), W(3);
     randomly initialized diffuse angle"                 the product I = O Phi of W(8) in
-                                                        ``_Network.seen``
-    1. loss between measured and modelled image         ``_phase`` of the angles, the object held
+                                                        ``_seen``
+    1. loss between measured and modelled image         ``_Pcin.step``, the object held
     optimizes the physical parameters, "network
     structure kept unchanged", "repeated"
-    2. optimized parameters held, the loss optimizes    ``_phase`` of the network
+    2. optimized parameters held, the loss optimizes    ``_Pcin.step``, the angles held
     the network parameters, "repeated"
-    3. "These two steps are alternated"                 the loop of ``run``
-    W(9): squared error plus TV of the reconstruction   ``_Network.loss``
+    3. "These two steps are alternated"                 ``first`` in ``_Pcin.step``
+    W(9): squared error plus TV of the reconstruction   ``loss`` in ``_Pcin.step``
     ADAM, learning rate 0.01                            two of `torch.optim.Adam`
     "estimated and outputted as the final layer"        the last object, no average, no best one
     4000 iterations, 1800 with "the previous run's      ``max_iterations``; ``start``
@@ -173,116 +173,140 @@ def wu2024_fit(
     ----------
     .. [1] Wu et al., Advanced Photonics Nexus 3 (2024) 026010, section 2.2.
     """
-    started = time.perf_counter()
     checked_seed(seed)
     alternate = whole("alternate", alternate)
     if max_iterations is None:
         max_iterations = _WARM if isinstance(start, Reconstruction) else _COLD
     max_iterations = whole("max_iterations", max_iterations)
     tv_weight = in_range("tv_weight", tv_weight, 0.0)
-    learning_rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
+    rate = in_range("learning_rate", learning_rate, 0.0, 1.0, open_low=True)
     one_of("network_input", network_input, ("image", "reconstruction"))
-    gain = None if gain is None else positive("gain", gain)
-    data = measurement(
-        _only(images, pupil_psf),
-        pupil_psf.shape,
-        noise_sigma=_of_one("noise_sigma", noise_sigma),
-        background=_of_one("background", background),
-        fit_background=fit_background,
-        background_shape=background_shape,
-    )
-    extra = _only_defocus(defocus)
-    if data.is_background():
-        model = _model(pupil_psf, pupil_psf.coefficients, extra)
-        return without_object(data, model=model, gain=gain, started=started)
-    unit = float(data.data.max() - data.data.min())
-    image = ScaledImage(data, unit)
-    if isinstance(start, Reconstruction):
-        angles, network = _from_earlier(start, pupil_psf, image.image)
-    else:
-        angles = _random_angles(pupil_psf, start_waves, seed)
-        network = UNetObject(image.image, base=base, depth=depth, seed=seed)
-    fit = _Pcin(image, pupil_psf, extra, angles, network, learning_rate, tv_weight, data.sigma)
-    behind = 0 if start is None or isinstance(start, Reconstruction) else fit.go_on(start)
-    fit.run(behind, max_iterations, alternate, network_input, progress)
-    return _result(fit, data, gain, started)
+    image = _only(images, pupil_psf)
+    optics = _Optics(pupil_psf, _only_defocus(defocus))
 
-
-class _Pcin:
-    """State of a fit: facet angles and network weights, each with an Adam optimiser."""
-
-    def __init__(
-        self,
-        image: ScaledImage,
-        pupil_psf: PupilPSF,
-        defocus: list[float] | None,
-        angles: Tensor,
-        network: UNetObject,
-        learning_rate: float,
-        tv_weight: float,
-        sigma: float,
-    ) -> None:
-        self.image, self.pupil_psf, self.defocus = image, pupil_psf, defocus
-        self.angles = nn.Parameter(angles)
-        self.network = network
-        self._tv_weight = tv_weight
-        self._noise = sigma / image.unit
-        self._adams = (
-            torch.optim.Adam([self.angles], learning_rate),
-            torch.optim.Adam(network.parameters(), learning_rate, fused=True),
+    def solve(data: Measurement) -> dict[str, Any]:
+        scaled = ScaledImage(data, float(data.data.max() - data.data.min()))
+        if isinstance(start, Reconstruction):
+            angles, network = _from_earlier(start, pupil_psf, scaled.image)
+        else:
+            angles = _random_angles(pupil_psf, start_waves, seed)
+            network = UNetObject(scaled.image, base=base, depth=depth, seed=seed)
+        fit = _Pcin(
+            data=data,
+            image=scaled,
+            optics=optics,
+            angles=nn.Parameter(angles),
+            network=network,
+            learning_rate=rate,
+            tv_weight=tv_weight,
+            every=2 * alternate,
+            feeds_back=network_input == "reconstruction",
+            max_iterations=max_iterations,
         )
-        self.history: dict[str, list[float]] = {"objective": [], "residual": [], "change": []}
+        return solved(fit, None if isinstance(start, Reconstruction) else start, progress)
 
-    def run(
-        self,
-        behind: int,
-        max_iterations: int,
-        alternate: int,
-        network_input: NetworkInput,
-        progress: Progress | None,
-    ) -> None:
-        """Alternate between fits of the angles and of the network until all iterations are used.
+    model = optics.model(pupil_psf.coefficients)
+    noise, veil = _of_one("noise_sigma", noise_sigma), _of_one("background", background)
+    known = noise, veil, fit_background, background_shape, gain
+    return reconstructed(solve, image, model, *known, pupil_psf.shape)
 
-        ``behind`` is the number of iterations of a resumed fit, and ``alternate`` the number of
-        iterations of each of the two fits in a turn.
-        """
-        left = max_iterations - behind
-        while left > 0:
-            for phase in (self._fit_angles, self._fit_network):
-                steps = min(alternate, left)
-                phase(steps)
-                left -= steps
-            if network_input == "reconstruction":
-                self.network.set_guide(self.object())
-            done = max_iterations - left
-            if not goes_on(
-                progress,
-                f"pcin, Wu 2024: residual {self.history['residual'][-1]:.3f} after "
-                f"{counted(done, 'iteration')}",
-                done / max_iterations,
-                partial(self._state, done),
-            ):
-                return
 
-    def _state(self, count: int) -> State:
-        """Return everything that the turn after the first ``count`` iterations starts from."""
-        return state_of(
-            self.gain() * self.object(),
-            coefficients=self.angles,
-            **adam_state("angles", self._adams[0]),
-            **adam_state("network", self._adams[1]),
+@dataclass(frozen=True)
+class _Optics:
+    """Point spread of given coefficients, at a known defocus."""
+
+    pupil_psf: PupilPSF
+    defocus: list[float] | None
+
+    def transfer(self, coefficients: Tensor) -> Tensor:
+        """Return the transfer function, differentiable."""
+        transfer = self.pupil_psf.transfer(coefficients, defocus=self.defocus)
+        return transfer if self.defocus is None else transfer[0]
+
+    def model(self, coefficients: Tensor) -> ForwardModel:
+        """Return the numpy image model."""
+        with torch.no_grad():
+            spread = self.pupil_psf(coefficients.detach(), defocus=self.defocus)
+        kernel = spread if self.defocus is None else spread[0]
+        return ForwardModel(
+            kernel.double().cpu().numpy(), shape=self.pupil_psf.shape, boundary="circular"
+        )
+
+
+@dataclass(eq=False, kw_only=True)
+class _Turns(Iterate):
+    """State of the fit: weights and angles with their optimisers, and the network's input.
+
+    ``held`` is the object or the transfer function that the current phase keeps; empty if it has to
+    be computed.
+    """
+
+    network: torch.optim.Adam
+    angles: torch.optim.Adam
+    guide: Tensor
+    held: tuple[Tensor, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Pcin(Solver[_Turns]):
+    """Alternating fits of angles and network; an iteration is a step of either.
+
+    A turn of ``every`` iterations fits first the angles, then the network.
+    """
+
+    data: Measurement
+    image: ScaledImage
+    optics: _Optics
+    angles: nn.Parameter
+    network: UNetObject
+    learning_rate: float
+    tv_weight: float
+    every: int
+    feeds_back: bool
+    max_iterations: int
+
+    name, takes_object = "wu2024_fit", False
+    report = "pcin, Wu 2024: residual {residual:.3f}"
+
+    def init(self, first: Tensor | None) -> _Turns:
+        """Return the initial state; a given object has no effect, network and angles start it."""
+        rate = self.learning_rate
+        return _Turns(
+            network=torch.optim.Adam(self.network.parameters(), rate, fused=True),
+            angles=torch.optim.Adam([self.angles], rate),
             guide=self.network.guide,
-            count=count,
         )
 
-    def go_on(self, state: Mapping[str, Any]) -> int:
-        """Resume from a saved state; return the number of its iterations."""
-        if not isinstance(state, Mapping) or not {"guide", "count"} <= set(state):
-            raise SceneError("start holds no network; give a state of wu2024_fit, or leave it out")
-        take_up_adam("angles", self._adams[0], state)
-        take_up_adam("network", self._adams[1], state)
-        spread("guide", state["guide"], [self.network.guide])
-        return int(state["count"])
+    def resumed(self, state: _Turns) -> None:
+        """Give the network its saved input."""
+        self.network.guide = state.guide
+
+    def step(self, state: _Turns) -> tuple[float, float, float]:
+        """Make one step of Adam on the loss of the paper's eq. 9.
+
+        The loss is the squared error plus total variation, summed over the pixels. Step 1 of the
+        paper moves the angles with the object held, step 2 the network with the angles held.
+        """
+        first = state.count % self.every < self.every // 2
+        if not state.held or state.count % (self.every // 2) == 0:
+            with torch.no_grad():
+                state.held = (self.network() if first else self.optics.transfer(self.angles),)
+        (held,) = state.held
+        picture = held if first else self.network()
+        transfer = self.optics.transfer(self.angles) if first else held
+        gain, residual = self.image.misfit(_seen(picture, transfer))
+        square = self.image.weighted(residual * residual).sum()
+        loss = square + self.tv_weight * gain * total_variation(picture, _SMOOTH)
+        before = self.angles.detach().clone()
+        descend(state.angles if first else state.network, loss)
+        change = (self.angles.detach() - before).norm() / before.norm().clamp_min(1e-30)
+        rms = math.sqrt(self.image.mean_square(residual.detach()).item())
+        noise = self.data.sigma / self.image.unit
+        ends = (state.count + 1) % self.every == 0 or state.count + 1 == self.max_iterations
+        if self.feeds_back and ends:
+            self.network.set_guide(self.object())
+            state.guide = self.network.guide
+        return loss.item(), rms / noise if noise > 0.0 else rms, change.item()
 
     def object(self) -> Tensor:
         """Return the current output of the network, (H, W), 0 to 1."""
@@ -290,81 +314,37 @@ class _Pcin:
             picture: Tensor = self.network()
         return picture
 
-    def gain(self) -> float:
-        """Return the fitted number of image units per object unit."""
+    def level(self, state: _Turns) -> Tensor:
+        """Return the object (H, W) in image units."""
         with torch.no_grad():
-            seen = _seen(self.network(), self._transfer())
-            return self.image.misfit(seen)[0].item() * self.image.unit
+            picture = self.object()
+            gain = self.image.misfit(_seen(picture, self.optics.transfer(self.angles)))[0].item()
+        return gain * self.image.unit * picture.double()
 
-    def _fit_angles(self, steps: int) -> None:
-        """Fit the angles with the object fixed (step 1 of the paper)."""
-        picture = self.object()
-        for _ in range(steps):
-            self._step(self._adams[0], picture, self._transfer())
-
-    def _fit_network(self, steps: int) -> None:
-        """Fit the network with the angles fixed (step 2 of the paper)."""
-        with torch.no_grad():
-            transfer = self._transfer()
-        for _ in range(steps):
-            self._step(self._adams[1], self.network(), transfer)
-
-    def _transfer(self) -> Tensor:
-        transfer = self.pupil_psf.transfer(self.angles, defocus=self.defocus)
-        return transfer[0] if self.defocus is not None else transfer
-
-    def _step(self, adam: torch.optim.Optimizer, picture: Tensor, transfer: Tensor) -> None:
-        """Make one step of Adam on the loss of the paper's eq. 9.
-
-        The loss is the squared error plus total variation, summed over the pixels.
-        """
-        gain, residual = self.image.misfit(_seen(picture, transfer))
-        square = self.image.weighted(residual * residual).sum()
-        loss = square + self._tv_weight * gain * total_variation(picture, _SMOOTH)
-        adam.zero_grad()
-        before = self.angles.detach().clone()
-        loss.backward()  # type: ignore[no-untyped-call]
-        adam.step()
-        change = (self.angles.detach() - before).norm() / before.norm().clamp_min(1e-30)
-        rms = math.sqrt(self.image.mean_square(residual.detach()).item())
-        self.history["objective"].append(loss.item())
-        self.history["residual"].append(rms / self._noise if self._noise > 0.0 else rms)
-        self.history["change"].append(change.item())
+    def answer(self, found: Run[_Turns], level: Tensor) -> dict[str, Any]:
+        """Return image model, background and status, and the parameters of angles and network."""
+        coefficients = self.angles.detach()
+        model = self.optics.model(coefficients)
+        flat = _Optics(self.optics.pupil_psf, None).model(torch.zeros_like(coefficients))
+        alike = registered_correlation(self.object(), self.data.data)
+        network = self.network.network
+        return {
+            "model": model,
+            "background": beside(self.data, level, model)[0],
+            "status": "trivial" if alike > _TRIVIAL_CORRELATION else "unconverged",
+            "coefficients": _frozen(coefficients.to(torch.float64)),
+            "network_weights": _frozen(joined(list(network.parameters()))),
+            "network_base": float(network.base),
+            "network_depth": float(network.depth),
+            "strehl": float(model.kernel.max() / flat.kernel.max()),
+            "iterations": float(found.state.count),
+        }
 
 
 def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
     """Return the modelled image, eq. 8 of the paper without noise."""
     seen: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture) * transfer, s=picture.shape)
     return seen
-
-
-def _result(fit: _Pcin, data: Measurement, gain: float | None, started: float) -> Reconstruction:
-    picture = fit.object()
-    coefficients = fit.angles.detach()
-    model = _model(fit.pupil_psf, coefficients, fit.defocus)
-    level = fit.gain() * picture.double()
-    seen = torch.from_numpy(model.forward(level.cpu().numpy())).to(level.device)
-    strength = data.background_strength(data.data - seen)
-    flat = _model(fit.pupil_psf, torch.zeros_like(coefficients), None)
-    strehl = float(model.kernel.max() / flat.kernel.max())
-    alike = registered_correlation(picture, data.data)
-    weights = joined(list(fit.network.network.parameters()))
-    return assemble(
-        data,
-        level,
-        model=model,
-        background=strength,
-        gain=gain,
-        status="trivial" if alike > _TRIVIAL_CORRELATION else "unconverged",
-        history=fit.history,
-        started=started,
-        coefficients=_frozen(coefficients.to(torch.float64)),
-        network_weights=_frozen(weights),
-        network_base=float(fit.network.network.base),
-        network_depth=float(fit.network.network.depth),
-        strehl=strehl,
-        iterations=float(len(fit.history["residual"])),
-    )
 
 
 def _only(images: Any, pupil_psf: PupilPSF) -> Any:
@@ -434,14 +414,6 @@ def _from_earlier(
     spread("network_weights", found["network_weights"], list(network.network.parameters()))
     angles = torch.from_numpy(np.array(found["coefficients"])).to(pupil_psf.coefficients)
     return angles, network
-
-
-def _model(pupil_psf: PupilPSF, coefficients: Tensor, defocus: list[float] | None) -> ForwardModel:
-    """Return the numpy image model for given coefficients."""
-    with torch.no_grad():
-        spread = pupil_psf(coefficients.detach(), defocus=defocus)
-    kernel = spread[0] if defocus is not None else spread
-    return ForwardModel(kernel.double().cpu().numpy(), shape=pupil_psf.shape, boundary="circular")
 
 
 def _frozen(values: Tensor) -> NDArray[Any]:

@@ -103,7 +103,7 @@ def test_an_object_alone_is_a_start_too() -> None:
     inverse.tv_deconvolve(image, model, **{**options, "tv_weight": 3.0}, progress=watch)
     wrong_edges = np.full_like(watch.states[3]["edges"], np.nan)
     for name, wrong, words in (
-        ("numbers", np.zeros(3), "start's numbers are .*, must be 6 finite values"),
+        ("numbers", np.zeros(3), "start's numbers are .*, must be 7 finite values"),
         ("signed", "F.png", "start's signed of type str is not an array"),
         ("edges", wrong_edges, "start's edges holds values that are not finite"),
     ):
@@ -112,7 +112,7 @@ def test_an_object_alone_is_a_start_too() -> None:
     again = inverse.tv_deconvolve(image, model, **options, start=watch.states[3])
     assert again.physical_parameters["tv_weight"] == approx(0.3, rel=1e-12)
     assert again.object == approx(cold.object, abs=1e-2)
-    state = {"object": level, "numbers": np.zeros(6)}
+    state = {"object": level, "numbers": np.zeros(7), "history": np.zeros((3, 0))}
     names = ("signed", "predicted", "edges", "data_dual", "sign_dual", "edge_dual")
     state.update(dict.fromkeys(names, np.zeros((2, 2))))
     with pytest.raises(SamplingError, match="signed"):

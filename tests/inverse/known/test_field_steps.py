@@ -76,8 +76,9 @@ def test_steps_repeat_until_the_normal_equations_hold(scene):
     image, pull = torch.randn(2, *model.grid, dtype=torch.float64, generator=generator)
     rest = torch.full((model.grid[0], model.grid[1] // 2 + 1), 0.3, dtype=torch.float64)
     power = twin.mean_transfer.abs() ** 2
+    free = seen = torch.zeros_like(image)
     for _ in range(12):
-        free, seen = step.solve(image, pull, 2.0, rest, 1.0 / (2.0 * power + rest))
+        free, seen = step.solve(image, pull, 2.0, rest, 1.0 / (2.0 * power + rest), (free, seen))
 
     def objective(x):
         return (step._forward(x) - image).square().sum() + (0.15 * x * x - x * pull).sum()
