@@ -6,8 +6,8 @@ callback has two further possibilities:
 - It may raise `Stop`. The solver then returns its best result so far, with status "unconverged".
 - It may have a method ``look(snapshot)``, which is called after each report. ``snapshot()`` returns
   the solver's state as a dict of arrays. Its entry ``"object"``, (H, W) in image units, serves as a
-  preview; the whole dict can be passed to the solver as ``start`` to resume. Nothing is copied
-  unless ``snapshot`` is called.
+  preview; the whole dict can be passed to the solver as ``start``. The resumed fit is bit-identical
+  to an uninterrupted one. Nothing is copied unless ``snapshot`` is called.
 """
 
 from __future__ import annotations

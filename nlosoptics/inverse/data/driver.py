@@ -70,7 +70,7 @@ class Solver(ABC, Generic[S]):
     every: int = 10  # iterations between two progress reports
     unit: str = "iteration"  # what one iteration is called in progress reports
     takes_object: bool = True  # whether a fit can start from an object alone
-    data: Measurement
+    data: Measurement  # of solvers that can start from an object
     max_iterations: int
 
     @abstractmethod

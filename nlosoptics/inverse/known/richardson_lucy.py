@@ -63,8 +63,8 @@ def richardson_lucy(
     tolerance : float
         Stop also when the relative change of the object per iteration is below this value.
     start : array_like, mapping or None
-        Initial object, (H, W) in image units, or a saved state; see `inverse.data.checkpoints`.
-        Where it is dark it stays dark.
+        Initial object, (H, W) in image units, or a saved state, from which the fit resumes
+        bit-identically; see `inverse.data.checkpoints`. Where an object is dark it stays dark.
     progress : callable or None
         Called repeatedly with a text and the completed fraction; may raise `Stop`.
 

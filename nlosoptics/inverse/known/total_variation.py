@@ -154,7 +154,8 @@ def tv_deconvolve(
         relative distance between the object and its non-negative copy, and 0.05 times the
         residual's distance from its target in units of the noise.
     start : array_like, mapping or None
-        Initial object, (H, W) in image units, or a saved state; see `inverse.data.checkpoints`.
+        Initial object, (H, W) in image units, or a saved state, from which the fit resumes
+        bit-identically; see `inverse.data.checkpoints`.
     progress : callable or None
         Called repeatedly with a text and the completed fraction; may raise `Stop`.
 

@@ -61,7 +61,8 @@ def wiener(
         Stop when the residual of the normal equations, relative to their right-hand side, is below
         this value.
     start : array_like, mapping or None
-        Initial object, (H, W) in image units, or a saved state; see `inverse.data.checkpoints`.
+        Initial object, (H, W) in image units, or a saved state, from which the fit resumes
+        bit-identically; see `inverse.data.checkpoints`.
     progress : callable or None
         Called repeatedly with a text and the completed fraction; may raise `Stop`.
 
