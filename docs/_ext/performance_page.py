@@ -754,7 +754,7 @@ SECTIONS = (
         "Modes of diffuse light past occluders",
         "Random scenes with a matt wall, every third with a wide mirror-like lobe too; the number "
         "of `limits.feasibility` next to the singular values of the whole matrix.",
-        f"{RUN}/relay_modes.py --json benchmarks/results/relay_modes.jsonl",
+        f"{RUN}/relay_modes.py --scenes 6 --json benchmarks/results/relay_modes.jsonl",
         relay_modes,
     ),
     Section(
