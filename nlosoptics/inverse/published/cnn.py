@@ -40,17 +40,19 @@ _ENTRY = "nlosoptics"
 
 
 class CnnBaseline(nn.Module):
-    """U-net that maps an image to its object, trained by `train_cnn`.
+    """U-net that estimates the object from an image, for comparison with model-based solvers.
 
-    The network has no physical model. It can only recover objects and walls similar to those of
-    its training pairs.
+    A new instance has random weights: train it by `train_cnn`, or read it by `load`. Called on
+    images (B, H, W) in any unit it returns objects (B, H, W) from 0 to 1; `reconstruct` takes one
+    image. The network has no physical model and recovers only objects like those that it was
+    trained on, seen via similar walls.
 
     Parameters
     ----------
     base : {8, 16, 32}
         Channels at full resolution, see `UNet`.
     depth : int
-        Number of times the resolution is halved, see `UNet`.
+        Number of times the resolution is halved, 1 to 8, see `UNet`.
     seed : int
         Seed of the initial weights.
 

@@ -24,11 +24,13 @@ from ..data.measurement import Measurement, real_array, shape_of
 from ..data.reconstruction import Reconstruction, beside
 from ..data.scaled_images import ScaledImage, total_variation
 from ..data.scores import registered_correlation
+from ..wave.facet_psf import FacetPSF
 from ..wave.frames import known_defoci
 from ..wave.pupil_psf import PupilPSF
 from .unet import UNetObject
 
 NetworkInput = Literal["image", "reconstruction"]
+AnyPSF = PupilPSF | FacetPSF
 
 ANGLES = 603  # stream of the random angles
 # Iterations of a first run and of a resumed run ("more than 4000", "approximately 1800" in the
@@ -43,11 +45,11 @@ _TRIVIAL_CORRELATION = 0.95
 @gradients()
 def wu2024_fit(
     images: Any,
-    pupil_psf: PupilPSF,
+    pupil_psf: AnyPSF,
     *,
     defocus: Any = None,
     start: Reconstruction | Mapping[str, Any] | None = None,
-    start_waves: float = 0.5,
+    start_rms: float | None = None,
     base: int = 8,
     depth: int = 4,
     alternate: int = 10,
@@ -63,23 +65,30 @@ def wu2024_fit(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Fit object and wall to one image with an untrained U-net and random angles (PCIN) [1]_.
+    """Fit object and wall to one image with an untrained U-net and random angles [1]_.
+
+    This is the physics-constrained inverse network (PCIN) as published, for comparison;
+    `evidence_fit` is the solver to use.
 
     Parameters
     ----------
     images : ndarray or Tensor
         One image, (H, W) or (1, H, W), any unit.
-    pupil_psf : PupilPSF
-        Point spread of shape (H, W). Its coefficients take the role of the exit angles; the object
-        itself is not modified.
+    pupil_psf : PupilPSF or FacetPSF
+        Point spread of shape (H, W): of a wave, or of facets that send light without interference,
+        as for coarse pixels. Its coefficients take the role of the exit angles; ``pupil_psf`` is
+        not modified.
     defocus : sequence of one float, or None
-        Known additional defocus of the image, m rms.
+        Known additional defocus of the image, m rms; a sequence as in the solvers of several
+        images.
     start : Reconstruction, mapping or None
         Warm start: an earlier result of this function for a similar object, which provides angles
         and network. A saved state of a run with the same options resumes that run bit-identically
         (see `inverse.data.checkpoints`). None: cold start with random angles and weights.
-    start_waves : float
-        Rms wave aberration of a cold start, waves.
+    start_rms : float or None
+        Strength of a cold start's random angles. For `PupilPSF` the rms wave aberration, waves; by
+        default 0.5. For `FacetPSF` the rms displacement in the image along each axis, pixels; by
+        default 5.
     base : {8, 16, 32}
         Channels of the network at full resolution, see `UNet`. Ignored for a warm start.
     depth : int
@@ -87,11 +96,11 @@ def wu2024_fit(
     alternate : int
         Number of steps on the angles, followed by as many on the network.
     network_input : {"image", "reconstruction"}
-        Input of the network in step 2: the measured image or the last reconstruction.
+        Input of the network when it is fitted: the measured image or the last reconstruction.
     learning_rate : float
         Learning rate of Adam for angles and weights.
     tv_weight : float
-        Weight of the total variation in W(9), for an image with range 1.
+        Weight of the total variation in the loss (equation 9), for an image with range 1.
     noise_sigma : float, array_like or None
         Standard deviation of the noise, one number, (H, W) or (1, H, W), image units; None:
         estimated by `estimate_noise`.
@@ -116,8 +125,8 @@ def wu2024_fit(
         Object, status and score. ``physical_parameters`` also contains ``coefficients`` (as in
         ``pupil_psf``), ``network_weights`` (n,) float32, ``network_base``, ``network_depth``,
         ``strehl`` (peak of the point spread relative to the unaberrated one) and ``iterations``.
-        The status is "trivial" if object and image have a correlation of 0.95 or more, otherwise
-        "unconverged" (see Notes).
+        The status is "trivial" if the answer is the image itself (a correlation of 0.95 or more),
+        otherwise "unconverged" (see Notes).
 
     Raises
     ------
@@ -130,44 +139,46 @@ def wu2024_fit(
     --------
     pcin : Entry point of the blind solvers.
     evidence_fit : Blind fit of one or more images by their evidence.
-    PupilPSF : Differentiable PSF of a wave.
+    PupilPSF, FacetPSF : Differentiable PSF of a wave, and of independent facets.
 
     Notes
     -----
-    Statements of the paper's section 2.2 and their implementation, W(n) being its equation n:
+    The paper's section 2.2 and what this function does:
 
     ==================================================  ===========================================
-    "The speckle image ... is fed into CNN with         `UNetObject` on the image, weights drawn by
-    randomly initialized weights"; U-net                ``seed``
-    "incorporated into the physical model with a        ``_random_angles``; `PupilPSF`, W(2), W(3);
-    randomly initialized diffuse angle"                 the product I = O Phi of W(8) in
-                                                        ``_seen``
-    1. loss between measured and modelled image         ``_Pcin.step``, the object held
-    optimizes the physical parameters, "network
+    paper                                               here
+    ==================================================  ===========================================
+    "The speckle image ... is fed into CNN with         a U-net with the image as input; ``seed``
+    randomly initialized weights"; U-net                draws its weights
+    "incorporated into the physical model with a        ``seed`` draws the angles, ``pupil_psf`` is
+    randomly initialized diffuse angle"                 equations 2 and 3, and the image is the
+                                                        product of spectra of equation 8
+    1. loss between measured and modelled image         ``alternate`` steps on the angles, with the
+    optimizes the physical parameters, "network         object held
     structure kept unchanged", "repeated"
-    2. optimized parameters held, the loss optimizes    ``_Pcin.step``, the angles held
-    the network parameters, "repeated"
-    3. "These two steps are alternated"                 ``first`` in ``_Pcin.step``
-    W(9): squared error plus TV of the reconstruction   ``loss`` in ``_Pcin.step``
-    ADAM, learning rate 0.01                            two of `torch.optim.Adam`
+    2. optimized parameters held, the loss optimizes    ``alternate`` steps on the network, with
+    the network parameters, "repeated"                  the angles held
+    3. "These two steps are alternated"                 until ``max_iterations``
+    equation 9: squared error plus TV of the            the same, summed over pixels, with the
+    reconstruction                                      factor ``tv_weight``
+    ADAM, learning rate 0.01                            two Adam optimisers, ``learning_rate``
     "estimated and outputted as the final layer"        the last object, no average, no best one
     4000 iterations, 1800 with "the previous run's      ``max_iterations``; ``start``
     optimization results as input"
-    512 x 512 pixels                                    any; see below for memory
+    512 x 512 pixels                                    any
     ==================================================  ===========================================
 
     The paper leaves some choices open, which are options here: the number of repetitions of steps 1
     and 2 (``alternate``); the input of the network in step 2 (``network_input``); the network's
-    size (``base``); the spread of the random angles (``start_waves``); the weight of TV
-    (``tv_weight``), which W(9) gives as 1 in unknown units (both sums are over pixels). Fixed
-    choices are a sigmoid as last layer, least-squares brightness and background in every step, and
-    moments of Adam that persist through the alternation. The frame is circular, as W(8) implies.
+    size (``base``); the spread of the random angles (``start_rms``); the weight of TV
+    (``tv_weight``), which equation 9 sets to 1 without the image's scale. Fixed choices are a
+    sigmoid as last layer, least-squares brightness and background in every step, and moments of
+    Adam that persist through the alternation. The frame is circular, as equation 8 implies.
 
-    The method is included for comparison. From random angles and one image it was never observed to
-    find object and wall. It ends at the image itself, or at another object that fits the image to
-    its noise or better (`benchmarks/inverse/wu2024.py`). Started at the true wall it drifts away. A
-    residual at the noise level is therefore no sign of success, and the status is never
-    "converged".
+    From random angles and one image it was never observed to find object and wall. It ends at the
+    image itself, or at another object that fits the image to its noise or better
+    (`benchmarks/inverse/wu2024.py`). Started at the true wall it drifts away. A residual at the
+    noise level is therefore no sign of success, and the status is never "converged".
 
     References
     ----------
@@ -189,7 +200,7 @@ def wu2024_fit(
         if isinstance(start, Reconstruction):
             angles, network = _from_earlier(start, pupil_psf, scaled.image)
         else:
-            angles = _random_angles(pupil_psf, start_waves, seed)
+            angles = _random_angles(pupil_psf, start_rms, seed)
             network = UNetObject(scaled.image, base=base, depth=depth, seed=seed)
         fit = _Pcin(
             data=data,
@@ -215,7 +226,7 @@ def wu2024_fit(
 class _Optics:
     """Point spread of given coefficients, at a known defocus."""
 
-    pupil_psf: PupilPSF
+    pupil_psf: AnyPSF
     defocus: list[float] | None
 
     def transfer(self, coefficients: Tensor) -> Tensor:
@@ -347,11 +358,11 @@ def _seen(picture: Tensor, transfer: Tensor) -> Tensor:
     return seen
 
 
-def _only(images: Any, pupil_psf: PupilPSF) -> Any:
+def _only(images: Any, pupil_psf: AnyPSF) -> Any:
     """Return the single image, (H, W), of an argument (H, W) or (1, H, W)."""
-    if not isinstance(pupil_psf, PupilPSF):
+    if not isinstance(pupil_psf, (PupilPSF, FacetPSF)):
         raise SceneError(
-            f"pupil_psf of type {type(pupil_psf).__name__} is not a PupilPSF; "
+            f"pupil_psf of type {type(pupil_psf).__name__} is neither a PupilPSF nor a FacetPSF; "
             "build one with PupilPSF.from_zernike"
         )
     shape = shape_of("images", images)
@@ -377,24 +388,28 @@ def _only_defocus(defocus: Any) -> list[float] | None:
     return known_defoci(np.atleast_1d(real_array("defocus", defocus)), 1).tolist()
 
 
-def _random_angles(pupil_psf: PupilPSF, waves: float, seed: int) -> Tensor:
-    """Return normally distributed angles, scaled to a wave aberration of ``waves`` waves rms.
+def _random_angles(pupil_psf: AnyPSF, start_rms: float | None, seed: int) -> Tensor:
+    """Return normally distributed angles, scaled to a given rms wave aberration or displacement.
 
     One scaling suffices, since the wave is linear in the angles.
     """
-    waves = positive("start_waves", waves)
+    if start_rms is None:
+        start_rms = 0.5 if isinstance(pupil_psf, PupilPSF) else 5.0
+    wanted = positive("start_rms", start_rms)
     leaves = pupil_psf.coefficients
     drawn = torch.from_numpy(generator(seed, ANGLES).standard_normal(leaves.shape)).to(leaves)
+    if isinstance(pupil_psf, FacetPSF):
+        return drawn * wanted
     with torch.no_grad():
         aberration = pupil_psf.aberration(drawn) / pupil_psf.wavelength
     share = torch.as_tensor(pupil_psf.optics.share).to(aberration)
     mean = (share * aberration).sum() / share.sum()
     rms = ((share * (aberration - mean) ** 2).sum() / share.sum()).sqrt()
-    return drawn * (waves / rms)
+    return drawn * (wanted / rms)
 
 
 def _from_earlier(
-    start: Reconstruction, pupil_psf: PupilPSF, image: Tensor
+    start: Reconstruction, pupil_psf: AnyPSF, image: Tensor
 ) -> tuple[Tensor, UNetObject]:
     """Return angles and network of an earlier result."""
     found = start.physical_parameters

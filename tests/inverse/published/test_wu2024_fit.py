@@ -116,7 +116,7 @@ def test_published_numbers_of_steps(image, pupil_psf, sigma, cold, monkeypatch):
 def test_cold_start_is_random_and_of_the_rms_asked_for(image, pupil_psf, sigma):
     options = {"noise_sigma": sigma, "max_iterations": 2, "learning_rate": 1e-9, "depth": 3}
     found = [
-        wu2024_fit(image, pupil_psf, start_waves=0.4, seed=seed, **options).physical_parameters[
+        wu2024_fit(image, pupil_psf, start_rms=0.4, seed=seed, **options).physical_parameters[
             "coefficients"
         ]
         for seed in (0, 0, 1)
@@ -143,7 +143,7 @@ def test_the_wall_is_not_kept(image, truth, pupil_psf, sigma, cold):
 def test_no_blur_is_told(truth, pupil_psf):
     """A sharp image by a perfect wave has the trivial answer, and it is called by its name."""
     found = wu2024_fit(
-        truth, pupil_psf, noise_sigma=0.05, start_waves=0.02, max_iterations=200, depth=3
+        truth, pupil_psf, noise_sigma=0.05, start_rms=0.02, max_iterations=200, depth=3
     )
     assert inverse.registered_correlation(found, truth) > 0.95
     assert found.status == "trivial"
@@ -209,7 +209,7 @@ def test_uniform_image_is_too_few_photons(pupil_psf):
         ({"start": "kept.npz"}, SceneError, "start holds no network"),
         ({"images": [[1.0], [2.0, 3.0]]}, SceneError, "images of type list has rows"),
         ({"noise_sigma": [[1.0], [2.0, 3.0]]}, SceneError, "noise_sigma of type list has rows"),
-        ({"start_waves": 0.0}, SceneError, "start_waves = 0 is out of range"),
+        ({"start_rms": 0.0}, SceneError, "start_rms = 0 is out of range"),
         ({"alternate": 0}, SceneError, "alternate = 0 is out of range"),
         ({"max_iterations": -1}, SceneError, "max_iterations = -1 is out of range"),
         ({"network_input": "both"}, SceneError, "network_input = 'both' is unknown"),
@@ -251,3 +251,25 @@ def test_noise_and_background_may_be_those_of_a_list_of_one(image, pupil_psf, si
 def test_no_iterations_are_refused(image, pupil_psf, sigma):
     with pytest.raises(SceneError, match="max_iterations = 0"):
         wu2024_fit(image, pupil_psf, noise_sigma=sigma, max_iterations=0)
+
+
+def test_facets_take_the_place_of_the_wave_on_coarse_pixels(truth):
+    """The paper's pixels of 72 um at F/2, on which no wave can be sampled."""
+    true = np.random.default_rng(4).normal(0.0, 3.0 * 72e-6 / 0.05, size=(25, 25, 2))
+    pupil = {"angle_pitch": 1.05e-3, "pupil_radius": 12.5e-3, "image_distance": 0.05}
+    facets = inverse.FacetPSF(true, **pupil, pitch=72e-6, shape=SIDE)
+    kernel = facets().detach().double().numpy()
+    blurred = ForwardModel(kernel, shape=(SIDE, SIDE), boundary="circular").forward(truth)
+    noise = NOISE * blurred.max() * np.random.default_rng(1).normal(size=blurred.shape)
+    options = {"noise_sigma": NOISE * blurred.max(), "depth": 3, "max_iterations": 80}
+    found = wu2024_fit(blurred + noise, facets, **options)
+    assert found.physical_parameters["coefficients"].shape == (25, 25, 2)
+    assert found.history["objective"][-1] < 0.5 * found.history["objective"][0]
+    assert found.status in ("trivial", "unconverged")
+    spread = found.physical_parameters["coefficients"].std()
+    wide = wu2024_fit(blurred + noise, facets, start_rms=9.0, **options)
+    # Adam moves an angle by at most 0.01 pixels a step
+    assert spread == pytest.approx(5.0, abs=0.6)
+    assert wide.physical_parameters["coefficients"].std() == pytest.approx(9.0, abs=0.6)
+    with pytest.raises(SceneError, match="FacetPSF is not a point spread with an unknown wave"):
+        inverse.evidence_fit(blurred, facets)
