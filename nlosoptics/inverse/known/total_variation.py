@@ -187,11 +187,12 @@ def tv_deconvolve(
     gradients, preconditioned by the mean. The weight is adjusted in every data step, in closed form
     for uniform noise [2]_.
 
-    The target of the discrepancy principle allows for noise that the fit absorbs: the expected sum
-    of squared residuals, one per pixel, is reduced by the number of pixels along the frame's
-    outline (rms 0.984 of the noise at 128 x 128). Otherwise weak images would be over-smoothed. The
-    computation uses float32 unless the noise is below 1e-4 of the image's range. ``objective`` is
-    evaluated at the final weight, so it may rise while the weight is being adjusted.
+    The target of the discrepancy principle allows for noise that the fit absorbs: the expected
+    sum of squared residuals, one per pixel, is reduced by the number of pixels along the
+    frame's outline (rms 0.984 of the noise at 128 x 128), and by less in faint light, where the
+    fit absorbs less. Otherwise weak images would be over-smoothed, and faint ones grainy. The
+    computation uses float32 unless the noise is below 1e-4 of the image's range. ``objective``
+    is evaluated at the final weight, so it may rise while the weight is being adjusted.
 
     References
     ----------
@@ -285,8 +286,7 @@ class _Splitting(Solver[_Split]):
         self._power = (transfer.real**2 + transfer.imag**2).to(dtype)
         self._laplacian = _laplacian(self._grid, data.data.device).to(dtype)
         self._given = None if tv_weight is None else self._response / (self._sigma * tv_weight)
-        freedom = max(data.counted - 2 * sum(model.shape), data.counted / 2)
-        self._target = self._sigma * math.sqrt(freedom)
+        self._target = self._sigma * math.sqrt(max(data.counted - _taken(data), data.counted / 2))
         self._factored: tuple[tuple[float, ...], tuple[Tensor, Tensor, Tensor]] | None = None
 
     def init(self, first: Tensor | None) -> _Split:
@@ -503,6 +503,19 @@ def _adapt(state: _Split) -> None:
     ratio = min(max(ratio, 1.0 / 3.0), 3.0)
     state.data_penalty *= ratio
     state.data_dual /= ratio
+
+
+def _taken(data: Measurement) -> float:
+    """Return how many values of the image the fit takes from the object, not from the noise.
+
+    An object of few edges has about as many free values as its frame has pixels along the border.
+    If they share the image's energy evenly, each is taken with the gain of the Wiener filter:
+    nearly 0 in faint light, and 1 in strong light.
+    """
+    rest = data.data - data.background(data.background_strength(data.data))
+    energy = max(total(data.weighted(rest * rest)) / data.sigma**2 - data.counted, 0.0)
+    values = 2.0 * sum(data.data.shape)
+    return values * energy / (energy + values)
 
 
 def _relaxed(new: Tensor, old: Tensor) -> Tensor:

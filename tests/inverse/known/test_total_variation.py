@@ -95,6 +95,20 @@ def test_one_per_cent_noise(case, wall, limit, name, seed):
     assert {values.size for values in found.history.values()} == {len(found.history["change"])}
 
 
+def test_less_noise_is_absorbed_in_faint_light(case):
+    """The target rises from sqrt(1 - outline/pixels) of the noise to the noise itself."""
+    data, model = case("F", "smooth", noise=1.0)
+    options = {"noise_sigma": data.noise_sigma, "tolerance": 5e-5, "max_iterations": 4000}
+    found = inverse.tv_deconvolve(data.image, model, **options)
+    rest = data.image - data.image.mean()
+    energy = (rest**2).sum() / data.noise_sigma**2 - rest.size
+    taken = 512 * energy / (energy + 512)
+    assert 50 < energy < 5000
+    # the tolerance stops the residual within 0.0025; with the whole outline it would be 0.9864
+    assert found.score == pytest.approx(np.sqrt(1 - taken / 128**2), abs=0.003)
+    assert found.score > np.sqrt(1 - 512 / 128**2) + 0.004
+
+
 @pytest.mark.parametrize(("wall", "limit"), [("smooth", 0.98), ("speckle", 0.98)])
 def test_unknown_noise_costs_little(case, wall, limit):
     data, model = case("R", wall)
