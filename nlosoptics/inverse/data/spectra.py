@@ -10,7 +10,7 @@ import math
 import torch
 from torch import Tensor
 
-from .forward import AnyModel, torch_model
+from .forward import AnyModel, half_spectrum_weights, torch_model
 
 # Largest power of an object's image, relative to the noise, at a frequency that counts as beyond
 # the optics.
@@ -36,15 +36,9 @@ def frame_transfer(model: AnyModel) -> Tensor:
 
 
 def half_weights(shape: tuple[int, ...]) -> Tensor:
-    """Return how often each frequency of a half spectrum counts; the mean does not count.
-
-    A half spectrum holds every column but the first, and the last of an even width, once for two.
-    """
+    """Return how often each frequency of a half spectrum counts; the mean does not count."""
     rows, columns = shape
-    twice = torch.full((rows, columns // 2 + 1), 2.0, dtype=torch.float64)
-    twice[:, 0] = 1.0
-    if columns % 2 == 0:
-        twice[:, -1] = 1.0
+    twice = half_spectrum_weights(columns).repeat(rows, 1)
     twice[0, 0] = 0.0
     return twice
 
