@@ -121,7 +121,7 @@ def _diffuse_words(case: Case) -> str:
 
 def _stroke_words(case: Case) -> str:
     return (
-        f"the lobe's slope of {case.slope:.2g} rad blurs by {1e3 * case.slope * case.reach:.2g} "
+        f"the lobe's slope of {case.slope:.2g} rad blurs by {1e3 * case.slope * case.reach:.3g} "
         f"mm rms, strokes are {1e3 * case.stroke:.2g} mm wide"
     )
 
