@@ -148,9 +148,7 @@ def _locked(path: Path) -> Iterator[bool]:
             import fcntl
 
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except ImportError:  # Windows
-            yield False
-        except OSError:
+        except (ImportError, OSError):  # Windows has no fcntl
             yield False
         else:
             yield True

@@ -13,11 +13,12 @@ from ...errors import SceneError
 
 _ADDRESS = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)+")
 _KEYS = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
+#: Keys of a camera of which either determines the other; an override replaces both.
+CAMERA_PAIRS = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
 #: Keys that say the same thing in two ways, by table. Setting one side removes the other.
 _ALTERNATIVES = (
     ("laser", ("position",), ("distance", "incidence", "azimuth")),
-    ("camera", ("focal_length",), ("field_of_view",)),
-    ("camera", ("stop_diameter",), ("f_number",)),
+    *(("camera", (one,), (other,)) for one, other in CAMERA_PAIRS),
 )
 
 

@@ -30,7 +30,7 @@ from ..walls.mesh_walls import MeshWall
 from ..walls.relief import FacetWall, GaussianWall
 from ..walls.roughness import WallRoughness
 from . import tables as _file_tables
-from .addresses import changed
+from .addresses import CAMERA_PAIRS, changed
 from .errors import located, missing_key, validated
 from .schema import scene_schema
 from .text import saved_files, scene_files
@@ -41,9 +41,6 @@ T = TypeVar("T")
 
 #: Most characters of a scene file and of a line; a parser's time grows with their square.
 MOST_TEXT, MOST_LINE = 4_000_000, 20_000
-
-#: Either key of a pair determines the other; an override replaces both.
-_ALTERNATIVES = (("focal_length", "field_of_view"), ("stop_diameter", "f_number"))
 
 
 def read_scene(
@@ -354,7 +351,7 @@ def _camera_values(
         Files read so far, to find a circular reference.
     """
     own = _given(table, "file")
-    for pair in _ALTERNATIVES:
+    for pair in CAMERA_PAIRS:
         if all(name in own for name in pair):
             raise SceneError(
                 f"{path}: camera.{pair[1]} and camera.{pair[0]} are both given, limit is one of "
@@ -389,7 +386,7 @@ def _whole_camera(path: Path, own: dict[str, Any]) -> dict[str, Any]:
 
 def _without_alternatives(values: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
     """Return camera values without those that the keys of ``own`` replace."""
-    gone = {name for pair in _ALTERNATIVES if not own.keys().isdisjoint(pair) for name in pair}
+    gone = {name for pair in CAMERA_PAIRS if not own.keys().isdisjoint(pair) for name in pair}
     return {name: value for name, value in values.items() if name not in gone}
 
 
@@ -398,7 +395,7 @@ def _camera(values: dict[str, Any]) -> Camera:
     for name in ("position", "aim"):
         if name not in values:
             raise SceneError(missing_key(f"camera.{name}", name))
-    for pair in _ALTERNATIVES:
+    for pair in CAMERA_PAIRS:
         if not any(name in values for name in pair):
             raise SceneError(missing_key(f"camera.{pair[0]}", pair[0]))
     values = dict(values)
