@@ -212,7 +212,7 @@ class Feasibility(Noun, Shown):
         return Figures("Feasibility", figures, alt)
 
     def figures(self) -> dict[str, Any]:
-        """Return all fields as numbers, lists and text for JSON; infinity and NaN become None."""
+        """Return all fields as a dictionary for JSON; infinity and NaN become None."""
 
         def plain(value: Any) -> Any:
             if isinstance(value, Mapping):

@@ -103,7 +103,7 @@ class Plan:
         return sum(stage.seconds for stage in self.stages)
 
     def runs(self, name: str) -> bool:
-        """Return whether the stage called ``name`` runs."""
+        """Return whether the run includes the stage of this ``name``, such as "image"."""
         return any(stage.name == name for stage in self.stages)
 
     def __str__(self) -> str:

@@ -267,7 +267,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Mirror-like lobes of the wall; its roughness, if any, is in their slopes as a mean."""
+        """Mirror-like lobes of the wall; roughness is included as a mean, by its slope rms."""
         lobes = self.wall_material.mirror_lobes
         if self.wall_roughness is None:
             return lobes
@@ -275,7 +275,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_slopes(self) -> tuple[float, ...]:
-        """Slope rms of each mirror-like lobe, rad; of a wall with roughness that of its heights."""
+        """Slope rms of each mirror-like lobe, rad; a rough wall has that of its heights."""
         return tuple(lobe.slope_rms for lobe in self.mirror_lobes)
 
     def check_in_front(self, *, meshes: bool = True) -> None:

@@ -474,7 +474,7 @@ class PupilPSF(nn.Module):
         return turns * self.wavelength
 
     def steepest(self, coefficients: Tensor | None = None) -> float:
-        """Return the largest step of W between neighbouring pupil cells, waves.
+        """Return the largest difference of W between neighbouring pupil cells, wavelengths.
 
         Above 1/2, which is a slope of lambda/(2 cell), the cells undersample the wave.
         """
@@ -538,5 +538,16 @@ class PupilPSF(nn.Module):
         return turns.unsqueeze(-3) + self.defocus_turns(extra)
 
     def defocus_turns(self, extra: Tensor) -> Tensor:
-        """Known defoci (K,), m rms, over the wavelength, (K, rows, columns)."""
+        """Return the aberration of known defoci on the pupil's cells, wavelengths.
+
+        Parameters
+        ----------
+        extra : Tensor, (K,)
+            Defocus of each frame, m rms over the pupil.
+
+        Returns
+        -------
+        Tensor, (K, rows, columns)
+            Aberration W in wavelengths, 0 outside the pupil.
+        """
         return (extra / self.wavelength)[:, None, None] * self._defocus

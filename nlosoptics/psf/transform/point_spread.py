@@ -107,7 +107,7 @@ class PointSpread(Noun, Shown):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Samples (ny, nx)."""
+        """Number of samples (ny, nx)."""
         ny, nx = self.intensity.shape
         return ny, nx
 

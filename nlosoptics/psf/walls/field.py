@@ -97,7 +97,18 @@ class PointSpreadField(Noun):
         return np.asarray(weights.reshape(len(self.weights), *x.shape))
 
     def point_spread(self, across: float, up: float) -> Array:
-        """Return the point spread function (py, px) at one point of the object, -1 to 1."""
+        """Return the point spread function at one point of the object.
+
+        Parameters
+        ----------
+        across, up : float
+            Coordinates of the point, -1 to 1 from edge to edge of the object.
+
+        Returns
+        -------
+        ndarray, (py, px)
+            Intensity, with the normalisation of the field.
+        """
         return np.asarray(np.tensordot(self.at(across, up), self.modes, 1))
 
     def mean(self) -> Array:

@@ -464,7 +464,7 @@ class Wavefront(Noun, Shown):
         return polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
 
     def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
-        """Return the series of values at the nodes; for polar and cells layouts."""
+        """Return the spectral series through values at the nodes; for polar and cells layouts."""
         self._require_spectral("have a series")
         if self.aperture is not None:
             return CellSpectrum(values, self.aperture)

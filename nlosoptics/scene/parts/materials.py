@@ -79,7 +79,7 @@ class Lambert(Material):
         return np.array([[LAMBERT, self.rho, 0.0, 1.0]])
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the directional albedo, which is independent of the angle ``theta``, rad."""
+        """Return the share of power that is reflected, here the same for each ``theta``, rad."""
         return np.full(check_angle(theta).shape, self.rho)
 
 
@@ -145,9 +145,10 @@ class OrenNayar(Material):
         return max(1.0, _largest_albedo(self.rho, self.slope_rms, self.model))
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the directional albedo at ``theta``, rad.
+        """Return the share of the power incident at ``theta``, rad, that is reflected.
 
-        The model ``"fit"`` has a closed form; ``"full"`` is integrated numerically.
+        `Material.albedo` describes the parameters. The model ``"fit"`` has a closed form; the
+        model ``"full"`` is integrated numerically.
         """
         t = check_angle(theta)
         if self.model == "full":
@@ -220,7 +221,7 @@ class SpecularMicrofacet(MirrorLobe):
         return self.reflectance if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the directional albedo at ``theta``, rad; for a smooth mirror its reflectance."""
+        """Return the share of the power incident at ``theta``, rad, that is reflected."""
         t = check_angle(theta)
         if self.slope_rms == 0.0:
             return np.full(t.shape, self.reflectance)
@@ -309,7 +310,7 @@ class Ward(MirrorLobe):
         return self.rho if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the directional albedo at ``theta``, rad, by quadrature."""
+        """Return the share of the power incident at ``theta``, rad, that is reflected."""
         t = check_angle(theta)
         return directional_albedo(t, lambda a: over_slopes(self, a, self.slope_rms, smooth=False))
 
@@ -385,5 +386,5 @@ class SumMaterial(Material):
         return SumMaterial(*parts) if parts else None
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the directional albedo at ``theta``, rad: the sum over the summands."""
+        """Return the share of the power incident at ``theta``, rad, that all summands reflect."""
         return np.asarray(sum(part.albedo(theta) for part in self.parts))

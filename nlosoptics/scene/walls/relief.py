@@ -172,7 +172,7 @@ class FacetWall(_Relief):
         return self.node_rms / math.sqrt(2.0)
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the facets as one height term."""
+        """Return the facets as one row of parameters; see `Wall.compiled`."""
         a, b = self._offset()
         offset = (self.cell * (a + 0.5 * b), self.cell * math.sqrt(0.75) * b)
         return self._row(FACETS, self.cell, self.node_rms, offset), np.zeros(1)
@@ -189,7 +189,7 @@ class FacetWall(_Relief):
 
     @property
     def is_flat(self) -> bool:
-        """Whether the slope rms is zero."""
+        """Whether the slope rms is zero, so that every height is zero."""
         return self.slope_rms == 0.0
 
 
@@ -267,7 +267,7 @@ class GaussianWall(_Relief):
         return math.sqrt(2.0) * self.height_rms / self.correlation_length
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the bumps as one height term."""
+        """Return the bumps as one row of parameters; see `Wall.compiled`."""
         length = self.correlation_length
         a, b = self._offset()
         offset = (0.5 * length * a, 0.5 * length * b)
@@ -275,7 +275,10 @@ class GaussianWall(_Relief):
 
     @property
     def finest_period(self) -> float:
-        """Period beyond which the spectrum is below exp(-pi^2) of its peak: l, m."""
+        """Shortest period of the heights, m, which is the correlation length l.
+
+        Shorter periods have a spectral density below exp(-pi^2), 5e-5, of the maximum.
+        """
         return self.correlation_length if self.height_rms else math.inf
 
     @property

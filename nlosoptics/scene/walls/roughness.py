@@ -88,12 +88,12 @@ class WallRoughness(Noun):
 
     @property
     def slope_rms(self) -> float:
-        """Slope rms per axis, rad; of a height map that at its nodes."""
+        """Slope rms per axis, rad; for a height map the rms over its nodes."""
         return self.heights.slope_rms
 
     @property
     def steepest(self) -> float:
-        """Slope that is practically not exceeded, rad: six rms, of a height map the largest."""
+        """Largest slope to expect, rad: six times the rms, or the maximum of a height map."""
         if not isinstance(self.heights, HeightMapWall):
             return 6.0 * self.slope_rms
         return float(np.hypot(*self.heights.node_slopes()).max())
@@ -185,7 +185,7 @@ class WallRoughness(Noun):
         return SumWall(wall, self.heights, size=wall.size), self._relobed(material, 0.0)
 
     def mean_lobe(self, lobe: MirrorLobe) -> MirrorLobe:
-        """Return a mirror-like lobe with the slope rms of the roughness, its mean for rays."""
+        """Return a mirror-like lobe of the same slope rms: the mean over many such walls."""
         found = self._relobed(lobe, self.slope_rms)
         assert isinstance(found, MirrorLobe)
         return found
