@@ -187,9 +187,10 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     ----------
     source : Wavefront or PointSpread
         For a polar wavefront the result is accurate to rounding: ``2 pi sum_m int |U_m|^2 r dr``
-        over the angular orders of the image field. For one of cells its error is below 1e-9: the
-        image, sampled finely, times a disc that is softened beyond the image's band. For a point
-        spread it is a sum over pixels, weighted by their area within the circle.
+        over the angular orders of the image field. For a wavefront on cells the error is below
+        1e-9: the finely sampled image is multiplied by a disc and summed. The disc is smoothed only
+        at spatial frequencies that the image does not contain, which leaves the sum unchanged. For
+        a point spread the result is a sum over pixels, weighted by their area within the circle.
     radius : array_like
         Radii, m, of any shape.
 

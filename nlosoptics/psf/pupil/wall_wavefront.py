@@ -55,8 +55,8 @@ def wall_aberration(
     wall : Wall
         Relay wall.
     object_point, pupil_centre, pupil_aim : array_like, (3,)
-        Points in front of the wall, world, m. The pupil plane passes through ``pupil_centre``; its
-        normal n points to ``pupil_aim``.
+        World, m. The object point and the pupil's centre are in front of the wall. The pupil plane
+        passes through ``pupil_centre``; its normal n points to ``pupil_aim``.
     nodes : array_like, (n, 2)
         Pupil coordinates (u, v), m, along ``e1 = unit(Y x n)`` and ``e2 = n x e1``, with
         Y = (0, 1, 0), or X if n is parallel to Y.

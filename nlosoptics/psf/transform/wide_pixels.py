@@ -44,14 +44,16 @@ def wide_point_spread(
     shape : int or (int, int)
         (ny, nx).
     tol : float
-        Largest max |dI|/max I, above 0 and at most 1.
+        Permitted error of any pixel relative to the brightest pixel, above 0 and at most 1.
 
     Returns
     -------
     PointSpread
-        Of normalisation ``"unit-sum"`` and integrated over pixels. If the pixels are wide, the
-        energy outside a square around the rays is distributed as ``1/r^3``, see
-        `diffraction_tail`. Otherwise the result is that of `point_spread`.
+        Of normalisation ``"unit-sum"`` and integrated over pixels. If a pixel is at least
+        8 lambda N wide, only a square around the landing points of the rays is computed by
+        diffraction, provided that this reaches ``tol`` and saves time. The energy outside it is
+        distributed as ``1/r^3``, see `diffraction_tail`. Otherwise the result is that of
+        `point_spread`.
 
     Raises
     ------

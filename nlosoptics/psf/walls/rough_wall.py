@@ -57,8 +57,9 @@ class PupilField(Noun, Shown):
     Parameters
     ----------
     values : ndarray, (n, n)
-        Read-only, complex: the pupil function relative to a plane wave, with piston and tilt of the
-        smooth wall's wave removed; rows are v. A smooth wall has the amplitude 1 inside the rim.
+        Read-only, complex: the pupil function ``A exp(ikW)``. W is relative to the reference
+        sphere, so that a perfect image has a constant phase. Piston and tilt of the same wall
+        without roughness are removed. Rows are v. A smooth wall has the amplitude 1 inside the rim.
     pitch : float
         Spacing of the samples in the exit pupil, m; sample [n//2, n//2] is on the axis.
 

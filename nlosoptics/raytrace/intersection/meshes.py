@@ -92,10 +92,13 @@ def intersect_mesh(
 
     Notes
     -----
-    In meshes of more than 256 triangles, some details have a resolution of only 1e-6 of the mesh's
-    extent: separate sheets that are closer than this, outlines of parts in front of others, and
-    corners of an outline sharper than 120 degrees. A ray that starts on the mesh hits it at
-    distance 0, but may miss a triangle to which it is inclined by less than 10 degrees.
+    In meshes of more than 256 triangles, the choice of the triangle can be wrong in three cases,
+    each within 1e-6 of the mesh's extent. Two sheets that are closer than this may be exchanged. A
+    ray that passes so close to the outline of a part may hit or miss that part. The same holds at
+    corners of an outline with an angle below 120 degrees. Smaller meshes have no such cases.
+
+    A ray that starts on a triangle may miss it, or hit it at a distance of rounding size. Give
+    ``min_distance`` to ignore such hits. Other triangles are not affected.
 
     See Also
     --------
