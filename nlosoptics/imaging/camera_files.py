@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .._checks import counted, positive, whole
 from .._nouns import Noun
+from .._pictures import opened_picture
 from ..errors import SamplingError, SceneError
 
 Array = NDArray[np.float64]
@@ -103,7 +104,7 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
         raw = np.load(path, allow_pickle=False) if path.suffix == ".npy" else _decoded(path)
     except SceneError:
         raise
-    # Pillow's decoders raise SyntaxError, and its decompression-bomb check its own Exception
+    # Pillow's decoders raise SyntaxError for broken files
     except Exception as error:
         raise SceneError(
             f"{path} is not a picture ({type(error).__name__}); give {FORMATS}"
@@ -125,9 +126,7 @@ def read_camera_file(path: str | Path) -> tuple[Array, float | None]:
 
 
 def _decoded(path: Path) -> NDArray[Any]:
-    from PIL import Image
-
-    with Image.open(path) as picture:
+    with opened_picture(path, str(path)) as picture:
         frames = getattr(picture, "n_frames", 1)
         if frames > 1:
             raise SceneError(f"{path} holds {frames} pictures, must be one; save one per file")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import is_single, pair, real
+from ..._pictures import opened_picture
 from ...errors import SceneError
 from ._posed import Posed, PosedMesh
 from ._sources import SourceFile, picture_file, source
@@ -199,8 +200,10 @@ def read_picture(path: Path) -> Array:
         raise SceneError(f"hidden.image: there is no file {path}; give the path of an image")
     content = file.content
     try:
-        raw = _decoded(path.suffix, content)
-    # Pillow raises SyntaxError for broken files and its own exception for decompression bombs
+        raw = _decoded(path, content)
+    except SceneError:
+        raise
+    # Pillow raises SyntaxError for broken files
     except Exception as error:
         raise SceneError(
             f"hidden.image: {path} is not an image ({type(error).__name__}); give PNG, TIFF, JPEG "
@@ -211,15 +214,13 @@ def read_picture(path: Path) -> Array:
     return checked_picture(f"hidden.image ({path})", raw)
 
 
-def _decoded(suffix: str, content: bytes) -> NDArray[Any]:
+def _decoded(path: Path, content: bytes) -> NDArray[Any]:
     """Return the unscaled values of an image file; colour images are converted to grey."""
     file = io.BytesIO(content)
-    if suffix == ".npy":
+    if path.suffix == ".npy":
         held: NDArray[Any] = np.load(file, allow_pickle=False)
         return held
-    from PIL import Image
-
-    with Image.open(file) as picture:
+    with opened_picture(file, f"hidden.image: {path}") as picture:
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
             return np.asarray(picture.convert("L"))
         return np.asarray(picture)
