@@ -281,7 +281,7 @@ class Scene(Noun, Shown):
     def check_in_front(self, *, meshes: bool = True) -> None:
         """Check that laser, camera and hidden object lie in front of the wall's surface.
 
-        Points beyond the wall's edges are not checked against its height.
+        Points whose x or y is outside the wall's edges are not checked.
 
         Parameters
         ----------

@@ -25,8 +25,8 @@ class FacetPSF(nn.Module):
     """Point spread of a round pupil of independent facets as a function of their exit angles.
 
     Each facet sends its share of the light to one place of the image, ``tan(angle) *
-    image_distance`` from the centre. In contrast to `PupilPSF`, facets are neither joined to a
-    wave nor interfere, so that angles and pixels may have any size. Use it for spots that are much
+    image_distance`` from the centre. Unlike in `PupilPSF`, the facets form no continuous wave and
+    do not interfere, so that angles and pixels may have any size. Use it for spots that are much
     wider than lambda times the F-number. All methods accept batches of coefficients (..., g, g, 2).
 
     Parameters
@@ -54,7 +54,8 @@ class FacetPSF(nn.Module):
     Attributes
     ----------
     coefficients : torch.nn.Parameter
-        Fit parameters (g, g, 2): displacements of each facet's light in the image, pixels.
+        Fit parameters (g, g, 2): where each facet's light lands in the image, x and y from the
+        centre, pixels. They start at ``tan(angles) * image_distance / pitch``.
 
     Raises
     ------

@@ -119,7 +119,7 @@ class Aperture(Noun):
         angle : float
             Angle of the axis a from u toward v, rad.
         obscuration : float
-            Size of the inner ellipse as a fraction of the outer, 0 to 0.99.
+            Linear size of the inner ellipse relative to the outer, 0 to 0.99.
         centre : (float, float)
             Centre (u, v), m.
 
@@ -203,7 +203,7 @@ class Aperture(Noun):
         vertices : array_like, (n, 2)
             Corners (u, v), m, clockwise or counterclockwise.
         obscuration : float
-            Size of a hole as a fraction of the polygon, 0 to 0.99. The hole is a similar polygon
+            Linear size of a hole relative to the polygon, 0 to 0.99. The hole is a similar polygon
             about the centroid, from which every side must be visible.
 
         Returns
@@ -233,7 +233,7 @@ class Aperture(Noun):
         angle : float
             Angle of one corner from u toward v, rad.
         obscuration : float
-            Size of a similar central hole as a fraction of the polygon, 0 to 0.99.
+            Linear size of a similar central hole relative to the polygon, 0 to 0.99.
 
         Returns
         -------

@@ -235,7 +235,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
             return energy_on_cells(residual, radii)
         if source.layout != "polar":
             raise SamplingError(
-                "encircled energy needs a polar wavefront or one of cells, not one of layout "
+                "encircled energy needs a wavefront of layout 'polar' or 'cells', not "
                 f"'{source.layout}'; give psf.point_spread(wavefront)"
             )
         values = [_energy_within(residual, float(r)) for r in radii.ravel()]
@@ -262,7 +262,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     Parameters
     ----------
     source : Wavefront or PointSpread
-        For a polar wavefront or one of cells the result is the overlap of two shifted pupils, by
+        For a wavefront on polar nodes or on cells the result is the pupil's autocorrelation, by
         quadrature, with an error below 1e-9 for a wave that its nodes resolve. For a point spread
         it is the modulus of its spectrum relative to frequency 0. It then lacks energy outside
         the window and includes the pixel's sinc factor if the values are integrated over pixels.
@@ -313,13 +313,13 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
 
 
 def transfers(wavefront: Wavefront, frequencies: Array, azimuth: float) -> ComplexArray:
-    """Return the optical transfer function of a polar wave or one of cells at frequencies, 1/m.
+    """Return the optical transfer function of a wave on polar nodes or cells at frequencies, 1/m.
 
     Its error is that of `mtf`; the result has the shape of ``frequencies``.
     """
     if not wavefront.is_spectral:
         raise SamplingError(
-            "the transfer function needs a polar wavefront or one of cells, not one of layout "
+            "the transfer function needs a wavefront of layout 'polar' or 'cells', not "
             f"'{wavefront.layout}'; give psf.point_spread(wavefront) instead"
         )
     residual = split(wavefront)

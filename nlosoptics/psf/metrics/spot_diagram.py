@@ -222,9 +222,9 @@ def ptf(
     Parameters
     ----------
     point_spread : PointSpread or Wavefront
-        Energy outside the window of a point spread is not included. A polar wavefront or one of
-        cells gives the phase of the overlap of two shifted pupils, whose error is below 1e-9 over
-        the modulus.
+        Energy outside the window of a point spread is not included. For a wavefront on polar nodes
+        or on cells, the phase is that of the pupil's autocorrelation; its error is below
+        ``1e-9 / mtf`` rad.
     frequency : array_like
         Cycles per m in the image, of any shape.
     azimuth : float

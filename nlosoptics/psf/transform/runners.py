@@ -259,7 +259,7 @@ def _quadrature(task: Task) -> tuple[Array, float]:
     residual = task.residual
     if not residual.wavefront.is_spectral:
         raise SamplingError(
-            "quadrature needs a polar wavefront or one of cells, not one of layout "
+            "quadrature needs a wavefront of layout 'polar' or 'cells', not "
             f"'{residual.wavefront.layout}'; sample it with nodes='cells' or nodes='polar', or use "
             f"method='{_sum_of(residual)}'"
         )

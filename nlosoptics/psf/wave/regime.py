@@ -37,8 +37,9 @@ class Regime:
     reach : float
         Largest distance along x or y at which rays of the residual land, Airy units (lambda N).
     slope_per_sample : float or None
-        Largest change of the residual over one grid sample, or over the mean spacing of scattered
-        nodes, waves. None for polar and cells nodes, which interpolate it spectrally.
+        Largest change of the residual between neighbouring samples of the pupil, waves; for
+        samples at irregular points, over their mean spacing. None for the layouts "polar" and
+        "cells" of a `Wavefront`, in which the residual is interpolated spectrally.
     pixel : float
         Image pitch, Airy units.
     fresnel_number : float
@@ -47,7 +48,7 @@ class Regime:
         Whether the Jacobian of the rays' landing points changes sign over the pupil. The image
         plane then cuts a caustic, where the density of rays diverges.
     rayleigh_parameter : float
-        Rms phase s of the wave behind a rough wall, rad; 0 for a smooth wall.
+        Rms phase s of the wave after reflection at a rough wall, rad; 0 for a smooth wall.
 
     See Also
     --------
@@ -81,7 +82,7 @@ def regime(residual: Residual, pitch: float, *, rayleigh_parameter: float = 0.0)
     pitch : float
         Image pitch, m.
     rayleigh_parameter : float
-        Rms phase behind a rough wall, rad.
+        Rms phase after reflection at a rough wall, rad.
     """
     wave = residual.wavefront
     rays = residual.rays

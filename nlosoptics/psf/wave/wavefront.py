@@ -516,7 +516,8 @@ class Wavefront(Noun, Shown):
     def _require_spectral(self, what: str) -> None:
         if not self.is_spectral:
             raise SamplingError(
-                f"only a polar wavefront or one of cells can {what}, not layout '{self.layout}'; "
+                f"only a wavefront of layout 'polar' or 'cells' can {what}, not "
+                f"'{self.layout}'; "
                 "sample the wave with nodes='polar' or 'cells'"
             )
 

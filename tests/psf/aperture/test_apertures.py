@@ -660,12 +660,14 @@ def test_wavefronts_that_do_not_fit_their_aperture_are_refused():
 
 def test_transforms_that_need_another_layout_say_so():
     wave = of(APERTURES["box"])
-    with pytest.raises(SamplingError, match="needs a polar wavefront"):
+    with pytest.raises(SamplingError, match="needs a wavefront of layout 'polar'"):
         psf.point_spread(wave, method="airy")
     grid = of(APERTURES["hexagons"], nodes="grid", samples=64)
     with pytest.raises(SamplingError, match="nodes='cells'"):
         psf.point_spread(grid, method="huygens", shape=8)
-    with pytest.raises(SamplingError, match="encircled energy needs a polar wavefront or one of"):
+    with pytest.raises(
+        SamplingError, match="encircled energy needs a wavefront of layout 'polar' or"
+    ):
         psf.encircled_energy(grid, 1e-6)
-    with pytest.raises(SamplingError, match="needs a polar wavefront or one of cells"):
+    with pytest.raises(SamplingError, match="needs a wavefront of layout 'polar' or 'cells'"):
         psf.mtf(grid, 1e4)

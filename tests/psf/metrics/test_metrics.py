@@ -182,7 +182,7 @@ def test_mtf_of_an_aberrated_wave(azimuth):
 
 def test_mtf_refuses():
     grid = psf.Wavefront.from_zernike({}, nodes="grid", samples=16, **SYSTEM)
-    with pytest.raises(SamplingError, match="needs a polar wavefront or one of cells"):
+    with pytest.raises(SamplingError, match="needs a wavefront of layout 'polar' or 'cells'"):
         psf.mtf(grid, 1e5)
     with pytest.raises(SceneError, match="finite"):
         psf.mtf(grid, np.nan)

@@ -132,7 +132,7 @@ def test_resampled_wavefront_keeps_weights_and_strehl():
     with pytest.raises(SamplingError, match="fewer than the present 24 x 96"):
         wave.resampled(10, 96)
     grid = psf.Wavefront.from_zernike({}, nodes="grid", samples=8, **SYSTEM)
-    with pytest.raises(SamplingError, match="only a polar wavefront"):
+    with pytest.raises(SamplingError, match="only a wavefront of layout 'polar'"):
         grid.resampled(40, 200)
 
 
