@@ -238,7 +238,7 @@ def _airy(task: Task) -> tuple[Array, float]:
     residual = task.residual
     if residual.wavefront.layout != "polar":
         raise SamplingError(
-            "the closed form needs a polar wavefront, not one of layout "
+            "the closed form needs a wavefront of layout 'polar', not "
             f"'{residual.wavefront.layout}'; sample it with nodes='polar', or use "
             f"method='{_sum_of(residual)}'"
         )

@@ -660,7 +660,7 @@ def test_wavefronts_that_do_not_fit_their_aperture_are_refused():
 
 def test_transforms_that_need_another_layout_say_so():
     wave = of(APERTURES["box"])
-    with pytest.raises(SamplingError, match="needs a polar wavefront"):
+    with pytest.raises(SamplingError, match="needs a wavefront of layout 'polar'"):
         psf.point_spread(wave, method="airy")
     grid = of(APERTURES["hexagons"], nodes="grid", samples=64)
     with pytest.raises(SamplingError, match="nodes='cells'"):

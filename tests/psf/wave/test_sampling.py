@@ -112,7 +112,7 @@ def test_layouts_that_do_not_fit():
         **{n: getattr(polar, n).ravel() for n in ("u", "v", "aberration", "amplitude", "weights")},
     )
     for method in ("quadrature", "airy"):
-        with pytest.raises(SamplingError, match="needs a polar wavefront"):
+        with pytest.raises(SamplingError, match="needs a wavefront of layout 'polar'"):
             psf.point_spread(scattered, method=method)
     for method in ("fft", "mdft"):
         with pytest.raises(SamplingError, match="is scattered; use method='nufft'"):
