@@ -434,7 +434,8 @@ class PupilPSF(nn.Module):
         Raises
         ------
         SamplingError
-            If the object does not fit the frame.
+            If the object is empty, or with ``boundary="circular"`` has another shape than the
+            point spread.
         SceneError
             If the object or the coefficients are not tensors, or a defocus is out of range.
         """

@@ -27,7 +27,15 @@ class Material:
     """
 
     def lobe_table(self) -> Array:
-        """Return the lobes for the kernels, (n, 4): kind, strength, slope rms or alpha, factor."""
+        """Return the lobes as a table for compiled kernels.
+
+        Returns
+        -------
+        ndarray, (n, 4)
+            One row per lobe: its kind, from `LAMBERT` to `WARD_BOUNDED` of `kernels.codes`; its
+            strength, an albedo or reflectance; its slope rms or alpha, rad; and a factor of the
+            whole lobe, 1 unless the lobe is normalised.
+        """
         raise NotImplementedError
 
     @property

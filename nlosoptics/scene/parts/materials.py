@@ -75,7 +75,7 @@ class Lambert(Material):
         object.__setattr__(self, "rho", in_range("albedo", albedo, 0.0, 1.0))
 
     def lobe_table(self) -> Array:
-        """Return the Lambertian lobe as a table of one row, (1, 4)."""
+        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
         return np.array([[LAMBERT, self.rho, 0.0, 1.0]])
 
     def albedo(self, theta: ArrayLike) -> Array:
@@ -134,7 +134,7 @@ class OrenNayar(Material):
         object.__setattr__(self, "normalised", bool(normalised))
 
     def lobe_table(self) -> Array:
-        """Return the Oren-Nayar lobe as a table of one row, (1, 4)."""
+        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
         kind = OREN_NAYAR if self.model == "fit" else OREN_NAYAR_FULL
         return np.array([[kind, self.rho, self.slope_rms, 1.0 / self._excess()]])
 
@@ -211,7 +211,7 @@ class SpecularMicrofacet(MirrorLobe):
         one_of("distribution", self.distribution, _DISTRIBUTIONS)
 
     def lobe_table(self) -> Array:
-        """Return the microfacet lobe as a table of one row, (1, 4)."""
+        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
         kind = _DISTRIBUTIONS[self.distribution]
         return np.array([[kind, self.reflectance, self.slope_rms, 1.0]])
 
@@ -301,7 +301,7 @@ class Ward(MirrorLobe):
         return self.alpha / math.sqrt(2.0)
 
     def lobe_table(self) -> Array:
-        """Return the Ward lobe as a table of one row, (1, 4)."""
+        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
         return np.array([[_WARDS[self.variant], self.rho, self.alpha, 1.0]])
 
     @property
@@ -366,7 +366,7 @@ class SumMaterial(Material):
             )
 
     def lobe_table(self) -> Array:
-        """Return the lobes of all summands, (n, 4)."""
+        """Return the lobes of all summands, (n, 4); see `Material.lobe_table`."""
         return np.concatenate([part.lobe_table() for part in self.parts])
 
     @property

@@ -235,8 +235,9 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
     Returns
     -------
     TransientCapture
-        ``t_start`` is reduced by the shortest legs. Each pair of points is shifted by its own
-        legs, with linear interpolation between bins. Only bins that all pairs cover are kept.
+        Capture without the legs: those of each pair of points are subtracted from its times, with
+        linear interpolation between bins. The new bins are those that all pairs cover. They begin
+        at the old ``t_start`` minus the smallest sum of legs of any pair, and are fewer.
 
     Raises
     ------
