@@ -22,6 +22,7 @@ from . import (
     airy,
     antialiased_fft,
     antialiased_pupil,
+    costs,
     fft,
     geometric,
     huygens,
@@ -150,10 +151,11 @@ class Task:
         """Return the nodes and the grid for a field of modulus ``dark`` at the window's edge."""
         single = self.tol >= antialiased_pupil.SINGLE
         coarse = quadrature.coarse(self.residual, self.samples, self.tol, peak, dark)
-        # Repeats may err by four times as much as nodes in the core, and as much at the edge.
-        core, edge = 4 * quadrature.SAFETY * coarse.core, quadrature.SAFETY * coarse.edge
+        # Repeats may err by four times as much as nodes in the core, and by twice at the edge.
+        core, edge = 4 * quadrature.SAFETY * coarse.core, 2 * quadrature.SAFETY * coarse.edge
         edge = max(core, edge)
-        grid = spread_grid.spread_grid(self.residual, self.samples, core, edge, single)
+        grids = spread_grid.spread_grids(self.residual, self.samples, core, edge, single)
+        grid = min(grids, key=lambda one: costs.spread_folded(coarse, one, self.samples))
         return SpreadTask(coarse, grid, dark, peak)
 
     def bound(

@@ -28,12 +28,12 @@ from .nufft import phasors_about
 
 Array = NDArray[np.float64]
 
-#: Image period over the window's width.
-OVERSAMPLING = 2.0
-#: Exponent of the kernel over its width, the best for this oversampling (Barnett et al., 2019).
-SHARPNESS = 2.30
+#: Image periods over the window's width. A shorter one makes fewer cells and needs a wider kernel.
+OVERSAMPLINGS = (1.5, 1.75, 2.0)
 #: Widths of the kernel, cells; of wider ones rounding would decide.
 WIDTHS = range(3, 14)
+#: Radius, over the rms distance of the rays, within which an image may be as bright as its peak.
+WIDE = 1.5
 #: Number of places from the middle of a window to its edge at which repeats are bounded.
 PLACES = 16
 
@@ -49,6 +49,8 @@ class SpreadGrid(NamedTuple):
         Number of cells on either side of the middle one.
     width : int
         Width of the kernel, cells.
+    oversampling : float
+        Image period over the window's width.
     single : bool
         Whether single precision is used.
     """
@@ -56,6 +58,7 @@ class SpreadGrid(NamedTuple):
     pitch: float
     centre: int
     width: int
+    oversampling: float
     single: bool
 
     @property
@@ -66,35 +69,40 @@ class SpreadGrid(NamedTuple):
     @property
     def least_error(self) -> float:
         """Bound of the field's error in the middle, relative to the ideal peak."""
-        return 2 * float(leaks(self.width)[0]) + self.rounding
+        return 2 * float(leaks(self.width, self.oversampling)[0]) + self.rounding
 
     def errors(self, shape: tuple[int, int], blocks: tuple[int, int]) -> Array:
         """Bound the field's error by repeats and rounding in blocks of a window of a shape."""
-        across, along = (
-            leaks(self.width)[_outer(n, blocks[i], max(shape))] for i, n in enumerate(shape)
-        )
+        found = leaks(self.width, self.oversampling)
+        across, along = (found[_outer(n, blocks[i], max(shape))] for i, n in enumerate(shape))
         return np.asarray(across[:, None] + along + self.rounding)
 
 
-def spread_grid(
+def spread_grids(
     residual: Residual, samples: Window, core: float, edge: float, single: bool
-) -> SpreadGrid:
-    """Return the grid of least width for given field errors in the middle and at the edge.
+) -> list[SpreadGrid]:
+    """Return grids of least width for given field errors in the middle and at the edge.
 
-    If no width suffices, it is the largest.
+    There is one for each of `OVERSAMPLINGS` that reaches them; else one of the largest width.
     """
     wave = residual.wavefront
-    period = OVERSAMPLING * max(samples.shape) * samples.pitch
-    pitch = wave.wavelength * abs(wave.image_distance) / period
-    bright = (residual.rays.reach + quadrature.BRIGHT * residual.airy_unit) / period
-    bright += math.hypot(*residual.shift) / period
-    place = min(math.ceil(bright * 2 * OVERSAMPLING * PLACES), PLACES)
-    width = WIDTHS[-1]
-    for width in WIDTHS:
-        if 2 * leaks(width)[place] <= core and 2 * leaks(width)[-1] <= edge:
-            break
-    cells = math.ceil(residual.aperture.half_width / pitch)
-    return SpreadGrid(pitch, cells + width // 2 + 1, width, single)
+    half = max(samples.shape) * samples.pitch / 2
+    bright = WIDE * residual.rays.rms + quadrature.BRIGHT * residual.airy_unit
+    bright += math.hypot(*residual.shift)
+    place = min(math.ceil(bright / half * PLACES), PLACES)
+    found: list[SpreadGrid] = []
+    for oversampling in OVERSAMPLINGS:
+        pitch = wave.wavelength * abs(wave.image_distance) / (2 * oversampling * half)
+        cells = math.ceil(residual.aperture.half_width / pitch)
+        for width in WIDTHS:
+            leak = leaks(width, oversampling)
+            if 2 * leak[place] <= core and 2 * leak[-1] <= edge:
+                break
+        else:
+            if oversampling < OVERSAMPLINGS[-1] or found:
+                continue
+        found.append(SpreadGrid(pitch, cells + width // 2 + 1, width, oversampling, single))
+    return found
 
 
 def n_bytes(samples: Window, grid: SpreadGrid, rule: PixelRule | None) -> float:
@@ -151,13 +159,15 @@ def image(
 def _waves(count: int, side: float, grid: SpreadGrid) -> Waves:
     """Return the tables of `folded_intensity`, with the inverse of the kernel's spectrum."""
     few = count * grid.centre <= KEPT
-    return (_kept_waves_of if few else _waves_of)(count, side, grid.centre, grid.width, grid.single)
+    return (_kept_waves_of if few else _waves_of)(count, side, grid)
 
 
-def _waves_of(count: int, side: float, centre: int, width: int, single: bool) -> Waves:
+def _waves_of(count: int, side: float, grid: SpreadGrid) -> Waves:
     """Return `_waves`, read-only."""
-    kind = np.dtype(np.complex64 if single else np.complex128)
-    found = waves(count, centre, side, kind, _gains(count, abs(side), width))
+    kind = np.dtype(np.complex64 if grid.single else np.complex128)
+    places = np.arange((count + 1) // 2, dtype=np.float64) + (0.0 if count % 2 else 0.5)
+    gains = 1 / _spectrum(places * abs(side), grid.width, grid.oversampling)
+    found = waves(count, grid.centre, side, kind, gains)
     for part in found:
         part.setflags(write=False)
     return found
@@ -185,7 +195,7 @@ def _cells_of(aperture: Aperture, n_s: int, n_t: int, grid: SpreadGrid) -> _Spre
         first = np.ceil(place - grid.width / 2)
         away = first[:, None] + np.arange(grid.width) - place[:, None]
         bend = np.sqrt(np.maximum(1 - (2 * away / grid.width) ** 2, 0.0))
-        shares = _kernel(bend, grid.width)
+        shares = _kernel(bend, grid.width, grid.oversampling)
         return (first + grid.centre).astype(np.int64), np.asarray(shares, dtype=kind)
 
     (first_u, along_u), (first_v, along_v) = (along(a.ravel() / grid.pitch) for a in (u, v))
@@ -197,49 +207,50 @@ def _cells_of(aperture: Aperture, n_s: int, n_t: int, grid: SpreadGrid) -> _Spre
 _kept_cells_of = lru_cache(maxsize=8)(_cells_of)
 
 
-def _kernel(bend: Array, width: int) -> Array:
+def sharpness(width: int, oversampling: float) -> float:
+    """Return the exponent of the kernel with the least leak at the window's edge, about.
+
+    It is that of Barnett et al. (2019) for wide kernels; the last factor is a fit to narrow ones.
+    """
+    return 0.976 * math.pi * width * (1 - 0.5 / oversampling) * (1 - 5 / width**3)
+
+
+def _kernel(bend: Array, width: int, oversampling: float) -> Array:
     """Return the kernel where ``bend`` is the root of 1 less the square of t over half the width.
 
     It ends at 0, so that its spectrum falls off with the power 3/2 of the frequency.
     """
-    sharpness = SHARPNESS * width
-    return np.asarray(np.exp(sharpness * (bend - 1)) - math.exp(-sharpness))
+    exponent = sharpness(width, oversampling)
+    return np.asarray(np.exp(exponent * (bend - 1)) - math.exp(-exponent))
 
 
-def _spectrum(frequency: Array, width: int) -> Array:
+def _spectrum(frequency: Array, width: int, oversampling: float) -> Array:
     """Return the kernel's spectrum at frequencies, turns per cell."""
     # with t = width/2 sin(angle) the kernel has no root at its ends
     fraction, weights = gauss_legendre(64 + 8 * width + math.ceil(2 * width * np.max(frequency)))
     angle = math.pi / 2 * fraction
-    values = _kernel(np.cos(angle), width) * np.cos(angle) * weights
+    values = _kernel(np.cos(angle), width, oversampling) * np.cos(angle) * weights
     phase = math.pi * width * np.sin(angle) * frequency[:, None]
     return np.asarray(math.pi / 2 * width * np.sum(values * np.cos(phase), axis=1))
 
 
-@lru_cache(maxsize=32)
-def _gains(count: int, step: float, width: int) -> Array:
-    """Return the inverse of the kernel's spectrum at half of ``count`` points, middle outward."""
-    places = np.arange((count + 1) // 2, dtype=np.float64) + (0.0 if count % 2 else 0.5)
-    return frozen(1 / _spectrum(places * step, width))
-
-
-@lru_cache(maxsize=32)
-def leaks(width: int) -> Array:
+@lru_cache(maxsize=64)
+def leaks(width: int, oversampling: float) -> Array:
     """Return the sum of a kernel's repeats from the middle to the window's edge, (PLACES + 1,).
 
     It is relative to the kernel's spectrum, and the largest value up to each place. Repeats beyond
     40 cells are bounded by their power law.
     """
-    places, most = np.linspace(0.0, 0.5 / OVERSAMPLING, PLACES + 1), 40
+    places, most = np.linspace(0.0, 0.5 / oversampling, PLACES + 1), 40
     far = np.arange(1.0, most + 1)
     each = np.stack([far - places[:, None], far + places[:, None]], axis=1)
-    repeats = np.abs(_spectrum(each.ravel(), width)).reshape(each.shape)
+    repeats = np.abs(_spectrum(each.ravel(), width, oversampling)).reshape(each.shape)
     rest = 4 * most * repeats[:, :, -8:].max(axis=(1, 2))
-    return frozen(
-        np.maximum.accumulate((repeats.sum(axis=(1, 2)) + rest) / _spectrum(places, width))
-    )
+    middle = _spectrum(places, width, oversampling)
+    return frozen(np.maximum.accumulate((repeats.sum(axis=(1, 2)) + rest) / middle))
 
 
+@lru_cache(maxsize=32)
 def _outer(count: int, blocks: int, longest: int) -> NDArray[np.int64]:
     """Return the index in `leaks` of the outer edge of each of the blocks of ``count`` pixels.
 

@@ -49,6 +49,12 @@ class Rays:
     slope: float
     reach: float
 
+    @cached_property
+    def rms(self) -> float:
+        """Return the rms distance of the rays from the image point of the tilt, m."""
+        x, y, energy = (part.ravel() for part in (self.x, self.y, self.energy))
+        return float(np.sqrt(np.vdot(energy * x, x) + np.vdot(energy * y, y)))
+
 
 class Heights(NamedTuple):
     """Minimum, maximum and mean aberration over the lit pupil, and rms about the mean, m."""

@@ -160,9 +160,10 @@ def test_energy_is_that_of_quadrature():
         assert room < 2e-3
 
 
+@pytest.mark.parametrize("oversampling", spread_grid.OVERSAMPLINGS)
 @pytest.mark.parametrize("width", spread_grid.WIDTHS)
-def test_repeats_of_the_kernel_stay_below_their_bounds(width):
-    beta = spread_grid.SHARPNESS * width
+def test_repeats_of_the_kernel_stay_below_their_bounds(width, oversampling):
+    beta = spread_grid.sharpness(width, oversampling)
     fraction, weights = gauss_legendre(3000)
     angle = math.pi / 2 * fraction
     heights = (np.exp(beta * (np.cos(angle) - 1)) - np.exp(-beta)) * np.cos(angle) * weights
@@ -170,17 +171,19 @@ def test_repeats_of_the_kernel_stay_below_their_bounds(width):
     def spectrum(frequency):
         return np.sum(heights * np.cos(math.pi * width * frequency * np.sin(angle)))
 
-    edge = 0.5 / spread_grid.OVERSAMPLING
+    edge = 0.5 / oversampling
     # rounding of 300 sums, 1e-15 of the spectrum's peak each
     room = 300 * 1e-15 * spectrum(0.0) / spectrum(edge)
-    bounds = spread_grid.leaks(width)
+    bounds = spread_grid.leaks(width, oversampling)
     # a bound holds up to its place, so that the next smaller place is the least that it must cover
     for index in range(0, spread_grid.PLACES + 1, 4):
         place = edge * index / spread_grid.PLACES
         beyond = sum(abs(spectrum(k - place)) + abs(spectrum(k + place)) for k in range(1, 150))
         assert beyond / spectrum(place) < bounds[index] + room
     assert np.all(np.diff(bounds) >= 0)
-    assert bounds[-1] < 4 * 10.0 ** (1.5 - width) + 1e-11
+    # a width more reduces the repeats by exp(-pi sqrt(1 - 1/oversampling))
+    decades = math.pi * math.sqrt(1 - 1 / oversampling) / math.log(10)
+    assert bounds[-1] < 60 * 10.0 ** (-decades * width) + 1e-11
 
 
 def test_each_block_has_the_bound_of_its_outer_edge():
@@ -194,6 +197,6 @@ def test_each_block_has_the_bound_of_its_outer_edge():
 
 def test_spread_nodes_are_read_only():
     outline = psf.Aperture.regular(6, RADIUS)
-    grid = spread_grid.SpreadGrid(1e-3, 20, 6, single=False)
+    grid = spread_grid.SpreadGrid(1e-3, 20, 6, 1.5, single=False)
     for part in spread_grid._kept_cells_of(outline, 8, 8, grid):
         assert not part.flags.writeable
