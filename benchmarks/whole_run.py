@@ -2,12 +2,12 @@
 
 python benchmarks/whole_run.py [--against CHECKOUT] [--repeats N] [--cases NAME ...] [--json FILE]
 
-Each case is a process of its own. "warm" finds every compiled kernel in numba's cache, "cold" starts
-with an empty one. With ``--against`` the same cases run from another checkout of this repository, in
-turn with those of this one, so that both see the same load. Figures are medians over the repeats;
-cold runs are made once. "outside" is the wall time that ``result.json`` does not list: the start of
-the interpreter, imports before the command begins, and the exit. Where a stage compiles kernels, its
-seconds in the cold run minus those in the warm one are the price of compilation.
+Each case is a process of its own. "warm" finds every compiled kernel in numba's cache; "cold"
+starts with an empty cache. With ``--against`` the same cases run from another checkout of this
+repository, in turn with those of this one, so that both see the same load. Figures are medians over
+the repeats; cold runs are made once. "outside" is the wall time that ``result.json`` does not list.
+Where a stage compiles kernels, its seconds in the cold run minus those in the warm one are the
+price of compilation.
 """
 
 from __future__ import annotations
@@ -105,7 +105,10 @@ def case_rows(name, checkouts, caches, repeats):
             with TemporaryDirectory() as folder:
                 cache = Path(folder, "cache") if cold else caches[label]
                 out = Path(folder, "out")
-                one = measured(words, checkout, cache, out) if words else feasibility(checkout, cache)
+                if words:
+                    one = measured(words, checkout, cache, out)
+                else:
+                    one = feasibility(checkout, cache)
             if cold or number:  # the first warm run fills the cache
                 found[label].append(one)
     return [{"case": name, "checkout": label, **middle(rows)} for label, rows in found.items()]

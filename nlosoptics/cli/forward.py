@@ -28,7 +28,6 @@ from .shell import (
     in_bytes,
     load,
     progress_bar,
-    require,
     typed,
 )
 
@@ -70,9 +69,7 @@ def run_command(
     size: Size = None,
     reconstruct: Annotated[
         bool,
-        typer.Option(
-            "--reconstruct/--no-reconstruct", help="Also reconstruct the object; needs torch."
-        ),
+        typer.Option("--reconstruct/--no-reconstruct", help="Also reconstruct the object."),
     ] = True,
     memory: Memory = None,
     max_seconds: MaxSeconds = MOST_SECONDS,
@@ -92,8 +89,6 @@ def run_command(
         planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
         check_target(folder)
         drawn = can_draw()
-        if planned.runs("reconstruction"):
-            require("torch", "inverse", ", or pass --no-reconstruct")
         with progress_bar() as progress:
             result = carried_out(planned, optics, seed, progress)
             progress("writing", 1.0)

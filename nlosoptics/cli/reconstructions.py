@@ -121,7 +121,8 @@ def reconstruct_command(
     Ctrl-C ends the fit, writes the best object so far and exits with code 1; --resume continues.
     """
     with errors_told(debug):
-        require("torch", "inverse")
+        if method != "tv":
+            require("torch", "inverse")
         if network is not None:
             require("safetensors", "inverse")
         from ..runs import reconstructing

@@ -89,11 +89,11 @@ def in_bytes(memory: float | None) -> float | None:
     return None if memory is None else memory * 2**30
 
 
-def require(package: str, extra: str, otherwise: str = "") -> None:
+def require(package: str, extra: str) -> None:
     """Raise `MissingExtraError` if a package is not installed, before any work is done."""
     if importlib.util.find_spec(package) is None:
         raise MissingExtraError(
-            f"{package} is not installed; run pip install 'nlosoptics[{extra}]'{otherwise}"
+            f"{package} is not installed; run pip install 'nlosoptics[{extra}]'"
         )
 
 

@@ -194,7 +194,7 @@ def plan(
     >>> [stage.name for stage in planned.stages]
     ['exit pupil', 'wave aberration', 'point spread', 'image']
     >>> next(stage.reason for stage in planned.skipped if stage.name == "reconstruction")
-    'not requested; torch is not loaded'
+    'not requested'
     """
     return looked_at(scene, tol, reconstruct, memory, max_seconds)[0]
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import imaging, psf
+from .. import imaging, inverse, psf
 from .._checks import Budget
 from ..errors import NlosError, SceneError
 from ..psf.aperture.aperture import Cell
@@ -24,8 +24,7 @@ from .record import arrays
 #: Version of the tree that `written` makes. A reader accepts its own version only.
 FORMAT: Final = 1
 REMEDY: Final = "run the simulation again"
-#: Classes that a tree may name; all others are rejected. `Reconstruction` is handled separately,
-#: because importing `inverse` loads torch.
+#: Classes that a tree may name; all others are rejected.
 KNOWN: Final[Mapping[str, type]] = {
     known.__name__: known
     for known in (
@@ -45,6 +44,7 @@ KNOWN: Final[Mapping[str, type]] = {
         psf.PointSpreadField,
         psf.PupilField,
         imaging.SpeckleImage,
+        inverse.Reconstruction,
     )
 }
 
@@ -160,10 +160,6 @@ def _value(node: Any, folder: Path, opened: dict[str, Mapping[str, NDArray[Any]]
         raise KeyError(kind)
     name, parts = held
     values = {key: _value(item, folder, opened) for key, item in parts.items()}
-    if name == "Reconstruction":
-        from .. import inverse
-
-        return inverse.Reconstruction(**values)
     return KNOWN[name](**values)
 
 

@@ -51,7 +51,7 @@ def simulate(
     seed : int, default 0
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bit-identical results.
     reconstruct : bool, default False
-        Whether to reconstruct the object too, which needs torch.
+        Whether to reconstruct the object too.
     memory : float, optional
         Limit for the memory of the whole run, bytes; by default three quarters of the free memory.
     max_seconds : float, default 900

@@ -335,7 +335,7 @@ def _image_seconds(scene: Scene) -> float:
 def reconstruction_stage(scene: Scene, wanted: bool) -> Stage:
     """Return the stage of the reconstruction; ``wanted`` says whether it was requested."""
     if not wanted:
-        return skipped("reconstruction", "not requested; torch is not loaded")
+        return skipped("reconstruction", "not requested")
     if scene.wall_material.specular_reflectance == 0:
         return skipped("reconstruction", "a diffuse wall without a mirror-like lobe forms no image")
     ny, nx = scene.camera.shape

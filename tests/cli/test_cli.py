@@ -408,7 +408,7 @@ def test_missing_extra_is_told_before_any_work(
     """Exit code 1: the input is good, the installation is not."""
     before = contents(scene_file.parent)
     monkeypatch.setattr(shell.importlib.util, "find_spec", lambda name: name != "torch" or None)
-    answer = run("run", scene_file)
+    answer = run("train", scene_file)
     assert answer.code == 1
     assert "pip install 'nlosoptics[inverse]'" in answer.err
     assert answer.err.count("\n") == 1

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from ...errors import MissingExtraError, SamplingError
 from ...imaging.forward_model import ForwardModel
-from .forward import TorchForwardModel, model_shape
+from .forward import TorchForwardModel
+from .models import model_shape
 
 __all__ = ["NlosPhysics"]
 

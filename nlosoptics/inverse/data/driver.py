@@ -16,15 +16,14 @@ from functools import partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..._checks import counted, in_range, positive, whole
 from ..._progress import Progress
 from ...errors import SamplingError, SceneError
-from .checkpoints import State, adam_state, goes_on, started_from, state_of, take_up_adam
-from .forward import AnyModel
+from .arrays import Values, is_tensor
+from .checkpoints import State, goes_on, started_from, state_of
 from .measurement import Measurement, measurement, real_array
+from .models import AnyModel
 from .reconstruction import Reconstruction, assemble, concluded, without_object
 from .status import Ending
 
@@ -39,7 +38,8 @@ def stop_rule(max_iterations: int, tolerance: float) -> tuple[int, float]:
 class Iterate:
     """State of a solver: all that the next iteration depends on.
 
-    Tensors, numbers and Adam optimisers are saved. Fields of other types can be computed from them.
+    Arrays, tensors, numbers and Adam optimisers are saved. Fields of other types can be computed
+    from them.
     ``count`` is the number of iterations so far.
     """
 
@@ -74,7 +74,7 @@ class Solver(ABC, Generic[S]):
     max_iterations: int
 
     @abstractmethod
-    def init(self, first: Tensor | None) -> S:
+    def init(self, first: Values | None) -> S:
         """Return the initial state; ``first`` (H, W) is a given object in image units, or None."""
 
     @abstractmethod
@@ -82,7 +82,7 @@ class Solver(ABC, Generic[S]):
         """Make one iteration; return its ``records``."""
 
     @abstractmethod
-    def level(self, state: S) -> Tensor:
+    def level(self, state: S) -> Values:
         """Return the object (H, W) in image units."""
 
     def done(self, state: S) -> bool:
@@ -96,7 +96,7 @@ class Solver(ABC, Generic[S]):
     def resumed(self, state: S) -> None:
         """Apply what a restored state implies for other parts of the solver."""
 
-    def answer(self, found: Run[S], level: Tensor) -> dict[str, Any]:
+    def answer(self, found: Run[S], level: Values) -> dict[str, Any]:
         """Return further arguments of `concluded`, or some that replace those of `solved`."""
         return {}
 
@@ -151,12 +151,15 @@ def reconstructed(
     background_shape: Any,
     gain: float | None,
     shape: tuple[int, int] | None = None,
+    *,
+    in_numpy: bool = False,
 ) -> Reconstruction:
     """Check an image and its noise, and return what a method finds in it.
 
-    ``solve`` returns the arguments of `concluded` or `assemble` for a measurement; it is not called
-    if no object is detected. ``shape`` (H, W) is that of the image if the point spread is unknown.
-    The other arguments are those of the public solvers, for example `tv_deconvolve`.
+    ``solve`` returns the arguments of `concluded` or `assemble` for a measurement in torch; it is
+    not called if no object is detected. ``shape`` (H, W) is that of the image if the point spread
+    is unknown. With ``in_numpy`` the measurement of an image that is not on a GPU is in numpy. The
+    other arguments are those of the public solvers, for example `tv_deconvolve`.
     """
     started = time.perf_counter()
     gain = None if gain is None else positive("gain", gain)
@@ -170,7 +173,8 @@ def reconstructed(
     )
     if data.is_background(None if shape else model):
         return without_object(data, model=model, gain=gain, started=started)
-    answer = {"model": model, **solve(data)}
+    on_processor = data.template is None or data.template.device.type == "cpu"
+    answer = {"model": model, **solve(data if in_numpy and on_processor else data.in_torch())}
     finish = concluded if "ending" in answer else assemble
     return finish(data, gain=gain, started=started, **answer)
 
@@ -182,8 +186,8 @@ def _finished(solver: Solver[S], state: S) -> bool:
 def _saved(solver: Solver[S], state: S, history: Mapping[str, list[float]]) -> State:
     """Return the state as a dict of arrays, from which a run resumes."""
     entries: dict[str, Any] = {}
-    for name, value in _tensors(state).items():
-        entries |= {name: value} if isinstance(value, Tensor) else adam_state(name, value)
+    for name, value in _arrays(state).items():
+        entries |= {name: value} if _is_array(value) else _adam().adam_state(name, value)
     numbers = [getattr(state, name) for name in _numbers(state)]
     records = np.array(list(history.values()))
     return state_of(solver.level(state), **entries, numbers=numbers, history=records)
@@ -193,15 +197,14 @@ def _begun(solver: Solver[S], start: Any) -> tuple[S, dict[str, list[float]]]:
     """Return the initial state, or the one that was saved, with its history."""
     if isinstance(start, Mapping) or (start is not None and not solver.takes_object):
         state, known = solver.init(None), start if isinstance(start, Mapping) else {}
-        missing = [name for name in (*_tensors(state), "numbers", "history") if name not in known]
+        missing = [name for name in (*_arrays(state), "numbers", "history") if name not in known]
         if not missing:
             return state, _restored(solver, state, start)
         if not solver.takes_object:
             raise SceneError(f"start holds no {missing[0]}; {_remedy(solver)}")
     first = None
     if start is not None:
-        rows, columns = solver.data.data.shape
-        first = started_from(start, (rows, columns), solver.data.data.device)
+        first = started_from(start, solver.data.data)
     return solver.init(first), {name: [] for name in solver.records}
 
 
@@ -216,19 +219,20 @@ def _restored(solver: Solver[S], state: S, saved: Mapping[str, Any]) -> dict[str
         )
     for name, number in zip(names, numbers, strict=True):
         setattr(state, name, type(getattr(state, name))(number))
-    for name, mine in _tensors(state).items():
-        if not isinstance(mine, Tensor):
-            take_up_adam(name, mine, saved)
+    for name, mine in _arrays(state).items():
+        if not _is_array(mine):
+            _adam().take_up_adam(name, mine, saved)
             continue
-        values = torch.tensor(real_array(f"start's {name}", saved[name])).to(mine)
-        if values.shape != mine.shape:
+        values = real_array(f"start's {name}", saved[name])
+        if values.shape != tuple(mine.shape):
             raise SamplingError(
-                f"start's {name} has shape {tuple(values.shape)}, this fit's has "
+                f"start's {name} has shape {values.shape}, this fit's has "
                 f"{tuple(mine.shape)}; it is of another model, leave it out"
             )
-        if not bool(torch.isfinite(values).all()):
+        if not np.isfinite(values).all():
             raise SceneError(f"start's {name} holds values that are not finite; {_remedy(solver)}")
-        setattr(state, name, values)
+        kept = mine.new_tensor(values) if is_tensor(mine) else values.astype(mine.dtype)
+        setattr(state, name, kept)
     records = real_array("start's history", saved["history"])
     if len(records) != len(solver.records):
         raise SceneError(
@@ -243,9 +247,24 @@ def _remedy(solver: Solver[S]) -> str:
     return f"give a state of {solver.name}, or leave it out"
 
 
-def _tensors(state: Iterate) -> dict[str, Tensor | torch.optim.Adam]:
-    kinds = Tensor, torch.optim.Adam
-    return {name: value for name, value in vars(state).items() if isinstance(value, kinds)}
+def _is_array(value: Any) -> bool:
+    return isinstance(value, np.ndarray) or is_tensor(value)
+
+
+def _adam() -> Any:
+    """Return the module that saves and restores Adam optimisers, which needs torch."""
+    from . import adam
+
+    return adam
+
+
+def _arrays(state: Iterate) -> dict[str, Any]:
+    """Return the arrays, tensors and optimisers of a state."""
+    return {
+        name: value
+        for name, value in vars(state).items()
+        if _is_array(value) or hasattr(value, "param_groups")
+    }
 
 
 def _numbers(state: Iterate) -> list[str]:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Self
+from typing import Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ..._checks import counted
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel, padded_grid
 
@@ -35,18 +35,6 @@ def padded_transfer(kernel: Tensor, frame: tuple[int, int]) -> tuple[tuple[int, 
     on_grid = functional.pad(kept, (0, room[1], 0, room[0])).roll(places, (-2, -1))
     transfer: Tensor = torch.fft.rfft2(on_grid)
     return grid, transfer
-
-
-def half_spectrum_weights(columns: int) -> Tensor:
-    """Return how often each column of an ``rfft2`` counts in the whole spectrum, float64.
-
-    It holds every column once for two but the first, and the last of an even grid.
-    """
-    weights = torch.full((columns // 2 + 1,), 2.0, dtype=torch.float64)
-    weights[0] = 1.0
-    if columns % 2 == 0:
-        weights[-1] = 1.0
-    return weights
 
 
 class TorchForwardModel(nn.Module):
@@ -138,13 +126,23 @@ class TorchForwardModel(nn.Module):
         """``rfft2`` of the kernel on ``grid``, complex; (K, ...) for the K modes of a field."""
         return torch.view_as_complex(self._transfer)
 
-    @property
-    def mean_transfer(self) -> Tensor:
-        """``rfft2`` of the kernel averaged over the frame; a single one also for a field."""
-        if self.weights is None:
-            return self.transfer
-        shares = self.weights.mean(dim=(-2, -1))
-        return (shares[:, None, None] * self.transfer).sum(dim=0)
+    def to_numpy_model(self) -> ForwardModel:
+        """Return the model in numpy, with the same transfer functions in double precision."""
+        transfer = self.transfer.detach().cpu().to(torch.complex128).numpy()
+        kernel = np.fft.fftshift(np.fft.irfft2(transfer, s=self.grid), axes=(-2, -1))
+        weights = None if self.weights is None else self.weights.detach().cpu().double().numpy()
+        model = ForwardModel.__new__(ForwardModel)
+        for name, value in (
+            ("shape", self.shape),
+            ("boundary", self.boundary),
+            ("grid", self.grid),
+            ("pitch", None),
+            ("kernel", kernel),
+            ("weights", weights),
+            ("transfer", transfer),
+        ):
+            object.__setattr__(model, name, value)
+        return model
 
     def forward(self, object_image: Tensor) -> Tensor:
         """Compute the image (..., H, W) of an object (..., H, W)."""
@@ -185,10 +183,6 @@ class TorchForwardModel(nn.Module):
         return picture[..., :rows, :columns]
 
 
-#: Image model in numpy or torch.
-AnyModel = ForwardModel | TorchForwardModel
-
-
 def torch_model(
     model: ForwardModel | TorchForwardModel, device: torch.device, dtype: torch.dtype
 ) -> TorchForwardModel:
@@ -205,25 +199,3 @@ def torch_model(
             twin.register_buffer(name, moved)
         return twin
     return TorchForwardModel.from_numpy(model, device, dtype)
-
-
-def model_shape(model: Any) -> tuple[int, int]:
-    """Return the shape (H, W) of a numpy or torch image model; raise for any other object."""
-    if not isinstance(model, (ForwardModel, TorchForwardModel)):
-        raise SceneError(
-            f"model of type {type(model).__name__} is not an image model; "
-            "give an imaging.ForwardModel or an inverse.TorchForwardModel"
-        )
-    return model.shape
-
-
-def one_kernel_shape(model: Any) -> tuple[int, int]:
-    """Return the shape (H, W) of a model; raise if its point spread varies over the field."""
-    shape = model_shape(model)
-    if model.weights is not None:
-        raise SamplingError(
-            "the model's point spread varies over the field "
-            f"({counted(len(model.weights), 'mode')}), but this solver needs a single one; "
-            "give a model of one PointSpread"
-        )
-    return shape

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
-from torch import Tensor
 
 from ..._checks import positive, real
 from ...errors import SamplingError, SceneError
-from .forward import AnyModel, model_shape
+from .arrays import Values, as_numpy, is_tensor, library, total, weighted
+from .models import AnyModel, model_shape
 from .spectra import (
     beyond_optics,
     expected_signal,
@@ -43,39 +42,59 @@ _FALSE_ALARMS = 1e-3
 class Measurement:
     """Image with its known background subtracted, and its noise.
 
+    Its arrays are numpy's, or torch's after `in_torch`.
+
     Parameters
     ----------
-    data : Tensor, (H, W)
+    data : ndarray or Tensor, (H, W)
         Image minus the known background, float64. Excluded pixels hold the weighted mean.
     sigma : float
         Reference noise: 1/sigma^2 is the mean of 1/noise_sigma^2 over the pixels.
-    weights : Tensor or None, (H, W)
+    weights : ndarray, Tensor or None, (H, W)
         (sigma/noise_sigma)^2, mean 1; None for uniform noise. Excluded pixels, which have infinite
         noise, have weight 0.
     sigma_estimated : bool
         Whether the noise was estimated from the image.
     fit_background : bool
         Whether there is a further background of unknown strength.
-    background_shape : Tensor or None, (H, W)
+    background_shape : ndarray, Tensor or None, (H, W)
         Shape of that background, mean 1; None if it is uniform.
     template : Tensor or None
         The image as given if it was a tensor; None for an array.
     """
 
-    data: Tensor
+    data: Values
     sigma: float
-    weights: Tensor | None
+    weights: Values | None
     sigma_estimated: bool
     fit_background: bool
-    background_shape: Tensor | None
-    template: Tensor | None
+    background_shape: Values | None
+    template: Values | None
+
+    def in_torch(self) -> Measurement:
+        """Return the measurement with tensors, on the device of the given image."""
+        import torch
+
+        device = torch.device("cpu") if self.template is None else self.template.device
+        return self._mapped(lambda values: torch.as_tensor(values, device=device))
+
+    def in_numpy(self) -> Measurement:
+        """Return the measurement with numpy arrays."""
+        return self._mapped(as_numpy)
+
+    def _mapped(self, change: Callable[[Values], Values]) -> Measurement:
+        """Return the measurement with all arrays changed."""
+        names = ("data", "weights", "background_shape")
+        given = {name: getattr(self, name) for name in names}
+        return replace(self, **{n: change(v) for n, v in given.items() if v is not None})
 
     @property
     def counted(self) -> int:
         """Number of pixels with finite noise; the others are excluded from fits."""
         if self.weights is None:
-            return self.data.numel()
-        return int(torch.count_nonzero(self.weights))
+            n_pixels: int = math.prod(self.data.shape)
+            return n_pixels
+        return int(library(self.weights).count_nonzero(self.weights))
 
     def noise_power(self) -> float:
         """Return the expected sum of squares of noise and of excluded pixels, over all pixels.
@@ -83,23 +102,25 @@ class Measurement:
         An excluded pixel holds the mean of the others. Its error has the variance of the image
         itself.
         """
+        n_pixels: int = math.prod(self.data.shape)
         if self.weights is None:
-            return self.sigma**2 * self.data.numel()
+            return self.sigma**2 * n_pixels
         counts = self.weights > 0.0
         values = self.data[counts]
-        missing = self.data.numel() - values.numel()
+        missing = n_pixels - len(values)
         noise = self.sigma**2 * total((1.0 / self.weights[counts])[None])
-        return noise + missing * float(values.var(correction=0))
+        return noise + missing * float(((values - values.mean()) ** 2).mean())
 
-    def weighted(self, values: Tensor) -> Tensor:
+    def weighted(self, values: Values) -> Values:
         """Return values (H, W) times the pixel weights."""
-        return values if self.weights is None else values * self.weights
+        return weighted(values, self.weights)
 
-    def weighted_mean(self, values: Tensor) -> float:
+    def weighted_mean(self, values: Values) -> float:
         """Return the mean of values (H, W) with the pixel weights, which have mean 1."""
-        return total(self.weighted(values)) / values.numel()
+        n_pixels: int = math.prod(values.shape)
+        return total(self.weighted(values)) / n_pixels
 
-    def background_strength(self, values: Tensor) -> float:
+    def background_strength(self, values: Values) -> float:
         """Return the best-fitting strength of the unknown background; 0 if it is known."""
         if not self.fit_background:
             return 0.0
@@ -108,7 +129,7 @@ class Measurement:
             return self.weighted_mean(values)
         return total(self.weighted(shape * values)) / total(self.weighted(shape * shape))
 
-    def background(self, strength: float) -> Tensor | float:
+    def background(self, strength: float) -> Values | float:
         """Return the unknown background for a given strength, which is its mean over the image."""
         return strength if self.background_shape is None else strength * self.background_shape
 
@@ -117,21 +138,22 @@ class Measurement:
         if not self.fit_background:
             return 0.0
         values = _border(self.data)
-        if self.background_shape is None:
-            return float(values.median())
-        shape = _border(self.background_shape)
-        lit = shape > 0.5
-        return float((values[lit] / shape[lit]).median()) if bool(lit.any()) else 0.0
+        if self.background_shape is not None:
+            shape = _border(self.background_shape)
+            lit = shape > 0.5
+            values = values[lit] / shape[lit]
+        return float(np.sort(values)[(len(values) - 1) // 2]) if len(values) else 0.0
 
     def span(self) -> float:
         """Return the brightest minus the darkest pixel, at least the noise."""
         return max(float(self.data.max()) - float(self.data.min()), self.sigma)
 
-    def working_dtype(self) -> torch.dtype:
+    def working_dtype(self) -> Any:
         """Return float32, or float64 if the noise is close to rounding errors of float32 FFTs."""
-        return torch.float32 if self.sigma > _FLOAT32_NOISE * self.span() else torch.float64
+        single = self.sigma > _FLOAT32_NOISE * self.span()
+        return getattr(library(self.data), "float32" if single else "float64")
 
-    def score(self, explained: Tensor | float) -> float:
+    def score(self, explained: Values | float) -> float:
         """Return the weighted rms of data minus ``explained``, divided by the noise."""
         residual = self.data - explained
         rms = math.sqrt(total(self.weighted(residual * residual)) / self.counted)
@@ -156,21 +178,22 @@ class Measurement:
         """
         if self.sigma == 0.0:
             return True
-        rest = self.data - self.background(self.background_strength(self.data))
-        if self.weights is not None:
-            rest = rest * self.weights.sqrt()
-        shape = tuple(rest.shape)
-        passed = torch.ones(()) if model is None else frame_transfer(model).abs().square()
-        relative = power(rest.cpu()) * (rest.numel() / (self.counted * self.sigma**2))
+        own = self.in_numpy()
+        rest = own.data - own.background(own.background_strength(own.data))
+        if own.weights is not None:
+            rest = rest * np.sqrt(own.weights)
+        shape = rest.shape
+        passed = 1.0 if model is None else np.abs(frame_transfer(model)) ** 2
+        relative = power(rest) * (rest.size / (self.counted * self.sigma**2))
         if not self.fit_background:  # even light is an object then
-            strength = float(rest.mean()) * math.sqrt(rest.numel()) / self.sigma
+            strength = float(rest.mean()) * math.sqrt(rest.size) / self.sigma
             if 0.5 * math.erfc(strength / math.sqrt(2.0)) < _FALSE_ALARMS:
                 return False
         kinds = [passed * object_power(shape) ** half for half in (0.0, 0.5, 1.0)]
         chances = [_chance(relative, kind, shape, self.sigma_estimated) for kind in kinds]
         return len(kinds) * min(chances) > _FALSE_ALARMS
 
-    def is_noise_about(self, explained: Tensor | float) -> bool:
+    def is_noise_about(self, explained: Values | float) -> bool:
         """Return whether data minus ``explained`` has the power of noise, within three errors.
 
         The mean of n squared residuals has variance 2/n; an estimated noise adds 16/n, the measured
@@ -181,15 +204,21 @@ class Measurement:
         variance = (18.0 if self.sigma_estimated else 2.0) / self.counted
         return self.score(explained) ** 2 <= 1.0 + 3.0 * math.sqrt(variance)
 
-    def like_input(self, values: Tensor) -> Any:
+    def like_input(self, values: Values) -> Values:
         """Convert a result to the input's kind: array, or tensor of the same type and device."""
         if self.template is None:
-            return values.detach().to(device="cpu", dtype=torch.float64).numpy()
+            return as_numpy(values).astype(np.float64)
+        torch = library(self.template)
         dtype = self.template.dtype if self.template.is_floating_point() else torch.float32
-        return values.detach().to(device=self.template.device, dtype=dtype)
+        return torch.as_tensor(values).detach().to(device=self.template.device, dtype=dtype)
 
 
-def _chance(relative: Tensor, weights: Tensor, shape: tuple[int, ...], own: bool) -> float:
+def _chance(
+    relative: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    shape: tuple[int, ...],
+    own: bool,
+) -> float:
     """Return the probability that white noise has this weighted sum of power, or more.
 
     ``relative`` and ``weights`` are half spectra, the power in units of the noise's variance. If
@@ -203,7 +232,7 @@ def _chance(relative: Tensor, weights: Tensor, shape: tuple[int, ...], own: bool
             return 1.0
         relative = relative / mean
         weights = weights - float((twice * weights).sum()) / count
-    weights = weights / weights.abs().max().clamp_min(1e-300)
+    weights = weights / max(float(np.abs(weights).max()), 1e-300)
     squares, cubes = (float((twice * weights**k).sum()) for k in (2, 3))
     if squares <= _ROUNDING or cubes <= _ROUNDING:  # all frequencies weigh the same
         return 1.0
@@ -211,25 +240,9 @@ def _chance(relative: Tensor, weights: Tensor, shape: tuple[int, ...], own: bool
     freedom = 4.0 * variance**3 / third**2
     deviation = float((twice * weights * (relative - 1.0)).sum()) / math.sqrt(variance)
     value = max(freedom + deviation * math.sqrt(freedom), 0.0)
+    from scipy import special  # slow to load
+
     return float(special.gammaincc(freedom, value))
-
-
-def total(values: Tensor) -> float:
-    """Return the sum of an image in double precision.
-
-    Rows are summed first, so that the result has the same bits for any number of threads.
-    """
-    return float(values.sum(dim=-1, dtype=torch.float64).sum())
-
-
-def weighted(values: Tensor, weights: Tensor | None) -> Tensor:
-    """Return values times the pixel weights; None for weights of 1."""
-    return values if weights is None else values * weights
-
-
-def norm(values: Tensor) -> float:
-    """Return the root of the sum of squares of an image, in double precision."""
-    return math.sqrt(total(values * values))
 
 
 def measurement(
@@ -247,13 +260,12 @@ def measurement(
     without it. The keyword arguments are those of the solvers, for example `tv_deconvolve`.
     """
     shape = model if isinstance(model, tuple) else model_shape(model)
-    template = image if isinstance(image, Tensor) else None
-    device = torch.device("cpu") if template is None else template.device
-    data = _picture("image", image, shape, device)
+    template = image if is_tensor(image) else None
+    data = _picture("image", image, shape)
     if not shape_of("background", background):
         data = data - real("background", background)
     else:
-        data = data - _picture("background", background, shape, device)
+        data = data - _picture("background", background, shape)
     weights = None
     if noise_sigma is None:
         sigma = estimate_noise(data, None if isinstance(model, tuple) else model)
@@ -264,7 +276,7 @@ def measurement(
     elif not shape_of("noise_sigma", noise_sigma):
         sigma = _positive_sigma(noise_sigma)
     else:
-        sigmas = _picture("noise_sigma", noise_sigma, shape, device, infinite=True)
+        sigmas = _picture("noise_sigma", noise_sigma, shape, infinite=True)
         least = float(sigmas.min())
         if math.isinf(least):
             raise SceneError(
@@ -272,19 +284,18 @@ def measurement(
                 "for the valid pixels"
             )
         _positive_sigma(least)
-        weights = sigmas.pow(-2)
-        sigma = (total(weights) / weights.numel()) ** -0.5
+        weights = sigmas**-2.0
+        sigma = (total(weights) / weights.size) ** -0.5
         weights = weights * sigma**2
         # an excluded pixel must not affect the range of the image
-        mean = total(weights * data) / weights.numel()
-        data = torch.where(weights > 0.0, data, torch.full_like(data, mean))
+        data = np.where(weights > 0.0, data, total(weights * data) / weights.size)
     return Measurement(
         data=data,
         sigma=sigma,
         weights=weights,
         sigma_estimated=noise_sigma is None,
         fit_background=fit_background,
-        background_shape=_background_shape(background_shape, shape, device),
+        background_shape=_background_shape(background_shape, shape),
         template=template,
     )
 
@@ -305,13 +316,10 @@ def real_array(name: str, value: Any) -> NDArray[np.float64]:
         If values are not real numbers, or rows differ in length.
     """
     try:
-        if isinstance(value, Tensor):
-            if value.is_complex():
-                raise TypeError
-            return value.detach().to(device="cpu", dtype=torch.float64).numpy()
-        if np.iscomplexobj(value):
+        values = as_numpy(value) if is_tensor(value) else np.asarray(value)
+        if np.iscomplexobj(values):
             raise TypeError
-        return np.asarray(value, dtype=np.float64)
+        return values.astype(np.float64, copy=False)
     except (TypeError, ValueError):
         raise SceneError(
             f"{name} of type {type(value).__name__} is not an array of real numbers; "
@@ -343,7 +351,7 @@ def shape_of(name: str, value: Any) -> tuple[int, ...]:
         ) from None
 
 
-def estimate_noise(image: ArrayLike | Tensor, model: AnyModel | None = None) -> float:
+def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
     """Estimate the rms noise of an image, assuming that it is white within about 12 pixels.
 
     Parameters
@@ -431,16 +439,16 @@ def estimate_noise(image: ArrayLike | Tensor, model: AnyModel | None = None) -> 
             f"image has shape {values.shape}, must be {model_shape(model)} like the model; "
             "resample it or build the model for that shape"
         )
-    return _noise_beyond(torch.from_numpy(values.copy()), model, sigma)
+    return _noise_beyond(values, model, sigma)
 
 
-def _noise_beyond(image: Tensor, model: AnyModel, sigma: float) -> float:
+def _noise_beyond(image: NDArray[np.float64], model: AnyModel, sigma: float) -> float:
     """Return the rms noise from the frequencies that the optics do not pass.
 
     ``sigma`` is a first estimate; it is returned if there are too few such frequencies.
     """
     power = periodic_power(image)
-    passed = frame_transfer(model).abs().square().cpu()
+    passed = np.abs(frame_transfer(model)) ** 2
     twice = half_weights(image.shape)
     found = sigma
     for _ in range(3):  # the frequencies depend on the noise; three rounds change it below 1 %
@@ -454,11 +462,11 @@ def _noise_beyond(image: Tensor, model: AnyModel, sigma: float) -> float:
     return found
 
 
-def _background_shape(value: Any, shape: tuple[int, int], device: torch.device) -> Tensor | None:
+def _background_shape(value: Any, shape: tuple[int, int]) -> NDArray[np.float64] | None:
     if value is None:
         return None
-    picture = _picture("background_shape", value, shape, device)
-    mean = total(picture) / picture.numel()
+    picture = _picture("background_shape", value, shape)
+    mean = total(picture) / picture.size
     if float(picture.min()) < 0.0 or mean <= 0.0:
         raise SceneError(
             f"background_shape spans {float(picture.min()):g} to {float(picture.max()):g}, must be "
@@ -467,8 +475,9 @@ def _background_shape(value: Any, shape: tuple[int, int], device: torch.device) 
     return picture / mean
 
 
-def _border(picture: Tensor) -> Tensor:
-    return torch.cat((picture[0], picture[-1], picture[:, 0], picture[:, -1]))
+def _border(picture: Values) -> NDArray[np.float64]:
+    values = as_numpy(picture)
+    return np.concatenate((values[0], values[-1], values[:, 0], values[:, -1]))
 
 
 def _positive_sigma(sigma: float) -> float:
@@ -476,24 +485,21 @@ def _positive_sigma(sigma: float) -> float:
 
 
 def _picture(
-    name: str, value: Any, shape: tuple[int, int], device: torch.device, *, infinite: bool = False
-) -> Tensor:
-    if isinstance(value, Tensor) and not value.is_complex():
-        picture = value.detach().to(device=device, dtype=torch.float64)
-    else:
-        picture = torch.tensor(real_array(name, value), device=device)
-    if tuple(picture.shape) != shape:
+    name: str, value: Any, shape: tuple[int, int], *, infinite: bool = False
+) -> NDArray[np.float64]:
+    picture = real_array(name, value)
+    if picture.shape != shape:
         raise SamplingError(
-            f"{name} has shape {tuple(picture.shape)}, must be {shape} like the model; "
+            f"{name} has shape {picture.shape}, must be {shape} like the model; "
             "resample it or build the model for that shape"
         )
-    good = torch.isfinite(picture)
+    good = np.isfinite(picture)
     if infinite:
-        good |= torch.isposinf(picture)
-    n_bad = int((~good).sum())
+        good |= picture == np.inf
+    n_bad = int(np.count_nonzero(~good))
     if n_bad:
         raise SceneError(
-            f"{name} has {n_bad} of {picture.numel()} values that are not finite; "
+            f"{name} has {n_bad} of {picture.size} values that are not finite; "
             "replace bad pixels by their neighbours"
         )
     return picture

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from ..._html import Figures, Shown
 from ..._nouns import Noun
-from ...imaging.forward_model import ForwardModel
-from .forward import TorchForwardModel, torch_model
+from .arrays import Values, as_double, is_tensor
 from .measurement import Measurement
+from .models import AnyModel, image_of
 from .status import Ending, Status, judged
 
 
@@ -102,9 +100,9 @@ def frozen(history: Mapping[str, Sequence[float]]) -> dict[str, NDArray[np.float
 
 def assemble(
     data: Measurement,
-    level: Tensor,
+    level: Values,
     *,
-    model: ForwardModel | TorchForwardModel,
+    model: AnyModel,
     background: float,
     gain: float | None,
     status: Status,
@@ -120,9 +118,9 @@ def assemble(
     ``reasons`` speak against "converged". ``started`` is ``time.perf_counter()`` at the start, and
     ``parameters`` are further entries of ``physical_parameters``.
     """
-    level = level.to(torch.float64)
-    explained = torch_model(model, level.device, torch.float64)(level)
-    explained = explained + data.background(background)
+    level = as_double(level)
+    own = data.in_torch() if is_tensor(level) else data.in_numpy()
+    explained = image_of(model, level) + own.background(background)
     if gain is None:
         brightest = float(level.max())
         gain = brightest if brightest > 0.0 else 1.0
@@ -135,7 +133,7 @@ def assemble(
             **parameters,
         },
         status=status,
-        score=data.score(explained),
+        score=own.score(explained),
         history=frozen(history),
         seconds=time.perf_counter() - started,
         reasons=reasons,
@@ -144,9 +142,9 @@ def assemble(
 
 def concluded(
     data: Measurement,
-    level: Tensor,
+    level: Values,
     *,
-    model: ForwardModel | TorchForwardModel,
+    model: AnyModel,
     background: float,
     gain: float | None,
     ending: Ending,
@@ -172,15 +170,13 @@ def concluded(
     )
 
 
-def beside(
-    data: Measurement, level: Tensor, model: ForwardModel | TorchForwardModel
-) -> tuple[float, float]:
+def beside(data: Measurement, level: Values, model: AnyModel) -> tuple[float, float]:
     """Fit the unknown background for a given object.
 
     Returns its strength, image units, and the rms residual of object and background over the noise.
     ``level`` (H, W) is the object in image units.
     """
-    seen = torch_model(model, level.device, torch.float64)(level)
+    seen = image_of(model, level)
     strength = data.background_strength(data.data - seen)
     return strength, data.score(seen + data.background(strength))
 
@@ -188,14 +184,14 @@ def beside(
 def without_object(
     data: Measurement,
     *,
-    model: ForwardModel | TorchForwardModel,
+    model: AnyModel,
     gain: float | None,
     started: float,
 ) -> Reconstruction:
     """Return a zero object with status "too_few_photons": no object was detected."""
     return assemble(
         data,
-        torch.zeros_like(data.data),
+        0.0 * data.data,
         model=model,
         background=data.background_strength(data.data),
         gain=gain,

@@ -24,11 +24,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import NDArray
 
-from .forward import AnyModel, torch_model
+from .arrays import Values, as_double, as_numpy
 from .measurement import Measurement
+from .models import AnyModel, image_of
 from .spectra import (
     beyond_optics,
     expected_signal,
@@ -38,6 +39,8 @@ from .spectra import (
     periodic_power,
     power,
 )
+
+Array = NDArray[np.float64]
 
 #: How a solver ended and whether its answer holds; see `inverse.Reconstruction`.
 Status = Literal["converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"]
@@ -131,7 +134,7 @@ class Ending:
 
 
 def judged(
-    data: Measurement, level: Tensor, strength: float, model: AnyModel, ending: Ending
+    data: Measurement, level: Values, strength: float, model: AnyModel, ending: Ending
 ) -> tuple[Status, tuple[str, ...]]:
     """Return the status of a fit with a known point spread, and the reasons against "converged".
 
@@ -139,7 +142,7 @@ def judged(
     ----------
     data : Measurement
         Image and noise.
-    level : Tensor, (H, W)
+    level : ndarray or Tensor, (H, W)
         Fitted object times gain, image units.
     strength : float
         Fitted strength of the unknown background, image units.
@@ -171,7 +174,8 @@ def judged(
     - too much of the object's power is negative, which only linear filters allow;
     - the Wiener filter would recover too little of an object with the spectrum 1/f^2.
     """
-    if not bool(level.any()):
+    data, level = data.in_numpy(), as_double(as_numpy(level))
+    if not level.any():
         return "too_few_photons", ("the fit explains the image without an object; expose longer",)
     spectrum = _Spectrum(data, level, strength, model)
     settled, share = ending.settled(), spectrum.share()
@@ -211,36 +215,36 @@ def judged(
 class _Spectrum:
     """Power spectra of the image, of the expected signal and of the residual, over the noise."""
 
-    def __init__(self, data: Measurement, level: Tensor, strength: float, model: AnyModel) -> None:
+    def __init__(self, data: Measurement, level: Array, strength: float, model: AnyModel) -> None:
         self._data = data
-        self._shape = tuple(data.data.shape)
+        self._shape = data.data.shape
         self._twice = half_weights(self._shape)
         image = data.data - data.background(data.background_strength(data.data))
-        passed = frame_transfer(model).abs().square()
+        passed = np.abs(frame_transfer(model)) ** 2
         variance = data.sigma**2
-        image_power = periodic_power(image.cpu())
+        image_power = periodic_power(image)
         signal = expected_signal(image_power, passed, variance, self._shape)
         self._ratio = signal / variance
         self._beyond = beyond_optics(signal, variance)
-        seen = torch_model(model, level.device, torch.float64)(level.double())
+        seen = image_of(model, level)
         residual = (data.data - seen - data.background(strength)) / data.sigma
         self._rms = data.score(seen + data.background(strength))
         if data.weights is not None:
-            residual = residual * data.weights.sqrt()
-        self._left = power(residual.cpu()) * (residual.numel() / data.counted)
+            residual = residual * np.sqrt(data.weights)
+        self._left = power(residual) * (residual.size / data.counted)
         # Excluded pixels hold the mean, and their steps would spread over all frequencies.
-        masked = data.counted < residual.numel()
+        masked = data.counted < residual.size
         self._noise = self._left if masked else image_power / variance - self._ratio
 
     def noise_faults(self) -> Iterator[str]:
         """Compare the image beyond the cut-off with the stated noise, and with white noise."""
-        y = torch.fft.fftfreq(self._shape[0], dtype=torch.float64)[:, None].abs()
-        x = torch.fft.rfftfreq(self._shape[1], dtype=torch.float64)[None]
-        far = torch.hypot(y, x)
+        y = np.abs(np.fft.fftfreq(self._shape[0]))[:, None]
+        x = np.fft.rfftfreq(self._shape[1])[None]
+        far = np.hypot(y, x)
         if float(self._twice[self._beyond].sum()) < 4 * _LEAST_COUNT:
             return
         power_there = self._mean(self._noise, self._beyond)
-        inner = far <= far[self._beyond].median()
+        inner = far <= np.median(far[self._beyond])
         if not self._data.sigma_estimated and _differ(power_there, (1.0, math.inf)):
             yield (
                 f"beyond the optics' cut-off the image has {max(power_there[0], 0.0):.2f} of the "
@@ -304,23 +308,24 @@ class _Spectrum:
     def share(self) -> float:
         """Return the expected correlation of an object and its Wiener estimate, 0 to 1."""
         weights = self._twice * object_power(self._shape)
+        if not weights.any():  # a single pixel has no detail that noise could hide
+            return 1.0
         gain = self._ratio / (1.0 + self._ratio)
         return math.sqrt(float((weights * gain).sum() / weights.sum()))
 
-    def _mean(self, values: Tensor, mask: Tensor) -> tuple[float, float]:
+    def _mean(self, values: Array, mask: NDArray[np.bool_]) -> tuple[float, float]:
         """Return the mean of a half spectrum in a mask, and the number of its frequencies."""
         count = float(self._twice[mask].sum())
         return float((self._twice * values)[mask].sum()) / max(count, 1.0), count
 
 
-def _edge_faults(level: Tensor, model: AnyModel) -> Iterator[str]:
+def _edge_faults(level: Array, model: AnyModel) -> Iterator[str]:
     """Find light at the edge of a padded frame, outside which the model assumes darkness."""
-    object_ = level.detach().cpu().double()
-    width = max(1, round(_BORDER * min(object_.shape)))
-    inside = torch.zeros_like(object_, dtype=torch.bool)
+    width = max(1, round(_BORDER * min(level.shape)))
+    inside = np.zeros(level.shape, dtype=bool)
     inside[width:-width, width:-width] = True
-    mean = float(object_.mean())
-    edge = float(object_[~inside].mean()) / mean if mean > 0.0 else math.inf
+    mean = float(level.mean())
+    edge = float(level[~inside].mean()) / mean if mean > 0.0 else math.inf
     if model.boundary == "padded" and edge > _MOST_BORDER:
         yield (
             f"the object is {edge:.2f} times as bright at the frame's edge as on average, limit "
@@ -329,10 +334,9 @@ def _edge_faults(level: Tensor, model: AnyModel) -> Iterator[str]:
         )
 
 
-def _grain_faults(level: Tensor) -> Iterator[str]:
+def _grain_faults(level: Array) -> Iterator[str]:
     """Find grain in an object of least total variation, which should have few edges."""
-    object_ = level.detach().cpu().double()
-    steps = torch.hypot(object_ - object_.roll(1, 0), object_ - object_.roll(1, 1))
+    steps = np.hypot(level - np.roll(level, 1, 0), level - np.roll(level, 1, 1))
     square = float((steps * steps).mean())
     grain = float(steps.mean()) ** 2 / square if square > 0.0 else 0.0
     if grain > _MOST_GRAIN:
@@ -342,9 +346,9 @@ def _grain_faults(level: Tensor) -> Iterator[str]:
         )
 
 
-def _negative_share(level: Tensor) -> float:
+def _negative_share(level: Array) -> float:
     """Return the share of an object's power, sum of squares, in negative pixels."""
-    return float(level.clamp_max(0.0).square().sum() / level.square().sum())
+    return float((np.minimum(level, 0.0) ** 2).sum() / (level**2).sum())
 
 
 def _differ(first: tuple[float, float], second: tuple[float, float]) -> bool:

@@ -11,14 +11,11 @@ from ..._checks import in_range
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
+from ..data.arrays import half_spectrum_weights
 from ..data.driver import reconstructed
-from ..data.forward import (
-    TorchForwardModel,
-    half_spectrum_weights,
-    one_kernel_shape,
-    torch_model,
-)
+from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import Measurement
+from ..data.models import one_kernel_shape
 from ..data.reconstruction import Reconstruction, beside
 from ..data.status import Ending
 
@@ -146,7 +143,7 @@ def _noise_guard(data: Measurement, spectrum: Tensor, size: Tensor, grid: tuple[
     relative to its maximum, both (rows, columns//2 + 1).
     """
     power = spectrum.real**2 + spectrum.imag**2
-    power *= half_spectrum_weights(grid[1]).to(power.device)
+    power *= torch.from_numpy(half_spectrum_weights(grid[1])).to(power.device)
     order = torch.argsort(size.flatten())
     left_out = torch.cumsum(power.flatten()[order], dim=0) / (grid[0] * grid[1])
     allowed = data.noise_power()

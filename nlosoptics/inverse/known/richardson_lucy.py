@@ -13,9 +13,10 @@ from ..._progress import Progress
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
+from ..data.arrays import norm, total, weighted
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement, norm, total, weighted
+from ..data.measurement import Measurement
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
 from .wiener import background_estimate

@@ -6,94 +6,27 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from ..._checks import positive
 from ..._progress import Progress
-from ...imaging.forward_model import ForwardModel
-from ..data._threads import single_thread
+from ..data.arrays import (
+    Values,
+    as_double,
+    as_numpy,
+    irfft2,
+    library,
+    like,
+    norm,
+    rfft2,
+    total,
+)
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
-from ..data.forward import TorchForwardModel, torch_model
-from ..data.measurement import Measurement, norm, total, weighted
+from ..data.measurement import Measurement
+from ..data.models import AnyModel, mean_transfer, model_like
 from ..data.reconstruction import Reconstruction
 from ..data.status import MOST_RESIDUAL, Ending
-from .wiener import conjugate_direction
-
-# Factor by which each solve reduces the residual, within _MOST_STEPS steps and single precision. It
-# starts from the previous object, which changes little.
-_FALL = 0.1
-_MOST_STEPS = 6
-
-
-class FieldStep:
-    """Solver of the linear object step for a field of point spreads.
-
-    It minimises ``p |A x - a|^2 + x' R x - 2 x' b`` over objects x, where A is the convolution with
-    the field on the whole FFT grid and R is diagonal in Fourier space. Outside the frame, where the
-    final object is zero, each weight of the field is replaced by its mean. ``model`` is that of a
-    field, float64; its transfer functions are divided by ``response``.
-    """
-
-    def __init__(self, model: TorchForwardModel, response: float, dtype: torch.dtype) -> None:
-        weights = model.weights
-        if weights is None:
-            raise ValueError("a model of one point spread needs no field step")
-        self._grid = model.grid
-        rows, columns = model.shape
-        means = weights.mean(dim=(-2, -1), keepdim=True)
-        extended = means.expand(-1, *model.grid).clone()
-        extended[:, :rows, :columns] = weights
-        self._weights = extended.to(dtype)
-        complex_dtype = torch.complex64 if dtype == torch.float32 else torch.complex128
-        self._transfer = (model.transfer / response).to(complex_dtype)
-
-    def solve(
-        self,
-        image: Tensor,
-        pull: Tensor,
-        penalty: float,
-        rest: Tensor,
-        inverse: Tensor,
-        start: tuple[Tensor, Tensor],
-    ) -> tuple[Tensor, Tensor]:
-        """Return the minimising object and its image, both on the FFT grid, (rows, columns).
-
-        ``image``, ``pull`` and ``penalty`` are a, b and p; ``rest`` and ``inverse``, (rows,
-        columns//2 + 1), the half spectra of R and of the preconditioner, which is positive.
-        ``start`` is an earlier result.
-        """
-        free, seen = start[0].clone(), start[1].clone()
-        residual = penalty * self._adjoint(image - seen) + pull - self._filtered(free, rest)
-        direction, product, goal = torch.zeros_like(free), math.inf, 0.0
-        for number in range(_MOST_STEPS):
-            step = self._filtered(residual, inverse)
-            direction, product = conjugate_direction(residual, step, direction, product)
-            goal = goal if number else _FALL**2 * product
-            if product <= goal or product == 0.0:
-                break
-            moved = self._forward(direction)
-            turned = penalty * self._adjoint(moved) + self._filtered(direction, rest)
-            length = product / total(direction * turned)
-            free += length * direction
-            seen += length * moved
-            residual = residual - length * turned
-        return free, seen
-
-    def _forward(self, picture: Tensor) -> Tensor:
-        parts = torch.fft.rfft2(self._weights * picture) * self._transfer
-        image: Tensor = torch.fft.irfft2(parts.sum(dim=0), s=self._grid)
-        return image
-
-    def _adjoint(self, image: Tensor) -> Tensor:
-        spectra = torch.fft.rfft2(image) * self._transfer.conj()
-        parts: Tensor = torch.fft.irfft2(spectra, s=self._grid) * self._weights
-        return parts.sum(dim=0)
-
-    def _filtered(self, picture: Tensor, response: Tensor) -> Tensor:
-        filtered: Tensor = torch.fft.irfft2(torch.fft.rfft2(picture) * response, s=self._grid)
-        return filtered
-
+from .field_step import FieldStep
 
 # Penalties of the splitting x = p (sign) and grad x = d (edges), per unit of the object's
 # brightness, and over-relaxation. From sweeps over smooth and speckle kernels, 128^2 and 512^2.
@@ -109,10 +42,9 @@ _ADAPT_UNTIL = 100
 _RESIDUAL_SHARE = 0.05
 
 
-@single_thread()
 def tv_deconvolve(
     image: Any,
-    model: ForwardModel | TorchForwardModel,
+    model: AnyModel,
     *,
     noise_sigma: Any = None,
     tv_weight: float | None = None,
@@ -191,8 +123,9 @@ def tv_deconvolve(
     sum of squared residuals, one per pixel, is reduced by the number of pixels along the
     frame's outline (rms 0.984 of the noise at 128 x 128), and by less in faint light, where the
     fit absorbs less. Otherwise weak images would be over-smoothed, and faint ones grainy. The
-    computation uses float32 unless the noise is below 1e-4 of the image's range. ``objective``
-    is evaluated at the final weight, so it may rise while the weight is being adjusted.
+    computation uses float32 unless the noise is below 1e-4 of the image's range, on one thread, and
+    torch only for an image on a GPU. ``objective`` is evaluated at the final weight, so it may rise
+    while the weight is being adjusted.
 
     References
     ----------
@@ -219,7 +152,7 @@ def tv_deconvolve(
         return solved(_Splitting(data, model, rule, tv_weight), start, progress)
 
     known = noise_sigma, background, fit_background, background_shape, gain
-    return reconstructed(solve, image, model, *known)
+    return reconstructed(solve, image, model, *known, in_numpy=True)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -230,20 +163,36 @@ class _Split(Iterate):
     ``measure`` is compared with the tolerance.
     """
 
-    signed: Tensor
-    predicted: Tensor
-    edges: Tensor
-    data_dual: Tensor
-    sign_dual: Tensor
-    edge_dual: Tensor
-    free: Tensor | None
-    seen: Tensor | None
+    signed: Values
+    predicted: Values
+    edges: Values
+    data_dual: Values
+    sign_dual: Values
+    edge_dual: Values
+    free: Values | None
+    seen: Values | None
     background: float = 0.0
     multiplier: float
     data_penalty: float
     edge_penalty: float
     sign_penalty: float
     measure: float = math.inf
+
+
+class _Scratch:
+    """Arrays that each iteration fills anew: new ones would cost more than the arithmetic.
+
+    ``prototype`` is an array on the FFT grid and ``image`` one in the frame.
+    """
+
+    def __init__(self, prototype: Values, image: Values) -> None:
+        empty = library(prototype).empty_like
+        self.wanted, self.pull, self.free, self.seen, self.length, self.part = (
+            empty(prototype) for _ in range(6)
+        )
+        self.first, self.second = (rfft2(prototype) for _ in range(2))
+        self.edges = library(prototype).stack((prototype, prototype))
+        self.misfit, self.squares, self.kept = (empty(image) for _ in range(3))
 
 
 class _Splitting(Solver[_Split]):
@@ -260,7 +209,7 @@ class _Splitting(Solver[_Split]):
     def __init__(
         self,
         data: Measurement,
-        model: ForwardModel | TorchForwardModel,
+        model: AnyModel,
         rule: tuple[int, float],
         tv_weight: float | None,
     ) -> None:
@@ -268,47 +217,53 @@ class _Splitting(Solver[_Split]):
         self.max_iterations, self._tolerance = rule
         self._scale = data.span()
         self._sigma = data.sigma / self._scale
-        dtype = data.working_dtype()
+        self._library = library(data.data)
         # A background far above the noise would exhaust single precision, so it is subtracted.
         self._level = data.border_strength()
-        self._image = ((data.data - data.background(self._level)) / self._scale).to(dtype)
-        shape = data.background_shape
-        self._shape = torch.ones_like(self._image) if shape is None else shape.to(dtype)
-        self._weights = None if data.weights is None else data.weights.to(dtype)
-        self._grid = model.grid
+        image = (data.data - data.background(self._level)) / self._scale
         self._frame = tuple(slice(None, length) for length in model.shape)
-        twin = torch_model(model, data.data.device, torch.float64)
-        transfer = twin.mean_transfer
-        self._response = float(transfer.abs().max())
+        working = self._library.zeros_like(image, dtype=data.working_dtype())
+        self._dark = like(np.zeros(model.grid), working)
+        self._image = like(image, working)
+        shape = data.background_shape
+        self._shape = like(1.0 + 0.0 * image if shape is None else shape, working)
+        self._weights = None if data.weights is None else like(data.weights, self._dark)
+        twin = model_like(model, data.data)
+        transfer = mean_transfer(twin)
+        self._response = float(abs(transfer).max())
         transfer = transfer / self._response
-        self._field = None if twin.weights is None else FieldStep(twin, self._response, dtype)
-        self._transfer = transfer.to(dtype.to_complex())
-        self._power = (transfer.real**2 + transfer.imag**2).to(dtype)
-        self._laplacian = _laplacian(self._grid, data.data.device).to(dtype)
+        self._scratch = _Scratch(self._dark, self._image)
+        self._transfer = like(transfer, self._scratch.first)
+        self._power = like(transfer.real**2 + transfer.imag**2, self._dark)
+        self._laplacian = like(_laplacian(model.grid), self._dark)
+        self._field = None
+        if twin.weights is not None:
+            self._field = FieldStep(twin.weights, twin.transfer / self._response, self._dark)
         self._given = None if tv_weight is None else self._response / (self._sigma * tv_weight)
         self._target = self._sigma * math.sqrt(max(data.counted - _taken(data), data.counted / 2))
-        self._factored: tuple[tuple[float, ...], tuple[Tensor, Tensor, Tensor]] | None = None
+        self._factored: tuple[tuple[float, ...], tuple[Values, Values, Values]] | None = None
 
-    def init(self, first: Tensor | None) -> _Split:
+    def init(self, first: Values | None) -> _Split:
         """Return the initial state, from an object or by a mild inverse filter.
 
         Negative values and values outside the frame are removed. The predicted image starts as the
         image itself. The image of ``first`` would leave nothing to do in the first step, and the
         iteration would appear to have converged.
         """
-        predicted = torch.zeros(self._grid, dtype=self._image.dtype, device=self._image.device)
+        predicted = self._dark + 0.0
         predicted[self._frame] = self._image
-        spectrum = self._transfer.conj() * torch.fft.rfft2(predicted)
+        spectrum = self._transfer.conj() * rfft2(predicted)
         spectrum /= self._power + 1e-2
-        begun = torch.fft.irfft2(spectrum, s=self._grid)
+        begun = irfft2(spectrum, predicted.shape[-1])
         if first is not None:
-            begun = torch.zeros_like(predicted)
-            begun[self._frame] = (first * (self._response / self._scale)).to(begun.dtype)
-        signed = self._allowed(begun)
-        framed = signed[self._frame].flatten()
-        brightness = float(framed.kthvalue(math.ceil(0.99 * framed.numel())).values)
+            begun = self._dark + 0.0
+            begun[self._frame] = like(first * (self._response / self._scale), begun)
+        signed = self._allowed(begun, self._dark + 0.0)
+        framed = as_numpy(signed[self._frame]).ravel()
+        highest = math.ceil(0.99 * framed.size) - 1
+        brightness = float(np.partition(framed, highest)[highest])
         brightness = brightness if brightness > 0.0 else 1.0
-        edges = _gradient(signed)
+        edges = _gradient(signed, self._library.stack((signed, signed)))
         if self._given is None:
             data_penalty = 1.0 / (self._sigma * brightness)
             multiplier = data_penalty / _DATA_SHARE
@@ -319,11 +274,11 @@ class _Splitting(Solver[_Split]):
             signed=signed,
             predicted=predicted,
             edges=edges,
-            data_dual=torch.zeros_like(self._image),
-            sign_dual=torch.zeros_like(signed),
-            edge_dual=torch.zeros_like(edges),
-            free=None if self._field is None else torch.zeros_like(signed),
-            seen=None if self._field is None else torch.zeros_like(signed),
+            data_dual=0.0 * self._image,
+            sign_dual=self._dark + 0.0,
+            edge_dual=0.0 * edges,
+            free=None if self._field is None else self._dark + 0.0,
+            seen=None if self._field is None else self._dark + 0.0,
             multiplier=multiplier,
             data_penalty=data_penalty,
             edge_penalty=_EDGE_PENALTY / brightness,
@@ -337,13 +292,18 @@ class _Splitting(Solver[_Split]):
 
     def step(self, state: _Split) -> tuple[float, float, float]:
         """Make one iteration; return total variation, residual and change of the object."""
-        wanted = state.predicted.clone()
-        wanted[self._frame] -= state.data_dual
-        pull = _transposed_gradient(state.edges - state.edge_dual) * state.edge_penalty
-        pull += state.sign_penalty * (state.signed - state.sign_dual)
-        free, predicted = self._object_step(state, wanted, pull)
+        own = self._scratch
+        own.wanted[...] = state.predicted
+        own.wanted[self._frame] -= state.data_dual
+        self._library.subtract(state.edges, state.edge_dual, out=own.edges)
+        pull = _transposed_gradient(own.edges, own.pull)
+        pull *= state.edge_penalty / state.sign_penalty
+        pull += state.signed
+        pull -= state.sign_dual
+        pull *= state.sign_penalty
+        free, predicted = self._object_step(state, own.wanted, pull)
         residual = self._data_step(state, predicted)
-        variation = _edge_step(state, _gradient(free))
+        variation = self._edge_step(state, _gradient(free, own.edges))
         change, distance = self._sign_step(state, free)
         state.measure = max(change, distance)
         if self._given is None:
@@ -358,11 +318,11 @@ class _Splitting(Solver[_Split]):
         # The first change is due to the data alone and is tiny if the weight is large.
         return state.measure <= self._tolerance and state.count > 1
 
-    def level(self, state: _Split) -> Tensor:
+    def level(self, state: _Split) -> Values:
         """Return the object (H, W) in image units."""
-        return state.signed[self._frame].double() * (self._scale / self._response)
+        return as_double(state.signed[self._frame]) * (self._scale / self._response)
 
-    def answer(self, found: Run[_Split], level: Tensor) -> dict[str, Any]:
+    def answer(self, found: Run[_Split], level: Values) -> dict[str, Any]:
         """Return background, dimensionless weight of total variation, and history.
 
         The objective is computed with the final weight, since in some steps the weight is
@@ -384,7 +344,7 @@ class _Splitting(Solver[_Split]):
         background = self._level + found.state.background * self._scale
         return {"background": background, "tv_weight": tv_weight, "ending": ending}
 
-    def _factors(self, state: _Split) -> tuple[Tensor, Tensor, Tensor]:
+    def _factors(self, state: _Split) -> tuple[Values, Values, Values]:
         """Return the half spectra of R, of the preconditioner and of the data filter.
 
         They are computed again only when a penalty has changed.
@@ -397,104 +357,151 @@ class _Splitting(Solver[_Split]):
             self._factored = penalties, (rest, inverse, filtered)
         return self._factored[1]
 
-    def _object_step(self, state: _Split, wanted: Tensor, pull: Tensor) -> tuple[Tensor, Tensor]:
+    def _object_step(self, state: _Split, wanted: Values, pull: Values) -> tuple[Values, Values]:
         """Return the object whose image and gradients best match their targets, and its image.
 
         ``wanted`` is the target image and ``pull`` the target gradients and values, transposed and
         times their penalties, on the FFT grid.
         """
+        own, columns = self._scratch, wanted.shape[-1]
         rest, inverse, filtered = self._factors(state)
         if self._field is not None and state.free is not None and state.seen is not None:
             state.free, state.seen = self._field.solve(
                 wanted, pull, state.data_penalty, rest, inverse, (state.free, state.seen)
             )
-            return state.free, state.seen
-        spectrum = torch.fft.rfft2(wanted) * filtered
-        spectrum += torch.fft.rfft2(pull) * inverse
-        free = torch.fft.irfft2(spectrum, s=self._grid)
-        return free, torch.fft.irfft2(spectrum * self._transfer, s=self._grid)
+            own.seen[...] = state.seen
+            return state.free, own.seen
+        spectrum = rfft2(wanted, own.first)
+        spectrum *= filtered
+        pulled = rfft2(pull, own.second)
+        pulled *= inverse
+        spectrum += pulled
+        free = irfft2(spectrum, columns, own.free)
+        spectrum *= self._transfer
+        return free, irfft2(spectrum, columns, own.seen)
 
-    def _data_step(self, state: _Split, predicted: Tensor) -> float:
+    def _data_step(self, state: _Split, predicted: Values) -> float:
         """Move the predicted image toward the measured one until the residual equals the noise.
 
         The background and, if searched for, the multiplier are updated too. Returns the rms
-        residual before, over the noise.
+        residual before, over the noise. The array of ``predicted`` becomes the state's.
         """
-        residual = predicted[self._frame] - self._image + state.background * self._shape
-        squared = total(weighted(residual * residual, self._weights))
+        own = self._scratch
+        misfit = self._misfit(state, predicted)
+        squared = self._weighted_square(misfit)
         relaxed = _relaxed(predicted, state.predicted)
         relaxed[self._frame] += state.data_dual
-        misfit = relaxed[self._frame] - self._image
         if self.data.fit_background:
+            misfit = self._library.subtract(relaxed[self._frame], self._image, out=own.misfit)
             state.background = -self._strength(misfit, self._shrinkage(state))
-            misfit += state.background * self._shape
+        misfit = self._misfit(state, relaxed)
         if self._given is None:
             self._seek_multiplier(state, misfit)
-        state.data_dual = misfit - misfit * self._shrinkage(state)
+        self._library.multiply(misfit, self._shrinkage(state), out=own.squares)
+        self._library.subtract(misfit, own.squares, out=state.data_dual)
         relaxed[self._frame] -= state.data_dual
-        state.predicted = relaxed
+        state.predicted, own.seen = relaxed, state.predicted
         return math.sqrt(squared / self.data.counted) / self._sigma
 
-    def _shrinkage(self, state: _Split) -> Tensor | float:
-        """Return the factor, 0 to 1, by which the data step reduces a misfit."""
-        multiplier = state.multiplier if self._weights is None else state.multiplier * self._weights
-        return state.data_penalty / (state.data_penalty + multiplier)
+    def _misfit(self, state: _Split, predicted: Values) -> Values:
+        """Return the predicted image plus the background minus the image, (H, W)."""
+        own = self._scratch
+        misfit = self._library.multiply(self._shape, state.background, out=own.misfit)
+        misfit += predicted[self._frame]
+        misfit -= self._image
+        return misfit
 
-    def _strength(self, misfit: Tensor, shrinkage: Tensor | float) -> float:
+    def _weighted_square(self, misfit: Values) -> float:
+        """Return the weighted sum of squares of an image (H, W), which stay in the scratch."""
+        squares = self._library.multiply(misfit, misfit, out=self._scratch.squares)
+        if self._weights is not None:
+            squares *= self._weights
+        return total(squares)
+
+    def _shrinkage(self, state: _Split) -> Values | float:
+        """Return the factor, 0 to 1, by which the data step reduces a misfit."""
+        if self._weights is None:
+            return state.data_penalty / (state.data_penalty + state.multiplier)
+        ratio = state.multiplier / state.data_penalty
+        kept = self._library.multiply(self._weights, ratio, out=self._scratch.kept)
+        kept += 1.0
+        return self._library.reciprocal(kept, out=kept)
+
+    def _strength(self, misfit: Values, shrinkage: Values | float) -> float:
         """Return the background strength that best fits a misfit (H, W).
 
         Pixels are weighted as in the data step.
         """
-        weights = self._shape
-        if self._weights is not None:
-            weights = self._weights * shrinkage * self._shape
+        if self._weights is None:
+            weights = self._shape
+        else:
+            weights = self._library.multiply(self._weights, shrinkage, out=self._scratch.squares)
+            weights *= self._shape
         return total(weights * misfit) / total(weights * self._shape)
 
-    def _seek_multiplier(self, state: _Split, misfit: Tensor) -> None:
+    def _seek_multiplier(self, state: _Split, misfit: Values) -> None:
         """Set the multiplier for which the residual after the data step equals the noise, rms."""
         target = self._target
+        square = self._weighted_square(misfit)
         if self._weights is None:
-            state.multiplier = state.data_penalty * max(norm(misfit) / target - 1.0, 0.0)
+            state.multiplier = state.data_penalty * max(math.sqrt(square) / target - 1.0, 0.0)
             return
-        squares = self._weights * misfit * misfit
         # Newton's method for 1/norm, which is nearly linear in the multiplier (exactly for uniform
         # noise).
+        squares = self._scratch.squares
         for _ in range(2):
             kept = self._shrinkage(state)
-            square = total(squares * kept**2)
-            slope = total(squares * self._weights * kept**3) / state.data_penalty
+            part = squares * kept
+            part *= kept
+            square = total(part)
+            part *= kept
+            part *= self._weights
+            slope = total(part) / state.data_penalty
             if slope <= 0.0:
                 return
             step = (1.0 / target - square**-0.5) * square**1.5 / slope
             state.multiplier = max(state.multiplier + step, 0.0)
 
-    def _sign_step(self, state: _Split, free: Tensor) -> tuple[float, float]:
+    def _edge_step(self, state: _Split, gradient: Values) -> float:
+        """Shrink the gradients (soft threshold); return their total variation."""
+        own, here = self._scratch, self._library
+        relaxed = _relaxed(gradient, state.edges)
+        relaxed += state.edge_dual
+        length = here.multiply(relaxed[0], relaxed[0], out=own.length)
+        length += here.multiply(relaxed[1], relaxed[1], out=own.part)
+        here.sqrt(length, out=length)
+        left = here.subtract(length, 1.0 / state.edge_penalty, out=own.part)
+        here.clip(left, 0.0, None, out=left)
+        variation = total(left)
+        left /= here.clip(length, float(here.finfo(length.dtype).tiny), None, out=length)
+        here.multiply(relaxed, left, out=state.edges)
+        here.subtract(relaxed, state.edges, out=state.edge_dual)
+        return variation
+
+    def _sign_step(self, state: _Split, free: Values) -> tuple[float, float]:
         """Update the non-negative object.
 
         Returns its change and its distance from the unconstrained object ``free``, both relative to
         its norm.
         """
-        relaxed = _relaxed(free, state.signed) + state.sign_dual
-        before, state.signed = state.signed, self._allowed(relaxed)
-        state.sign_dual = relaxed - state.signed
+        own, here = self._scratch, self._library
+        relaxed = own.pull
+        relaxed[...] = free
+        relaxed = _relaxed(relaxed, state.signed)
+        relaxed += state.sign_dual
+        before, state.signed = state.signed, self._allowed(relaxed, own.part)
+        here.subtract(relaxed, state.signed, out=state.sign_dual)
         size = max(norm(state.signed), 1e-30)
-        return norm(state.signed - before) / size, norm(free - state.signed) / size
+        distance = norm(here.subtract(free, state.signed, out=own.length)) / size
+        before -= state.signed
+        own.part = before  # the array of the last object serves the next iteration
+        return norm(before) / size, distance
 
-    def _allowed(self, picture: Tensor) -> Tensor:
-        allowed = torch.zeros_like(picture)
-        allowed[self._frame] = picture[self._frame].clamp_min(0.0)
-        return allowed
-
-
-def _edge_step(state: _Split, gradient: Tensor) -> float:
-    """Shrink the gradients (soft threshold); return their total variation."""
-    relaxed = _relaxed(gradient, state.edges) + state.edge_dual
-    # vector_norm over the first axis is ten times slower on a processor.
-    length = torch.addcmul(relaxed[0].square(), relaxed[1], relaxed[1]).sqrt_()
-    left = (length - 1.0 / state.edge_penalty).clamp_min_(0.0)
-    state.edges = relaxed * (left / length.clamp_min_(torch.finfo(length.dtype).tiny))
-    state.edge_dual = relaxed - state.edges
-    return total(left)
+    def _allowed(self, picture: Values, out: Values) -> Values:
+        """Return the non-negative part of an object inside the frame, and zero outside."""
+        out[...] = 0.0
+        self._library.clip(picture[self._frame], 0.0, None, out=out[self._frame])
+        return out
 
 
 def _adapt(state: _Split) -> None:
@@ -514,26 +521,40 @@ def _taken(data: Measurement) -> float:
     """
     rest = data.data - data.background(data.background_strength(data.data))
     energy = max(total(data.weighted(rest * rest)) / data.sigma**2 - data.counted, 0.0)
-    values = 2.0 * sum(data.data.shape)
+    values: float = 2.0 * sum(data.data.shape)
     return values * energy / (energy + values)
 
 
-def _relaxed(new: Tensor, old: Tensor) -> Tensor:
-    return torch.lerp(old, new, _RELAXATION)
+def _relaxed(new: Values, old: Values) -> Values:
+    """Move a new value beyond the old one, in place."""
+    new *= _RELAXATION
+    new -= (_RELAXATION - 1.0) * old
+    return new
 
 
-def _gradient(picture: Tensor) -> Tensor:
-    """Return periodic forward differences along y and x, (2, H, W)."""
-    return torch.stack((picture.roll(-1, 0) - picture, picture.roll(-1, 1) - picture))
+def _gradient(picture: Values, out: Values) -> Values:
+    """Return periodic forward differences along y and x, (2, H, W), in ``out``."""
+    subtract = library(picture).subtract
+    subtract(picture[1:], picture[:-1], out=out[0, :-1])
+    subtract(picture[0], picture[-1], out=out[0, -1])
+    subtract(picture[:, 1:], picture[:, :-1], out=out[1, :, :-1])
+    subtract(picture[:, 0], picture[:, -1], out=out[1, :, -1])
+    return out
 
 
-def _transposed_gradient(field: Tensor) -> Tensor:
-    return field[0].roll(1, 0) - field[0] + field[1].roll(1, 1) - field[1]
+def _transposed_gradient(field: Values, out: Values) -> Values:
+    """Return the transpose of `_gradient` of a field (2, H, W), in ``out`` (H, W)."""
+    subtract = library(field).subtract
+    subtract(field[0, :-1], field[0, 1:], out=out[1:])
+    subtract(field[0, -1], field[0, 0], out=out[0])
+    out[:, 1:] += field[1, :, :-1]
+    out[:, 0] += field[1, :, -1]
+    out -= field[1]
+    return out
 
 
-def _laplacian(grid: tuple[int, int], device: torch.device) -> Tensor:
+def _laplacian(grid: tuple[int, int]) -> Values:
     """Return the transfer function of the negative discrete Laplacian, (rows, columns//2 + 1)."""
-    rows = torch.arange(grid[0], dtype=torch.float64, device=device) * (2.0 * math.pi / grid[0])
-    columns = torch.arange(grid[1] // 2 + 1, dtype=torch.float64, device=device)
-    columns *= 2.0 * math.pi / grid[1]
-    return (2.0 - 2.0 * torch.cos(rows))[:, None] + (2.0 - 2.0 * torch.cos(columns))
+    rows = np.arange(grid[0]) * (2.0 * math.pi / grid[0])
+    columns = np.arange(grid[1] // 2 + 1) * (2.0 * math.pi / grid[1])
+    return (2.0 - 2.0 * np.cos(rows))[:, None] + (2.0 - 2.0 * np.cos(columns))

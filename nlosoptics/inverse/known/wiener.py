@@ -12,10 +12,13 @@ from torch import Tensor
 from ..._progress import Progress
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
+from ..data.arrays import half_spectrum_weights, norm, total
 from ..data.driver import Iterate, Run, Solver, reconstructed, run, solved, stop_rule
-from ..data.forward import TorchForwardModel, half_spectrum_weights, torch_model
-from ..data.measurement import Measurement, norm, total
+from ..data.forward import TorchForwardModel, torch_model
+from ..data.measurement import Measurement
+from ..data.models import mean_transfer
 from ..data.reconstruction import Reconstruction, beside
+from .conjugate_gradients import conjugate_direction
 
 # Transmitted power, relative to that of the mean, that is only rounding error.
 _ROUNDING = 1e-12
@@ -119,18 +122,6 @@ def background_estimate(data: Measurement, model: ForwardModel | TorchForwardMod
     return beside(data, run(problem).state.solution, problem.model)[0]
 
 
-def conjugate_direction(
-    residual: Tensor, step: Tensor, direction: Tensor, last: float
-) -> tuple[Tensor, float]:
-    """Return the next direction of preconditioned conjugate gradients, and its product.
-
-    ``step`` is the preconditioned residual, and the product that of residual and ``step``. Before
-    the first step ``direction`` is zero and ``last``, the product of the last step, is infinite.
-    """
-    product = total(residual * step)
-    return step + (product / last) * direction, product
-
-
 @dataclass(eq=False, kw_only=True)
 class _Gradients(Iterate):
     """State of the conjugate gradients; ``left`` is the residual over the right-hand side."""
@@ -164,13 +155,13 @@ class _NormalEquations(Solver[_Gradients]):
         device = data.data.device
         # The mean transfer function of a field of point spreads is used for preconditioning and
         # for the scale of the prior.
-        transfer = model.mean_transfer
+        transfer = mean_transfer(model)
         power = transfer.real**2 + transfer.imag**2
         row_frequencies = torch.fft.fftfreq(rows, dtype=torch.float64, device=device)[:, None]
         column_frequencies = torch.fft.rfftfreq(columns, dtype=torch.float64, device=device)
         corner = 1.0 / max(model.shape)
         prior = 1.0 / (row_frequencies**2 + column_frequencies**2 + corner**2)
-        twice = half_spectrum_weights(columns).to(device)
+        twice = torch.from_numpy(half_spectrum_weights(columns)).to(device)
         of_mean = float(power[0, 0] * prior[0, 0])
         passed = total(power * prior * twice) - of_mean
         # The object's mean is not counted as variance of the prior.
@@ -247,7 +238,8 @@ class _NormalEquations(Solver[_Gradients]):
     def _cleaned(self, image: Tensor) -> Tensor:
         """Return the weighted image minus its best-fitting background."""
         image = image - self.data.background(self.data.background_strength(image))
-        return self.data.weighted(image)
+        cleaned: Tensor = self.data.weighted(image)
+        return cleaned
 
     def _normal(self, seen: Tensor, penalised: Tensor) -> Tensor:
         """Return the matrix times an object, given its image and ``sigma^2 S^-1`` times it."""

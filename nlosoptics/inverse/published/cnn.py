@@ -24,7 +24,7 @@ from ..._whole_files import write_whole
 from ...errors import MissingExtraError, SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.checkpoints import descend
+from ..data.adam import descend
 from ..data.driver import reconstructed
 from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import Measurement

@@ -16,7 +16,7 @@ from ..._random import checked_seed, generator
 from ...errors import SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.checkpoints import descend
+from ..data.adam import descend
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved, stop_rule
 from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import Measurement

@@ -20,8 +20,9 @@ from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import single_thread
 from ..data.driver import Iterate, Solver, run
-from ..data.forward import TorchForwardModel, one_kernel_shape, torch_model
+from ..data.forward import TorchForwardModel, torch_model
 from ..data.measurement import measurement, shape_of
+from ..data.models import one_kernel_shape
 from ..data.reconstruction import Reconstruction, frozen
 from ..data.scores import registered_correlation
 from ..data.status import Status
@@ -153,10 +154,11 @@ def phase_retrieval(
     options = _Options(method, object_size, restarts, max_iterations, seed)
     if data.is_background():
         status: Status = "too_few_photons"
-        found, score = torch.zeros_like(data.data), 0.0
+        found, score = torch.zeros(shape, dtype=torch.float64), 0.0
         errors: list[float] = []
         parameters: dict[str, Any] = {}
     else:
+        data = data.in_torch()
         twin = None if model is None else torch_model(model, data.data.device, torch.float64)
         found, score, errors, parameters, _ = _retrieved(
             options, image_lags(data, twin), shape, data.data.device, start, progress

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from ..data.forward import half_spectrum_weights
+from ..data.arrays import half_spectrum_weights
 
 # Power iterations of the spectral start; the direction converges long before.
 _POWER_ITERATIONS = 50
@@ -130,7 +130,7 @@ def allowed(objects: Tensor, support: Tensor) -> Tensor:
 
 def fourier_errors(objects: Tensor, modulus: Tensor) -> Tensor:
     """Return the relative rms differences (R,) of the objects' spectral moduli from ``modulus``."""
-    twice = half_spectrum_weights(objects.shape[-1]).to(modulus)
+    twice = torch.from_numpy(half_spectrum_weights(objects.shape[-1])).to(modulus)
     misfit = (torch.fft.rfft2(objects).abs() - modulus) ** 2 * twice
     whole = (modulus**2 * twice).sum()
     errors: Tensor = (misfit.sum(dim=(-2, -1)) / whole).sqrt()

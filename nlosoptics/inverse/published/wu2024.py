@@ -18,7 +18,7 @@ from ..._random import checked_seed, generator
 from ...errors import SamplingError, SceneError
 from ...imaging.forward_model import ForwardModel
 from ..data._threads import gradients, single_thread
-from ..data.checkpoints import descend, joined, spread
+from ..data.adam import descend, joined, spread
 from ..data.driver import Iterate, Run, Solver, reconstructed, solved
 from ..data.measurement import Measurement, real_array, shape_of
 from ..data.reconstruction import Reconstruction, beside

@@ -134,7 +134,7 @@ def frames_of(
             background=known,
             fit_background=fit_background,
             background_shape=background_shape,
-        )
+        ).in_torch()
         for image, sigma, known in zip(stack, sigmas, backgrounds, strict=True)
     )
     for number, one in enumerate(measured):

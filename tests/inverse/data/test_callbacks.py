@@ -176,7 +176,7 @@ def test_states_are_copies_with_an_object() -> None:
 )
 def test_bad_starts_are_named(start, named: str) -> None:
     with pytest.raises((SceneError, SamplingError)) as refused:
-        started_from(start, (3, 4), torch.device("cpu"))
+        started_from(start, np.zeros((3, 4)))
     assert named in str(refused.value)
 
 

@@ -7,6 +7,9 @@ import pytest
 
 from nlosoptics import inverse
 from nlosoptics.imaging import ForwardModel
+from nlosoptics.inverse.data.driver import solved
+from nlosoptics.inverse.data.measurement import measurement
+from nlosoptics.inverse.known.total_variation import _Splitting
 
 
 @pytest.mark.parametrize("tv_weight", [0.5, 2.0])
@@ -216,3 +219,32 @@ def test_low_noise_runs_in_double_precision(case):
     # the kernel's integral over pixels is off by more than such noise
     assert found.status == "does_not_fit"
     assert inverse.registered_correlation(found, data.truth) > 0.99
+
+
+@pytest.mark.parametrize("varies", [False, True])
+def test_numpy_and_torch_find_the_same_object(varies, point_spread_field):
+    """Both run the same lines; a GPU takes the path of torch."""
+    side = 40
+    spread = point_spread_field if varies else point_spread_field.modes[0]
+    model = ForwardModel(spread, shape=(side, side))
+    truth = np.zeros((side, side))
+    truth[8:30, 10:16] = 1.0
+    sigma = np.full(truth.shape, 0.02)
+    sigma[:, 20:] = 0.04
+    image = model.forward(truth) + sigma * np.random.default_rng(0).normal(size=truth.shape)
+    data = measurement(
+        image,
+        model,
+        noise_sigma=sigma,
+        background=0.0,
+        fit_background=True,
+        background_shape=None,
+    )
+    one, other = (
+        solved(_Splitting(kind, model, (60, 1e-6), None), None, None)
+        for kind in (data, data.in_torch())
+    )
+    # sixty iterations in single precision
+    np.testing.assert_allclose(one["level"], other["level"].numpy(), rtol=0, atol=1e-4)
+    assert one["background"] == pytest.approx(other["background"], abs=1e-4)
+    assert one["tv_weight"] == pytest.approx(other["tv_weight"], rel=1e-3)

@@ -1,0 +1,92 @@
+"""Arithmetic on numpy arrays and torch tensors alike, without importing torch for arrays.
+
+Measurements, tests and total variation run in numpy; the other solvers, and data on a GPU, in
+torch. Both libraries share most names, so that functions here take either.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from typing import Any
+
+import ducc0.fft
+import numpy as np
+from numpy.typing import NDArray
+
+#: numpy array or torch tensor.
+Values = Any
+
+
+def is_tensor(value: Any) -> bool:
+    """Return whether a value is a torch tensor."""
+    torch = sys.modules.get("torch")  # without torch there are no tensors
+    return torch is not None and isinstance(value, torch.Tensor)
+
+
+def library(values: Values) -> Any:
+    """Return the module, ``numpy`` or ``torch``, that made an array."""
+    return sys.modules["torch"] if is_tensor(values) else np
+
+
+def as_numpy(values: Values) -> NDArray[Any]:
+    """Return values as a numpy array; a tensor on the processor is not copied."""
+    if is_tensor(values):
+        values = values.detach().cpu().numpy()
+    return np.asarray(values)
+
+
+def as_double(values: Values) -> Values:
+    """Return values in double precision."""
+    return values.double() if is_tensor(values) else values.astype(np.float64, copy=False)
+
+
+def like(values: Values, prototype: Values) -> Values:
+    """Return values in the library and precision, and on the device, of another array."""
+    if is_tensor(prototype):
+        return library(prototype).as_tensor(values).to(prototype)
+    return as_numpy(values).astype(prototype.dtype)
+
+
+def total(values: Values) -> float:
+    """Return the sum of an image in double precision.
+
+    Rows are summed first, so that the result has the same bits for any number of threads.
+    """
+    return float(values.sum(-1, dtype=library(values).float64).sum())
+
+
+def weighted(values: Values, weights: Values | None) -> Values:
+    """Return values times the pixel weights; None for weights of 1."""
+    return values if weights is None else values * weights
+
+
+def norm(values: Values) -> float:
+    """Return the root of the sum of squares of an image, in double precision."""
+    return math.sqrt(total(values * values))
+
+
+def rfft2(values: Values, out: Values | None = None) -> Values:
+    """Return the half spectra (..., rows, columns//2 + 1) of images (..., rows, columns)."""
+    if is_tensor(values):
+        return library(values).fft.rfft2(values, out=out)
+    return ducc0.fft.r2c(values, axes=(-2, -1), out=out)
+
+
+def irfft2(spectra: Values, columns: int, out: Values | None = None) -> Values:
+    """Return the images (..., rows, columns) of half spectra (..., rows, columns//2 + 1)."""
+    if is_tensor(spectra):
+        return library(spectra).fft.irfft2(spectra, s=(spectra.shape[-2], columns), out=out)
+    return ducc0.fft.c2r(spectra, axes=(-2, -1), lastsize=columns, forward=False, inorm=2, out=out)
+
+
+def half_spectrum_weights(columns: int) -> NDArray[np.float64]:
+    """Return how often each column of an ``rfft2`` counts in the whole spectrum.
+
+    It holds every column once for two but the first, and the last of an even grid.
+    """
+    weights = np.full(columns // 2 + 1, 2.0)
+    weights[0] = 1.0
+    if columns % 2 == 0:
+        weights[-1] = 1.0
+    return weights
