@@ -10,6 +10,7 @@ camera looks at the wall. The subpackages follow the light:
 - `limits`: what can be recovered from an image, before any fit.
 - `inverse`: reconstruction of the hidden object, in torch.
 - `transient`: time-resolved captures and their reconstruction.
+- `study`: design studies: sweeps, tolerances, yield.
 - `views`: plots and 3-D views.
 - `report`: HTML report of a run.
 

@@ -7,6 +7,7 @@ from . import psf as psf
 from . import raytrace as raytrace
 from . import report as report
 from . import scene as scene
+from . import study as study
 from . import transient as transient
 from . import views as views
 from .runs import reconstructing as reconstructing

@@ -70,6 +70,7 @@ def test_import_is_light() -> None:
         ("views", {"numpy"}),
         ("limits", {"numpy", "scipy", "ducc0"}),
         ("transient", {"numpy"}),
+        ("study", set()),
         ("runs.plan", {"numpy", "scipy", "ducc0"}),
         ("report", {"numpy", "scipy", "ducc0", "pydantic"}),
     ],

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import MappingProxyType
 from typing import Any
 
@@ -18,14 +19,14 @@ import numpy as np
 import pytest
 
 import nlosoptics as nlos
-from nlosoptics import imaging, psf, raytrace, scene, transient
+from nlosoptics import imaging, psf, raytrace, scene, study, transient
 from nlosoptics._html import Shown
 from nlosoptics.errors import SceneError
 from nlosoptics.runs.plan import Stage
 from nlosoptics.views.cards import PICTURES
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("scene", "raytrace", "psf", "imaging", "limits", "inverse", "transient")
+PACKAGES = ("scene", "raytrace", "psf", "imaging", "limits", "inverse", "transient", "study")
 #: Bases, which have no fields of their own.
 BASES = {"Wall", "Material"}
 RNG = np.random.default_rng(7)
@@ -113,6 +114,26 @@ def volume() -> transient.Volume:
 
 
 @cache
+def design_study() -> study.Study:
+    """A study of one wall over two powers."""
+    return study.Study.from_tables(
+        {
+            "scene": "examples/scenes/letter_flat.toml",
+            "figures": ["strehl"],
+            "axes": {"laser.power": ["1 mW", "2 mW"]},
+        },
+        ROOT,
+    )
+
+
+@cache
+def results() -> study.Results:
+    """Its results, which stay as they are when the store is gone."""
+    with TemporaryDirectory() as folder:
+        return study.run_study(design_study(), Path(folder) / "store", workers=0)
+
+
+@cache
 def result() -> nlos.Result:
     """A run with a field of point spreads asked for nowhere: a few pixels, reconstructed."""
     pytest.importorskip("torch")
@@ -172,6 +193,8 @@ MADE: Mapping[str, Any] = {
         wl_sigma=0.1,
     ),
     "Plan": lambda: nlos.plan(room()),
+    "Study": design_study,
+    "Results": results,
     "Result": result,
 }
 #: What the fields of the other nouns are drawn as, by their annotations.
@@ -229,6 +252,8 @@ def assert_same(one: Any, other: Any, place: str, *, locked: bool = True) -> Non
         assert (one.dtype, one.shape) == (other.dtype, other.shape), place
         assert one.tobytes() == other.tobytes(), place
         assert not (locked and other.flags.writeable), f"{place} can be written"
+    elif hasattr(one, "identical"):  # a dataset of xarray
+        assert one.identical(other), place
     elif isinstance(one, Mapping):
         assert list(one) == list(other), place
         for key in one:

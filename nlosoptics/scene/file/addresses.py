@@ -47,6 +47,17 @@ def parsed(changes: list[str]) -> dict[str, Any]:
     return values
 
 
+def value_at(raw: Mapping[str, Any], address: str) -> Any:
+    """Return the value at an address, as the file writes it; None where the file has none."""
+    place: Any = raw
+    for name, index in _KEYS.findall(address):
+        try:
+            place = place[int(index)] if index else place[name]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return place
+
+
 def changed(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return a copy of a scene file's tables with other values at some addresses.
 

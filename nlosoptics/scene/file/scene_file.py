@@ -74,7 +74,6 @@ def read_scene(
         If the pitch of a random wall is so fine that its heights would not fit in memory.
     """
     path = Path(path)
-    folder = path.parent
     raw = _read(path)
     with located(f"{path}: "):
         tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, raw)
@@ -84,6 +83,75 @@ def read_scene(
             raw = changed(raw | {"camera": _whole_camera(path, raw["camera"])}, changes)
             tables = validated(_file_tables.SceneFile, raw)
         camera = _camera_values(path, tables.camera, (path.resolve(),))
+    return _built(tables, camera, path, path.parent, scene)
+
+
+def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the tables of a scene file as the file writes them, without a file for the camera.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file.
+    changes : mapping of str to value, optional
+        Values that replace those of the file, by address; see `Scene.load`.
+
+    Raises
+    ------
+    SceneError
+        If the file, a key or the form of a value is wrong.
+    """
+    raw = _read(path)
+    with located(f"{path}: "):
+        validated(_file_tables.SceneFile, raw)
+    raw["camera"] = _whole_camera(path, raw["camera"])
+    with located(f"{path}: "):
+        raw = changed(raw, changes or {})
+        validated(_file_tables.SceneFile, raw)
+    return raw
+
+
+def scene_from_tables(
+    raw: dict[str, Any],
+    path: Path,
+    folder: Path,
+    scene: Callable[..., T],
+    changes: Mapping[str, Any],
+) -> T:
+    """Return the scene of tables from `scene_tables`.
+
+    Parameters
+    ----------
+    raw : dict
+        Tables; not modified.
+    path : Path
+        File that messages name.
+    folder : Path
+        Folder to which the names of pictures and meshes are relative.
+    scene : callable
+        The class `Scene`; see `read_scene`.
+    changes : mapping of str to value
+        Values that replace those of the tables, by address.
+
+    Raises
+    ------
+    NlosError
+        As for `read_scene`.
+    """
+    with located(f"{path}: "):
+        tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, changed(raw, changes))
+    camera = _camera_values(path, tables.camera, (path.resolve(),))
+    return _built(tables, camera, path, folder, scene)
+
+
+def _built(
+    tables: _file_tables.SceneFile,
+    camera: dict[str, Any],
+    path: Path,
+    folder: Path,
+    scene: Callable[..., T],
+) -> T:
+    """Return the scene of checked tables and of camera values, with all its files opened."""
     with located(f"{path}: "):
         optional: dict[str, Any] = {}
         if tables.wall.material is not None:

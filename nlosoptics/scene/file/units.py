@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from decimal import Decimal
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -87,6 +88,14 @@ def _kind_of(quantity: Any) -> str:
         if quantity.is_compatible_with(kind.unit):
             return kind.name
     return "something else"
+
+
+def measured(text: object) -> tuple[float, Kind] | None:
+    """Return the value in SI units of a text with a unit, and its dimension; else None."""
+    for kind in (LENGTH, TIME, RATE, POWER, ANGLE):
+        with suppress(ValueError):
+            return parse(text, kind), kind
+    return None
 
 
 def parse(text: object, kind: Kind) -> float:

@@ -1,0 +1,11 @@
+"""Design studies: figures of merit over any values of a scene file, on all cores or a cluster.
+
+`Study.load` reads a study file, `run_study` computes its points into a store that a later run
+resumes or extends, and `Results` reads the store. `sensitivities`, `sobol_indices` and
+`fraction_within` answer the designer's questions.
+"""
+
+import lazy_loader as _lazy
+
+# lazy, because a worker sets its number of threads before numpy is imported
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

@@ -1,0 +1,269 @@
+"""Answers from the results of a study: sensitivities, Sobol indices, yield."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.stats
+import xarray as xr
+from numpy.typing import NDArray
+
+from .._checks import in_range, real
+from ..errors import SceneError
+from .results import Results
+
+RESAMPLES = 999  # of a bootstrap
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensitivity:
+    """Change of a figure of merit when one value of the scene changes.
+
+    Parameters
+    ----------
+    case : str
+        Address and value, such as "wall.radius = 4.9 m".
+    value : float
+        Figure with this value; NaN if it failed.
+    change : float
+        Difference from the nominal scene.
+    resolved : bool
+        Whether the difference exceeds the errors of both figures, added in quadrature. Always True
+        for a figure without error.
+
+    See Also
+    --------
+    sensitivities : All cases of a study.
+    """
+
+    case: str
+    value: float
+    change: float
+    resolved: bool
+
+
+def sensitivities(
+    results: Results, figure: str, *, incomplete: bool = False
+) -> tuple[Sensitivity, ...]:
+    """Return the change of a figure for each case of a one-at-a-time study, the largest first.
+
+    Parameters
+    ----------
+    results : Results
+        Results of a study with the table ``one_at_a_time`` and no other dimension.
+    figure : str
+        Name of the figure.
+    incomplete : bool
+        Whether points may be pending.
+
+    Returns
+    -------
+    tuple of Sensitivity
+        Cases whose figure failed come last.
+
+    Raises
+    ------
+    SceneError
+        If the study has other dimensions or pending points, or the nominal scene failed.
+
+    See Also
+    --------
+    Sensitivity : One case.
+    """
+    names = [d.name for d in results.study.dimensions]
+    if names != ["case"]:
+        raise SceneError(
+            f"sensitivities need a study with one_at_a_time alone, not one with "
+            f"{', '.join(names)}; make one with that table"
+        )
+    values = results.values(figure, incomplete=incomplete)
+    if not np.isfinite(values[0]):
+        raise SceneError(f"{figure} of the nominal scene failed, so that no change is defined")
+    name = f"{figure}_error"
+    errors = np.zeros_like(values)
+    if name in results.dataset:
+        errors = np.nan_to_num(results.dataset[name].values)
+    labels = results.study.dimensions[0].labels()
+    found = [
+        Sensitivity(
+            case=label,
+            value=float(value),
+            change=float(value - values[0]),
+            resolved=bool(abs(value - values[0]) > np.hypot(error, errors[0])),
+        )
+        for label, value, error in list(zip(labels, values, errors, strict=True))[1:]
+    ]
+    return tuple(sorted(found, key=lambda s: -abs(s.change) if np.isfinite(s.change) else 1.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fraction:
+    """Share of points that meet a specification, with its confidence interval.
+
+    Parameters
+    ----------
+    value : float
+        Share of the points.
+    low, high : float
+        Ends of the Clopper-Pearson interval.
+    met, points, failed : int
+        Points that meet the specification, all points counted, and those of them whose figure
+        failed. A failed point does not meet the specification.
+
+    See Also
+    --------
+    fraction_within : Share of points that meet a specification.
+    """
+
+    value: float
+    low: float
+    high: float
+    met: int
+    points: int
+    failed: int
+
+
+def fraction_within(
+    results: Results,
+    figure: str,
+    *,
+    at_least: float | None = None,
+    at_most: float | None = None,
+    confidence: float = 0.95,
+    incomplete: bool = False,
+) -> Fraction:
+    """Return the share of a study's draws whose figure lies within limits: the yield.
+
+    Parameters
+    ----------
+    results : Results
+        Results of a study whose only dimension is ``draw``, by method random, latin or sobol.
+    figure : str
+        Name of the figure.
+    at_least, at_most : float, optional
+        Limits of the figure, in its unit; at least one of them.
+    confidence : float
+        Coverage of the interval. It is exact for independent draws (method random) and rather too
+        wide for the others.
+    incomplete : bool
+        Whether points may be pending. They are not counted.
+
+    Returns
+    -------
+    Fraction
+
+    Raises
+    ------
+    SceneError
+        If the study has other dimensions or pending points, or no limit is given.
+
+    See Also
+    --------
+    Results : Results of a study.
+    """
+    _check_draws(results, "a yield", ("random", "latin", "sobol"))
+    if at_least is None and at_most is None:
+        raise SceneError("at_least and at_most are both missing; give one or both")
+    confidence = in_range("confidence", confidence, 0.01, 0.9999)
+    values = results.values(figure, incomplete=incomplete)
+    values = values[results.dataset["status"].values.ravel() != "pending"]
+    if not len(values):
+        raise SceneError(f"{results.path} has no finished point; run the study first")
+    good = np.isfinite(values)
+    failed = int((~good).sum())
+    if at_least is not None:
+        good &= values >= real("at_least", at_least)
+    if at_most is not None:
+        good &= values <= real("at_most", at_most)
+    met, count = int(good.sum()), len(values)
+    interval = scipy.stats.binomtest(met, count).proportion_ci(confidence, method="exact")
+    return Fraction(
+        value=met / count,
+        low=float(interval.low),
+        high=float(interval.high),
+        met=met,
+        points=count,
+        failed=failed,
+    )
+
+
+def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) -> xr.Dataset:
+    """Return first-order and total Sobol indices: shares of a figure's variance by address.
+
+    Parameters
+    ----------
+    results : Results
+        Complete results of a study whose only dimension is ``draw``, by method saltelli.
+    figure : str
+        Name of the figure.
+    confidence : float
+        Coverage of the bootstrap intervals.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``first``, ``first_low``, ``first_high``, ``total``, ``total_low`` and ``total_high`` over
+        the dimension ``address``.
+
+    Raises
+    ------
+    SceneError
+        If the study has another design or pending points, or the figure failed anywhere.
+
+    See Also
+    --------
+    fraction_within : Share of points that meet a specification.
+
+    Notes
+    -----
+    Estimators of Saltelli et al. (2010) in `scipy.stats.sobol_indices`, with bootstrap intervals.
+    """
+    _check_draws(results, "Sobol indices", ("saltelli",))
+    confidence = in_range("confidence", confidence, 0.01, 0.9999)
+    values = results.values(figure)
+    if failed := int((~np.isfinite(values)).sum()):
+        raise SceneError(
+            f"{figure} failed at {failed} of {len(values)} points, which leaves no complete "
+            "design; narrow the distributions"
+        )
+    addresses = results.study.dimensions[0].addresses
+    rows = values.reshape(-1, len(addresses) + 2)
+
+    def statistic(chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return first-order and total indices of some rows, (2, addresses)."""
+        f_a, f_b, mixed = rows[chosen, 0], rows[chosen, 1], rows[chosen, 2:]
+        parts: Any = {"f_A": f_a[None], "f_B": f_b[None], "f_AB": mixed.T[:, None]}
+        found = scipy.stats.sobol_indices(func=parts, n=len(chosen))
+        return np.stack([np.ravel(found.first_order), np.ravel(found.total_order)])
+
+    every = np.arange(len(rows))
+    best = statistic(every)
+    interval = scipy.stats.bootstrap(
+        (every,),
+        statistic,
+        n_resamples=RESAMPLES,
+        confidence_level=confidence,
+        method="percentile",
+        vectorized=False,
+        rng=np.random.default_rng(0),
+    ).confidence_interval
+    data = {}
+    for i, name in enumerate(("first", "total")):
+        for part, found in (("", best), ("_low", interval.low), ("_high", interval.high)):
+            data[f"{name}{part}"] = ("address", np.asarray(found)[i])
+    return xr.Dataset(data, {"address": list(addresses)})
+
+
+def _check_draws(results: Results, what: str, methods: tuple[str, ...]) -> None:
+    """Raise `SceneError` unless a study has draws of one of some methods and nothing else."""
+    names = [d.name for d in results.study.dimensions]
+    draws = results.study.definition.get("draws", {})
+    method = draws.get("method", "sobol")
+    if names != ["draw"] or method not in methods:
+        told = f", drawn by {method}" if "draw" in names else ""
+        raise SceneError(
+            f"{what} needs a study with [draws] alone and method {' or '.join(methods)}; this one "
+            f"has {', '.join(names)}{told}"
+        )

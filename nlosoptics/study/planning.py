@@ -1,0 +1,127 @@
+"""Plan of a study: points, shared stages, predicted time and size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from .._checks import counted
+from ..errors import NlosError
+from ..runs.plan import plan
+from .point import point_spread_key
+
+if TYPE_CHECKING:
+    from .study import Study
+
+BLOCK_SECONDS = 1.0  # predicted time of a block, s
+MOST_ROWS = 1000  # in a block
+LEAST_BLOCKS = 8  # so that a short study shows progress and uses several workers
+SCENE_SECONDS = 0.004  # s to build and check a scene
+FORECAST = 0.1, 2.0  # s of a forecast, and multiple of the point spread's seconds
+UNKNOWN = 0.1  # s of a point spread that cannot be planned, and of a function of the user's
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyPlan:
+    """Predicted cost of a study, from `plan_study`.
+
+    Parameters
+    ----------
+    points : int
+        Points of the design.
+    figures : int
+        Figures of merit.
+    point_spreads : int
+        Different point spreads; points that differ only in values that a point spread does not
+        depend on share one. 0 if no figure needs one.
+    forecasts : int
+        Forecasts of the image; 0 if no figure needs one.
+    seconds : float
+        Predicted CPU time of all points after compilation, s, with a factor of about two either
+        way.
+    n_bytes : int
+        Largest size of the store, without the base scene's files.
+    block : int
+        Points that are computed and stored together.
+
+    See Also
+    --------
+    plan_study : Predict points, shared stages, time and size.
+    """
+
+    points: int
+    figures: int
+    point_spreads: int
+    forecasts: int
+    seconds: float
+    n_bytes: int
+    block: int
+
+    def __str__(self) -> str:
+        """Return the plan as text."""
+        blocks = -(-self.points // self.block)
+        return "\n".join(
+            (
+                f"points         {self.points}, {counted(self.figures, 'figure')} each",
+                f"point spreads  {self.point_spreads}",
+                f"forecasts      {self.forecasts}",
+                f"blocks         {blocks} of at most {self.block} points",
+                f"CPU time       about {self.seconds:.3g} s",
+                f"store          at most {self.n_bytes / 1e6:.3g} MB",
+            )
+        )
+
+
+def plan_study(study: Study) -> StudyPlan:
+    """Predict points, shared stages, time and size of a study; no point is computed.
+
+    Parameters
+    ----------
+    study : Study
+        Study to plan.
+
+    Returns
+    -------
+    StudyPlan
+
+    See Also
+    --------
+    run_study : Compute the points of a study, or resume.
+    """
+    count = len(study)
+    stages = {figure.stage for figure in study.figures}
+    needs_spread = "point spread" in stages
+    keys = {point_spread_key(delta) for delta in _deltas(study)} if needs_spread else set()
+    one = _point_spread_seconds(study)
+    own = sum(figure.stage == "own function" for figure in study.figures)
+    forecasts = count if "forecast" in stages else 0
+    seconds = (
+        count * (SCENE_SECONDS + UNKNOWN * own)
+        + len(keys) * one
+        + forecasts * (FORECAST[0] + FORECAST[1] * one)
+    )
+    block = min(MOST_ROWS, int(BLOCK_SECONDS * count / seconds), count // LEAST_BLOCKS)
+    width = 40 + 9 * len(study.figures) + 8 * sum(f.has_error for f in study.figures)
+    return StudyPlan(
+        points=count,
+        figures=len(study.figures),
+        point_spreads=len(keys),
+        forecasts=forecasts,
+        seconds=seconds,
+        n_bytes=width * count + 4000 * (2 * len(study.figures) + 4),
+        block=max(1, block),
+    )
+
+
+def _deltas(study: Study) -> Iterable[dict[str, object]]:
+    return (study.delta(index) for index in range(len(study)))
+
+
+def _point_spread_seconds(study: Study) -> float:
+    """Return the predicted seconds of a wave and its point spread for the first point."""
+    try:
+        stages = plan(study.scene(0), study.tol).stages
+    except NlosError:
+        return UNKNOWN
+    return sum(s.seconds for s in stages if s.name in ("wave aberration", "point spread"))

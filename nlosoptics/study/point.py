@@ -1,0 +1,146 @@
+"""One point of a study: its scene, and the stages that its figures of merit share."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from ..errors import NlosError, ValidityWarning
+
+if TYPE_CHECKING:
+    from ..limits import Feasibility
+    from ..psf import ScenePointSpread
+    from ..scene import Scene
+    from .base import Base
+
+#: Values that change neither the wave nor the point spread at the object's reference point.
+NOT_IN_POINT_SPREAD = (
+    "laser.power",
+    "laser.beam_diameter",
+    "laser.independent_patterns",
+    "hidden.image",
+    "hidden.size",
+    "hidden.material",
+    "camera.exposure",
+    "camera.quantum_efficiency",
+    "camera.transmission",
+    "camera.full_well",
+    "camera.read_noise",
+    "camera.dark_current",
+    "camera.bit_depth",
+    "camera.glare_fraction",
+)
+KEPT = 4  # results of each stage that a worker keeps
+
+
+def point_spread_key(delta: Mapping[str, Any]) -> str:
+    """Return a text that is equal for points with the same point spread."""
+    read = {
+        address: value
+        for address, value in delta.items()
+        if not address.startswith(NOT_IN_POINT_SPREAD)
+    }
+    return json.dumps(read, sort_keys=True)
+
+
+class StageCache:
+    """Latest results of a stage by key, including refusals and warnings."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[str, tuple[Any, tuple[str, ...]]] = OrderedDict()
+
+    def get(self, key: str, make: Callable[[], Any]) -> tuple[Any, tuple[str, ...]]:
+        """Return the result of ``make`` and its warnings; raise the `NlosError` that it raised."""
+        found = self._kept.get(key)
+        if found is None:
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("ignore")
+                warnings.simplefilter("always", ValidityWarning)
+                try:
+                    result = make()
+                except NlosError as error:
+                    result = error
+            told = tuple(dict.fromkeys(str(warning.message) for warning in caught))
+            found = self._kept[key] = result, told
+            if len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        if isinstance(found[0], NlosError):
+            raise found[0]
+        return found
+
+
+class StudyPoint:
+    """One point of a study, as figures of merit see it.
+
+    Parameters
+    ----------
+    base : Base
+        Base scene of the study.
+    delta : mapping of str to value
+        Values of this point by address.
+    seed : int
+        Seed of this point, which depends on its values only.
+    tol : float
+        Error tolerance of point spreads, max |dI|/max I.
+    caches : mapping of str to StageCache
+        Stages shared with other points: "scene", "point spread" and "forecast".
+
+    Attributes
+    ----------
+    seed : int
+        Seed for random numbers of a figure of merit.
+    tol : float
+        Error tolerance of point spreads.
+
+    See Also
+    --------
+    Study : Figures of merit over the points of a design.
+    """
+
+    def __init__(
+        self,
+        base: Base,
+        delta: Mapping[str, Any],
+        seed: int,
+        tol: float,
+        caches: Mapping[str, StageCache],
+    ) -> None:
+        self.seed, self.tol = seed, tol
+        self._base, self._delta, self._caches = base, delta, caches
+        self._key = json.dumps(dict(delta), sort_keys=True)
+        self.warnings: dict[str, None] = {}
+
+    @property
+    def scene(self) -> Scene:
+        """Scene of this point."""
+        scene: Scene = self._stage("scene", self._key, lambda: self._base.scene(self._delta))
+        return scene
+
+    @property
+    def point_spread(self) -> ScenePointSpread:
+        """Wave and point spread at the object's reference point, shared where nothing differs."""
+        from .. import psf
+
+        key = point_spread_key(self._delta)
+        found: ScenePointSpread = self._stage(
+            "point spread", key, lambda: psf.scene_point_spread(self.scene, self.tol)
+        )
+        return found
+
+    @property
+    def forecast(self) -> Feasibility:
+        """Forecast of what the image shows, from `limits.feasibility`."""
+        from .. import limits
+
+        found: Feasibility = self._stage(
+            "forecast", self._key, lambda: limits.feasibility(self.scene)
+        )
+        return found
+
+    def _stage(self, name: str, key: str, make: Callable[[], Any]) -> Any:
+        result, told = self._caches[name].get(key, make)
+        self.warnings |= dict.fromkeys(told)
+        return result

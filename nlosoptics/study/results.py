@@ -1,0 +1,238 @@
+"""Results of a study: its store as arrays over the dimensions of the design."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from .._checks import counted, path_of
+from .._nouns import Noun
+from ..errors import SceneError
+from ..scene.file.addresses import value_at
+from ..scene.file.errors import validated
+from .base import Base
+from .designs import Dimension, dimensions
+from .figures import Figure
+from .file import StudyTable
+from .store import STATUSES, Store
+from .study import Study
+from .values import label, number
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Results(Noun):
+    """Results of a study, complete or not.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the store.
+    study : Study
+        Study that was run.
+    dataset : xarray.Dataset
+        Each figure over the dimensions of the design (``study.shape``), with ``<figure>_error``
+        where it has one, ``status`` ("done", "failed", "lost" or "pending": the worst of all
+        figures), ``message`` and ``seconds``. Coordinates are values by address, in SI units.
+
+    See Also
+    --------
+    Study : Figures of merit over the points of a design.
+    sensitivities : Change of a figure with each value.
+    fraction_within : Share of points that meet a specification.
+    """
+
+    path: Path
+    study: Study
+    dataset: xr.Dataset
+
+    @classmethod
+    def load(cls, path: str | Path) -> Results:
+        """Read the store of a study; it may still be incomplete.
+
+        Parameters
+        ----------
+        path : str or Path
+            Folder of the store.
+
+        Raises
+        ------
+        SceneError
+            If there is no store of a study.
+        """
+        path = path_of("path", path)
+        store = Store.open(path)
+        if store is None:
+            raise SceneError(f"{path} has no results of a study; run the study first")
+        study = study_of(store)
+        return cls(path=path, study=study, dataset=_dataset(study, store))
+
+    def scene(self, index: int) -> Scene:
+        """Return the scene of a point, counted from 0 in the order of the flattened dataset.
+
+        Parameters
+        ----------
+        index : int
+            Number of the point.
+        """
+        return self.study.scene(index)
+
+    def values(self, figure: str, *, incomplete: bool = False) -> NDArray[np.float64]:
+        """Return a figure of all points, flat; NaN where it failed.
+
+        Parameters
+        ----------
+        figure : str
+            Name of the figure.
+        incomplete : bool
+            Whether points may be pending. They are NaN too.
+
+        Raises
+        ------
+        SceneError
+            If the study has no such figure, or points are pending and ``incomplete`` is False.
+        """
+        name = self.study.figure(figure).name
+        pending = self.counts["pending"]
+        if pending and not incomplete:
+            raise SceneError(
+                f"{counted(pending, 'point')} of {len(self.study)} in {self.path} are pending; "
+                "finish the study, or pass incomplete=True"
+            )
+        return np.asarray(self.dataset[name].values, dtype=np.float64).ravel()
+
+    @cached_property
+    def counts(self) -> dict[str, int]:
+        """Number of points by status."""
+        found = self.dataset["status"].values
+        return {status: int((found == status).sum()) for status in STATUSES}
+
+    def failures(self) -> dict[str, int]:
+        """Return how many points have each message of a failure."""
+        status, told = (self.dataset[name].values.ravel() for name in ("status", "message"))
+        found: dict[str, int] = {}
+        for text in told[np.isin(status, ("failed", "lost"))]:
+            found[text] = found.get(text, 0) + 1
+        return found
+
+    def __str__(self) -> str:
+        """Return status and range of every figure as text."""
+        n = self.counts
+        told = ", ".join(f"{count} {status}" for status, count in n.items() if count)
+        lines = [f"{self.path}: {counted(len(self.study), 'point')}: {told}"]
+        for figure in self.study.figures:
+            values = self.values(figure.name, incomplete=True)
+            good = values[np.isfinite(values)]
+            if len(good):
+                low, middle, high = good.min(), np.median(good), good.max()
+                lines.append(
+                    f"{figure.name:24s} {low:.4g} to {high:.4g}, median {middle:.4g} {figure.unit}"
+                )
+        lines += [f"{count} x {text}" for text, count in self.failures().items()]
+        return "\n".join(line.rstrip() for line in lines)
+
+
+def about_study(study: Study, figures: tuple[Figure, ...] | None = None) -> dict[str, Any]:
+    """Return what the store keeps of a study beside the files of its base scene, as JSON."""
+    return {
+        "definition": study.definition,
+        "folder": str(study.folder),
+        "source": study.base.source,
+        "tables": study.base.tables,
+        "names": study.base.names,
+        "figures": [asdict(figure) for figure in figures or study.figures],
+    }
+
+
+def study_of(store: Store) -> Study:
+    """Return the study of a store, without reading any other file."""
+    about = store.about
+    table: StudyTable = validated(StudyTable, about["definition"])
+    base = Base(
+        source=about["source"], tables=about["tables"], files=store.files(), names=about["names"]
+    )
+    found = dimensions(table, lambda address: value_at(base.tables, address))
+    return Study(
+        definition=about["definition"],
+        folder=Path(about["folder"]),
+        base=base,
+        dimensions=tuple(
+            Dimension(name=d.name, deltas=tuple(base.packed(delta) for delta in d.deltas))
+            for d in found
+        ),
+        figures=tuple(Figure(**given) for given in about["figures"]),
+        tol=table.tol,
+        seed=table.seed,
+    )
+
+
+def _dataset(study: Study, store: Store) -> xr.Dataset:
+    """Return the rows of a store in the order of the design."""
+    rows = {name: row for row, name in enumerate(store.ids())}
+    at = np.array([rows.get(name, -1) for name in study.ids])
+    known = at >= 0
+    dims, shape = [d.name for d in study.dimensions], study.shape
+
+    def shaped(column: NDArray[Any] | None, empty: Any) -> NDArray[Any]:
+        if column is None or not known.any():
+            return np.full(shape, empty)
+        found: NDArray[Any] = np.where(known, column[at], empty).reshape(shape)
+        return found
+
+    arrays: dict[str, Any] = {}
+    status = np.full(shape, 1)
+    rank = np.array([3, 0, 1, 2])  # of pending, done, failed, lost
+    for figure in study.figures:
+        told = {"long_name": figure.meaning} | ({"units": figure.unit} if figure.unit else {})
+        arrays[figure.name] = (dims, shaped(store.column(figure.name), np.nan), told)
+        if figure.has_error:
+            arrays[f"{figure.name}_error"] = (
+                dims,
+                shaped(store.column(f"{figure.name}_error"), np.nan),
+                told,
+            )
+        own = shaped(store.statuses(figure), 0).astype(int)
+        status = np.where(rank[own] > rank[status], own, status)
+    arrays["status"] = (dims, np.array(STATUSES)[status])
+    texts = shaped(store.column("message"), "")
+    told_texts = [_joined(str(text)) for text in texts.ravel()]
+    arrays["message"] = (dims, np.array(told_texts, dtype=object).reshape(shape))
+    arrays["seconds"] = (dims, shaped(store.column("seconds"), np.nan), {"units": "s"})
+    coordinates: dict[str, Any] = {}
+    for dimension in study.dimensions:
+        coordinates |= _coordinates(dimension)
+    return xr.Dataset(arrays, coordinates)
+
+
+def _joined(text: str) -> str:
+    """Return the messages of a point's figures in one line, equal ones once."""
+    figures: dict[str, list[str]] = {}
+    for name, told in json.loads(text or "{}").items():
+        figures.setdefault(told, []).append(name)
+    return "; ".join(f"{', '.join(names)}: {told}" for told, names in figures.items())
+
+
+def _coordinates(dimension: Dimension) -> dict[str, Any]:
+    """Return the coordinates of a dimension: values by address, and a label or number."""
+    found: dict[str, Any] = {}
+    if dimension.name == "case":
+        return {"case": ("case", list(dimension.labels()))}
+    for address in dimension.addresses:
+        values = [delta[address] for delta in dimension.deltas]
+        numbers = [number(value) for value in values]
+        units = {one[1] for one in numbers if one is not None}
+        if len(units) == 1 and None not in numbers:
+            data: list[Any] = [one[0] for one in numbers if one is not None]
+            found[address] = (dimension.name, data, {"units": units.pop()})
+        else:
+            found[address] = (dimension.name, [label(value) for value in values])
+    return found

@@ -1,0 +1,295 @@
+"""Store of a study: one zarr group with a row for each point, written block by block.
+
+Rows are in the order of computation, so that a study can grow without moving what is finished.
+``id`` names the point of each row. For a figure ``f`` there are ``f``, ``f_error`` where it has
+one, and ``f_status``, whose chunk is written last: a block without it is computed again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+
+from ..errors import SceneError
+from .worker import Answers, Block
+
+if TYPE_CHECKING:
+    from .figures import Figure
+
+FORMAT = 1
+ROWS = 65_536  # ids in a chunk
+STATUSES = ("pending", "done", "failed", "lost")
+
+
+class Store:
+    """Rows of a study in a zarr group.
+
+    Parameters
+    ----------
+    path : Path
+        Folder of the group.
+    group : zarr.Group
+        Open group.
+    """
+
+    def __init__(self, path: Path, group: zarr.Group) -> None:
+        self.path, self._group = path, group
+
+    @classmethod
+    def create(
+        cls, path: Path, *, block: int, about: Mapping[str, Any], files: Mapping[str, bytes]
+    ) -> Store:
+        """Create an empty store.
+
+        Parameters
+        ----------
+        path : Path
+            Folder to create; what a killed creation left there is replaced.
+        block : int
+            Rows in a block.
+        about : mapping
+            What describes the study, as JSON.
+        files : mapping of str to bytes
+            Files of the base scene.
+        """
+        with writing(path):
+            group = zarr.open_group(path, mode="w", zarr_format=3)
+            store = cls(path, group)
+            store._array("id", str, ROWS, "", "hash of the values of the point")
+            store._array("seconds", "f8", block, np.nan, "time of the point", "s")
+            store._array("message", str, block, "", "failures and warnings by figure, as JSON")
+            kept = group.create_group("files")
+            for name, content in files.items():
+                data = np.frombuffer(content, np.uint8)
+                kept.create_array(name, data=data, chunks=(max(1, len(data)),))
+            # written last, so that a store with it is complete
+            group.attrs.update({"format": FORMAT, "block": block, "about": dict(about)})
+        return store
+
+    @classmethod
+    def open(cls, path: Path, *, write: bool = False) -> Store | None:
+        """Open a store; None if there is none, or one whose creation was interrupted."""
+        if not path.exists():
+            return None
+        try:
+            group = zarr.open_group(path, mode="r+" if write else "r", zarr_format=3)
+        except (OSError, ValueError, KeyError) as error:
+            if path.is_dir() and not any(path.iterdir()):
+                return None
+            raise SceneError(
+                f"{path} is no store of a study ({type(error).__name__}: {error}); name another"
+            ) from None
+        if "format" not in group.attrs:
+            if set(group.array_keys()) <= {"id", "seconds", "message"}:
+                return None
+            raise SceneError(f"{path} is a zarr group of another program; name another")
+        if group.attrs["format"] != FORMAT:
+            raise SceneError(
+                f"{path} has format {group.attrs['format']}, this version reads {FORMAT}; run the "
+                "study again into another folder"
+            )
+        return cls(path, group)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        """Description of the study."""
+        found: Any = self._group.attrs["about"]
+        return dict(found)
+
+    def set_about(self, about: Mapping[str, Any]) -> None:
+        """Replace the description."""
+        with writing(self.path):
+            self._group.attrs["about"] = dict(about)
+
+    @property
+    def block(self) -> int:
+        """Rows in a block."""
+        return int(self._group.attrs["block"])  # type: ignore[arg-type]
+
+    def files(self) -> dict[str, bytes]:
+        """Return the files of the base scene."""
+        group = self._group["files"]
+        return {
+            name: np.asarray(group[name][:]).tobytes()  # type: ignore[index]
+            for name in group.array_keys()  # type: ignore[union-attr]
+        }
+
+    def add_files(self, files: Mapping[str, bytes]) -> None:
+        """Add files that new values name."""
+        with writing(self.path):
+            kept: Any = self._group["files"]
+            for name in files.keys() - set(kept.array_keys()):
+                data = np.frombuffer(files[name], np.uint8)
+                kept.create_array(name, data=data, chunks=(max(1, len(data)),))
+
+    def ids(self) -> list[str]:
+        """Return the id of each row; empty for rows without a point."""
+        return [str(name) for name in self._read("id")]
+
+    def add(self, ids: list[str], figures: tuple[Figure, ...]) -> None:
+        """Add figures that the store does not have, and rows for points, from a new block on."""
+        with writing(self.path):
+            for figure in figures:
+                about = figure.meaning, figure.unit
+                if figure.has_error:
+                    self._array(f"{figure.name}_error", "f8", self.block, np.nan, *about)
+                self._array(figure.name, "f8", self.block, np.nan, *about)
+                self._array(
+                    f"{figure.name}_status",
+                    "i1",
+                    self.block,
+                    0,
+                    f"status of {figure.name}",
+                    flag_values=list(range(len(STATUSES))),
+                    flag_meanings=" ".join(STATUSES),
+                )
+            first = -(-self._at("id").shape[0] // self.block) * self.block
+            rows = first + len(ids) if ids else self._at("id").shape[0]
+            for name in self._group.array_keys():
+                self._at(name).resize((rows,))
+            if ids:
+                self._at("id")[first:] = np.array(ids, dtype=object)
+
+    def write(self, block: Block, answers: Answers) -> None:
+        """Write a block; the statuses come last."""
+        rows = slice(block.row, block.row + len(block.ids))
+        with writing(self.path):
+            told = self._told(rows)
+            for kept, row in zip(told, answers.messages, strict=True):
+                kept |= dict(zip(block.figures, row, strict=True))
+            texts = [json.dumps(kept) if (kept := _without_empty(k)) else "" for k in told]
+            self._at("message")[rows] = np.array(texts, dtype=object)
+            spent = np.nan_to_num(np.asarray(self._at("seconds")[rows], dtype=np.float64))
+            self._at("seconds")[rows] = spent + np.array(answers.seconds)
+            for i, name in enumerate(block.figures):
+                if f"{name}_error" in self._group:
+                    self._at(f"{name}_error")[rows] = np.array([row[i] for row in answers.errors])
+                self._at(name)[rows] = np.array([row[i] for row in answers.values])
+            for i, name in enumerate(block.figures):
+                statuses = np.array([row[i] for row in answers.statuses], dtype=np.int8)
+                self._at(f"{name}_status")[rows] = statuses
+
+    def _told(self, rows: slice) -> list[dict[str, str]]:
+        try:
+            texts = self._at("message")[rows]
+            return [json.loads(str(text)) if str(text) else {} for text in np.asarray(texts)]
+        except Exception:  # a corrupt chunk is replaced
+            return [{} for _ in range(rows.stop - rows.start)]
+
+    def column(self, name: str) -> NDArray[Any] | None:
+        """Return all rows of an array; None if the store has no such array."""
+        return self._read(name) if name in self._group else None
+
+    def statuses(self, figure: Figure) -> NDArray[np.int8]:
+        """Return the status codes of a figure; rows with a corrupt chunk are pending."""
+        empty = np.zeros(self._at("id").shape[0], dtype=np.int8)
+        found = self.column(f"{figure.name}_status")
+        if found is None:
+            return empty
+        names = [figure.name, *([f"{figure.name}_error"] if figure.has_error else [])]
+        broken = np.zeros(len(found), dtype=bool)
+        for name in [*names, f"{figure.name}_status", "message"]:
+            broken |= self._broken(name)
+        return np.where(broken, np.int8(0), found)
+
+    def _read(self, name: str) -> NDArray[Any]:
+        """Return an array; chunks that cannot be decoded get the fill value."""
+        array = self._at(name)
+        try:
+            return np.asarray(array[:])
+        except Exception:  # codecs raise arbitrary exceptions
+            return self._by_chunk(name)[0]
+
+    def _broken(self, name: str) -> NDArray[np.bool_]:
+        try:
+            self._at(name)[:]
+        except Exception:  # codecs raise arbitrary exceptions
+            return self._by_chunk(name)[1]
+        return np.zeros(self._at(name).shape[0], dtype=bool)
+
+    def _by_chunk(self, name: str) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return an array read chunk by chunk, and which rows could not be read."""
+        array = self._at(name)
+        count, step = array.shape[0], array.chunks[0]
+        found = np.full(count, array.metadata.fill_value, dtype=object)
+        broken = np.zeros(count, dtype=bool)
+        for start in range(0, count, step):
+            rows = slice(start, min(count, start + step))
+            try:
+                found[rows] = np.asarray(array[rows])
+            except Exception:  # codecs raise arbitrary exceptions
+                broken[rows] = True
+        return found if array.dtype.kind in "OT" else found.astype(array.dtype), broken
+
+    def _at(self, name: str) -> Any:
+        return self._group[name]
+
+    def _array(
+        self,
+        name: str,
+        dtype: Any,
+        chunk: int,
+        fill: Any,
+        meaning: str,
+        unit: str = "",
+        **attributes: Any,
+    ) -> None:
+        if name in self._group:
+            return
+        rows = self._at("id").shape[0] if name != "id" else 0
+        told = {"long_name": meaning} | ({"units": unit} if unit else {}) | attributes
+        self._group.create_array(
+            name,
+            shape=(rows,),
+            chunks=(chunk,),
+            dtype=dtype,
+            fill_value=fill,
+            dimension_names=("point",),
+            attributes=told,
+        )
+
+
+def _without_empty(texts: Mapping[str, str]) -> dict[str, str]:
+    return {name: text for name, text in texts.items() if text}
+
+
+@contextmanager
+def only_writer(path: Path) -> Iterator[None]:
+    """Refuse a second process that writes the same store."""
+    with writing(path):
+        path.mkdir(parents=True, exist_ok=True)
+        folder = os.open(path, os.O_RDONLY)
+    try:
+        try:
+            import fcntl
+
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise SceneError(
+                f"{path} is being written by another process; wait until it has ended"
+            ) from None
+        except (ImportError, OSError):  # Windows, or a file system without locks
+            pass
+        yield
+    finally:
+        os.close(folder)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Convert a failure of the disk to one line."""
+    try:
+        yield
+    except OSError as error:
+        raise SceneError(
+            f"{path}: the store cannot be written ({error.strerror or error}); finished blocks are "
+            "kept; mend that, or use another folder, and run the study again"
+        ) from None

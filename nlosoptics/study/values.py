@@ -1,0 +1,41 @@
+"""Values of scene files in one form, so that equal values have equal text."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..scene.file.units import measured, written
+
+
+def canonical(value: Any) -> Any:
+    """Return a value of a scene file with every quantity in SI units: "2 mm" becomes "0.002 m".
+
+    Lists are converted element by element; other values are returned as they are.
+    """
+    if isinstance(value, list | tuple):
+        return [canonical(inner) for inner in value]
+    found = measured(value) if isinstance(value, str) else None
+    return value if found is None else written(*found)
+
+
+def number(value: Any) -> tuple[float, str] | None:
+    """Return a value as a number with its SI unit, which may be empty; None if it is no number."""
+    if isinstance(value, str):
+        found = measured(value)
+        return None if found is None else (found[0], found[1].unit)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value), ""
+    return None
+
+
+def with_unit(value: float, unit: str) -> Any:
+    """Return a number and its SI unit as a scene file holds it."""
+    return f"{float(value)!r} {unit}" if unit else float(value)
+
+
+def label(value: Any) -> str:
+    """Return a value as short text for labels."""
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(label(inner) for inner in value) + "]"
+    found = number(value)
+    return str(value) if found is None else f"{found[0]:.6g} {found[1]}".rstrip()

@@ -1,0 +1,309 @@
+"""Runs: the same bits in any way of computing, resumed and extended stores, lost workers."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from nlosoptics import psf
+from nlosoptics.errors import SceneError
+from nlosoptics.study import Results, Study, plan_study, run_study
+from nlosoptics.study.point import NOT_IN_POINT_SPREAD
+from nlosoptics.study.store import Store
+
+HERE = Path(__file__).parent
+EXAMPLES = HERE.parents[1] / "examples"
+SCENE = str(EXAMPLES / "scenes" / "letter_concave.toml")
+POWERS = {"laser.power": {"from": "1 mW", "to": "9 mW", "count": 9}}
+
+
+def made(*figures, **tables) -> Study:
+    """A study over nine powers, if not told otherwise."""
+    given = {"scene": SCENE, "figures": list(figures), "axes": POWERS, **tables}
+    return Study.from_tables(given, HERE)
+
+
+def own(name: str) -> str:
+    return f"own_figures:{name}"
+
+
+def same(one: Results, other: Results) -> bool:
+    """Whether all but times agree bit for bit."""
+    return one.dataset.drop_vars("seconds").identical(other.dataset.drop_vars("seconds"))
+
+
+def test_figures_are_those_of_the_library(tmp_path: Path) -> None:
+    study = made("strehl", "spot_rms", {"figure": "mtf", "frequency": 5.0, "name": "mtf_5"})
+    study = Study.from_tables(
+        study.definition | {"axes": {"camera.f_number": [16], "laser.power": ["1 mW", "2 mW"]}},
+        HERE,
+    )
+    results = run_study(study, tmp_path / "store", workers=0)
+    found = psf.scene_point_spread(study.scene(0))
+    row = results.dataset.isel({"camera.f_number": 0, "laser.power": 1})
+    assert row["strehl"] == psf.strehl(found.wavefront, remove=("piston", "tilt"))
+    assert row["spot_rms"] == psf.spot_radius(found.wavefront)
+    assert 0.1 < row["mtf_5"] < 1.0
+    assert (row["status"], row["message"]) == ("done", "")
+    assert results.dataset["camera.f_number"] == 16.0
+    assert results.dataset["laser.power"].attrs["units"] == "W"
+
+
+def test_what_a_point_spread_does_not_read_does_not_change_it() -> None:
+    """The list by which points share a point spread, address by address."""
+    base = made("strehl").base
+    new = {
+        "laser.power": "9 mW",
+        "laser.beam_diameter": "1 mm",
+        "laser.independent_patterns": 7,
+        "hidden.image": base.packed({"hidden.image": "../objects/R.png"})["hidden.image"],
+        "hidden.size": "0.2 m",
+        "hidden.material": {"lobe": "lambert", "albedo": 0.3},
+        "camera.exposure": "1 s",
+        "camera.quantum_efficiency": 0.1,
+        "camera.transmission": 0.5,
+        "camera.full_well": 1e4,
+        "camera.read_noise": 9.0,
+        "camera.dark_current": "9 / s",
+        "camera.bit_depth": 8,
+        "camera.glare_fraction": 0.01,
+    }
+    assert set(new) == set(NOT_IN_POINT_SPREAD)
+    stopped = {"camera.f_number": 16, "camera.binning": 32}
+    before = psf.scene_point_spread(base.scene(stopped), 1e-2).point_spread
+    scene = base.scene(stopped | new)
+    assert scene != base.scene(stopped)
+    assert psf.scene_point_spread(scene, 1e-2).point_spread.intensity.tobytes() == (
+        before.intensity.tobytes()
+    )
+
+
+def test_points_share_their_point_spread(tmp_path: Path, monkeypatch) -> None:
+    axes = POWERS | {"camera.f_number": [16, 22]}
+    study = made("strehl", "aberration_rms", axes=axes)
+    assert plan_study(study).point_spreads == 2
+    calls = []
+    real = psf.scene_point_spread
+    monkeypatch.setattr(psf, "scene_point_spread", lambda *a: calls.append(a) or real(*a))
+    results = run_study(study, tmp_path / "store", workers=0)
+    assert len(calls) == 2
+    assert results.counts["done"] == 18
+
+
+def test_a_point_that_fails_says_why(tmp_path: Path) -> None:
+    study = made(own("fragile"), own("not_finite"), own("power"))
+    results = run_study(study, tmp_path / "store", workers=0)
+    data = results.dataset
+    assert np.array_equal(np.isfinite(data["fragile"]), data["laser.power"] <= 3e-3)
+    assert set(data["status"].values.ravel()) == {"failed"}
+    assert data["message"].values[-1] == (
+        "fragile: RuntimeError: too bright; "
+        "not_finite: SceneError: not_finite = nan is not finite; give a finite number in SI units"
+    )
+    assert np.array_equal(data["power"], data["laser.power"])
+    assert results.failures()[data["message"].values[-1]] == 6
+    assert "6 x fragile" in str(results)
+
+
+def test_values_that_a_scene_refuses_fail_also_where_a_stage_is_shared(tmp_path: Path) -> None:
+    for order in (["1 mW", "-1 mW"], ["-1 mW", "1 mW"]):
+        study = made("strehl", axes={"laser.power": order})
+        results = run_study(study, tmp_path / order[0], workers=0)
+        assert np.isfinite(results.dataset["strehl"].sel({"laser.power": 1e-3}))
+        refused = results.dataset.sel({"laser.power": -1e-3})
+        assert refused["status"] == "failed"
+        assert "laser.power = -0.001 W is out of range" in str(refused["message"].values)
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_bits_and_a_killed_one_costs_one_point(tmp_path: Path) -> None:
+    study = made(own("drawn"), own("power"))
+    here = run_study(study, tmp_path / "here", workers=0)
+    assert same(here, Results.load(tmp_path / "here"))
+    there = run_study(study, tmp_path / "there", workers=2)
+    assert same(there, here)
+    lost = run_study(made(own("deadly")), tmp_path / "lost", workers=2).dataset
+    bad = lost["laser.power"].values == 5e-3
+    assert bad.sum() == 1
+    assert np.array_equal(lost["status"], np.where(bad, "lost", "done"))
+    assert np.array_equal(lost["deadly"].values[~bad], lost["laser.power"].values[~bad])
+    assert "worker process ended twice" in str(lost["message"].values[bad])
+
+
+def test_a_store_grows_to_that_of_a_study_at_once(tmp_path: Path) -> None:
+    """More values in any order, more figures, more draws; nothing finished is computed again."""
+    few = made(own("drawn"), axes={"laser.power": ["3 mW", "1 mW"], "camera.f_number": [4]})
+    axes = {"laser.power": ["1 mW", "2 mW", "3 mW"], "camera.f_number": [2, 4]}
+    many = made(own("power"), own("drawn"), axes=axes)
+    run_study(few, tmp_path / "grown", workers=0)
+    half = made(own("drawn"), axes=axes)
+    run_study(half, tmp_path / "grown", workers=0)
+    seconds = Store.open(tmp_path / "grown").column("seconds")
+    grown = run_study(many, tmp_path / "grown", workers=0)
+    assert same(grown, run_study(many, tmp_path / "once", workers=0))
+    again = run_study(many, tmp_path / "grown", workers=0)
+    assert again.dataset.identical(grown.dataset)
+    assert (Store.open(tmp_path / "grown").column("seconds") >= seconds).sum() == 6
+    assert grown.counts == {"pending": 0, "done": 6, "failed": 0, "lost": 0}
+
+
+def test_a_point_is_reopened_without_the_files_of_its_scene(tmp_path: Path) -> None:
+    for name in ("scenes", "objects"):
+        (tmp_path / name).mkdir()
+    for name in ("scenes/letter_concave.toml", "scenes/camera_wu2024.toml", "objects/F.png"):
+        (tmp_path / name).write_bytes((EXAMPLES / name).read_bytes())
+    (tmp_path / "objects" / "R.png").write_bytes((EXAMPLES / "objects" / "R.png").read_bytes())
+    study = made(
+        own("power"),
+        scene=str(tmp_path / "scenes" / "letter_concave.toml"),
+        axes={"hidden.image": ["../objects/F.png", "../objects/R.png"]},
+    )
+    run_study(study, tmp_path / "store", workers=0)
+    wanted = [study.scene(i).hidden.reflectance.tobytes() for i in range(2)]
+    for file in tmp_path.glob("*/*.*"):
+        if file.suffix in (".png", ".toml"):
+            file.unlink()
+    results = Results.load(tmp_path / "store")
+    assert [results.scene(i).hidden.reflectance.tobytes() for i in range(2)] == wanted
+    assert wanted[0] != wanted[1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"axes": {"laser.power": ["1 mW"]}}, "laser.power = 0.002 W and 7 more is missing"),
+        ({"set": {"wall.radius": "4 m"}}, 'wall.radius = "4.0 m" instead of "5.0 m"'),
+        ({"seed": 1}, "seed = 1 instead of 0"),
+        ({"tol": 1e-2}, "tol = 0.01 instead of 0.001"),
+        ({"figures": [{"figure": "strehl", "name": "power"}]}, "figure power is strehl"),
+        ({"axes": {**POWERS, "camera.f_number": [2]}}, "dimension camera.f_number is new"),
+    ],
+)
+def test_another_study_is_refused_with_the_difference(changes, told, tmp_path: Path) -> None:
+    study = made(own("power"))
+    before = run_study(study, tmp_path / "store", workers=0)
+    other = Study.from_tables(study.definition | changes, HERE)
+    with pytest.raises(SceneError, match=f"results of another study: .*{told}"):
+        run_study(other, tmp_path / "store", workers=0)
+    assert run_study(study, tmp_path / "store", workers=0).dataset.identical(before.dataset)
+
+
+def test_interrupted_run_keeps_its_blocks_and_goes_on(tmp_path: Path) -> None:
+    study = made(own("drawn"))
+    asked = iter([False] * 4 + [True] * 99)
+    part = run_study(study, tmp_path / "store", workers=0, interrupted=lambda: next(asked))
+    assert 0 < part.counts["pending"] < 9
+    with pytest.raises(SceneError, match=r"points of 9 in .* are pending; finish the study"):
+        part.values("drawn")
+    kept = part.dataset["seconds"].values
+    whole = run_study(study, tmp_path / "store", workers=0)
+    assert same(whole, run_study(study, tmp_path / "other", workers=0))
+    finished = np.isfinite(kept)
+    assert np.array_equal(whole.dataset["seconds"].values[finished], kept[finished])
+
+
+def test_corrupt_chunks_are_named_and_computed_again(tmp_path: Path) -> None:
+    study = made(own("drawn"))
+    before = run_study(study, tmp_path / "store", workers=0)
+    for name, chunk in (("drawn", "2"), ("drawn_status", "5"), ("message", "7")):
+        (tmp_path / "store" / name / "c").mkdir(exist_ok=True)
+        (tmp_path / "store" / name / "c" / chunk).write_bytes(b"broken")
+    broken = Results.load(tmp_path / "store")
+    assert np.flatnonzero(broken.dataset["status"] == "pending").tolist() == [2, 5, 7]
+    assert same(run_study(study, tmp_path / "store", workers=0), before)
+
+
+def test_a_store_that_cannot_be_written_is_one_line(tmp_path: Path, monkeypatch) -> None:
+    study = made(own("power"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SceneError, match=r"cannot be written .Not a directory"):
+        run_study(study, tmp_path / "file" / "store", workers=0)
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "thesis.tex").write_text("")
+    with pytest.raises(SceneError, match="is no store of a study"):
+        run_study(study, tmp_path / "foreign", workers=0)
+    written = Store._told
+
+    def full(store: Store, rows: slice):
+        if rows.start == 4:
+            raise OSError(28, "No space left on device")
+        return written(store, rows)
+
+    monkeypatch.setattr(Store, "_told", full)
+    with pytest.raises(SceneError, match="No space left on device.; finished blocks are kept"):
+        run_study(study, tmp_path / "store", workers=0)
+    monkeypatch.undo()
+    assert 4 <= Results.load(tmp_path / "store").counts["done"] <= 6  # three are in flight
+    assert run_study(study, tmp_path / "store", workers=0).counts["done"] == 9
+
+
+CHILD = """
+import sys
+from nlosoptics.study import Study, run_study
+run_study(Study.load(sys.argv[1]), sys.argv[2], workers=0)
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_client_loses_no_finished_block(tmp_path: Path) -> None:
+    """SIGKILL as soon as a random number of chunks exists; resumed to the same bits."""
+    (tmp_path / "study.toml").write_text(
+        f'scene = "{SCENE}"\nfigures = ["own_figures:slow", "own_figures:drawn"]\n'
+        '[axes]\n"laser.power" = { from = "1 mW", to = "9 mW", count = 40 }\n'
+    )
+    (tmp_path / "own_figures.py").write_bytes((HERE / "own_figures.py").read_bytes())
+    store = tmp_path / "store"
+    seed = int(time.time())
+    random = np.random.default_rng(seed)
+    known: dict[str, tuple[bytes, int]] = {}
+    for kill in range(3):
+        most = len(list(store.glob("*/c/*"))) + random.integers(1, 12)
+        child = subprocess.Popen(
+            [sys.executable, "-c", CHILD, str(tmp_path / "study.toml"), str(store)]
+        )
+        while child.poll() is None and len(list(store.glob("*/c/*"))) < most:
+            time.sleep(0.003)
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        for file in store.glob("*_status/c/*"):  # a finished block is never written again
+            stat = (file.read_bytes(), file.stat().st_mtime_ns)
+            assert known.setdefault(str(file), stat) == stat, (seed, kill)
+    study = Study.load(tmp_path / "study.toml")
+    resumed = run_study(study, store, workers=0)
+    assert same(resumed, run_study(study, tmp_path / "undisturbed", workers=0)), seed
+    for file, stat in known.items():
+        assert (Path(file).read_bytes(), Path(file).stat().st_mtime_ns) == stat, seed
+
+
+def test_only_one_process_writes(tmp_path: Path) -> None:
+    fcntl = pytest.importorskip("fcntl")
+    study = made(own("power"))
+    (tmp_path / "store").mkdir()
+    folder = os.open(tmp_path / "store", os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    try:
+        with pytest.raises(SceneError, match="being written by another process"):
+            run_study(study, tmp_path / "store", workers=0)
+    finally:
+        os.close(folder)
+    assert run_study(study, tmp_path / "store", workers=0).counts["done"] == 9
+
+
+@pytest.mark.slow
+def test_a_dask_scheduler_gives_the_same_bits(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    study = made(own("drawn"), own("power"))
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        there = run_study(study, tmp_path / "there", scheduler=cluster.scheduler_address)
+    assert same(there, run_study(study, tmp_path / "here", workers=0))
+    with pytest.raises(SceneError, match="does not answer"):
+        run_study(study, tmp_path / "none", scheduler="tcp://127.0.0.1:1")
