@@ -25,15 +25,17 @@ class FacetPSF(nn.Module):
     """Point spread of a round pupil of independent facets as a function of their exit angles.
 
     Each facet sends its share of the light to one place of the image, ``tan(angle) *
-    image_distance`` from the centre. Unlike in `PupilPSF`, the facets form no continuous wave and
+    image_distance`` from the centre, wherever the facet is in the pupil. The angle 0 is perfect
+    focus. Unlike in `PupilPSF`, the facets form no continuous wave and
     do not interfere, so that angles and pixels may have any size. Use it for spots that are much
     wider than lambda times the F-number. All methods accept batches of coefficients (..., g, g, 2).
 
     Parameters
     ----------
     angles : array_like, (g, g, 2)
-        Start values of the exit angles from the axis toward u and v, rad, with rows along v. Facet
-        [g//2, g//2] is on the axis. Facets outside the pupil have no effect.
+        Start values of the angles by which the facets deflect light from the image's centre, toward
+        u and v, rad. The first index counts along v, the second along u. Facet [g//2, g//2] is on
+        the axis. Facets outside the pupil have no effect.
     angle_pitch : float
         Side of the square facets in the pupil, m; the grid must cover the pupil.
     pupil_radius : float

@@ -92,10 +92,10 @@ def intersect_mesh(
 
     Notes
     -----
-    In meshes of more than 256 triangles, the choice of the triangle can be wrong in three cases,
-    each within 1e-6 of the mesh's extent. Two sheets that are closer than this may be exchanged. A
-    ray that passes so close to the outline of a part may hit or miss that part. The same holds at
-    corners of an outline with an angle below 120 degrees. Smaller meshes have no such cases.
+    In meshes of more than 256 triangles, a ray may be given the wrong triangle, or none, where
+    distances are below 1e-6 of the mesh's extent: between two sheets that are this close, and where
+    the ray passes this close to the outline of a part, its sharp corners included. Smaller meshes
+    have no such cases.
 
     A ray that starts on a triangle may miss it, or hit it at a distance of rounding size. Give
     ``min_distance`` to ignore such hits. Other triangles are not affected.
