@@ -22,6 +22,7 @@ from ..psf.pupil.exit_pupil import ExitPupil
 from ..psf.pupil.obstruction import check_cone
 from ..psf.pupil.paraxial import change_over_object
 from ..psf.pupil.scene_optics import PointOptics, SceneOptics
+from ..psf.transform.models import predicted_model_error, wide_pixel_error
 from ..psf.walls.field import picture_point
 from ..psf.walls.rough_wall import rough_choice
 from ..psf.walls.scene_costs import Cost, grid_samples, point_cost
@@ -203,6 +204,14 @@ def spread_cost(scene: Scene, look: Look, side: int, tol: float) -> Cost:
     return Cost(seconds, found[-1].n_bytes)
 
 
+def model_error(scene: Scene, look: Look) -> float:
+    """Predict the error of scalar diffraction, relative to the peak of the point spread."""
+    residual = look.seen.first.residual
+    if scene.wall_roughness is not None or any(slope > 0 for slope in scene.mirror_slopes):
+        return wide_pixel_error(residual)
+    return predicted_model_error(residual, scene.camera.image_pitch)
+
+
 def point_spread_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -> Stage:
     """Return the stage of the point spread at the object's centre."""
     core, pitch = scene.laser.wavelength * pupil.f_number, scene.camera.image_pitch
@@ -210,14 +219,20 @@ def point_spread_stage(scene: Scene, pupil: ExitPupil, look: Look, tol: float) -
     blur = f", blurred by the lobe's slopes of {slope:g} rad" if slope > 0 else ""
     if scene.wall_roughness is not None:
         blur = f"; {rough_choice(look.seen, pitch, (look.side, look.side), tol).reason}"
-    cost = spread_cost(scene, look, look.side, tol)
+    cost, error = spread_cost(scene, look, look.side, tol), f"{tol:g} of the peak"
+    model = model_error(scene, look)
+    if model > tol:
+        error += f", scalar model {model:.1g}"
+        blur += "; the scalar model errs by more than tol: stop the lens down, use a larger tol"
+        if scene.wall_roughness is None and slope == 0:
+            blur += ", or compare psf.scene_point_spread(scene, model='auto')"
     return Stage(
         name="point spread",
         runs=True,
         reason=f"at the object's centre, {look.side} x {look.side} pixels; a pixel is "
         f"{pitch / core:.3g} lambda N wide{blur}",
         seconds=cost.seconds,
-        error=f"{tol:g} of the peak",
+        error=error,
         memory=cost.n_bytes,
     )
 

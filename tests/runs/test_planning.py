@@ -123,6 +123,17 @@ def test_every_stage_runs_or_says_why_not(flat_scene):
         assert stage.reason in str(plan)
 
 
+def test_the_plan_says_where_the_scalar_model_errs_by_more_than_tol(flat_scene):
+    """F/2: the axial field moves 1 % of the peak of a spot that fills several pixels."""
+    mirror = SumMaterial(SpecularMicrofacet(0.05, 0.0))
+    scene = replace(flat_scene, wall=ConcaveWall(5.0), wall_material=mirror)
+    for tol in (1e-3, 0.1):
+        stage = next(one for one in nlos.plan(scene, tol).stages if one.name == "point spread")
+        found = nlos.psf.scene_point_spread(scene, tol).point_spread
+        said = "scalar model" in stage.error
+        assert said == (found.model_error > tol) == ("model='auto'" in stage.reason)
+
+
 def test_the_plan_says_how_binning_reduces_the_sensor(flat_scene):
     whole = replace(flat_scene.camera, pixels=(512, 256), binning=Camera.binning)
     (image,) = (s for s in nlos.plan(replace(flat_scene, camera=whole)).stages if s.name == "image")

@@ -12,6 +12,7 @@ from ...errors import SamplingError, SceneError
 from ..wave.detilted import Residual
 from ..wave.regime import Regime
 from ..window.error_bounds import rounded_up
+from ..window.window import peak_pixel
 from . import geometric, high_aperture
 from .high_aperture import Polarisation
 from .runners import Result, Task, transform
@@ -73,6 +74,15 @@ def check_model(model: Model, method: str, polarisation: Polarisation) -> Polari
             "model='high-aperture'"
         )
     return found
+
+
+def check_scalar(model: Model, wall: str) -> None:
+    """Refuse the high-aperture model for a wall whose statistics blur the scalar point spread."""
+    if model == "high-aperture":
+        raise SceneError(
+            f"model = 'high-aperture' for a wall with {wall}, which only the scalar model blurs; "
+            "use model='scalar', whose model_error is returned"
+        )
 
 
 def modelled(
@@ -178,20 +188,42 @@ def scalar_model_error(task: Task, result: Result, normalisation: str) -> float:
     residual = task.residual
     if task.surface is not None:
         return math.inf
-    peak, secant = plane_levels(residual)
-    share, largest = axial_share(residual), float(result.mean.max())
+    largest = float(result.mean.max())
     if task.rule is None and task.pitch > residual.nyquist_pitch * (1 + 1e-9):
-        error = 2 * ABERRATED * share / largest  # samples may miss the peak
+        error = 2 * ABERRATED * axial_share(residual) / largest  # samples may miss the peak
     else:
-        error = 2 * share * (IDEAL + (ABERRATED - IDEAL) * max(1 - largest, 0.0))
+        error = _axial_error(residual, largest)
     if normalisation != "ideal-peak":
-        # Ratio of the energies per pixel at the ideal peaks
-        ratio = task.level * peak / secant / result.level
-        error = max(error, abs(ratio - 1), abs(1 / ratio - 1))
+        error = max(error, _level_error(residual, task.level / result.level))
     if task.rule is not None and task.pitch > WIDE * residual.airy_unit:
         wide = wide_pixel_error(residual, largest * result.level)
         error = min(error, in_normalisation(residual, wide, normalisation))
     return MARGIN * error
+
+
+def predicted_model_error(residual: Residual, pitch: float) -> float:
+    """Predict `scalar_model_error` on pixels of a side ``pitch``, m, for unit energy."""
+    bright = peak_pixel(residual, pitch)
+    error = _axial_error(residual, min(bright / residual.pixel_share(pitch), 1.0))
+    error = max(error, _level_error(residual, 1.0))
+    if pitch > WIDE * residual.airy_unit:
+        error = min(error, wide_pixel_error(residual, bright))
+    return MARGIN * error
+
+
+def _axial_error(residual: Residual, largest: float) -> float:
+    """Return the model error by the axial field, for a largest intensity over the ideal peak."""
+    return 2 * axial_share(residual) * (IDEAL + (ABERRATED - IDEAL) * max(1 - largest, 0.0))
+
+
+def _level_error(residual: Residual, level: float) -> float:
+    """Return the model error by the ratio of the energies per pixel at the ideal peaks.
+
+    ``level`` is the energy per pixel of the ideal scalar wave over that of the result.
+    """
+    peak, secant = plane_levels(residual)
+    ratio = level * peak / secant
+    return max(abs(ratio - 1), abs(1 / ratio - 1))
 
 
 def plane_levels(residual: Residual) -> tuple[float, float]:

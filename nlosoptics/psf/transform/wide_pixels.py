@@ -13,7 +13,7 @@ from ..._checks import in_range, positive
 from ..wave.detilted import Residual, split
 from ..wave.wavefront import Wavefront
 from ..window.window import peak_pixel, ray_reach, shape_of
-from .models import wide_pixel_error
+from .models import Model, wide_pixel_error
 from .point_spread import PointSpread, detilted_point_spread
 
 Array = NDArray[np.float64]
@@ -70,15 +70,22 @@ def wide_point_spread(
 
 
 def detilted_wide_spread(
-    residual: Residual, pitch: float, shape: tuple[int, int], tol: float
+    residual: Residual,
+    pitch: float,
+    shape: tuple[int, int],
+    tol: float,
+    model: Model = "scalar",
 ) -> PointSpread:
-    """Compute `wide_point_spread` for a wave already split into piston, tilt and residual."""
+    """Compute `wide_point_spread` for a wave already split into piston, tilt and residual.
+
+    ``model`` is that of `point_spread`. Tails are added in the scalar model only.
+    """
     whole = partial(
         detilted_point_spread, residual, pitch=pitch, shape=shape, pixel_integrated=True, tol=tol
     )
     inner = inner_parts(residual, pitch, shape, tol)
-    if inner is None:
-        return whole()
+    if inner is None or model == "high-aperture":
+        return whole(model=model)
     n, parts = inner
     unit, reach = residual.airy_unit, ray_reach(residual)
     fine = detilted_point_spread(
@@ -92,8 +99,9 @@ def detilted_wide_spread(
     # Errors of the parts^2 samples of a pixel have both signs; their sum grows as parts.
     error = fine.error_estimate * min(parts, n) * float(fine.intensity.max())
     error = (error + missing * _model_error(reach / half)) / peak
-    if error > tol:
-        return whole()
+    omitted = wide_pixel_error(residual, peak)
+    if error > tol or (model == "auto" and omitted > tol):
+        return whole(model=model)
     return replace(
         fine,
         intensity=intensity,
@@ -102,7 +110,7 @@ def detilted_wide_spread(
         error_estimate=error,
         enclosed_energy=float(intensity.sum()),
         regime=replace(fine.regime, pixel=pitch / unit),
-        model_error=wide_pixel_error(residual, peak),
+        model_error=omitted,
         reason=f"{n} x {n} parts of pixels hold the rays, a tail the rest; {fine.reason}",
     )
 

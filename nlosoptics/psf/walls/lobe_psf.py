@@ -20,6 +20,7 @@ from ..rough.mean import detilted_mean
 from ..rough.roughness import Roughness
 from ..rough.source import rough_view
 from ..rough.view import RoughView
+from ..transform.models import Model, check_scalar
 from ..transform.point_spread import PointSpread
 from ..transform.wide_pixels import detilted_wide_spread
 from ..wave.detilted import Residual, split
@@ -117,7 +118,12 @@ class MirrorLobes:
         return [rough_view(wave, self.view, lobe_roughness(r, ROUGH, height)) for r in self.rough]
 
     def point_spread(
-        self, residual: Residual, pitch: float, shape: tuple[int, int], tol: float
+        self,
+        residual: Residual,
+        pitch: float,
+        shape: tuple[int, int],
+        tol: float,
+        model: Model = "scalar",
     ) -> PointSpread:
         """Compute the point spread of all lobes, integrated over pixels; see `lobe_point_spread`.
 
@@ -131,13 +137,21 @@ class MirrorLobes:
             Pixels (ny, nx).
         tol : float
             Wanted error, max |dI|/max I.
+        model : {"scalar", "auto", "high-aperture"}
+            Model of diffraction, see `transform.point_spread`. Slopes blur the scalar one.
 
         Returns
         -------
         PointSpread
+
+        Raises
+        ------
+        SceneError
+            If the high-aperture model is requested for a lobe with a slope.
         """
         if self.view is None:
-            return detilted_wide_spread(residual, pitch, shape, tol)
+            return detilted_wide_spread(residual, pitch, shape, tol, model)
+        check_scalar(model, "a lobe with a slope")
         check_rays(residual, pitch, shape)
         parts: list[tuple[float, PointSpread]] = []
         for lobe, seen in zip(self.rough, self.views(residual), strict=True):

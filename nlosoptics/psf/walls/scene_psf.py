@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from ..._checks import fits_memory, in_range
+from ..._checks import fits_memory, in_range, one_of
 from ..._nouns import Noun
 from ..._progress import Progress
 from ...scene import Scene
 from ..pupil.exit_pupil import ExitPupil
 from ..pupil.scene_optics import PointOptics, SceneOptics, optics_of
 from ..pupil.wall_wavefront import AimedWave
+from ..transform.models import MODELS, Model, check_scalar
 from ..transform.point_spread import PointSpread
 from ..wave.wavefront import Wavefront
 from ..window.window import shape_of
@@ -57,6 +58,7 @@ def scene_point_spread(
     object_point: ArrayLike | None = None,
     pitch: float | None = None,
     shape: int | tuple[int, int] | None = None,
+    model: Model = "scalar",
     progress: Progress | None = None,
 ) -> ScenePointSpread:
     """Compute the point spread function of a scene, with its wave and its exit pupil.
@@ -76,6 +78,10 @@ def scene_point_spread(
     shape : int or (int, int), optional
         Pixels (ny, nx). By default the odd square outside which the point spread stays below
         ``tol`` of its peak.
+    model : {"scalar", "auto", "high-aperture"}
+        ``scalar`` is the small-angle model. ``high-aperture`` is the vector diffraction of
+        unpolarised light (`point_spread`), for walls without roughness and lobes without slope; it
+        takes longer. ``auto`` takes it for such walls if ``model_error`` exceeds ``tol``.
     progress : callable(str, float), optional
         Called with "wave aberration" and "point spread" at the start of each stage.
 
@@ -104,7 +110,8 @@ def scene_point_spread(
     -----
     If the lens limits the cone of light, the pupil is sampled by polar nodes. If the wall's edge
     vignettes it or is the stop, it is sampled by a grid (`wavefront`, ``nodes="auto"``). Both are
-    refined until a transform reaches ``tol``.
+    refined until a transform reaches ``tol``. `simulate` uses the scalar model; `plan` says where
+    its error exceeds ``tol``.
 
     A wall with `Scene.wall_roughness` is treated in one of four regimes, which
     ``point_spread.reason`` names. If the scene asks for the mean, it is computed in closed form.
@@ -122,6 +129,7 @@ def scene_point_spread(
     """
     optics = optics_of(scene)
     in_range("tol", tol, 1e-12, 1.0)
+    one_of("model", model, MODELS)
     if pitch is None:
         pitch = optics.scene.camera.image_pitch
     pitch = in_range("pitch", pitch, 1e-15, 1e3, unit="m")
@@ -139,9 +147,10 @@ def scene_point_spread(
     ny, nx = shape
     fits_memory(f"a point spread of {ny:.3g} x {nx:.3g} pixels", 32.0 * ny * nx, remedy)
     if optics.scene.wall_roughness is None:
-        aimed, spread = point_image(seen, pitch, shape, tol)
+        aimed, spread = point_image(seen, pitch, shape, tol, model)
         field = None
     else:
+        check_scalar(model, "roughness")
         aimed, spread, field = rough_image(seen, pitch, shape, tol)
     return ScenePointSpread(
         exit_pupil=optics.exit_pupil, wavefront=aimed.wave, point_spread=spread, pupil_field=field
@@ -172,7 +181,11 @@ def point_window(seen: PointOptics, pitch: float, tol: float) -> int:
 
 
 def point_image(
-    seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float
+    seen: PointOptics,
+    pitch: float,
+    shape: tuple[int, int],
+    tol: float,
+    model: Model = "scalar",
 ) -> tuple[AimedWave, PointSpread]:
     """Compute wave and image of an object point, with as many pupil nodes as ``tol`` requires.
 
@@ -186,6 +199,8 @@ def point_image(
         Pixels (ny, nx).
     tol : float
         Wanted error of the image, max |dI|/max I.
+    model : {"scalar", "auto", "high-aperture"}
+        Model of diffraction for a wall without roughness, see `scene_point_spread`.
 
     Returns
     -------
@@ -197,4 +212,4 @@ def point_image(
     if seen.scene.wall_roughness is not None:
         return rough_image(seen, pitch, shape, tol)[:2]
     lobes = lobes_of(seen.scene, lambda: seen.view)
-    return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol))
+    return seen.refined(lambda aimed: lobes.point_spread(aimed.residual, pitch, shape, tol, model))

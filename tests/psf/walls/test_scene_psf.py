@@ -274,6 +274,7 @@ def test_bad_source_of_a_rough_wall_is_refused():
     [
         ({"tol": 1e-320}, "tol = .* must be from 1e-12 to 1"),
         ({"tol": True}, "tol = True is not a number"),
+        ({"model": "vector"}, "model = 'vector'"),
         ({"pitch": 1e300}, "pitch = 1e.300 m is out of range, must be from 1e-15 to 1000 m"),
         ({"pitch": 1e-320}, "pitch = .* must be from 1e-15 to 1000 m"),
         ({"shape": 10**400}, "shape = an int of 1329 bits is out of range"),
@@ -286,6 +287,39 @@ def test_a_wrong_option_ends_in_one_line_before_any_work(options, message):
     with pytest.raises(NlosError, match=message) as raised:
         psf.scene_point_spread(SCENES["vignetted"], **options)
     assert "\n" not in str(raised.value)
+
+
+def test_a_fast_lens_gets_the_vector_model_where_tol_needs_it(flat_scene):
+    """At F/2 the scalar model errs by 1 %; only a smooth wall has the other one."""
+    fine = {"pitch": 0.5e-6, "shape": 33}
+    scalar, found = (
+        psf.scene_point_spread(flat_scene, 1e-4, model=model, **fine).point_spread
+        for model in ("scalar", "auto")
+    )
+    assert (scalar.model, found.model, found.model_error) == ("scalar", "high-aperture", 0.0)
+    difference = np.abs(found.intensity - scalar.intensity).max() / found.intensity.max()
+    # the difference is the whole of the model's error, up to the errors of both
+    assert 0.1 * scalar.model_error < difference < scalar.model_error + 2e-4
+    wave = psf.scene_point_spread(flat_scene, 1e-4, **fine).wavefront
+    options = {"pixel_integrated": True, "tol": 1e-4, "model": "high-aperture", **fine}
+    alone = psf.point_spread(wave, **options)
+    assert np.array_equal(found.intensity, alone.intensity)
+    # a pixel that holds nearly all of the light hides the difference
+    wide = psf.scene_point_spread(flat_scene, 1e-3, model="auto").point_spread
+    assert wide.model == "scalar"
+    assert wide.model_error < 1e-3
+    blurred = replace(flat_scene, wall_material=SumMaterial(SpecularMicrofacet(0.05, 1e-3)))
+    with pytest.raises(SceneError, match="model = 'high-aperture' for a wall with a lobe with"):
+        psf.scene_point_spread(blurred, model="high-aperture", **fine)
+    assert (
+        psf.scene_point_spread(blurred, 1e-2, model="auto", **fine).point_spread.model == "scalar"
+    )
+
+
+def test_roughness_has_no_vector_model():
+    scene = Scene.load(EXAMPLES / "letter_rough.toml")
+    with pytest.raises(SceneError, match="model = 'high-aperture' for a wall with roughness"):
+        psf.scene_point_spread(scene, model="high-aperture", shape=5)
 
 
 def test_an_exit_pupil_of_another_kind_is_refused():
