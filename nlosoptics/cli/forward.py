@@ -86,8 +86,10 @@ def run_command(
 
         seed = checked_seed(seed)
         scene = load(scene_file, size, changes)
+        loaded = time.perf_counter()
         planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
         check_target(folder)
+        ready = time.perf_counter()
         drawn = can_draw()
         with progress_bar() as progress:
             result = carried_out(planned, optics, seed, progress)
@@ -95,10 +97,20 @@ def run_command(
             with whole_folder(folder) as new:
                 began = time.perf_counter()
                 report = write_result(result, new) | {"command_line": typed(context)}
+                written = time.perf_counter()
                 if drawn:
                     _write_pictures(result, new)
-                report["seconds"]["writing"] = time.perf_counter() - began
-                report["seconds"]["total"] = time.perf_counter() - start
+                ended = time.perf_counter()
+                seconds = {
+                    "loading": loaded - start,
+                    "planning": ready - loaded,
+                    **report["seconds"],
+                    "writing": written - began,
+                    "figures": ended - written,
+                }
+                # what lies between the stages
+                seconds["other"] = ended - start - sum(seconds.values())
+                report["seconds"] = seconds | {"total": ended - start}
                 write_record(report, new)
         _print_summary(report, folder)
 
@@ -115,7 +127,7 @@ def schema_command(debug: Debug = False) -> None:
 def _write_pictures(result: Result, folder: Path) -> None:
     """Write an overview picture and one PNG for each part of the result."""
     from .. import limits, views
-    from ..views.overview import ground_truth
+    from ..views.run_overview import ground_truth
 
     scale = limits.object_scale(result.scene)
     views.save(views.overview(result), folder / "overview.png")

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import constants
 
 from .._checks import in_range, positive
 from .._vectors import dot
@@ -26,6 +25,10 @@ from .geometry import ChiefRays, pixel_centres
 from .objects import Patches
 
 Array = NDArray[np.float64]
+
+# Exact by definition of the SI; scipy.constants would load all of CODATA.
+PLANCK = 6.62607015e-34  # J s
+LIGHT_SPEED = 299_792_458.0  # m/s
 
 GRAZING = math.radians(89.0)  # largest angle of incidence of the laser beam
 NODES = 24  # nodes of the Chebyshev interpolation along each side of the detector
@@ -50,7 +53,7 @@ def photon_rate(power: float, wavelength: float) -> float:
         Photons per second, 1/s.
     """
     positive("wavelength", wavelength, unit="m")
-    return in_range("power", power, 0.0, unit="W") * wavelength / (constants.h * constants.c)
+    return in_range("power", power, 0.0, unit="W") * wavelength / (PLANCK * LIGHT_SPEED)
 
 
 def electrons_per_joule(scene: Scene) -> float:

@@ -6,15 +6,6 @@
 - `verdicts`: whether the object is recoverable, in text; `reports`: `feasibility`.
 """
 
-from .modulation import object_scale
-from .relay import lambert_relay_limit, lambert_relay_transfer, lobe_relay_transfer
-from .reports import Feasibility, feasibility
+import lazy_loader as _lazy
 
-__all__ = [
-    "Feasibility",
-    "feasibility",
-    "lambert_relay_limit",
-    "lambert_relay_transfer",
-    "lobe_relay_transfer",
-    "object_scale",
-]
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

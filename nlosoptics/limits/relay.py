@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+import scipy  # loads scipy.special and scipy.optimize on first use
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, special
 
 from .._checks import in_range, positive, whole
 from .._vectors import dot
@@ -76,7 +76,7 @@ def lambert_relay_transfer(frequency: ArrayLike, distance: float) -> Array:
     scale = 2 * math.pi * positive("distance", distance)
     # K1 underflows to 0 in double precision beyond 750
     x = np.minimum(_frequencies(frequency), 1e3 / scale) * scale
-    return np.asarray(np.where(x > 0.0, x * special.k1(np.maximum(x, 1e-300)), 1.0))
+    return np.asarray(np.where(x > 0.0, x * scipy.special.k1(np.maximum(x, 1e-300)), 1.0))
 
 
 def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float) -> Array:
@@ -161,9 +161,9 @@ def lambert_relay_limit(electrons: float, distance: float) -> float:
     target = -0.5 * math.log(electrons / 2.0)
 
     def excess(x: float) -> float:
-        return math.log(x) + math.log(special.k1e(x)) - x - target
+        return math.log(x) + math.log(scipy.special.k1e(x)) - x - target
 
-    return float(optimize.brentq(excess, 1e-9, 700.0, xtol=1e-14)) / (2 * math.pi * distance)
+    return float(scipy.optimize.brentq(excess, 1e-9, 700.0, xtol=1e-14)) / (2 * math.pi * distance)
 
 
 def relay_modes(

@@ -6,59 +6,6 @@ Nothing is computed here, and no window opens. matplotlib and pyvista belong to 
 pyplot, so that they need no display and keep no global state; plotters render off screen.
 """
 
-from .curves import (
-    compare_methods,
-    encircled_energy,
-    history,
-    mtf,
-    spot_diagram,
-    through_focus,
-)
-from .films import transient, transient_film
-from .forecasts import feasibility, plan
-from .maps import (
-    hybrid_parts,
-    image,
-    irradiance,
-    point_spread,
-    pupil_field,
-    reconstruction,
-    wavefront,
-)
-from .overview import overview
-from .pages import html_page
-from .rooms import ray_paths, scene_3d
-from .saving import save
-from .sketch import scene_sketch
-from .stages import rendering_works, window
-from .volumes import phasor_volume, volume
+import lazy_loader as _lazy
 
-__all__ = [
-    "compare_methods",
-    "encircled_energy",
-    "feasibility",
-    "history",
-    "html_page",
-    "hybrid_parts",
-    "image",
-    "irradiance",
-    "mtf",
-    "overview",
-    "phasor_volume",
-    "plan",
-    "point_spread",
-    "pupil_field",
-    "ray_paths",
-    "reconstruction",
-    "rendering_works",
-    "save",
-    "scene_3d",
-    "scene_sketch",
-    "spot_diagram",
-    "through_focus",
-    "transient",
-    "transient_film",
-    "volume",
-    "wavefront",
-    "window",
-]
+__getattr__, __dir__, __all__ = _lazy.attach_stub(__name__, __file__)

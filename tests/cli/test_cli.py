@@ -260,7 +260,12 @@ def test_run_writes_the_whole_result(examples: Path, scene_file: Path, run: Run)
         report["files"]
     )
     stages = [stage["name"] for stage in report["plan"]["stages"]]
-    assert list(report["seconds"]) == [*stages, "writing", "total"]
+    seconds = report["seconds"]
+    ends = ["writing", "figures", "other", "total"]
+    assert list(seconds) == ["loading", "planning", *stages, *ends]
+    *parts, whole = seconds.values()
+    assert sum(parts) == pytest.approx(whole, rel=1e-9)  # rounding of a sum
+    assert min(parts) >= 0.0
     assert report["figures"]["correlation_with_truth"] > 0.9
     for stage in stages:
         assert stage in answer.out

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from ...errors import SamplingError, SceneError
+from ..data.arrays import as_numpy
 from ..data.forward import TorchForwardModel
 from ..data.measurement import Measurement, real_array
 
@@ -52,11 +53,11 @@ def image_lags(data: Measurement, model: TorchForwardModel | None) -> Array:
     Both sides are odd. Without a model each lag is the mean over all pairs of valid pixels. With a
     model the power spectrum is divided by that of the point spread, where this exceeds the noise.
     """
-    clean = (data.data - data.data.mean()).cpu().numpy()
+    clean = as_numpy(data.data - data.data.mean())
     counts = np.ones(clean.shape)
     if data.weights is not None:
         # excluded pixels hold the weighted mean of the others
-        counts = (data.weights > 0.0).cpu().numpy().astype(np.float64)
+        counts = as_numpy(data.weights > 0.0).astype(np.float64)
         clean = np.where(counts > 0.0, clean - clean[counts > 0.0].mean(), 0.0)
     if model is None:
         grid = tuple(int(fft.next_fast_len(2 * n, real=True)) for n in clean.shape)
