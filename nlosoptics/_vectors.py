@@ -1,4 +1,4 @@
-"""Scalar products of many vectors."""
+"""Scalar products of many vectors, and views for compiled kernels."""
 
 from __future__ import annotations
 
@@ -17,3 +17,14 @@ def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
     total += a[..., 1] * b[..., 1]
     total += a[..., 2] * b[..., 2]
     return total
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return a read-only view.
+
+    numba compiles a kernel once for arrays that can be written and once more for those that cannot;
+    with such views it is compiled once.
+    """
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from .codes import (
@@ -168,11 +169,45 @@ def material(lobes, mu_i, mu_o, cos_between):
     return total
 
 
-@njit(cache=True)
 def evaluate(lobes, mu_i, mu_o, cos_between, out):
-    """Fill ``out`` (m,) with `material` for arrays of cosines."""
+    """Fill ``out`` (m,) with `material` for arrays of cosines.
+
+    Lobes are added one by one, so that only the families that occur are compiled.
+    """
+    out[:] = 0.0
+    for kind, strength, slope, factor in lobes:
+        if kind == LAMBERT:
+            out += factor * np.where((mu_i >= 0.0) & (mu_o >= 0.0), strength / math.pi, 0.0)
+        elif kind in (BECKMANN, GGX):
+            _add_microfacets(
+                mu_i, mu_o, cos_between, strength, slope, bool(kind == GGX), factor, out
+            )
+        elif kind >= WARD_1992:
+            _add_ward(mu_i, mu_o, cos_between, strength, slope, int(kind), factor, out)
+        else:
+            full = bool(kind == OREN_NAYAR_FULL)
+            _add_oren_nayar(mu_i, mu_o, cos_between, strength, slope, full, factor, out)
+
+
+@njit(cache=True)
+def _add_microfacets(mu_i, mu_o, cos_between, reflectance, slope_rms, ggx, factor, out):
+    """Add a microfacet lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):
-        out[i] = material(lobes, mu_i[i], mu_o[i], cos_between[i])
+        out[i] += factor * microfacet(mu_i[i], mu_o[i], cos_between[i], reflectance, slope_rms, ggx)
+
+
+@njit(cache=True)
+def _add_ward(mu_i, mu_o, cos_between, albedo, alpha, kind, factor, out):
+    """Add a Ward lobe times a factor to ``out`` (m,)."""
+    for i in range(out.size):
+        out[i] += factor * ward(mu_i[i], mu_o[i], cos_between[i], albedo, alpha, kind)
+
+
+@njit(cache=True)
+def _add_oren_nayar(mu_i, mu_o, cos_between, albedo, slope_rms, full, factor, out):
+    """Add an Oren-Nayar lobe times a factor to ``out`` (m,)."""
+    for i in range(out.size):
+        out[i] += factor * oren_nayar(mu_i[i], mu_o[i], cos_between[i], albedo, slope_rms, full)
 
 
 @njit(cache=True)

@@ -388,19 +388,13 @@ def _refuse_behind(wall: Wall, name: str, points: Array) -> None:
     if not len(points):
         return
     x, y, z = np.ascontiguousarray(points.T)
-    surface = np.empty((len(points), 6))
-    if wall.is_compiled:
-        from ..kernels import heights
-
-        heights.surfaces(*wall.compiled(), x, y, surface)
-    else:
-        surface[:, 0] = wall.height(x, y)
+    heights = wall.surface_values(x, y)[:, 0] if wall.is_compiled else wall.height(x, y)
     # where the wall has no height, NaN compares false and the point passes
-    behind = np.nonzero(z <= surface[:, 0])[0]
+    behind = np.nonzero(z <= heights)[0]
     if len(behind):
         i = behind[0]
         what = {"hidden.size": " puts a corner", "hidden.mesh": " puts a vertex"}.get(name, " is")
         raise SceneError(
             f"{name}{what} at x = {x[i]:g} m, y = {y[i]:g} m, z = {z[i]:g} m, behind the wall, "
-            f"whose height there is {surface[i, 0]:g} m; move it further into the room"
+            f"whose height there is {heights[i]:g} m; move it further into the room"
         )

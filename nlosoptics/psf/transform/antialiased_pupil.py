@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import read_only
 from ..wave.detilted import Residual
 from ..wave.polar_series import PolarSpectrum
 from ..wave.pupil_polynomials import fitted
@@ -162,7 +163,8 @@ def rim_of(residual: Residual, wave: SoftWave) -> Rim:
 
     pupil = residual.wavefront
     du, dv = np.empty((2, CIRCLES.size, SPOKES))
-    _wave_kernels.slopes(wave.aberration, CIRCLES, COSINE, SINE, du, dv)
+    places = read_only(CIRCLES), read_only(COSINE), read_only(SINE)
+    _wave_kernels.slopes(wave.aberration, *places, du, dv)
     steepest = np.maximum(np.abs(du), np.abs(dv)).max(axis=1)
     landing = np.stack([CIRCLES, 2 / pupil.wavelength * steepest])
     # total length of both rims over the pupil's area, relative to a clear disc

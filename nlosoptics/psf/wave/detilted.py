@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import read_only
 from ...errors import SamplingError
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import shared_cell_nodes
@@ -154,7 +155,7 @@ class Residual:
             return Heights(0.0, 0.0, 0.0, 0.0)
         wave = self.wavefront
         share = (wave.amplitude * wave.weights).ravel()
-        return Heights(*_wave_kernels.moments(self.aberration.ravel(), share))
+        return Heights(*_wave_kernels.moments(read_only(self.aberration.ravel()), share))
 
     @cached_property
     def is_flat(self) -> bool:

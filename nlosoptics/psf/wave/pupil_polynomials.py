@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import read_only
 from ..aperture.quadrature_nodes import frozen, polar_nodes
 from .fits import projection
 from .zernikes import zernike, zernike_order
@@ -60,7 +61,8 @@ class LowPolynomial:
 
         shape = len(rho), len(cosine)
         du, dv = np.empty(shape), np.empty(shape)
-        _wave_kernels.slopes(self.powers / self.radius, rho, cosine, sine, du, dv)
+        places = read_only(rho), read_only(cosine), read_only(sine)
+        _wave_kernels.slopes(self.powers / self.radius, *places, du, dv)
         return du, dv
 
     def on_rims(self, cosine: Array, sine: Array) -> Array:
@@ -85,7 +87,7 @@ def low_polynomial(values: Array, radius: float, obscuration: float) -> LowPolyn
     orders = _orders(*values.shape, obscuration)
     heights = np.empty(orders.weights.shape[:2])
     misfit, largest = _wave_kernels.polar_fit(
-        values, orders.waves, orders.weights, orders.modes, heights
+        read_only(values), orders.waves, orders.weights, orders.modes, heights
     )
     if misfit > 1e-14 * largest:
         return None

@@ -212,11 +212,7 @@ def surfaces(wall: Wall, x: Array, y: Array) -> Array:
     """
     if not wall.is_compiled:
         return wall.derivatives(x, y)
-    from ...kernels import heights
-
-    out = np.empty((x.size, 6))
-    heights.surfaces(*wall.compiled(), np.ravel(x), np.ravel(y), out)
-    return out.reshape(*x.shape, 6)
+    return wall.surface_values(np.ravel(x), np.ravel(y)).reshape(*x.shape, 6)
 
 
 def reflected(directions: Array, normals: Array) -> Array:

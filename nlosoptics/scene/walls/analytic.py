@@ -132,13 +132,10 @@ class Wall(Noun):
             If a coordinate is not finite, or the wall has no height there, for example beyond the
             rim of a sphere.
         """
-        from ...kernels import heights
-
         x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         if not (np.isfinite(x).all() and np.isfinite(y).all()):
             raise SceneError("x or y holds NaN or infinity; give finite coordinates in m")
-        out = np.empty((x.size, 6))
-        heights.surfaces(*self.compiled(), np.ravel(x), np.ravel(y), out)
+        out = self.surface_values(np.ravel(x), np.ravel(y))
         missing = ~np.isfinite(out[:, 0])
         if missing.any():
             i = int(np.argmax(missing))
@@ -147,6 +144,22 @@ class Wall(Noun):
                 "stay inside its radius, height map or mesh"
             )
         return out.reshape(*x.shape, 6)
+
+    def surface_values(self, x: Array, y: Array) -> Array:
+        """Return `derivatives` at points (n,), (n, 6), with NaN where the wall has no height.
+
+        Parameters
+        ----------
+        x, y : ndarray, (n,)
+            World coordinates, m.
+        """
+        if self.is_flat:
+            return np.zeros((len(x), 6))  # spares a first run the compilation of all shapes
+        from ...kernels import heights
+
+        out = np.empty((len(x), 6))
+        heights.surfaces(*self.compiled(), x, y, out)
+        return out
 
     def height(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Return the height h(x, y), (...), m, positive toward the room.

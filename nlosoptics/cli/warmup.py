@@ -1,0 +1,33 @@
+"""Command warmup."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shell import Debug, app, errors_told, load, progress_bar
+
+
+@app.command("warmup")
+def warmup_command(
+    scene_files: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            metavar="[SCENE...]",
+            help="Scene files whose kernels to compile; by default two usual scenes.",
+        ),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Compile the kernels that a run uses, so that the first run is as fast as the next."""
+    with errors_told(debug):
+        start = time.perf_counter()
+        from ..runs.warmup import warm_up
+
+        scenes = [load(path, None, None) for path in scene_files or ()]
+        with progress_bar() as progress:
+            warm_up(scenes, progress)
+        typer.echo(f"kernels are ready, {time.perf_counter() - start:.1f} s")

@@ -1,0 +1,69 @@
+"""Compilation of kernels before they are needed, by runs whose results are dropped."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .._progress import Progress
+from ..scene import (
+    Camera,
+    FlatWall,
+    Laser,
+    OrenNayar,
+    PlanarObject,
+    Scene,
+    SpecularMicrofacet,
+    SumMaterial,
+    WavyWall,
+)
+from .plan import MOST_SECONDS, looked_at
+from .simulate import carried_out
+
+TOL = 1e-3  # default of the command line
+
+
+def warm_up(scenes: Sequence[Scene] = (), progress: Progress | None = None) -> None:
+    """Compile the kernels that runs of some scenes use, so that later processes only load them.
+
+    numba keeps them in its cache, which ``NUMBA_CACHE_DIR`` can move.
+
+    Parameters
+    ----------
+    scenes : sequence of Scene
+        Scenes to simulate without reconstruction, which has no kernels. By default a letter seen
+        by a flat wall and by a wavy one.
+    progress : callable(str, float), optional
+        Called with the number of the scene and the completed fraction.
+    """
+    scenes = scenes or (_letter(FlatWall()), _letter(WavyWall(1e-4, 0.25, 1.0, direction=0.5)))
+    for number, scene in enumerate(scenes):
+        if progress is not None:
+            progress(f"scene {number + 1} of {len(scenes)}", number / len(scenes))
+        carried_out(*looked_at(scene, TOL, False, None, MOST_SECONDS), seed=0)
+
+
+def _letter(wall: FlatWall | WavyWall) -> Scene:
+    """Return a bright bar seen by a wall, with the distances of Wu et al. (2024)."""
+    picture = np.zeros((32, 32))
+    picture[8:24, 12:20] = 1.0
+    return Scene(
+        laser=Laser(
+            wavelength=632.8e-9,
+            power=5e-3,
+            beam_diameter=3e-3,
+            position=(0.95, 0.0, 1.16),
+            aim=(0.64, 0.0, 0.0),
+        ),
+        wall=wall,
+        wall_material=SumMaterial((OrenNayar(0.75, 0.3), SpecularMicrofacet(0.05, 0.0))),
+        hidden=PlanarObject(picture, 0.7, position=(0.544, 0.0, 1.0)),
+        camera=Camera(
+            position=(-0.435, 0.0, 0.8),
+            aim=(0.0, 0.0, 0.0),
+            focal_length=18.432e-3 / math.tan(math.radians(20.0)),
+            stop_diameter=25e-3,
+        ),
+    )
