@@ -44,7 +44,7 @@ CASES = {
     "run letter_flat 128, warm": ("run", FLAT, "--size", "128"),
     "run letter_wavy 512, warm": ("run", WAVY),
     "plan letter_flat, warm": ("plan", FLAT),
-    "--help": ("--help",),
+    "help": ("--help",),
     "limits.feasibility": (),
 }
 

@@ -52,7 +52,7 @@ OPTIONS = {
 }
 
 
-@app.command("transient")
+@app.command("transient", short_help="Render the time-resolved light of a scene.")
 def transient_command(
     scene_file: SceneFile,
     changes: Changes = None,
@@ -136,7 +136,7 @@ def transient_command(
         _print_capture(capture, path, time.perf_counter() - start)
 
 
-@app.command("phasor")
+@app.command("phasor", short_help="Image the hidden scene of a time-resolved capture.")
 def phasor_command(
     context: typer.Context,
     capture_file: Annotated[

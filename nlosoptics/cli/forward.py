@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from ..runs.results import Result
 
 
-@app.command("plan")
+@app.command("plan", short_help="Show the stages of a run with predicted time and error.")
 def plan_command(
     scene_file: SceneFile,
     changes: Changes = None,
@@ -56,7 +56,7 @@ def plan_command(
         typer.echo(str(planned))
 
 
-@app.command("run")
+@app.command("run", short_help="Simulate a scene; write figures, arrays and pictures.")
 def run_command(
     context: typer.Context,
     scene_file: SceneFile,
@@ -115,7 +115,7 @@ def run_command(
         _print_summary(report, folder)
 
 
-@app.command("schema")
+@app.command("schema", short_help="Print the JSON schema of scene files.")
 def schema_command(debug: Debug = False) -> None:
     """Print the JSON schema of scene files, for completion and checks in editors."""
     with errors_told(debug):

@@ -40,7 +40,7 @@ class Colour(StrEnum):
     aberration = "aberration"
 
 
-@app.command("view")
+@app.command("view", short_help="Show a scene and its light paths in 3-D.")
 def view_command(
     scene_file: SceneFile,
     changes: Changes = None,

@@ -30,7 +30,7 @@ from .shell import (
 )
 
 
-@app.command("feasibility")
+@app.command("feasibility", short_help="Predict what the scene's image can show.")
 def feasibility_command(
     scene_file: SceneFile,
     changes: Changes = None,
@@ -164,7 +164,7 @@ def reconstruct_command(
             raise typer.Exit(FAILED)
 
 
-@app.command("train")
+@app.command("train", short_help="Train the network of method cnn.")
 def train_command(
     scene_file: SceneFile,
     changes: Changes = None,

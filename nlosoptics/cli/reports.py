@@ -13,7 +13,7 @@ from ..runs.record import PAGE
 from .shell import Debug, app, check_file, errors_told, progress_bar
 
 
-@app.command("report")
+@app.command("report", short_help="Write an HTML report of a run.")
 def report_command(
     folder: Annotated[
         Path,

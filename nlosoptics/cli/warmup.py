@@ -11,7 +11,7 @@ import typer
 from .shell import Debug, app, errors_told, load, progress_bar
 
 
-@app.command("warmup")
+@app.command("warmup", short_help="Compile the kernels that a run uses.")
 def warmup_command(
     scene_files: Annotated[
         list[Path] | None,

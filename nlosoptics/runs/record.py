@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import importlib.metadata
 import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -62,6 +61,8 @@ def now() -> str:
 
 def versions() -> dict[str, str]:
     """Return the versions of Python, nlosoptics and the packages in `DECIDING`."""
+    import importlib.metadata  # slow to load
+
     found = {"python": ".".join(map(str, sys.version_info[:3])), "nlosoptics": __version__}
     for name in DECIDING:
         try:
