@@ -71,6 +71,7 @@ def sensitivities(
     See Also
     --------
     Sensitivity : One case.
+    nlosoptics.views.tornado : Bars of the changes.
     """
     names = [d.name for d in results.study.dimensions]
     if names != ["case"]:

@@ -49,6 +49,7 @@ class Results(Noun):
     Study : Figures of merit over the points of a design.
     sensitivities : Change of a figure with each value.
     fraction_within : Share of points that meet a specification.
+    nlosoptics.views.study_map : Figure of merit over two dimensions.
     """
 
     path: Path

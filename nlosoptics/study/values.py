@@ -6,6 +6,9 @@ from typing import Any
 
 from ..scene.file.units import measured, written
 
+PREFIXED = ("m", "s", "W", "rad")
+PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
+
 
 def canonical(value: Any) -> Any:
     """Return a value of a scene file with every quantity in SI units: "2 mm" becomes "0.002 m".
@@ -34,8 +37,15 @@ def with_unit(value: float, unit: str) -> Any:
 
 
 def label(value: Any) -> str:
-    """Return a value as short text for labels."""
+    """Return a value as short text for labels, such as "3 mW"."""
     if isinstance(value, list | tuple):
         return "[" + ", ".join(label(inner) for inner in value) + "]"
     found = number(value)
-    return str(value) if found is None else f"{found[0]:.6g} {found[1]}".rstrip()
+    if found is None:
+        return str(value)
+    size, unit = found
+    if unit in PREFIXED and size != 0.0:
+        for factor, prefix in PREFIXES:
+            if abs(size) >= 0.9995 * factor:
+                return f"{size / factor:.6g} {prefix}{unit}"
+    return f"{size:.6g} {unit}".rstrip()

@@ -31,8 +31,8 @@ def test_sensitivities_are_differences_from_the_nominal_scene(tmp_path: Path) ->
     results = run(tmp_path, "power", one_at_a_time=cases)
     bars = sensitivities(results, "power")
     assert [bar.case for bar in bars] == [
-        "laser.power = 0.007 W",
-        "laser.power = 0.004 W",
+        "laser.power = 7 mW",
+        "laser.power = 4 mW",
         "camera.exposure = 1 s",
         "laser.power = 0 W",  # refused by the laser
     ]

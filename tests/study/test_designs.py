@@ -59,7 +59,7 @@ def test_one_at_a_time_begins_with_the_nominal_scene() -> None:
         "nominal",
         "wall.radius = 4 m",
         "wall.radius = 6 m",
-        "laser.power = 0.001 W",
+        "laser.power = 1 mW",
     )
 
 
@@ -165,3 +165,19 @@ def test_a_study_file_names_itself_in_errors(tmp_path: Path) -> None:
         Study.load(path)
     with pytest.raises(SceneError, match="cannot be read .No such file"):
         Study.load(tmp_path / "none.toml")
+
+
+def test_the_example_is_short_and_on_its_page() -> None:
+    """At most 12 lines of TOML, the same in the file and in the how-to."""
+    root = HERE.parents[1]
+    lines = (root / "examples" / "studies" / "read_a_letter.toml").read_text().splitlines()
+    text = "\n".join(line for line in lines if not line.startswith("#"))
+    assert len(text.splitlines()) <= 12
+    assert text in (root / "docs" / "howto" / "design_study.md").read_text()
+    study = Study.load(root / "examples" / "studies" / "read_a_letter.toml")
+    assert study.shape == (3, 5, 6)
+    scene = study.scene(0)
+    # the letter is 0.31 m high in a picture of 0.7 m
+    assert 0.31 / 0.7 * scene.hidden.size[0] == approx(0.1, abs=1e-3)
+    assert (scene.laser.power, scene.camera.exposure) == (0.02, 0.02)
+    assert scene.hidden.position[2] == 1.0

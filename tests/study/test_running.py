@@ -178,7 +178,7 @@ def test_a_point_is_reopened_without_the_files_of_its_scene(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"axes": {"laser.power": ["1 mW"]}}, "laser.power = 0.002 W and 7 more is missing"),
+        ({"axes": {"laser.power": ["1 mW"]}}, "laser.power = 2 mW and 7 more is missing"),
         ({"set": {"wall.radius": "4 m"}}, 'wall.radius = "4.0 m" instead of "5.0 m"'),
         ({"seed": 1}, "seed = 1 instead of 0"),
         ({"tol": 1e-2}, "tol = 0.01 instead of 0.001"),

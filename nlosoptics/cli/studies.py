@@ -1,0 +1,197 @@
+"""Commands study, study status, study plot and study export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from .shell import (
+    FAILED,
+    Debug,
+    app,
+    check_file,
+    errors_told,
+    interruptible,
+    progress_bar,
+    require,
+)
+
+PARTS = ("xarray", "zarr")  # packages of the extra `study`
+LIMITS = 200  # points of a yield curve
+
+
+class _RunByDefault(TyperGroup):
+    """Group of commands whose name ``run`` may be left out."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if args and args[0] not in self.commands and args[0] != "--help":
+            args = ["run", *args]
+        return list(super().parse_args(ctx, args))
+
+
+studies = typer.Typer(
+    cls=_RunByDefault,
+    help="Design studies: sweeps, tolerances and yield. `nlosoptics study FILE` runs or resumes.",
+    no_args_is_help=True,
+)
+app.add_typer(studies, name="study")
+
+StudyFile = Annotated[Path, typer.Argument(metavar="FILE", help="Study file (TOML).")]
+StoreFolder = Annotated[
+    Path, typer.Argument(metavar="STORE", help="Folder written by nlosoptics study.")
+]
+
+
+@studies.command("run")
+def run_command(
+    study_file: StudyFile,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the store; ./<study's name>.zarr by default.")
+    ] = None,
+    only_plan: Annotated[
+        bool,
+        typer.Option("--plan", help="Show points, shared stages, time and size; compute nothing."),
+    ] = False,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Processes; one for each core by default, 0 for none."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Address of a dask scheduler, such as tcp://host:8786."),
+    ] = None,
+    debug: Debug = False,
+) -> None:
+    """Run a study, or resume it: finished points are kept, new values and figures are added.
+
+    Ctrl-C ends after the points in flight and exits with code 1; the same command goes on.
+    """
+    with errors_told(debug):
+        _require_parts()
+        if scheduler is not None:
+            require("distributed", "study")
+        from .. import study
+
+        found = study.Study.load(study_file)
+        if only_plan:
+            typer.echo(str(study.plan_study(found)))
+            return
+        folder = Path(f"{study_file.stem}.zarr") if out is None else out
+        with progress_bar(width=48) as progress, interruptible() as interrupted:
+            results = study.run_study(
+                found,
+                folder,
+                workers=workers,
+                scheduler=scheduler,
+                progress=progress,
+                interrupted=interrupted,
+            )
+        typer.echo(str(results))
+        if results.counts["pending"]:
+            typer.echo("nlosoptics: interrupted; the same command goes on", err=True)
+            raise typer.Exit(FAILED)
+
+
+@studies.command("status")
+def status_command(store: StoreFolder, debug: Debug = False) -> None:
+    """Show how many points are done, the range of each figure, and why points failed."""
+    with errors_told(debug):
+        typer.echo(str(_results(store)))
+
+
+@studies.command("plot")
+def plot_command(
+    store: StoreFolder,
+    figure: Annotated[str, typer.Argument(metavar="FIGURE", help="Name of the figure of merit.")],
+    out: Annotated[Path, typer.Option(help="File to write: .png, .pdf or .svg.")] = Path(
+        "study.png"
+    ),
+    boundary: Annotated[
+        float | None, typer.Option(help="Value of the figure at which a map draws a line.")
+    ] = None,
+    incomplete: Annotated[
+        bool, typer.Option("--incomplete", help="Also draw a study with pending points.")
+    ] = False,
+    debug: Debug = False,
+) -> None:
+    """Draw a figure of merit: a map or curves, a tornado, or the yield against the limit."""
+    with errors_told(debug):
+        require("matplotlib", "views")
+        from .. import views
+
+        results = _results(store)
+        check_file(out)
+        names = [dimension.name for dimension in results.study.dimensions]
+        if names == ["case"]:
+            from ..study import sensitivities
+
+            bars = sensitivities(results, figure, incomplete=incomplete)
+            axes = views.tornado(bars, label=_label(results, figure))
+        elif names == ["draw"]:
+            axes = _yield_curve(results, figure, incomplete)
+        else:
+            results.values(figure, incomplete=incomplete)  # refuses pending points
+            axes = views.study_map(results.dataset, figure, boundary=boundary)
+        views.save(axes, out)
+        typer.echo(f"{out}: {figure} of {results.path}")
+
+
+@studies.command("export")
+def export_command(
+    store: StoreFolder,
+    out: Annotated[Path, typer.Argument(metavar="CSV", help="Table to write (.csv).")],
+    debug: Debug = False,
+) -> None:
+    """Write all points as a table: values by address, figures, errors, status and message."""
+    with errors_told(debug):
+        if out.suffix.lower() != ".csv":
+            raise typer.BadParameter(f"{out} does not end in .csv; give a name that does")
+        results = _results(store)
+        check_file(out)
+        from .._whole_files import write_whole
+
+        table = results.dataset.to_dataframe().reset_index()
+        write_whole({out: table.to_csv(index=False).encode()})
+        typer.echo(f"{out}: {len(table)} points")
+
+
+def _results(store: Path) -> Any:
+    """Return the results in a store."""
+    _require_parts()
+    from ..study import Results
+
+    return Results.load(store)
+
+
+def _require_parts() -> None:
+    for part in PARTS:
+        require(part, "study")
+
+
+def _label(results: Any, figure: str) -> str:
+    """Return a figure's name with its unit."""
+    unit = results.study.figure(figure).unit
+    return f"{figure} ({unit})" if unit else figure
+
+
+def _yield_curve(results: Any, figure: str, incomplete: bool) -> Any:
+    """Draw the yield against the lower limit over the range of the figure."""
+    import numpy as np
+
+    from .. import views
+    from ..errors import SceneError
+    from ..study import fraction_within
+
+    values = results.values(figure, incomplete=incomplete)
+    good = values[np.isfinite(values)]
+    if not len(good):
+        raise SceneError(f"{figure} failed at all points, so that there is no curve to draw")
+    limits = np.linspace(good.min(), good.max(), LIMITS)
+    found = [
+        fraction_within(results, figure, at_least=float(limit), incomplete=incomplete)
+        for limit in limits
+    ]
+    return views.yield_curve(limits, found, label=_label(results, figure))

@@ -1,0 +1,136 @@
+"""Command study: run, resume, plan, status, pictures and tables, with one-line errors."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from nlosoptics import cli
+from nlosoptics.cli import shell
+
+ROOT = Path(__file__).parents[2]
+SCENE = ROOT / "examples" / "scenes" / "letter_concave.toml"
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A study file of light points in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "powers.py").write_text(
+        "def power(point):\n    return point.scene.laser.power\n"
+        "def fails(point):\n    raise ValueError('never')\n"
+    )
+    path = tmp_path / "powers.toml"
+    path.write_text(
+        f'scene = "{SCENE}"\nfigures = ["powers:power"]\n'
+        '[axes]\n"laser.power" = ["1 mW", "2 mW", "5 mW"]\n"camera.f_number" = [2, 4]\n'
+    )
+    return path
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:
+    with pytest.raises(SystemExit) as ended:
+        cli.main([str(a) for a in arguments])
+    told = capsys.readouterr()
+    return int(ended.value.code or 0), told.out, told.err
+
+
+def test_study_runs_resumes_and_answers(study: Path, capsys) -> None:
+    code, out, err = call(capsys, "study", study, "--plan")
+    assert (code, err) == (0, "")
+    assert "points         6, 1 figure each" in out
+    assert not Path("powers.zarr").exists()
+    code, out, err = call(capsys, "study", study, "--workers", 0)
+    assert (code, err) == (0, "")
+    assert "powers.zarr: 6 points: 6 done\npower" in out
+    chunk = next(Path("powers.zarr/power_status/c").iterdir())
+    written = chunk.stat().st_mtime_ns
+    assert call(capsys, "study", "run", study, "--workers", 0) == (0, out, "")
+    assert chunk.stat().st_mtime_ns == written
+    assert call(capsys, "study", "status", "powers.zarr") == (0, out, "")
+    assert call(capsys, "study", "export", "powers.zarr", "table.csv")[0] == 0
+    with Path("table.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["power"]) for row in rows] == [1e-3, 1e-3, 2e-3, 2e-3, 5e-3, 5e-3]
+    assert {row["status"] for row in rows} == {"done"}
+    code, out, err = call(capsys, "study", "plot", "powers.zarr", "power", "--boundary", 3e-3)
+    assert (code, err) == (0, "")
+    assert Path("study.png").read_bytes()[1:4] == b"PNG"
+
+
+@pytest.mark.parametrize(
+    ("edit", "arguments", "told"),
+    [
+        (("powers:power", "powers:none"), (), "'powers:none' cannot be imported"),
+        (('"laser.power"', '"laser.tower"'), (), "laser.tower .* did you mean power"),
+        (("[axes]", "[lines]"), (), "lines = .* is an unknown key"),
+        (
+            ("powers:power", "powers:power"),
+            ("--out", "powers.py"),
+            "powers.py: .* cannot be written",
+        ),
+    ],
+)
+def test_bad_study_is_one_line(edit, arguments, told: str, study: Path, capsys) -> None:
+    study.write_text(study.read_text().replace(*edit))
+    code, out, err = call(capsys, "study", study, "--workers", 0, *arguments)
+    assert (code, out) == (shell.BAD_INPUT, "")
+    assert err.startswith("nlosoptics: ")
+    assert err.count("\n") == 1
+    assert re.search(told, err)
+
+
+def test_failed_points_are_counted(study: Path, capsys) -> None:
+    study.write_text(study.read_text().replace('"powers:power"', '"powers:power", "powers:fails"'))
+    code, out, _ = call(capsys, "study", study, "--workers", 0)
+    assert code == 0
+    assert "6 points: 6 failed" in out
+    assert "6 x fails: ValueError: never" in out
+
+
+@pytest.mark.parametrize(
+    ("table", "figure"),
+    [
+        ('[one_at_a_time]\n"laser.power" = ["1 mW", "2 mW"]\n', "power"),
+        ('[draws]\ncount = 8\n[draws.of]\n"laser.power" = { sigma = "1 mW" }\n', "power"),
+    ],
+)
+def test_plot_follows_the_design(table: str, figure: str, study: Path, capsys) -> None:
+    study.write_text(study.read_text().partition("[axes]")[0] + table)
+    assert call(capsys, "study", study, "--workers", 0)[0] == 0
+    code, _, err = call(capsys, "study", "plot", "powers.zarr", figure, "--out", "picture.svg")
+    assert (code, err) == (0, "")
+    assert "<svg" in Path("picture.svg").read_text()
+    code, _, err = call(capsys, "study", "plot", "powers.zarr", "sharpness")
+    assert code == shell.BAD_INPUT
+    assert "'sharpness' is unknown, must be one of power" in err
+
+
+def test_interrupt_keeps_what_is_done(study: Path, capsys) -> None:
+    (study.parent / "powers.py").write_text(
+        "import time\ndef power(point):\n    time.sleep(0.2)\n    return point.scene.laser.power\n"
+    )
+    study.write_text(study.read_text().replace("[2, 4]", "[2, 4, 8, 16]"))
+
+    def first_chunk() -> None:
+        while not list(Path("powers.zarr").glob("power_status/c/*")):
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    thread = threading.Thread(target=first_chunk)
+    thread.start()
+    code, out, err = call(capsys, "study", study, "--workers", 0)
+    thread.join()
+    assert code == shell.FAILED
+    assert "pending" in out
+    assert err == "nlosoptics: interrupted; the same command goes on\n"
+    code, out, _ = call(capsys, "study", study, "--workers", 0)
+    assert code == 0
+    assert "12 points: 12 done" in out

@@ -1,0 +1,91 @@
+"""Pictures of design studies show what the results hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from nlosoptics import views
+from nlosoptics.errors import SceneError
+from nlosoptics.study import Fraction, Sensitivity
+
+
+def dataset() -> xr.Dataset:
+    """Two dimensions with a failed point, and a third of which one step is shown."""
+    values = np.arange(24.0).reshape(4, 2, 3)
+    values[2, 1, 0] = np.nan
+    dims = ("wall.radius", "hidden.image", "laser.power")
+    return xr.Dataset(
+        {"strehl": (dims, values), "strehl_error": (dims, np.full((4, 2, 3), 0.5))},
+        {
+            "wall.radius": ("wall.radius", [1.0, 2.0, 3.0, 4.0], {"units": "m"}),
+            "hidden.image": ("hidden.image", ["F.png", "R.png"]),
+            "laser.power": ("laser.power", [1e-3, 5e-3, 2e-2], {"units": "W"}),
+        },
+    )
+
+
+def labels(axis) -> list[str]:
+    return [text.get_text() for text in axis.get_ticklabels()]
+
+
+def test_map_shows_the_last_two_dimensions_at_the_middle_of_the_others() -> None:
+    axes = views.study_map(dataset(), "strehl", boundary=14.0)
+    (shown,) = axes.get_images()
+    assert np.array_equal(shown.get_array().filled(np.nan)[0], [12.0, 13.0, 14.0])
+    assert labels(axes.xaxis) == ["1 mW", "5 mW", "20 mW"]
+    assert labels(axes.yaxis) == ["F.png", "R.png"]
+    assert axes.get_title() == "wall.radius = 3 m"
+    told = [text.get_text() for text in axes.texts]
+    assert told == ["12", "13", "14", "failed", "16", "17"]
+    # cells above 14: the upper row but for the failed one, and the last of the lower row
+    edges = {(tuple(line.get_xdata()), tuple(line.get_ydata())) for line in axes.lines}
+    assert edges == {
+        ((1.5, 1.5), (-0.5, 0.5)),
+        ((0.5, 0.5), (0.5, 1.5)),
+        ((0.5, 1.5), (0.5, 0.5)),
+    }
+
+
+def test_curve_shows_errors_and_chosen_steps() -> None:
+    axes = views.study_map(dataset(), "strehl", at={"hidden.image": 0, "laser.power": 2})
+    line = axes.lines[0]
+    assert line.get_xdata().tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert line.get_ydata().tolist() == [2.0, 8.0, 14.0, 20.0]
+    assert axes.get_xlabel() == "wall.radius (m)"
+    (bars,) = axes.containers
+    segments = bars[2][0].get_segments()
+    assert [np.ptp(segment[:, 1]) for segment in segments] == [1.0] * 4
+    with pytest.raises(SceneError, match="laser.power = 3 is no step"):
+        views.study_map(dataset(), "strehl", at={"laser.power": 3})
+    with pytest.raises(SceneError, match="figure = 'mtf' is not in the dataset"):
+        views.study_map(dataset(), "mtf")
+
+
+def test_tornado_has_a_row_for_each_address() -> None:
+    bars = [
+        Sensitivity(case="wall.radius = 4 m", value=0.5, change=-0.3, resolved=True),
+        Sensitivity(case="wall.radius = 6 m", value=0.9, change=0.1, resolved=False),
+        Sensitivity(case="laser.power = 0 W", value=np.nan, change=np.nan, resolved=False),
+    ]
+    axes = views.tornado(bars, label="strehl")
+    assert labels(axes.yaxis) == ["wall.radius", "laser.power"]
+    widths = [patch.get_width() for patch in axes.patches]
+    assert widths == [-0.3, 0.1, 0.0]
+    assert [patch.get_alpha() for patch in axes.patches] == [1.0, 0.3, 0.3]
+    assert [text.get_text() for text in axes.texts] == ["4 m", "6 m", "0 W failed"]
+    assert axes.get_xlabel() == "change of strehl"
+
+
+def test_yield_is_drawn_in_percent_with_its_interval() -> None:
+    shares = [
+        Fraction(value=v, low=v - 0.1, high=v + 0.05, met=int(20 * v), points=20, failed=2)
+        for v in (0.9, 0.5, 0.2)
+    ]
+    axes = views.yield_curve([0.1, 0.2, 0.3], shares, label="strehl")
+    (band,) = axes.collections
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert (heights.min(), heights.max()) == pytest.approx((10.0, 95.0))
+    assert axes.lines[0].get_ydata().tolist() == pytest.approx([90.0, 50.0, 20.0])
+    assert "20 draws, 2 failed" in [text.get_text() for text in axes.get_legend().get_texts()]
