@@ -134,7 +134,7 @@ def plot_command(
             axes = _yield_curve(results, figure, incomplete)
         else:
             results.values(figure, incomplete=incomplete)  # refuses pending points
-            axes = views.study_map(results.dataset, figure, boundary=boundary)
+            axes = views.study_map(results, figure, boundary=boundary)
         views.save(axes, out)
         typer.echo(f"{out}: {figure} of {results.path}")
 

@@ -9,16 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SceneError
-from ..study.values import label as value_text
-from ..study.values import with_unit
 from .canvas import new_axes, space_ticks
 from .palette import BLACK, BLUE, GREY, SERIES, VERMILION
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.axes import Axes
 
-    from ..study import Fraction, Sensitivity
+    from ..study import Fraction, Results, Sensitivity
 
 MOST_TEXTS = 80  # cells of a map that show their value
 MOST_TICKS = 9
@@ -26,7 +23,7 @@ MOST_CURVES = len(SERIES)
 
 
 def study_map(
-    dataset: xr.Dataset,
+    results: Results,
     figure: str,
     *,
     at: Mapping[str, int] | None = None,
@@ -37,8 +34,8 @@ def study_map(
 
     Parameters
     ----------
-    dataset : xarray.Dataset
-        ``dataset`` of `study.Results`, of the shape of the design.
+    results : Results
+        Results of a study, complete or not.
     figure : str
         Name of the figure.
     at : mapping of str to int, optional
@@ -58,16 +55,14 @@ def study_map(
     Raises
     ------
     SceneError
-        If the dataset has no such figure, dimension or step.
+        If the study has no such figure, dimension or step.
 
     See Also
     --------
     nlosoptics.study.Results : Results of a study.
     tornado : Bars of one-at-a-time changes.
     """
-    if figure not in dataset or dataset[figure].dtype.kind != "f":
-        raise SceneError(f"figure = {figure!r} is not in the dataset; give the name of a figure")
-    chosen = dataset
+    figure, dataset = results.study.figure(figure).name, results.dataset
     wide = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
     shown = [name for name in wide if name not in (at or {})][-2:]
     fixed = {
@@ -96,26 +91,28 @@ def _lines(texts: list[str]) -> list[str]:
     return [", ".join(texts[i : i + 2]) for i in range(0, len(texts), 2)]
 
 
-def _tick(dataset: xr.Dataset, name: str, step: int, *, named: bool = False) -> str:
+def _tick(dataset: Any, name: str, step: int, *, named: bool = False) -> str:
     """Return the text of one step of a dimension."""
     if name not in dataset.coords:  # draws and zipped values have coordinates of other names
         own = [key for key in dataset.coords if dataset.coords[key].dims == (name,)]
         texts = [_tick(dataset, str(key), step, named=True) for key in own]
         return ", ".join(texts) or f"{name} {step}"
+    from ..study.values import label, with_unit  # reads units, which other views do not need
+
     coordinate = dataset.coords[name]
     value = coordinate.values[step]
     text = str(value)
     if coordinate.dtype.kind in "if":
-        text = value_text(with_unit(float(value), coordinate.attrs.get("units", "")))
+        text = label(with_unit(float(value), coordinate.attrs.get("units", "")))
     return f"{name} = {text}" if named and name != "case" else text
 
 
-def _name(dataset: xr.Dataset, figure: str) -> str:
+def _name(dataset: Any, figure: str) -> str:
     unit = dataset[figure].attrs.get("units", "")
     return f"{figure} ({unit})" if unit else figure
 
 
-def _ticks(dataset: xr.Dataset, name: str) -> tuple[list[int], list[str]]:
+def _ticks(dataset: Any, name: str) -> tuple[list[int], list[str]]:
     """Return the steps of a dimension that get a label, and the labels."""
     count = dataset.sizes[name]
     steps = list(range(0, count, -(-count // MOST_TICKS)))
@@ -123,7 +120,7 @@ def _ticks(dataset: xr.Dataset, name: str) -> tuple[list[int], list[str]]:
 
 
 def _draw_map(
-    axes: Axes, dataset: xr.Dataset, figure: str, shown: list[str], boundary: float | None
+    axes: Axes, dataset: Any, figure: str, shown: list[str], boundary: float | None
 ) -> None:
     down, across = shown
     values = np.asarray(dataset[figure].transpose(down, across).values, dtype=np.float64)
@@ -160,7 +157,7 @@ def _draw_boundary(axes: Axes, above: np.ndarray[Any, np.dtype[np.bool_]]) -> No
 
 
 def _draw_curve(
-    axes: Axes, dataset: xr.Dataset, figure: str, shown: list[str], boundary: float | None
+    axes: Axes, dataset: Any, figure: str, shown: list[str], boundary: float | None
 ) -> None:
     values = np.atleast_1d(dataset[figure].values)
     name = shown[0] if shown else ""

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
 
 from nlosoptics import views
 from nlosoptics.errors import SceneError
-from nlosoptics.study import Fraction, Sensitivity
+from nlosoptics.study import Fraction, Results, Sensitivity, Study
+
+SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_concave.toml"
 
 
-def dataset() -> xr.Dataset:
+def results() -> Results:
     """Two dimensions with a failed point, and a third of which one step is shown."""
     values = np.arange(24.0).reshape(4, 2, 3)
     values[2, 1, 0] = np.nan
     dims = ("wall.radius", "hidden.image", "laser.power")
-    return xr.Dataset(
+    study = Study.from_tables(
+        {
+            "scene": str(SCENE),
+            "figures": ["strehl"],
+            "axes": {
+                "wall.radius": ["1 m", "2 m", "3 m", "4 m"],
+                "hidden.image": ["../objects/F.png", "../objects/R.png"],
+                "laser.power": ["1 mW", "5 mW", "20 mW"],
+            },
+        }
+    )
+    dataset = xr.Dataset(
         {"strehl": (dims, values), "strehl_error": (dims, np.full((4, 2, 3), 0.5))},
         {
             "wall.radius": ("wall.radius", [1.0, 2.0, 3.0, 4.0], {"units": "m"}),
@@ -24,6 +39,7 @@ def dataset() -> xr.Dataset:
             "laser.power": ("laser.power", [1e-3, 5e-3, 2e-2], {"units": "W"}),
         },
     )
+    return Results(path=Path("store"), study=study, dataset=dataset)
 
 
 def labels(axis) -> list[str]:
@@ -31,7 +47,7 @@ def labels(axis) -> list[str]:
 
 
 def test_map_shows_the_last_two_dimensions_at_the_middle_of_the_others() -> None:
-    axes = views.study_map(dataset(), "strehl", boundary=14.0)
+    axes = views.study_map(results(), "strehl", boundary=14.0)
     (shown,) = axes.get_images()
     assert np.array_equal(shown.get_array().filled(np.nan)[0], [12.0, 13.0, 14.0])
     assert labels(axes.xaxis) == ["1 mW", "5 mW", "20 mW"]
@@ -49,7 +65,7 @@ def test_map_shows_the_last_two_dimensions_at_the_middle_of_the_others() -> None
 
 
 def test_curve_shows_errors_and_chosen_steps() -> None:
-    axes = views.study_map(dataset(), "strehl", at={"hidden.image": 0, "laser.power": 2})
+    axes = views.study_map(results(), "strehl", at={"hidden.image": 0, "laser.power": 2})
     line = axes.lines[0]
     assert line.get_xdata().tolist() == [1.0, 2.0, 3.0, 4.0]
     assert line.get_ydata().tolist() == [2.0, 8.0, 14.0, 20.0]
@@ -58,9 +74,9 @@ def test_curve_shows_errors_and_chosen_steps() -> None:
     segments = bars[2][0].get_segments()
     assert [np.ptp(segment[:, 1]) for segment in segments] == [1.0] * 4
     with pytest.raises(SceneError, match="laser.power = 3 is no step"):
-        views.study_map(dataset(), "strehl", at={"laser.power": 3})
-    with pytest.raises(SceneError, match="figure = 'mtf' is not in the dataset"):
-        views.study_map(dataset(), "mtf")
+        views.study_map(results(), "strehl", at={"laser.power": 3})
+    with pytest.raises(SceneError, match="figure = 'mtf' is unknown"):
+        views.study_map(results(), "mtf")
 
 
 def test_tornado_has_a_row_for_each_address() -> None:
