@@ -94,13 +94,15 @@ def spread_grids(
     for oversampling in OVERSAMPLINGS:
         pitch = wave.wavelength * abs(wave.image_distance) / (2 * oversampling * half)
         cells = math.ceil(residual.aperture.half_width / pitch)
-        for width in WIDTHS:
-            leak = leaks(width, oversampling)
-            if 2 * leak[place] <= core and 2 * leak[-1] <= edge:
-                break
-        else:
-            if oversampling < OVERSAMPLINGS[-1] or found:
-                continue
+        enough = (
+            width
+            for width, leak in zip(WIDTHS, _leaks_of_widths(oversampling), strict=True)
+            if 2 * leak[place] <= core and 2 * leak[-1] <= edge
+        )
+        last = WIDTHS[-1] if oversampling == OVERSAMPLINGS[-1] and not found else None
+        width = next(enough, last)
+        if width is None:
+            continue
         found.append(SpreadGrid(pitch, cells + width // 2 + 1, width, oversampling, single))
     return found
 
@@ -248,6 +250,12 @@ def leaks(width: int, oversampling: float) -> Array:
     rest = 4 * most * repeats[:, :, -8:].max(axis=(1, 2))
     middle = _spectrum(places, width, oversampling)
     return frozen(np.maximum.accumulate((repeats.sum(axis=(1, 2)) + rest) / middle))
+
+
+@lru_cache(maxsize=8)
+def _leaks_of_widths(oversampling: float) -> list[list[float]]:
+    """Return `leaks` of all `WIDTHS` as numbers of Python, which are faster to compare."""
+    return [leaks(width, oversampling).tolist() for width in WIDTHS]
 
 
 @lru_cache(maxsize=32)

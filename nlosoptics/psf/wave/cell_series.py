@@ -55,8 +55,7 @@ class CellSpectrum:
     def degrees(self, threshold: float) -> tuple[int, int]:
         """Return the highest degrees in s and t with a coefficient above threshold and rounding."""
         size = self._terms[0]
-        k, m = (np.sqrt(2 * np.arange(n) + 1) for n in self.shape[1:])
-        rounding = ROUNDING * float(size.max()) * k[:, None] * m
+        rounding = ROUNDING * float(size.max()) * _norms(*self.shape[1:])
         above = size > np.maximum(threshold, rounding)
         along_s, along_t = np.nonzero(above.any(axis=1))[0], np.nonzero(above.any(axis=0))[0]
         return int(along_s.max(initial=0)), int(along_t.max(initial=0))
@@ -137,6 +136,13 @@ def _products(values: Array, first: Array, second: Array) -> Array:
         np.ascontiguousarray(values), first, np.ascontiguousarray(second.T), out
     )
     return out
+
+
+@lru_cache(maxsize=64)
+def _norms(n_s: int, n_t: int) -> Array:
+    """Return the coefficients (n_s, n_t) of Legendre terms of rms 1."""
+    k, m = (np.sqrt(2 * np.arange(n) + 1) for n in (n_s, n_t))
+    return frozen(k[:, None] * m)
 
 
 @lru_cache(maxsize=64)
