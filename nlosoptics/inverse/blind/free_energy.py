@@ -367,8 +367,8 @@ class FreeEnergy:
         """
         parts = [rows[first : first + _CHUNK] for first in range(0, len(rows), _CHUNK)]
         threads = min(len(parts), numba.get_num_threads())
-        if threads == 1:
-            return [work(part) for part in parts]
+        # also for one chunk: numba's first question for threads gives torch in the calling thread
+        # as many, and its small transforms then take ten times longer on a busy machine
         with ThreadPoolExecutor(threads, initializer=torch.set_num_threads, initargs=(1,)) as pool:
             return list(pool.map(work, parts))
 
