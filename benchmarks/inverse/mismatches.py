@@ -1,14 +1,16 @@
 """Status of reconstructions on measurements that the model does not describe.
 
 python benchmarks/inverse/mismatches.py [--first 1000] [--cases 200] [--solver tv_deconvolve]
-    [--kinds NAME ...] [--json FILE]
+    [--kinds NAME ...] [--json FILE] [--fit]
 
 Each seed draws an object, a wall, a noise level and one mismatch, and makes the image as
 `known_psf` does: four samples per pixel, linear convolution, integrated pixels, 64 x 64 pixels. The
 solver receives the image and the kernel that the scene would predict, not the noise. The table
 counts, for each kind of mismatch, the answers with a correlation below 0.85 and above 0.93, and
-those of them that were called "converged". The thresholds in `nlosoptics.inverse.data.status` were
-set on seeds below 1000; other seeds test them.
+those of them that were called "converged". `--fit` prints the constants of
+`nlosoptics.inverse.data.signs` that the rows of FILE give; the present ones are from seeds 0 to 399
+and from seeds of 20000 and more with `--kinds modes none rough defocus magnified none other_wall
+veil unblurred_picture vignetting none gamma_high`. Other seeds test them.
 """
 
 from __future__ import annotations
@@ -25,6 +27,8 @@ from scipy import fft, ndimage, signal
 
 PIXELS = 64
 LOW, HIGH = 0.85, 0.93
+# Share of the answers above HIGH that may be doubted, and ridge of the regression.
+LOST, RIDGE = 0.05, 1.0
 # Strength of each mismatch: least and largest, drawn evenly in the logarithm.
 OPTICS = {
     "vignetting": (0.2, 0.8),  # amplitude lost at the pupil's edge
@@ -293,6 +297,28 @@ def disturbance(clean, kind, strength, rng):
     return white
 
 
+def signs_of(found, image, model):
+    """Signs of a wrong model in a reconstruction, or None without an object."""
+    import torch
+
+    from nlosoptics.inverse.data.measurement import measurement
+    from nlosoptics.inverse.data.status import Spectra
+
+    if not found.object.any():
+        return None
+    data = measurement(
+        image,
+        model,
+        noise_sigma=None,
+        background=0.0,
+        fit_background=True,
+        background_shape=None,
+    )
+    fitted = found.physical_parameters
+    level = torch.tensor(found.object * fitted["gain"])
+    return Spectra(data, level, fitted["background"], model).signs()
+
+
 def solved(seed, solver, kind=None):
     """Reconstruct the case of a seed; return one row of the table."""
     from nlosoptics import imaging, inverse
@@ -316,7 +342,30 @@ def solved(seed, solver, kind=None):
         "noise_ratio": inverse.estimate_noise(data.image, model) / data.noise_sigma,
         "noise_ratio_without_model": inverse.estimate_noise(data.image) / data.noise_sigma,
         "seconds": found.seconds,
+        "signs": signs_of(found, data.image, model),
     }
+
+
+def fitted(rows):
+    """Print weight, mean and usual limit of each sign, by logistic regression."""
+    rows = [r for r in rows if r["signs"] and not LOW <= r["correlation"] <= HIGH]
+    wrong = np.array([r["correlation"] < LOW for r in rows], dtype=np.float64)
+    values = np.array([list(r["signs"].values()) for r in rows])
+    mean, scale = values.mean(axis=0), values.std(axis=0)
+    terms = np.column_stack([np.ones(len(rows)), (values - mean) / scale])
+    ridge = np.diag([0.0] + [RIDGE] * len(mean))
+    weights = np.zeros(len(mean) + 1)
+    for _ in range(50):  # Newton's method
+        odds = 1.0 / (1.0 + np.exp(-terms @ weights))
+        slope = terms.T @ (odds - wrong) + ridge @ weights
+        curvature = (terms.T * (odds * (1.0 - odds))) @ terms + ridge
+        weights = weights - np.linalg.solve(curvature, slope)
+    right = values[wrong == 0.0]
+    weights = weights[1:] / scale
+    usual = np.quantile(right, 1.0 - LOST, axis=0)
+    for name, *numbers in zip(rows[0]["signs"], weights, right.mean(axis=0), usual, strict=True):
+        print(f"{name:12s} " + " ".join(f"{number:7.3f}" for number in numbers))
+    print(f"offset {-np.quantile(right @ weights, 1.0 - LOST):.3f}")
 
 
 def summary(rows):
@@ -362,6 +411,7 @@ def main():
     parser.add_argument("--solver", default="tv_deconvolve", help="function of nlosoptics.inverse")
     parser.add_argument("--kinds", nargs="+", choices=KINDS, help="only these kinds, in turn")
     parser.add_argument("--json", type=Path, help="finished cases, a line each")
+    parser.add_argument("--fit", action="store_true", help="print the constants of the signs")
     options = parser.parse_args()
     rows = []
     if options.json and options.json.exists():
@@ -376,6 +426,8 @@ def main():
             with options.json.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
     summary(rows)
+    if options.fit:
+        fitted(rows)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,188 @@
+"""Signs of a wrong image model in an object of least total variation, and their sum.
+
+Each sign alone is also seen in right fits, so that no limit of its own would separate them. Their
+weights are those of a logistic regression that tells answers of `tv_deconvolve` with a correlation
+below 0.85 from those above 0.93; the offset lets the sum exceed 0 in 5 % of the latter. They were
+fitted by ``benchmarks/inverse/mismatches.py --fit``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft, linalg
+
+Array = NDArray[np.float64]
+
+_BORDER = 1 / 32  # width of the frame's edge, relative to the shorter side
+_MOST_BORDER = 1.5  # brightness at the edge that counts fully, relative to the mean
+# The residual's power over the noise's that right fits may leave; the range of the rest, relative
+# to the power of the image's detail.
+_EXCESS, _LEAST_REST = 1.1, 1e-3
+# Largest number of pixels a side, and reach, of the object in which halos are sought.
+_HALO_PIXELS, _HALO_REACH = 64, 8
+# Brightness below which pixels are dim, relative to the brightest; quantile of the brightest.
+_DIM, _BRIGHTEST = 0.25, 0.997
+_HALO_RIDGE = 0.01  # of the bright parts' power, for a stable fit
+
+
+@dataclass(frozen=True)
+class _Sign:
+    """Weight of a sign, its mean over right fits, and the value that 95 % of them do not exceed."""
+
+    weight: float
+    mean: float
+    usual: float
+    words: str
+
+
+_OFFSET = 6.6
+SIGNS = {
+    "grain": _Sign(
+        2.313,
+        -2.214,
+        -1.443,
+        "the object is grainy: {0:.2f} on a scale from 0 (few edges) to 0.79 (noise), usually "
+        "below {1:.2f}",
+    ),
+    "border": _Sign(
+        4.8,
+        0.228,
+        0.711,
+        "the object is {0:.2f} times as bright at the frame's edge as on average, usually below "
+        "{1:.2f}: there is a veil (give background_shape) or light from outside the frame",
+    ),
+    "hidden": _Sign(
+        1.607,
+        -2.214,
+        -1.457,
+        "the noise hides much of the object: a linear estimate would miss {0:.2f} of its "
+        "correlation, usually below {1:.2f}",
+    ),
+    "unexplained": _Sign(
+        0.932,
+        -2.976,
+        -3.0,
+        "the fit does not explain {0:.2g} of the power of the image's detail, usually below "
+        "{1:.2g}: the point spread, the camera's response or the background differs",
+    ),
+    "halo": _Sign(
+        12.132,
+        0.355,
+        0.54,
+        "{0:.2f} of the power of the dim parts is one halo around all bright parts, usually below "
+        "{1:.2f}: the true point spread has light that the model lacks",
+    ),
+    "dim": _Sign(
+        1.169,
+        -3.579,
+        -2.207,
+        "dim parts hold {0:.2g} of the object's power, usually below {1:.2g}",
+    ),
+}
+
+
+def doubt(values: Mapping[str, float]) -> float:
+    """Return the sum of the `signs`; an object for which it is positive is taken to be wrong."""
+    return _OFFSET + sum(sign.weight * values[name] for name, sign in SIGNS.items())
+
+
+def with_all_detail(values: Mapping[str, float]) -> dict[str, float]:
+    """Return the signs as if the noise hid no more of the object than is usual."""
+    return {**values, "hidden": min(values["hidden"], SIGNS["hidden"].mean)}
+
+
+def told(values: Mapping[str, float]) -> Iterator[str]:
+    """Yield a sentence for each unusual sign, or for the strongest one, the heaviest first."""
+    weights = {name: sign.weight * (values[name] - sign.mean) for name, sign in SIGNS.items()}
+    order = sorted(weights, key=lambda name: -weights[name])
+    unusual = [name for name in order if weights[name] > 0.0 and values[name] > SIGNS[name].usual]
+    for name in unusual or order[:1]:
+        sign = SIGNS[name]
+        yield sign.words.format(*(_plain(name, v) for v in (values[name], sign.usual)))
+
+
+def signs(level: Array, *, residual: float, excess: float, share: float) -> dict[str, float]:
+    """Return the signs of a fit, whose weighted sum is `doubt`.
+
+    Parameters
+    ----------
+    level : ndarray, (H, W)
+        Fitted object, any unit, non-negative and not all zero.
+    residual : float
+        Rms residual over the noise.
+    excess : float
+        Power of the image's detail over that of the noise.
+    share : float
+        Expected correlation of the object and its linear estimate, 0 to 1.
+
+    Returns
+    -------
+    dict of str to float
+        ``grain``: logarithm of (mean |grad|)^2 / mean |grad|^2. ``border``: brightness at the
+        frame's edge over the mean. ``hidden``: logarithm of 1 - share. ``unexplained``: decimal
+        logarithm of the residual's power above the noise over ``excess``. ``halo``: share of the
+        dim parts' power that one halo around all bright parts explains. ``dim``: logarithm of the
+        dim parts' share of the object's power.
+    """
+    steps = np.hypot(level - np.roll(level, 1, 0), level - np.roll(level, 1, 1))
+    width = max(1, round(_BORDER * min(level.shape)))
+    inside = level[width:-width, width:-width]
+    edge = (level.sum() - inside.sum()) / (level.size - inside.size) / level.mean()
+    rest = max(residual**2 - _EXCESS, 0.0) / max(excess, _LEAST_REST)
+    halo, dim = _halo(_joined(level))
+    return {
+        "grain": 2.0 * math.log(max(float(steps.mean()), 1e-300))
+        - math.log(max(float((steps**2).mean()), 1e-300)),
+        "border": min(float(edge), _MOST_BORDER),
+        "hidden": math.log(max(1.0 - share, 1e-3)),
+        "unexplained": math.log10(max(rest, _LEAST_REST)),
+        "halo": halo,
+        "dim": math.log(dim + 1e-3),
+    }
+
+
+def _halo(object_: Array) -> tuple[float, float]:
+    """Return how much of the dim parts one halo explains, and their share of the power.
+
+    The halo h minimises ``|dim - h * bright|^2 + ridge |h|^2`` over all h within `_HALO_REACH`
+    pixels, with the convolution ``*``. A blur that the model lacks leaves such a halo.
+    """
+    brightest = float(np.quantile(object_, _BRIGHTEST)) or float(object_.max())
+    bright = np.where(object_ > _DIM * brightest, object_, 0.0)
+    dim = object_ - bright
+    grid = [fft.next_fast_len(n + 2 * _HALO_REACH, real=True) for n in object_.shape]
+    spectrum, rest = fft.rfft2(bright, grid), fft.rfft2(dim, grid)
+    own = fft.irfft2(np.abs(spectrum) ** 2, grid)
+    shared = fft.irfft2(spectrum.conj() * rest, grid)
+    axis = np.arange(-_HALO_REACH, _HALO_REACH + 1)
+    y, x = (part.ravel() for part in np.meshgrid(axis, axis, indexing="ij"))
+    near = np.hypot(y, x) <= _HALO_REACH
+    y, x = y[near], x[near]
+    matrix = own[y[:, None] - y, x[:, None] - x]
+    power, target = float((dim**2).sum()), shared[y, x]
+    if power == 0.0 or own[0, 0] == 0.0:
+        return 0.0, 0.0
+    ridge = _HALO_RIDGE * own[0, 0] * np.eye(len(y))
+    halo = linalg.solve(matrix + ridge, target, assume_a="pos")
+    explained = float(halo @ (2.0 * target - matrix @ halo))
+    return explained / power, power / float((object_**2).sum())
+
+
+def _joined(object_: Array) -> Array:
+    """Return the means over square blocks, at most `_HALO_PIXELS` a side."""
+    side = -(-max(object_.shape) // _HALO_PIXELS)
+    rows, columns = (max(1, n // side) for n in object_.shape)
+    whole = object_[: rows * side, : columns * side]
+    return np.asarray(whole.reshape(rows, side, columns, side).mean(axis=(1, 3)))
+
+
+def _plain(name: str, value: float) -> float:
+    """Return the quantity of a sign without its logarithm."""
+    if name == "unexplained":
+        return float(10.0**value)
+    return math.exp(value) if name in ("grain", "hidden", "dim") else value
