@@ -4,9 +4,10 @@ python benchmarks/inverse/feasibility.py [--scenes 200] [--tune] [--jobs 2] [--j
 
 Each scene is drawn at random: object, slope of the wall's mirror-like lobe, exposure, read noise,
 distance and size of the object, stop of the camera, speckle. `simulate` makes an image of 64 x 64
-pixels and reconstructs it by `tv_deconvolve`, and the result is correlated with the truth. A line
-of JSON is added for each finished scene, and those in the file are not done again. `--tune` takes
-other scenes, on which the constants of `limits.modulation` were fitted.
+pixels and reconstructs it by `tv_deconvolve`, and the result is correlated with the truth. This is
+done again with other noise, since no forecast is nearer to two fits than they are to each other. A
+line of JSON is added for each finished scene, and those in the file are not done again. `--tune`
+takes other scenes, on which the constants of `limits.modulation` were fitted.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ KINDS = ("example", "strokes", "shapes", "dots", "grey")
 GOOD = 0.9
 SIDE = 128  # texels of a drawn picture
 PIXELS = 64
+OTHER_NOISE = 10000  # added to the seed of a scene
 
 
 def drawn_picture(kind, rng):
@@ -123,6 +125,8 @@ def compared(task):
     result = nlos.simulate(scene, 1e-2, seed=index, reconstruct=True)
     found = result.reconstruction
     correlation = inverse.registered_correlation(found, result.image.ideal)
+    seconds = time.process_time() - started
+    again = nlos.simulate(scene, 1e-2, seed=index + OTHER_NOISE, reconstruct=True)
     return {
         "scene": index,
         "tune": tune,
@@ -132,9 +136,12 @@ def compared(task):
         "spread": told.score_spread,
         "verdict": told.verdict,
         "correlation": correlation,
+        "correlation_again": inverse.registered_correlation(
+            again.reconstruction, again.image.ideal
+        ),
         "status": found.status,
         "feasibility_seconds": asked,
-        "seconds": time.process_time() - started,
+        "seconds": seconds,
     }
 
 
@@ -162,16 +169,19 @@ def summary(lines):
     off = np.array([abs(line["score"] - line["correlation"]) for line in found])
     reached = np.array([line["correlation"] for line in found])
     spread = np.array([line["spread"] for line in found])
+    again = np.array([abs(line["correlation_again"] - line["correlation"]) for line in found])
     between = (reached > 0.3) & (reached < 0.95)
     for name, part in (
         ("between 0.3 and 0.95", between),
-        ("of these, spread below 0.08", between & (spread < 0.08)),
+        ("of these, spread below 0.06", between & (spread < 0.06)),
         ("all fits", np.ones(len(found), dtype=bool)),
     ):
         text.append(
             f"{name}: {part.sum()} fits, {100 * (off[part] < 0.05).mean():.0f} % within 0.05, "
-            f"{100 * (off[part] < spread[part]).mean():.0f} % within the spread, median "
-            f"{np.median(off[part]):.3f}"
+            f"{100 * (off[part] < spread[part]).mean():.0f} % within the spread, "
+            f"{100 * (off[part] < 2 * spread[part]).mean():.0f} % within two, median "
+            f"{np.median(off[part]):.3f}; two fits of one scene are within 0.05 in "
+            f"{100 * (again[part] < 0.05).mean():.0f} %"
         )
     return "\n".join(text)
 

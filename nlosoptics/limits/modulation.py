@@ -16,15 +16,14 @@ from .relay import CELLS, CONTRAST
 Array = NDArray[np.float64]
 
 RINGS = 64  # rings over which the object's power spectrum is averaged
-#: Fraction of the noise variance with which a Wiener filter reaches the correlation of
-#: `inverse.tv_deconvolve` at full noise, in strong light; the factor in its growth toward weak
-#: light, in which that fit smooths more; and the correlation that noise alone reaches at the best
-#: shift. Fitted to the scenes of `benchmarks/inverse/feasibility.py --tune`.
-NOISE_SHARE, WEAK_LIGHT, CHANCE = 0.128, 0.0168, 0.16
-#: Scatter of these fits about the prediction c, over sqrt(1 - c^2), in strong light; its addition
-#: in weak light; the variance of the image over that of the noise at which half is added; and the
-#: least scatter.
-SPREAD, WEAK_SPREAD, WEAK_EXCESS, LEAST_SPREAD = 0.13, 0.1, 0.12, 0.01
+#: Noise variance, relative to the true one and per grain of the object, with which a Wiener filter
+#: reaches the correlation of `inverse.tv_deconvolve`; and the variance of the image over that of
+#: the noise below which that fit smooths more. Fitted to the scenes of
+#: `benchmarks/inverse/feasibility.py --tune`.
+NOISE_SHARE, WEAK_LIGHT = 3.96, 0.0404
+#: Scatter of these fits about the prediction c: over sqrt(1 - c^2), always, and in weak light; and
+#: the variance of the image over that of the noise at which half of the last is added.
+SPREAD, LEAST_SPREAD, WEAK_SPREAD, WEAK_EXCESS = 0.08, 0.01, 0.3, 0.04
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +84,8 @@ class Picture:
         Number of image pixels.
     noise : Noise
         Noise of an image pixel.
+    grain : float
+        (mean |grad|)^2 / mean |grad|^2 of the unblurred image: small for few sharp edges.
     """
 
     power: Array
@@ -94,6 +95,7 @@ class Picture:
     grid: tuple[int, int]
     samples: int
     noise: Noise
+    grain: float
 
     @property
     def excess(self) -> float:
@@ -106,10 +108,10 @@ class Picture:
     def score(self) -> float:
         """Return the predicted correlation between a fit and the true object.
 
-        It is ``sqrt(c^2 + CHANCE^2 (1 - c^2))``, with the correlation c of a Wiener filter:
-        ``c^2 = sum P w/sum P`` over all frequencies, with the object's power P,
-        ``w = S/(S + N)``, signal power S, and a noise power N that is
-        ``NOISE_SHARE (1 + WEAK_LIGHT/excess)`` times the true one.
+        It is that of a Wiener filter, ``c^2 = sum P w/sum P`` over all frequencies, with the
+        object's power P, ``w = S/(S + N)``, signal power S, and a noise power N that is
+        ``NOISE_SHARE grain (1 + WEAK_LIGHT/excess)`` times the true one: the fewer edges an object
+        has, the better total variation tells it from noise.
         """
         power = self.power * self.twice
         total = float(power.sum())
@@ -117,16 +119,15 @@ class Picture:
             return 0.0
         signal = self.transfer**2 * self.power
         # by Parseval, white noise has this power at each frequency of an unnormalised FFT
-        noise = NOISE_SHARE * self.noise.variance * self.samples
+        noise = NOISE_SHARE * self.grain * self.noise.variance * self.samples
         noise *= 1.0 + WEAK_LIGHT / max(self.excess, 1e-30)
         passed = power * signal / np.maximum(signal + noise, 1e-300)
-        squared = float(passed.sum()) / total
-        return math.sqrt(squared + CHANCE**2 * (1.0 - squared))
+        return math.sqrt(float(passed.sum()) / total)
 
     def spread(self) -> float:
-        """Return the expected rms difference between a fit's correlation and `score`."""
-        strong = SPREAD * math.sqrt(max(1.0 - self.score() ** 2, 0.0))
-        return max(strong + WEAK_SPREAD / (1.0 + self.excess / WEAK_EXCESS), LEAST_SPREAD)
+        """Return the expected error of `score`: at least 68 % of fits are within it."""
+        strong = SPREAD * math.sqrt(max(1.0 - self.score() ** 2, 0.0)) + LEAST_SPREAD
+        return strong + WEAK_SPREAD / (1.0 + (self.excess / WEAK_EXCESS) ** 2)
 
     def with_noise(self, noise: Noise) -> Picture:
         """Return a copy with another noise."""
@@ -222,6 +223,7 @@ def spectra(ideal: Array, transfer: Array, pitch: float, noise: Noise) -> Pictur
         grid=(rows, columns),
         samples=ideal.size,
         noise=noise,
+        grain=_grain(ideal),
     )
 
 
@@ -287,6 +289,11 @@ def picture_modes(
     )
     passed = np.interp(radial, frequency, modulation, right=0.0) * cell
     return int(np.count_nonzero(CONTRAST * snr / math.sqrt(math.prod(counts)) * passed > 1.0))
+
+
+def _grain(image: Array) -> float:
+    steps = np.hypot(image - np.roll(image, 1, axis=0), image - np.roll(image, 1, axis=1))
+    return float(steps.mean()) ** 2 / max(float((steps**2).mean()), 1e-300)
 
 
 def _frequencies(grid: tuple[int, int], step: float) -> Array:
