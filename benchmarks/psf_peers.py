@@ -46,7 +46,7 @@ from nlosoptics import psf
 from nlosoptics.errors import NlosError
 from nlosoptics.psf.aperture import cell_nodes
 from nlosoptics.psf.aperture import quadrature_nodes as keepers
-from nlosoptics.psf.transform import airy, antialiased_fft
+from nlosoptics.psf.transform import airy, antialiased_fft, spread_grid
 from nlosoptics.psf.wave import (
     cell_series,
     detilted,
@@ -208,6 +208,7 @@ def forget():
         pupil_polynomials,
         detilted,
         antialiased_fft,
+        spread_grid,
         cell_nodes,
         cell_series,
         polar_series,

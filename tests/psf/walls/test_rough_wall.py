@@ -55,6 +55,14 @@ def test_plan_names_the_regime(letter, heights, realisation, regime):
     assert choice.reason in stage.reason
 
 
+def test_the_shipped_rough_wall_is_propagated_for_an_image():
+    """Only its plan is made here, since the run takes minutes."""
+    scene = Scene.load(EXAMPLES / "letter_rough.toml")
+    stages = {stage.name: stage for stage in plan(scene).stages}
+    assert "this wall's field, propagated from wall to pupil" in stages["point spread"].reason
+    assert {"wave aberration", "point spread", "image"} <= set(stages)
+
+
 def test_one_call_gives_the_pattern_of_this_wall(letter):
     scene = rough(letter, FACETS)
     pitch, shape = scene.camera.image_pitch / 16, (25, 25)
