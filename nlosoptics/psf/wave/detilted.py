@@ -52,7 +52,7 @@ class Rays:
 
     @cached_property
     def rms(self) -> float:
-        """Return the rms distance of the rays from the image point of the tilt, m."""
+        """Rms distance of the rays from the image point of the tilt, m."""
         x, y, energy = (part.ravel() for part in (self.x, self.y, self.energy))
         return float(np.sqrt(np.vdot(energy * x, x) + np.vdot(energy * y, y)))
 
