@@ -7,8 +7,8 @@ from dataclasses import InitVar, dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+import scipy  # loads scipy.fft on first use
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
 
 from .._checks import fits_memory, one_of, positive, whole
 from .._nouns import Noun
@@ -126,7 +126,7 @@ class ForwardModel(Noun):
             40.0 * len(modes) * math.prod(grid),
             "bin the pixels or cut out a region",
         )
-        transfer = np.stack([fft.rfft2(_on_grid(mode, shape, grid)) for mode in modes])
+        transfer = np.stack([scipy.fft.rfft2(_on_grid(mode, shape, grid)) for mode in modes])
         if weights is None:
             transfer = transfer[0]
         else:
@@ -161,7 +161,7 @@ class ForwardModel(Noun):
         if self.weights is None:
             return self._filter(picture, self.transfer)
         parts = zip(self.weights, self.transfer, strict=True)
-        spectrum = sum(fft.rfft2(w * picture, s=self.grid) * t for w, t in parts)
+        spectrum = sum(scipy.fft.rfft2(w * picture, s=self.grid) * t for w, t in parts)
         return self._frame(spectrum)
 
     def adjoint(self, image: ArrayLike) -> Array:
@@ -180,7 +180,7 @@ class ForwardModel(Noun):
         picture = self._checked("image", image)
         if self.weights is None:
             return self._filter(picture, np.conj(self.transfer))
-        spectrum, total = fft.rfft2(picture, s=self.grid), np.zeros(picture.shape)
+        spectrum, total = scipy.fft.rfft2(picture, s=self.grid), np.zeros(picture.shape)
         for w, t in zip(self.weights, self.transfer, strict=True):
             total += w * self._frame(spectrum * np.conj(t))
         return total
@@ -200,20 +200,20 @@ class ForwardModel(Noun):
         return picture
 
     def _filter(self, picture: Array, transfer: NDArray[np.complex128]) -> Array:
-        spectrum = fft.rfft2(picture, s=self.grid)
+        spectrum = scipy.fft.rfft2(picture, s=self.grid)
         spectrum *= transfer
         return self._frame(spectrum)
 
     def _frame(self, spectrum: NDArray[np.complex128]) -> Array:
         rows, columns = self.shape
-        return np.ascontiguousarray(fft.irfft2(spectrum, s=self.grid)[..., :rows, :columns])
+        return np.ascontiguousarray(scipy.fft.irfft2(spectrum, s=self.grid)[..., :rows, :columns])
 
 
 def padded_grid(kernel: tuple[int, ...], shape: tuple[int, int]) -> tuple[int, int]:
     """Return the FFT grid that holds a frame and the kernel's longer arm along each axis."""
     arms = (_longer_arm(k, n) for k, n in zip(kernel, shape, strict=True))
     rows, columns = (
-        int(fft.next_fast_len(n + arm, real=True)) for n, arm in zip(shape, arms, strict=True)
+        int(scipy.fft.next_fast_len(n + arm, real=True)) for n, arm in zip(shape, arms, strict=True)
     )
     return rows, columns
 
