@@ -63,6 +63,9 @@ def run_command(
         str | None,
         typer.Option(help="Address of a dask scheduler, such as tcp://host:8786."),
     ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="Also compute failed and lost points again.")
+    ] = False,
     debug: Debug = False,
 ) -> None:
     """Run a study, or resume it: finished points are kept, new values and figures are added.
@@ -86,6 +89,7 @@ def run_command(
                 folder,
                 workers=workers,
                 scheduler=scheduler,
+                again=again,
                 progress=progress,
                 interrupted=interrupted,
             )

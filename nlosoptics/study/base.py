@@ -24,6 +24,7 @@ from .values import canonical
 
 #: Keys of a scene file whose values are names of files.
 FILE_KEYS = ("image", "mesh", "heights")
+MOST_PARTS = 64  # walls, objects and occluders kept for further scenes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -94,7 +95,16 @@ class Base(Noun):
 
     def scene(self, delta: Mapping[str, Any]) -> Scene:
         """Return the scene with other values at some addresses."""
-        return scene_from_tables(self.tables, Path(self.source), self._unpacked, Scene, delta)
+        if len(self._parts) > MOST_PARTS:
+            self._parts.clear()
+        return scene_from_tables(
+            self.tables, Path(self.source), self._unpacked, Scene, delta, self._parts
+        )
+
+    @cached_property
+    def _parts(self) -> dict[str, Any]:
+        """Walls and objects of earlier scenes, which hold their meshes and pictures."""
+        return {}
 
     @cached_property
     def _unpacked(self) -> Path:

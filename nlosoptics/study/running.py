@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .._checks import path_of, whole
 from .._progress import Progress
 from ..errors import SceneError
@@ -18,7 +20,7 @@ from .point import point_spread_key
 from .results import Results, about_study, study_of
 from .store import Store, only_writer
 from .study import Study, differing_steps
-from .worker import Block
+from .worker import DONE, FAILED, LOST, Block
 
 
 def run_study(
@@ -27,6 +29,7 @@ def run_study(
     *,
     workers: int | None = None,
     scheduler: str | None = None,
+    again: bool = False,
     progress: Progress | None = None,
     interrupted: Callable[[], bool] | None = None,
 ) -> Results:
@@ -44,6 +47,9 @@ def run_study(
         script that starts processes needs ``if __name__ == "__main__":``.
     scheduler : str, optional
         Address of a dask scheduler, such as "tcp://host:8786", whose workers replace ``workers``.
+    again : bool, default False
+        Whether to compute blocks with failed or lost points again, for example after a function of
+        yours was corrected.
     progress : callable(str, float), optional
         Called with a text and the completed fraction, 0 to 1.
     interrupted : callable, optional
@@ -85,7 +91,7 @@ def run_study(
     count = os.cpu_count() or 1 if workers is None else whole("workers", workers, 0)
     with only_writer(path):
         store = prepared(study, path)
-        blocks = open_blocks(study, store)
+        blocks = open_blocks(study, store, again)
         total = sum(len(block.ids) for block in blocks)
         if total:
             engine = _engine(study, min(count, len(blocks)) if count else 0, scheduler)
@@ -178,11 +184,15 @@ def _order(study: Study) -> list[int]:
     return [index for group in groups.values() for index in group]
 
 
-def open_blocks(study: Study, store: Store) -> list[Block]:
-    """Return the blocks of a store that lack figures, with these figures."""
+def open_blocks(study: Study, store: Store, again: bool) -> list[Block]:
+    """Return the blocks of a store that lack figures, with these figures.
+
+    With ``again`` they include blocks in which a figure failed or was lost.
+    """
     index = {name: i for i, name in enumerate(study.ids)}
     ids = store.ids()
-    lacking = {figure.name: store.statuses(figure) == 0 for figure in study.figures}
+    finished = [DONE] if again else [DONE, FAILED, LOST]
+    lacking = {figure.name: ~np.isin(store.statuses(figure), finished) for figure in study.figures}
 
     def blocks() -> Iterator[Block]:
         for first in range(0, len(ids), store.block):

@@ -112,6 +112,31 @@ def test_a_point_that_fails_says_why(tmp_path: Path) -> None:
     assert "6 x fragile" in str(results)
 
 
+def test_failed_points_are_computed_again_if_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "mended.py").write_text("def ratio(point):\n    return 1 / 0\n")
+    tables = {"scene": SCENE, "figures": ["mended:ratio"], "axes": POWERS}
+    study = Study.from_tables(tables, tmp_path)
+    failed = run_study(study, tmp_path / "store", workers=0)
+    assert failed.failures() == {"ratio: ZeroDivisionError: division by zero": 9}
+    sys.modules["mended"].ratio = lambda point: 2.0
+    assert same(run_study(study, tmp_path / "store", workers=0), failed)
+    mended = run_study(study, tmp_path / "store", workers=0, again=True)
+    assert mended.counts["done"] == 9
+    assert mended.failures() == {}
+    assert set(mended.dataset["message"].values) == {""}
+
+
+def test_scenes_share_a_mesh_and_what_it_has_computed(tmp_path: Path) -> None:
+    scene = str(EXAMPLES / "scenes" / "letter_mesh.toml")
+    base = made(own("power"), scene=scene).base
+    one, other = (base.scene({"laser.power": power}) for power in ("1 mW", "2 mW"))
+    assert one.wall is other.wall
+    assert one.laser.power != other.laser.power
+    assert base.scene({"wall.scale": 1.01}).wall is not one.wall
+    assert base.scene({"hidden.yaw": "3 deg"}).hidden is not one.hidden
+    assert base.scene({}).hidden is one.hidden
+
+
 def test_values_that_a_scene_refuses_fail_also_where_a_stage_is_shared(tmp_path: Path) -> None:
     for order in (["1 mW", "-1 mW"], ["-1 mW", "1 mW"]):
         study = made("strehl", axes={"laser.power": order})

@@ -83,7 +83,7 @@ def read_scene(
             raw = changed(raw | {"camera": _whole_camera(path, raw["camera"])}, changes)
             tables = validated(_file_tables.SceneFile, raw)
         camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, path.parent, scene)
+    return _built(tables, camera, path, path.parent, scene, {})
 
 
 def scene_tables(path: Path, changes: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -117,6 +117,7 @@ def scene_from_tables(
     folder: Path,
     scene: Callable[..., T],
     changes: Mapping[str, Any],
+    parts: dict[str, Any] | None = None,
 ) -> T:
     """Return the scene of tables from `scene_tables`.
 
@@ -132,6 +133,9 @@ def scene_from_tables(
         The class `Scene`; see `read_scene`.
     changes : mapping of str to value
         Values that replace those of the tables, by address.
+    parts : dict, optional
+        Walls, hidden objects and occluders of earlier calls by their tables. They are used again,
+        with all that they have computed, and new ones are added.
 
     Raises
     ------
@@ -141,7 +145,7 @@ def scene_from_tables(
     with located(f"{path}: "):
         tables: _file_tables.SceneFile = validated(_file_tables.SceneFile, changed(raw, changes))
     camera = _camera_values(path, tables.camera, (path.resolve(),))
-    return _built(tables, camera, path, folder, scene)
+    return _built(tables, camera, path, folder, scene, {} if parts is None else parts)
 
 
 def _built(
@@ -150,8 +154,16 @@ def _built(
     path: Path,
     folder: Path,
     scene: Callable[..., T],
+    parts: dict[str, Any],
 ) -> T:
     """Return the scene of checked tables and of camera values, with all its files opened."""
+
+    def part(make: Callable[[Any, Path], Any], table: Any, key: Any) -> Any:
+        text = f"{make.__name__} {key!r}"
+        if text not in parts:
+            parts[text] = make(table, folder)
+        return parts[text]
+
     with located(f"{path}: "):
         optional: dict[str, Any] = {}
         if tables.wall.material is not None:
@@ -164,10 +176,10 @@ def _built(
             optional["transient"] = TransientScan(**_given(tables.transient))
         made = scene(
             _laser(tables.laser),
-            _wall(tables.wall, folder),
-            _hidden(tables.hidden, folder),
+            part(_wall, tables.wall, _given(tables.wall, "material", "roughness")),
+            part(_hidden, tables.hidden, tables.hidden),
             _camera(camera),
-            tuple(_occluders(tables.occluder or [], folder)),
+            part(_occluders, tables.occluder or [], tables.occluder),
             **optional,
         )
         _open_files(made)
@@ -358,13 +370,15 @@ def _hidden(table: Any, folder: Path) -> PlanarObject | MeshObject:
     return PlanarObject(_resolved(folder, values.pop("image")), **values)
 
 
-def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> Iterator[Occluder]:
-    """Yield the occluders of a scene file."""
+def _occluders(tables: list[_file_tables.OccluderTable], folder: Path) -> tuple[Occluder, ...]:
+    """Return the occluders of a scene file."""
+    found = []
     for index, table in enumerate(tables):
         values = _given(table)
         mesh = _resolved(folder, values.pop("mesh"))
         with located(f"occluder[{index}].", "occluder."):
-            yield Occluder(mesh, **values)
+            found.append(Occluder(mesh, **values))
+    return tuple(found)
 
 
 def _resolved(folder: Path, name: str) -> Path:
