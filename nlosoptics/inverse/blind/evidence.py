@@ -29,6 +29,7 @@ from ..wave.pupil_psf import PupilPSF
 from .evidence_search import ROUNDS, Search
 from .free_energy import Floats, FreeEnergy, Starts
 from .verdict import Verdict
+from .wall_proposals import wall_proposals
 
 #: Smallest range of the known defoci, waves rms, at which a wave without blur cannot explain all
 #: images.
@@ -66,8 +67,8 @@ def evidence_fit(
 
     Use two frames, one with a known additional defocus of half a wave rms (one wave for walls of
     one wave rms). A wave without blur then cannot explain both, and most random starts end at the
-    truth. With one frame the search takes many times longer, and the answer is reliable only if
-    ``status`` is "converged".
+    truth. With one frame a trained network proposes further starts, the search takes many times
+    longer, and the answer is reliable only if ``status`` is "converged".
 
     Parameters
     ----------
@@ -111,7 +112,8 @@ def evidence_fit(
         Rms of the wall's wave, waves. None: unknown; several values are tried.
     max_iterations : int, optional
         Maximum number of search rounds; by default 2 with a defocused frame, otherwise 4. A round
-        optimises 32 random walls, or about 400 walls and variations of the best for one frame.
+        optimises 32 random walls, or about 400 walls and variations of the best for one frame,
+        after the network's proposals.
     max_seconds : float, optional
         Time after which no further round or generation starts, s. The result then depends on the
         speed of the machine.
@@ -159,6 +161,10 @@ def evidence_fit(
     -----
     The answer is the start with the least free energy (`FreeEnergy`). Squared residuals would
     prefer no blur to the truth for one frame.
+
+    For one image without ``start_error``, a network proposes walls of the Noll modes 4 to 21 if the
+    pixels are no wider than Nyquist's, the frame has 24 to 96 of Nyquist's pixels along each side,
+    and the pupil has no known wave or transmission. Only the free energy judges them.
 
     The answer must explain the images to be "converged": ``model_error`` is at most 0.004, plus
     0.003 times the wall's rms in waves (0.01 times with one image), counted up to one wave. If the
@@ -222,12 +228,14 @@ def evidence_fit(
     verdict = Verdict(frames, pupil_psf.modes, several)
     if all(one.is_background() for one in frames.measured):
         return _without_object(frames, pupil_psf, gain, started)
+    searched = not several and start_error is None
     search = Search(
         energies,
         verdict,
         first=_first_coefficients(frames, pupil_psf),
         start_error=start_error,
         strength=strength,
+        propose=wall_proposals(frames, pupil_psf) if searched else None,
         rounds=ROUNDS[not several] if rounds is None else rounds,
         seed=seed,
         state=_search_state(start),

@@ -20,6 +20,8 @@ from .verdict import Verdict
 Watch = Callable[[str, float], bool]
 #: Free energy on an FFT grid wider than the images by the given factor, for given Noll indices.
 Energies = Callable[[float, tuple[int, ...]], FreeEnergy]
+#: Proposed coefficients, (count, M) waves rms, the most likely ones first.
+Propose = Callable[[int, Generator], Floats]
 
 # Several images. A strong assumed noise at first gives all starts one broad basin of the energy.
 _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave_rate=0.016)
@@ -43,6 +45,10 @@ _NEAR = (
     Stage(iterations=200, kappa=0.5, first=1.0, last=1.0, share=1.0, wave_rate=0.004),
 )
 _NEAR_STARTS = 4
+
+# Proposed walls, at the norms that were proposed.
+_PROPOSED = Stage(iterations=200, kappa=1.0, first=6.0, last=1.5, share=0.8, wave_rate=0.01)
+_PROPOSALS = 32
 
 #: Norm of the coefficients of a wall without noticeable blur, waves rms.
 _SHARP = 0.01
@@ -117,9 +123,11 @@ _TEXTS = {
     "neighbours": "near the best walls",
     "finish": "best walls",
     "widen": "more modes",
+    "propose": "proposed walls",
     "end": "done",
 }
 _STEPS = tuple(_TEXTS)
+_DRAWING = len(_STEPS) - 1  # all but the end draw random numbers
 _HISTORY = ("objective", "residual", "change")
 
 
@@ -228,6 +236,8 @@ class Search:
         Expected rms error of the given coefficients, waves; None: they are only one more start.
     strength : float or None
         Known rms of the walls' waves, waves.
+    propose : callable or None
+        Returns proposed walls for one image; None: there are none.
     rounds : int
         Largest number of rounds.
     seed : int
@@ -249,13 +259,14 @@ class Search:
         first: Floats,
         start_error: float | None,
         strength: float | None,
+        propose: Propose | None,
         rounds: int,
         seed: int,
         state: Mapping[str, Any] | None,
     ) -> None:
         self._energies, self._verdict = energies, verdict
         self._first, self._error, self._strength = first, start_error, strength
-        self._rounds, self._seed = rounds, seed
+        self._propose_walls, self._rounds, self._seed = propose, rounds, seed
         modes = verdict.modes
         self._energy = energies(_PADDING, modes)
         self._prior = self._energy
@@ -315,7 +326,7 @@ class Search:
         self._offer(self._energy.descend(pool.best(1).held(np.inf), _last(self._frames)))
 
     def _random(self, step: str, count: int) -> Generator:
-        stream = len(_STEPS) * (self.place.turn + 1) + _STEPS.index(step)
+        stream = _DRAWING * (self.place.turn + 1) + _STEPS.index(step)
         return generator(self._seed, 100 * stream + count)
 
     def _reference(self, random: Generator) -> str:
@@ -341,7 +352,11 @@ class Search:
             return "near"
         if self._first.any():
             return "given"
-        return self._next()
+        return self._begin()
+
+    def _begin(self) -> str:
+        """Return the first step after those about given coefficients."""
+        return self._next() if self._propose_walls is None else "propose"
 
     def _near(self, random: Generator) -> str:
         """Fit from given coefficients of known error."""
@@ -364,7 +379,18 @@ class Search:
         pool = self._energy.starts(self._first[None], _NEAR[0].first)
         pool = self._energy.descend(self._energy.descend(pool, _NEAR[0]), settle)
         self._offer(self._energy.descend(pool, finish))
-        return "widen" if self._frames else self._next()
+        return "widen" if self._frames else self._begin()
+
+    def _propose(self, random: Generator) -> str:
+        """Fit the proposed walls of one image, whose norms are kept at first."""
+        assert self._propose_walls is not None  # the step exists only then
+        walls = self._propose_walls(_PROPOSALS, random)
+        if self._strength is not None:
+            walls *= self._strength / np.linalg.norm(walls, axis=1, keepdims=True)
+        narrow = self._energies(_NARROW, self._energy.modes)
+        starts = narrow.starts(walls, _PROPOSED.first, np.linalg.norm(walls, axis=1))
+        self.place.pool = narrow.descend(starts, _PROPOSED).best(_STARTS // 4)
+        return "settle"
 
     def _gather(self, random: Generator) -> str:
         """Fit random walls to images that a wave without blur cannot explain."""
@@ -380,10 +406,14 @@ class Search:
         return "settle"
 
     def _coarse(self, random: Generator) -> str:
-        """Fit random walls of fixed norm to one image."""
+        """Fit walls of fixed norm to one image: random ones, and as many proposed ones."""
         island = self._island()
         narrow, stage = self._energies(_NARROW, self._energy.modes), _coarse_stage(island)
         walls = random_walls(4 * island.population, narrow.size, np.array([island.radius]), random)
+        if self._propose_walls is not None:
+            proposed = self._propose_walls(len(walls) // 2, random)
+            lengths = np.linalg.norm(proposed, axis=1, keepdims=True)
+            walls[::2] = proposed * (island.radius / lengths)
         pool = narrow.descend(narrow.starts(walls, stage.first, island.radius), stage)
         self.place.pool = pool.best(island.population)
         return "breed"
@@ -434,11 +464,11 @@ class Search:
         before = float(pool.energy[0])
         if not frames:
             # walls below a least norm approach no blur
-            least_length = _LEAST_LENGTH * self._island().radius
-            long = np.linalg.norm(both.coefficients, axis=1) >= least_length
+            long = np.linalg.norm(both.coefficients, axis=1) >= self._least_length(pool)
             both = both[long] if long.any() else pool
         self.place.pool = both.best(8)
-        if frames and before - float(self.place.pool.energy[0]) < _STANDSTILL:
+        quick = frames or self.place.turn < 0  # the rounds of one image search longer
+        if quick and before - float(self.place.pool.energy[0]) < _STANDSTILL:
             return "finish"
         return "neighbours"
 
@@ -485,6 +515,12 @@ class Search:
 
     def _wider(self, modes: tuple[int, ...]) -> FreeEnergy:
         return self._energy if modes == self._energy.modes else self._energies(_PADDING, modes)
+
+    def _least_length(self, pool: Starts) -> float:
+        """Return the least norm of walls that one image is fitted by, waves rms."""
+        if self.place.turn < 0:  # proposed walls have no common norm
+            return 0.9 * float(np.linalg.norm(pool.coefficients[0]))
+        return _LEAST_LENGTH * self._island().radius
 
     def _island(self) -> Island:
         island = _ISLANDS[self.place.turn % len(_ISLANDS)]

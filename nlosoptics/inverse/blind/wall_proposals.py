@@ -1,0 +1,280 @@
+"""Waves that a trained network proposes for one image, as starts of a search.
+
+The network has seen images of 64 x 64 pixels at Nyquist's pitch. Others are resampled, and cut out
+about their light or surrounded by black.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.random import Generator
+from torch import Tensor
+
+from ...errors import MissingExtraError, SceneError
+from ...psf.wave.zernikes import zernike
+from ..wave.frames import Frames
+from ..wave.pupil_psf import PupilPSF
+from ..wave.pupil_waves import DEFOCUS, ZernikeWaves
+from .evidence_search import Propose
+from .free_energy import Floats
+from .wall_network import MODES, SIDE, WallNetwork, twin_signs
+
+#: File of the trained weights.
+WEIGHTS = Path(__file__).with_name("wall_proposals.safetensors")
+_FORMAT = "nlosoptics wall proposals 1"
+#: Largest pitch relative to Nyquist's: beyond it the image lacks high frequencies.
+_COARSEST = 1.02
+#: Sides of frames to which the network applies, pixels at Nyquist's pitch.
+_SIDES = (24, 96)
+#: Pixels at Nyquist's pitch of the transform that resamples.
+_PERIOD = 192
+#: Steps of the mean of all looks.
+_MEETINGS = 5
+#: Standard deviations in this mean relative to the proposed ones, so that the looks meet.
+_WIDER = 2.0
+#: Standard deviations of the drawn walls relative to the proposed ones, in turn.
+_SPREADS = (1.0, 0.5)
+Turn = Callable[[Tensor], Tensor]
+
+
+class WallProposals:
+    """Density of the waves of one image, from eight turned and mirrored copies of it.
+
+    Parameters
+    ----------
+    image : Tensor, (SIDE, SIDE)
+        Image at Nyquist's pitch with a dark background.
+    noise : float
+        Standard deviation of its noise, image units.
+    network : WallNetwork
+        Trained network.
+
+    Attributes
+    ----------
+    mean : ndarray, (M,)
+        Most likely coefficients of `wall_network.MODES`, waves rms; their twin is as likely.
+    """
+
+    def __init__(self, image: Tensor, noise: float, network: WallNetwork) -> None:
+        turns = _turns()
+        with torch.no_grad():
+            looks = torch.stack([turn(image) for turn, _ in turns])
+            found = network(looks, torch.full((len(looks),), noise))
+        back = torch.stack([matrix for _, matrix in turns])
+        means = torch.einsum("lpm,lmn->lpn", found.means, back).flatten(0, 1)
+        # each turn exchanges modes of one order or changes signs
+        deviations = torch.einsum("lpm,lmn->lpn", found.deviations, back.abs()).flatten(0, 1)
+        weights = found.weights.exp().flatten() / len(looks)
+        parts = (weights, means, deviations)
+        self._parts: list[Floats] = [one.double().numpy() for one in parts]
+        self.mean = self._meeting()
+
+    def walls(self, count: int, random: Generator) -> Floats:
+        """Return coefficients (count, M), waves rms: the mean, and draws from the density."""
+        weights, means, deviations = self._parts
+        rows = random.choice(len(weights), size=count, p=weights / weights.sum())
+        spread = np.resize(_SPREADS, count)[:, None] * deviations[rows]
+        walls: Floats = means[rows] + spread * random.normal(size=spread.shape)
+        walls[0] = self.mean
+        return walls
+
+    def _meeting(self) -> Floats:
+        """Return the coefficients near which most looks propose theirs.
+
+        From each proposal a mean shift with the proposals and their twins leads to a maximum of the
+        density; that of the largest one is kept.
+        """
+        weights, means, deviations = self._parts
+        every = np.concatenate([means, means * twin_signs().double().numpy()])
+        precision = (_WIDER * np.tile(deviations, (2, 1))) ** -2
+        shares = np.log(np.tile(weights, 2)) + 0.5 * np.log(precision).sum(axis=1)
+
+        def chances(at: Floats) -> Floats:
+            found: Floats = shares - 0.5 * (np.square(at[:, None] - every) * precision).sum(axis=2)
+            return found
+
+        at = means
+        for _ in range(_MEETINGS):
+            logarithms = chances(at)
+            pull = np.exp(logarithms - logarithms.max(axis=1, keepdims=True))
+            at = (pull @ (precision * every)) / (pull @ precision)
+        best: Floats = at[int(np.logaddexp.reduce(chances(at), axis=1).argmax())]
+        return best
+
+
+def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Propose | None:
+    """Return a source of proposals for one image, or None where the network does not apply.
+
+    It applies to one image through a full circular pupil without a known wave, of pixels no wider
+    than Nyquist's, and of 24 to 96 pixels at Nyquist's pitch along each side.
+    """
+    optics, waves = pupil_psf.optics, pupil_psf.waves
+    scale = optics.pitch / optics.nyquist_pitch
+    sides = [side * scale for side in frames.shape]
+    known = isinstance(waves, ZernikeWaves) and waves.rest is not None
+    if (
+        len(frames.images) > 1
+        or scale > _COARSEST
+        or min(sides) < _SIDES[0]
+        or max(sides) > _SIDES[1]
+        or known
+        or optics.transmission is not None
+        or not set(pupil_psf.modes) & set(MODES)
+    ):
+        return None
+    image, noise = at_nyquist(frames.images[0], float(frames.sigmas[0]), scale)
+    density = WallProposals(image, noise, trained_network())
+
+    def propose(count: int, random: Generator) -> Floats:
+        return as_coefficients(density.walls(count, random), frames, pupil_psf)
+
+    return propose
+
+
+def as_coefficients(walls: Floats, frames: Frames, pupil_psf: PupilPSF) -> Floats:
+    """Return walls (B, 18) of the network as coefficients (B, M) of a fit, waves rms.
+
+    Modes that the network does not know are 0. A known defocus is subtracted.
+    """
+    optics = pupil_psf.optics
+    found = np.zeros((len(walls), len(pupil_psf.modes)))
+    signed = walls * np.sign(optics.image_distance)
+    for column, mode in enumerate(pupil_psf.modes):
+        if mode in MODES:
+            found[:, column] = signed[:, MODES.index(mode)]
+            if mode == DEFOCUS:
+                found[:, column] -= frames.defocus[0] / optics.wavelength
+    return found
+
+
+def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float]:
+    """Resample an image to SIDE x SIDE pixels at Nyquist's pitch; return it and its noise.
+
+    Parameters
+    ----------
+    image : ndarray, (H, W)
+        Image, any unit.
+    noise : float
+        Standard deviation of its noise, image units.
+    scale : float
+        Its pitch relative to Nyquist's, at most about 1.
+
+    Notes
+    -----
+    The median of the edges becomes 0, and so does all that surrounds the image. A longer side is
+    cut to SIDE pixels about the centroid of the light.
+    """
+    edges = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+    dark = torch.from_numpy(image - np.median(edges))
+    period = round(_PERIOD / scale)
+    spectrum = torch.fft.fft2(dark, s=(period, period))
+    half = _PERIOD // 2
+    kept = torch.zeros((_PERIOD, _PERIOD), dtype=spectrum.dtype)
+    inside = torch.fft.fftfreq(_PERIOD, 1.0 / _PERIOD).long()
+    inside = inside[inside.abs() < min(half, (period + 1) // 2)]
+    kept[inside[:, None], inside] = spectrum[inside[:, None], inside]
+    if period == _PERIOD:
+        kept = spectrum
+    found = torch.fft.ifft2(kept).real * (_PERIOD / period) ** 2
+    sides = [max(1, round(side * scale)) for side in image.shape]
+    found = found[: sides[0], : sides[1]]
+    light = found.clamp(min=0.0)
+    made = torch.zeros(SIDE, SIDE)
+    given, put = [], []
+    for axis, side in enumerate(sides):
+        along = light.sum(dim=1 - axis)
+        middle = float((along * torch.arange(side)).sum() / along.sum().clamp(min=1e-12))
+        first = min(max(round(middle) - SIDE // 2, 0), max(side - SIDE, 0))
+        given.append(slice(first, first + SIDE))
+        room = max(SIDE - side, 0) // 2
+        put.append(slice(room, room + min(side, SIDE)))
+    made[put[0], put[1]] = found[given[0], given[1]].float()
+    return made, noise * min(1.0, scale)
+
+
+@cache
+def trained_network() -> WallNetwork:
+    """Return the network with the weights of the package."""
+    return loaded_network(WEIGHTS)
+
+
+def loaded_network(path: Path) -> WallNetwork:
+    """Load a network that `saved_network` wrote.
+
+    Raises
+    ------
+    SceneError
+        If the file cannot be read or does not contain such a network.
+    MissingExtraError
+        If safetensors is not installed.
+    """
+    safetensors = _safetensors()
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise SceneError(f"{path} cannot be read ({error.strerror}); install it again") from None
+    network = WallNetwork()
+    try:
+        tensors = safetensors.load(content)
+        length = int.from_bytes(content[:8], "little")
+        told = json.loads(content[8 : 8 + length])["__metadata__"]["format"]
+        if told != _FORMAT:
+            raise ValueError(f'format {told!r}, must be "{_FORMAT}"')
+        network.load_state_dict({name: one.float() for name, one in tensors.items()})
+    except Exception as error:
+        text = " ".join(str(error).split())[:200]
+        raise SceneError(
+            f"{path} does not hold the network of wall proposals ({text}); install it again"
+        ) from None
+    return network.eval().requires_grad_(False)
+
+
+def saved_network(network: WallNetwork) -> bytes:
+    """Return the content of a file that holds a network, in half precision."""
+    tensors = {name: one.detach().half() for name, one in network.state_dict().items()}
+    content: bytes = _safetensors().save(tensors, {"format": _FORMAT})
+    return content
+
+
+@cache
+def _turns() -> list[tuple[Turn, Tensor]]:
+    """Return the eight turns and reflections of an image, each with its matrix (M, M).
+
+    Coefficients of the turned image, times the matrix, are those of the image.
+    """
+    axis = (np.arange(SIDE) + 0.5) / SIDE * 2.0 - 1.0
+    u, v = np.meshgrid(axis, axis)
+    rho = np.hypot(u, v)
+    inside = torch.from_numpy(rho < 1.0)
+    basis = [torch.from_numpy(zernike(mode, rho, np.arctan2(v, u))) for mode in MODES]
+    plain = torch.stack([one[inside] for one in basis])
+    found: list[tuple[Turn, Tensor]] = []
+    for mirrored in (False, True):
+        for quarters in range(4):
+
+            def turn(image: Tensor, mirrored: bool = mirrored, quarters: int = quarters) -> Tensor:
+                return torch.rot90(image.flip(1) if mirrored else image, quarters)
+
+            turned = torch.stack([turn(one)[inside] for one in basis])
+            # rows: each mode of the image, turned, as a sum of modes
+            matrix = torch.linalg.lstsq(plain.T, turned.T).solution
+            found.append((turn, matrix.round().float()))
+    return found
+
+
+def _safetensors() -> Any:
+    try:
+        import safetensors.torch
+    except ImportError:
+        raise MissingExtraError(
+            "the network of wall proposals is a file of safetensors, which is not installed; "
+            "pip install 'nlosoptics[inverse]'"
+        ) from None
+    return safetensors.torch

@@ -1,0 +1,283 @@
+"""The network proposes walls near the truth, for any frame and pitch that it applies to."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from nlosoptics.errors import SceneError
+from nlosoptics.inverse import PupilPSF
+from nlosoptics.inverse.blind import wall_proposals as proposals
+from nlosoptics.inverse.blind.evidence_search import Search
+from nlosoptics.inverse.blind.free_energy import FreeEnergy
+from nlosoptics.inverse.blind.random_walls import random_walls
+from nlosoptics.inverse.blind.verdict import Verdict
+from nlosoptics.inverse.blind.wall_network import MODES, SIDE, WallNetwork, twin_signs
+from nlosoptics.inverse.data._threads import single_thread
+from nlosoptics.inverse.wave.frames import frames_of
+
+WAVELENGTH = 632.8e-9
+OPTICS = {"wavelength": WAVELENGTH, "pupil_radius": 0.9e-3, "image_distance": 51.2e-3}
+NYQUIST = OPTICS["wavelength"] * OPTICS["image_distance"] / (4.0 * OPTICS["pupil_radius"])
+TWIN = twin_signs().double().numpy()
+
+
+def pupil(pitch=NYQUIST, shape=SIDE, modes=MODES, **options):
+    return PupilPSF.from_zernike(
+        modes, **{**OPTICS, **options}, pitch=pitch, shape=shape, pixel_integrated=True
+    )
+
+
+def picture(seed, side=SIDE):
+    """Three bars and a ring that no training draws, turned and grey."""
+    random = np.random.default_rng(seed)
+    axis = (np.arange(side) + 0.5) / side * 2.0 - 1.0
+    x, y = np.meshgrid(axis, axis)
+    found = np.zeros((side, side))
+    for _ in range(3):
+        angle, place = random.uniform(0, np.pi), random.uniform(-0.3, 0.3, size=2)
+        along = (x - place[0]) * np.cos(angle) + (y - place[1]) * np.sin(angle)
+        across = (y - place[1]) * np.cos(angle) - (x - place[0]) * np.sin(angle)
+        found[(np.abs(along) < 0.3) & (np.abs(across) < 0.08)] = random.uniform(0.5, 1.0)
+    place = random.uniform(-0.3, 0.3, size=2)
+    found[np.abs(np.hypot(x - place[0], y - place[1]) - 0.2) < 0.05] = 1.0
+    return found
+
+
+def image(truth, wall, pitch=NYQUIST, noise=0.01, seed=0, **options):
+    """Image of a picture; the point spread has twice its room."""
+    wide = pupil(pitch, 2 * max(truth.shape), **options)
+    with torch.no_grad():
+        seen = (
+            wide.image(
+                torch.from_numpy(truth).float(), torch.from_numpy(wall).float(), defocus=np.zeros(1)
+            )[0]
+            .double()
+            .numpy()
+        )
+    return seen + noise * seen.max() * np.random.default_rng(seed).normal(size=seen.shape)
+
+
+def proposed(data, point_spread, count=32, seed=0, **options):
+    """Walls that the network proposes, or None."""
+    usual = {"defocus": None, "walls": None, "noise_sigma": None, "background": 0.0}
+    usual |= {"fit_background": True, "background_shape": None}
+    found = proposals.wall_proposals(
+        frames_of(data, point_spread, **(usual | options)), point_spread
+    )
+    return None if found is None else found(count, np.random.default_rng(seed))
+
+
+def distance(walls, truth):
+    """Distance of walls from the truth or its twin, waves rms."""
+    first, second = (
+        np.linalg.norm(np.atleast_2d(walls) - t, axis=1) for t in (truth, truth * TWIN)
+    )
+    return np.minimum(first, second)
+
+
+def walls(count, strength, seed):
+    return random_walls(count, len(MODES), np.array([strength]), np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def cases():
+    """Twenty images of unseen pictures and walls of half a wave."""
+    truths = walls(20, 0.5, seed=77)
+    return [(image(picture(n), wall, seed=n), wall) for n, wall in enumerate(truths)]
+
+
+def nearer(network, cases):
+    """Share of images whose proposals have one nearer to the truth than all of 32 random walls."""
+    count = 0
+    for n, (data, truth) in enumerate(cases):
+        density = proposals.WallProposals(*proposals.at_nyquist(data, 0.01, 1.0), network)
+        drawn = density.walls(32, np.random.default_rng(n))
+        count += distance(drawn, truth).min() < distance(walls(32, 0.5, seed=n), truth).min()
+    return count / len(cases)
+
+
+def test_proposals_are_nearer_than_random_walls(cases):
+    assert nearer(proposals.trained_network(), cases) >= 0.8
+
+
+def test_a_network_of_shuffled_weights_is_no_better_than_chance(cases):
+    shuffled = WallNetwork()
+    order = torch.Generator().manual_seed(0)
+    state = {}
+    for name, values in proposals.trained_network().state_dict().items():
+        mixed = torch.randperm(values.numel(), generator=order)
+        state[name] = values.flatten()[mixed].reshape(values.shape)
+    shuffled.load_state_dict(state)
+    assert nearer(shuffled.eval(), cases) < 0.5
+
+
+def test_weights_are_small_and_proposals_repeat(cases):
+    assert proposals.WEIGHTS.stat().st_size < 5e6
+    data, point_spread = cases[0][0], pupil()
+    first, again, other = (proposed(data, point_spread, seed=seed) for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert np.array_equal(first[0], other[0])  # the mean is not drawn
+    assert not np.array_equal(first[1:], other[1:])
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_a_turned_image_has_the_turned_wall(cases, number):
+    turn, matrix = proposals._turns()[number]
+    seen = torch.from_numpy(cases[1][0]).float()
+    seen = seen - seen.median()
+    network = proposals.trained_network()
+    plain = proposals.WallProposals(seen, 0.01, network).mean
+    turned = proposals.WallProposals(turn(seen), 0.01, network).mean
+    # single precision
+    assert distance(turned @ matrix.double().numpy(), plain)[0] < 1e-4
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_matrices_of_turns_are_those_of_point_spreads(number):
+    turn, matrix = proposals._turns()[number]
+    wall = walls(1, 0.4, seed=5)[0]
+    # W' of the turned point spread; its coefficients times the matrix are those of W
+    turned = wall @ np.linalg.inv(matrix.double().numpy())
+    wide = pupil(shape=SIDE + 1)
+    with torch.no_grad():
+        plain, other = wide(torch.from_numpy(np.stack([wall, turned])).float())
+    spread = torch.fft.fftshift(plain) if plain.argmax() == 0 else plain
+    # single precision
+    assert torch.allclose(turn(spread), other, atol=1e-5 * float(plain.max()))
+
+
+def test_finer_pixels_show_the_same_wall():
+    """Twice as many pixels of half the pitch; noise and the picture's sampling differ."""
+    truth, wall = picture(3), walls(1, 0.5, seed=3)[0]
+    coarse = image(truth, wall, noise=1e-4)
+    fine = image(np.kron(truth, np.ones((2, 2))), wall, pitch=NYQUIST / 2, noise=1e-4)
+    network = proposals.trained_network()
+    first, noise = proposals.at_nyquist(coarse, 0.01, 1.0)
+    second, less = proposals.at_nyquist(fine, 0.02, 0.5)
+    assert (noise, less) == (0.01, 0.01)
+    # halves of pixels lie a quarter of a pixel off; the image changes by as much
+    assert float((first / first.max() - second / second.max()).abs().max()) < 0.1
+    means = [proposals.WallProposals(one, 0.01, network).mean for one in (first, second)]
+    assert distance(means[0], means[1])[0] < 0.15
+
+
+@pytest.mark.parametrize("shape", [(50, 64), (64, 40), (90, 70), (24, 96)])
+def test_frames_of_other_sizes(shape):
+    truth = np.zeros((96, 96))
+    truth[16:80, 16:80] = picture(4)
+    rows, columns = ((96 - side) // 2 for side in shape)
+    data = image(truth, walls(1, 0.3, seed=4)[0])
+    data = data[rows : rows + shape[0], columns : columns + shape[1]]
+    found = proposed(data, pupil(shape=shape))
+    assert found.shape == (32, len(MODES))
+    assert np.isfinite(found).all()
+
+
+def test_other_modes_known_defocus_and_negative_distance(cases):
+    data = cases[2][0]
+    plain = proposed(data, pupil())
+    few = proposed(data, pupil(modes=(5, 4, 25)))
+    assert np.array_equal(few, np.stack([plain[:, 1], plain[:, 0], 0.0 * plain[:, 0]], axis=1))
+    shifted = proposed(data, pupil(), defocus=[0.25 * WAVELENGTH])
+    assert np.allclose(plain - shifted, 0.25 * (np.array(MODES) == 4))
+    mirrored = proposed(data, pupil(image_distance=-OPTICS["image_distance"]))
+    assert np.array_equal(mirrored, -plain)
+
+
+@pytest.mark.parametrize(
+    ("data", "point_spread", "options"),
+    [
+        (np.eye(SIDE), pupil(1.2 * NYQUIST), {}),
+        (np.eye(20), pupil(shape=20), {}),
+        (np.eye(100), pupil(shape=100), {}),
+        (np.eye(SIDE), pupil(modes=(22, 23)), {}),
+        (np.stack([np.eye(SIDE)] * 2), pupil(), {"defocus": [0.0, 0.5 * WAVELENGTH]}),
+    ],
+    ids=["wide pixels", "small", "large", "other modes", "two frames"],
+)
+def test_where_the_network_does_not_apply(data, point_spread, options):
+    assert proposed(data + 0.0, point_spread, noise_sigma=0.01, **options) is None
+
+
+def test_bad_files_are_refused_in_one_line(tmp_path):
+    import safetensors.torch
+
+    good = proposals.WEIGHTS.read_bytes()
+    length = int.from_bytes(good[:8], "little")
+    told = json.loads(good[8 : 8 + length])["__metadata__"]
+    tensors = safetensors.torch.load(good)
+    less = dict(list(tensors.items())[1:])
+    contents = {
+        "cut": good[: len(good) // 2],
+        "text": b"no network",
+        "format": safetensors.torch.save(tensors, {"format": "other"}),
+        "weights": safetensors.torch.save(less, told),
+    }
+    for name, content in contents.items():
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(SceneError, match="does not hold the network") as error:
+            proposals.loaded_network(path)
+        assert "\n" not in str(error.value)
+    with pytest.raises(SceneError, match="cannot be read"):
+        proposals.loaded_network(tmp_path / "none")
+
+
+def search(data, point_spread, state=None, strength=None):
+    """A search of one image at its step of proposed walls."""
+    usual = {"defocus": None, "walls": None, "noise_sigma": None, "background": 0.0}
+    usual |= {"fit_background": True, "background_shape": None}
+    frames = frames_of(data, point_spread, **usual)
+
+    def energies(padding, modes):
+        return FreeEnergy(frames, point_spread, grid=(36, 36), modes=modes)
+
+    found = Search(
+        energies,
+        Verdict(frames, MODES, False),
+        first=np.zeros(len(MODES)),
+        start_error=None,
+        strength=strength,
+        propose=proposals.wall_proposals(frames, point_spread),
+        rounds=1,
+        seed=3,
+        state=state,
+    )
+    if state is None:
+        found.place.step = "propose"
+    return found
+
+
+def fitted(found):
+    """The proposed walls after their fit."""
+    with single_thread():
+        found.run(lambda text, done: found.place.step == "settle")
+    return found.place.pool
+
+
+def test_proposed_walls_are_fitted_alike_by_any_threads_and_after_resuming():
+    import numba
+
+    data, point_spread = image(picture(5, 32), walls(1, 0.3, seed=6)[0]), pupil(shape=32)
+    first = search(data, point_spread)
+    saved = {name: np.array(values) for name, values in first.place.saved().items()}
+    pool = fitted(first)
+    resumed = search(data, point_spread, saved)
+    threads = numba.get_num_threads()
+    try:
+        numba.set_num_threads(1)
+        again = fitted(resumed)
+    finally:
+        numba.set_num_threads(threads)
+    assert len(pool) == 8
+    assert np.array_equal(pool.coefficients, again.coefficients)
+    assert np.array_equal(pool.energy, again.energy)
+
+
+def test_a_known_strength_is_that_of_the_proposed_walls():
+    data, point_spread = image(picture(5, 32), walls(1, 0.3, seed=6)[0]), pupil(shape=32)
+    assert fitted(search(data, point_spread, strength=0.25)).radius == pytest.approx(0.25)
