@@ -281,3 +281,50 @@ def test_proposed_walls_are_fitted_alike_by_any_threads_and_after_resuming():
 def test_a_known_strength_is_that_of_the_proposed_walls():
     data, point_spread = image(picture(5, 32), walls(1, 0.3, seed=6)[0]), pupil(shape=32)
     assert fitted(search(data, point_spread, strength=0.25)).radius == pytest.approx(0.25)
+
+
+@pytest.fixture
+def training(root, monkeypatch):
+    """The committed training script."""
+    monkeypatch.syspath_prepend(root / "benchmarks/inverse")
+    import train_proposals
+
+    return train_proposals
+
+
+def test_training_images_are_those_of_the_fitted_model(training):
+    """The pixels' own transfer apart, which the pictures' samples already hold."""
+    truth, wall = picture(6), walls(1, 0.6, seed=9)[0]
+    every = np.append(wall, np.zeros(len(training.HIGHER)))[None]
+    seen = training.Simulator(truth[None].astype(np.float32)).blurred(
+        torch.from_numpy(truth[None]).float(), torch.from_numpy(every).float()
+    )[0]
+    sharp = {**OPTICS, "pitch": NYQUIST, "shape": 2 * SIDE}
+    wide = PupilPSF.from_zernike(MODES, **sharp)
+    with torch.no_grad():
+        expected = wide.image(
+            torch.from_numpy(truth).float(), torch.from_numpy(wall).float(), defocus=np.zeros(1)
+        )[0]
+    # the fitted point spread adds up to 1; single precision
+    ratio = float(seen.sum() / expected.sum())
+    assert torch.allclose(seen / ratio, expected, atol=1e-5 * float(expected.max()))
+
+
+def test_pictures_of_training_repeat_and_extend(training):
+    few, more = training.pictures(6, seed=4), training.pictures(8, seed=4)
+    assert np.array_equal(few, more[:6])
+    assert not np.array_equal(few, training.pictures(6, seed=5))
+    assert few.shape == (6, SIDE, SIDE)
+    assert few.min() >= 0.0
+    assert few.max() == 1.0
+
+
+def test_training_draws_the_strengths_and_noise_it_is_given(training):
+    simulator = training.Simulator(np.stack([picture(n) for n in range(3)]).astype(np.float32))
+    strengths = np.array([0.1, 0.5, 1.2])
+    drawn = [simulator.drawn(np.random.default_rng(1), 3, strengths) for _ in range(2)]
+    (seen, noise, coefficients), again = drawn
+    assert all(torch.equal(one, other) for one, other in zip(drawn[0], again, strict=True))
+    assert coefficients.norm(dim=1).numpy() == pytest.approx(strengths, rel=1e-6)
+    assert 0.003 <= float(noise.min()) <= float(noise.max()) <= 0.05
+    assert seen.shape == (3, SIDE, SIDE)
