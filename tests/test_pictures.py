@@ -4,11 +4,13 @@ import struct
 import zlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from nlosoptics import imaging
 from nlosoptics.errors import SceneError
 from nlosoptics.scene import PlanarObject
+from nlosoptics.scene.parts._sources import picture_file
 
 
 def png_of(width: int, height: int) -> bytes:
@@ -47,3 +49,9 @@ def test_the_largest_picture_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
     file.write_bytes(png_of(40, 32))
     picture = PlanarObject(file, size=0.1, position=(0.0, 0.0, 1.0))
     assert picture.reflectance.shape == (32, 40)
+
+
+def test_pictures_that_are_too_large_for_png_travel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nlosoptics.scene.parts._sources.MOST_PIXELS", 30)
+    assert picture_file(np.ones((5, 6)))[0] == ".png"
+    assert picture_file(np.ones((5, 7)))[0] == ".npy"

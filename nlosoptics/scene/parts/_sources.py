@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._pictures import MOST_PIXELS
 from ...errors import SceneError
 
 if TYPE_CHECKING:
@@ -123,13 +124,14 @@ def picture_file(values: NDArray[np.float64]) -> tuple[str, bytes]:
     Returns
     -------
     suffix : str
-        ``.png`` if all values are integer multiples of 1/255 or 1/65535, else ``.npy``.
+        ``.png`` if all values are integer multiples of 1/255 or 1/65535 and the picture has at
+        most `MOST_PIXELS` pixels, else ``.npy``.
     content : bytes
         Contents of the file.
     """
     from PIL import Image
 
-    for largest, kind in _DEPTHS:
+    for largest, kind in _DEPTHS if values.size <= MOST_PIXELS else ():
         levels = np.rint(values * largest)
         if (levels / largest).tobytes() == values.tobytes():
             held = io.BytesIO()

@@ -120,7 +120,7 @@ class PlanarObject(Posed):
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         super().__setstate__(state)
         if isinstance(self.image, tuple):
-            picture = checked_picture("hidden.image", _decoded(*self.image))
+            picture = checked_picture("hidden.image", _decoded(*self.image, "hidden.image"))
             object.__setattr__(self, "image", picture)
 
     def _same_source(self, other: Any) -> bool:
@@ -200,7 +200,7 @@ def read_picture(path: Path) -> Array:
         raise SceneError(f"hidden.image: there is no file {path}; give the path of an image")
     content = file.content
     try:
-        raw = _decoded(path, content)
+        raw = _decoded(path.suffix, content, f"hidden.image: {path}")
     except SceneError:
         raise
     # Pillow raises SyntaxError for broken files
@@ -214,13 +214,13 @@ def read_picture(path: Path) -> Array:
     return checked_picture(f"hidden.image ({path})", raw)
 
 
-def _decoded(path: Path, content: bytes) -> NDArray[Any]:
+def _decoded(suffix: str, content: bytes, name: str) -> NDArray[Any]:
     """Return the unscaled values of an image file; colour images are converted to grey."""
     file = io.BytesIO(content)
-    if path.suffix == ".npy":
+    if suffix == ".npy":
         held: NDArray[Any] = np.load(file, allow_pickle=False)
         return held
-    with opened_picture(file, f"hidden.image: {path}") as picture:
+    with opened_picture(file, name) as picture:
         if picture.mode not in ("1", "L", "I", "F") and not picture.mode.startswith("I;16"):
             return np.asarray(picture.convert("L"))
         return np.asarray(picture)
