@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -30,9 +30,6 @@ from .shell import (
     progress_bar,
     typed,
 )
-
-if TYPE_CHECKING:
-    from ..runs.results import Result
 
 
 @app.command("plan", short_help="Show the stages of a run with predicted time and error.")
@@ -83,6 +80,7 @@ def run_command(
         from ..runs.plan import looked_at
         from ..runs.results import write_record, write_result
         from ..runs.simulate import carried_out
+        from .figures import write_figures
 
         seed = checked_seed(seed)
         scene = load(scene_file, size, changes)
@@ -99,7 +97,7 @@ def run_command(
                 report = write_result(result, new) | {"command_line": typed(context)}
                 written = time.perf_counter()
                 if drawn:
-                    _write_pictures(result, new)
+                    write_figures(result, new)
                 ended = time.perf_counter()
                 seconds = {
                     "loading": loaded - start,
@@ -122,26 +120,6 @@ def schema_command(debug: Debug = False) -> None:
         from ..scene.file.scene_file import scene_schema
 
         typer.echo(json.dumps(scene_schema(), indent=2))
-
-
-def _write_pictures(result: Result, folder: Path) -> None:
-    """Write an overview picture and one PNG for each part of the result."""
-    from .. import limits, views
-    from ..views.run_overview import ground_truth
-
-    scale = limits.object_scale(result.scene)
-    views.save(views.overview(result), folder / "overview.png")
-    views.save(views.scene_sketch(result.scene), folder / "scene.png")
-    views.save(views.scene_sketch(result.scene, stacked=True), folder / "scene_narrow.png")
-    views.save(views.wavefront(result.wavefront), folder / "wavefront.png")
-    if result.pupil_field is not None:
-        views.save(views.pupil_field(result.pupil_field), folder / "pupil_phase.png")
-    views.save(views.point_spread(result.point_spread), folder / "point_spread.png")
-    views.save(views.image(result.image, object_scale=scale), folder / "image.png")
-    if result.reconstruction is not None:
-        truth, pitch = ground_truth(result), scale * result.image.pitch
-        axes = views.reconstruction(result.reconstruction, truth, pitch=pitch)
-        views.save(axes, folder / "reconstruction.png")
 
 
 def _print_summary(report: dict[str, Any], folder: Path) -> None:

@@ -19,7 +19,7 @@ from PIL import Image
 import nlosoptics
 from nlosoptics import _random, _whole_files, cli
 from nlosoptics._whole_files import whole_folder
-from nlosoptics.cli import forward, shell
+from nlosoptics.cli import figures, forward, shell
 from nlosoptics.runs import record, results
 from nlosoptics.scene import Scene
 
@@ -370,7 +370,7 @@ def test_broken_run_leaves_the_old_folder(
     for where, step in (
         (forward, "load"),
         (results, "write_result"),
-        (forward, "_write_pictures"),
+        (figures, "write_figures"),
     ):
         for break_it, said in (
             (disk_full, "disk full"),
