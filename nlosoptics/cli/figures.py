@@ -6,15 +6,18 @@ import multiprocessing
 import os
 import signal
 import sys
+import time
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from ..runs.results import Result
 
 Figures = Mapping[str, Callable[[], Any]]
+#: Least time for which the child is waited for, s.
+LEAST_WAIT: Final = 10.0
 
 
 def write_figures(result: Result, folder: Path) -> None:
@@ -55,8 +58,10 @@ def _draw_both(here: Figures, beside: Figures, folder: Path) -> None:
         warnings.simplefilter("ignore", DeprecationWarning)
         child.start()
     try:
+        start = time.perf_counter()
         _draw(here, folder)
-        child.join()
+        # it has as much to draw; one that hangs is ended below
+        child.join(LEAST_WAIT + 10.0 * (time.perf_counter() - start))
     finally:
         if child.is_alive():
             child.kill()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 
 import pytest
 
@@ -54,3 +55,17 @@ def test_an_error_reaches_the_caller(tmp_path, monkeypatch):
     monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
     with pytest.raises(ValueError, match="no such colour"):
         drawn_by(tmp_path, monkeypatch, {"a": lambda: 0}, {"b": broken})
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
+def test_a_child_that_hangs_is_ended(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(figures, "LEAST_WAIT", 0.2)
+    parent = os.getpid()
+
+    def hangs_there():
+        if os.getpid() != parent:
+            time.sleep(60)
+
+    found = drawn_by(tmp_path, monkeypatch, {"a": lambda: 0}, {"b": hangs_there})
+    assert found == {"a": parent, "b": parent}
