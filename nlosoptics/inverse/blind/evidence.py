@@ -113,7 +113,7 @@ def evidence_fit(
     max_iterations : int, optional
         Maximum number of search rounds; by default 2 with a defocused frame, otherwise 4. A round
         optimises 32 random walls, or about 400 walls and variations of the best for one frame,
-        after the network's proposals.
+        after a search about the network's proposals if it is sure of them.
     max_seconds : float, optional
         Time after which no further round or generation starts, s. The result then depends on the
         speed of the machine.
@@ -235,7 +235,7 @@ def evidence_fit(
         first=_first_coefficients(frames, pupil_psf),
         start_error=start_error,
         strength=strength,
-        propose=wall_proposals(frames, pupil_psf) if searched else None,
+        proposals=wall_proposals(frames, pupil_psf) if searched else None,
         rounds=ROUNDS[not several] if rounds is None else rounds,
         seed=seed,
         state=_search_state(start),

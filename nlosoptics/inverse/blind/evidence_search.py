@@ -15,13 +15,12 @@ from ...errors import SamplingError, SceneError
 from .free_energy import Floats, FreeEnergy, Stage, Starts, joined
 from .random_walls import Breeding, children, random_walls
 from .verdict import Verdict
+from .wall_proposals import Proposals
 
 #: Callback with a text and the completed fraction; returns whether the search is to end.
 Watch = Callable[[str, float], bool]
 #: Free energy on an FFT grid wider than the images by the given factor, for given Noll indices.
 Energies = Callable[[float, tuple[int, ...]], FreeEnergy]
-#: Proposed coefficients, (count, M) waves rms, the most likely ones first.
-Propose = Callable[[int, Generator], Floats]
 
 # Several images. A strong assumed noise at first gives all starts one broad basin of the energy.
 _GATHER = Stage(iterations=200, kappa=1.0, first=30.0, last=3.0, share=0.9, wave_rate=0.016)
@@ -236,8 +235,8 @@ class Search:
         Expected rms error of the given coefficients, waves; None: they are only one more start.
     strength : float or None
         Known rms of the walls' waves, waves.
-    propose : callable or None
-        Returns proposed walls for one image; None: there are none.
+    proposals : Proposals or None
+        Proposed walls for one image; None: there are none.
     rounds : int
         Largest number of rounds.
     seed : int
@@ -259,14 +258,14 @@ class Search:
         first: Floats,
         start_error: float | None,
         strength: float | None,
-        propose: Propose | None,
+        proposals: Proposals | None,
         rounds: int,
         seed: int,
         state: Mapping[str, Any] | None,
     ) -> None:
         self._energies, self._verdict = energies, verdict
         self._first, self._error, self._strength = first, start_error, strength
-        self._propose_walls, self._rounds, self._seed = propose, rounds, seed
+        self._proposals, self._rounds, self._seed = proposals, rounds, seed
         modes = verdict.modes
         self._energy = energies(_PADDING, modes)
         self._prior = self._energy
@@ -356,7 +355,8 @@ class Search:
 
     def _begin(self) -> str:
         """Return the first step after those about given coefficients."""
-        return self._next() if self._propose_walls is None else "propose"
+        sure = self._proposals is not None and self._proposals.sure
+        return "propose" if sure else self._next()
 
     def _near(self, random: Generator) -> str:
         """Fit from given coefficients of known error."""
@@ -383,8 +383,8 @@ class Search:
 
     def _propose(self, random: Generator) -> str:
         """Fit the proposed walls of one image, whose norms are kept at first."""
-        assert self._propose_walls is not None  # the step exists only then
-        walls = self._propose_walls(_PROPOSALS, random)
+        assert self._proposals is not None  # the step exists only then
+        walls = self._proposals.walls(_PROPOSALS, random)
         if self._strength is not None:
             walls *= self._strength / np.linalg.norm(walls, axis=1, keepdims=True)
         narrow = self._energies(_NARROW, self._energy.modes)
@@ -410,8 +410,8 @@ class Search:
         island = self._island()
         narrow, stage = self._energies(_NARROW, self._energy.modes), _coarse_stage(island)
         walls = random_walls(4 * island.population, narrow.size, np.array([island.radius]), random)
-        if self._propose_walls is not None:
-            proposed = self._propose_walls(len(walls) // 2, random)
+        if self._proposals is not None:
+            proposed = self._proposals.walls(len(walls) // 2, random)
             lengths = np.linalg.norm(proposed, axis=1, keepdims=True)
             walls[::2] = proposed * (island.radius / lengths)
         pool = narrow.descend(narrow.starts(walls, stage.first, island.radius), stage)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,6 @@ from ...psf.wave.zernikes import zernike
 from ..wave.frames import Frames
 from ..wave.pupil_psf import PupilPSF
 from ..wave.pupil_waves import DEFOCUS, ZernikeWaves
-from .evidence_search import Propose
 from .free_energy import Floats
 from .wall_network import MODES, SIDE, WallNetwork, twin_signs
 
@@ -39,6 +39,9 @@ _PERIOD = 192
 _MEETINGS = 5
 #: Standard deviations in this mean relative to the proposed ones, so that the looks meet.
 _WIDER = 2.0
+#: Least share of the waves' expected power in the mean for which a search of its own is worth its
+#: time. An error of two thirds of the wave leaves a share of 0.56.
+_SURE = 0.4
 #: Standard deviations of the drawn walls relative to the proposed ones, in turn.
 _SPREADS = (1.0, 0.5)
 Turn = Callable[[Tensor], Tensor]
@@ -60,6 +63,8 @@ class WallProposals:
     ----------
     mean : ndarray, (M,)
         Most likely coefficients of `wall_network.MODES`, waves rms; their twin is as likely.
+    share : float
+        Part of the wave's expected power, 0 to 1, that is in the mean.
     """
 
     def __init__(self, image: Tensor, noise: float, network: WallNetwork) -> None:
@@ -75,6 +80,7 @@ class WallProposals:
         parts = (weights, means, deviations)
         self._parts: list[Floats] = [one.double().numpy() for one in parts]
         self.mean = self._meeting()
+        self.share = self._known_share()
 
     def walls(self, count: int, random: Generator) -> Floats:
         """Return coefficients (count, M), waves rms: the mean, and draws from the density."""
@@ -108,9 +114,57 @@ class WallProposals:
         best: Floats = at[int(np.logaddexp.reduce(chances(at), axis=1).argmax())]
         return best
 
+    def _known_share(self) -> float:
+        """Return the power of the mean over that and the expected square of its error."""
+        weights, means, deviations = self._parts
+        twin = means * twin_signs().double().numpy()
+        offset = np.minimum(*(np.square(one - self.mean).sum(axis=1) for one in (means, twin)))
+        error = float(weights @ (offset + np.square(deviations).sum(axis=1)))
+        power = float(np.square(self.mean).sum())
+        return power / (power + error)
 
-def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Propose | None:
-    """Return a source of proposals for one image, or None where the network does not apply.
+
+@dataclass(frozen=True, eq=False)
+class Proposals:
+    """Source of proposed walls for one fit.
+
+    Parameters
+    ----------
+    density : WallProposals
+        Proposals for the image.
+    frames : Frames
+        The image.
+    pupil_psf : PupilPSF
+        Its point spread.
+    """
+
+    density: WallProposals
+    frames: Frames
+    pupil_psf: PupilPSF
+
+    @property
+    def sure(self) -> bool:
+        """Whether the proposals are near enough to the truth for a search about them."""
+        return self.density.share > _SURE
+
+    def walls(self, count: int, random: Generator) -> Floats:
+        """Return proposed coefficients of the fit, (count, M) waves rms, the mean first.
+
+        Modes that the network does not know are 0. A known defocus is subtracted.
+        """
+        walls, optics = self.density.walls(count, random), self.pupil_psf.optics
+        found = np.zeros((count, len(self.pupil_psf.modes)))
+        signed = walls * np.sign(optics.image_distance)
+        for column, mode in enumerate(self.pupil_psf.modes):
+            if mode in MODES:
+                found[:, column] = signed[:, MODES.index(mode)]
+                if mode == DEFOCUS:
+                    found[:, column] -= self.frames.defocus[0] / optics.wavelength
+        return found
+
+
+def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Proposals | None:
+    """Return the proposals for one image, or None where the network does not apply.
 
     It applies to one image through a full circular pupil without a known wave, of pixels no wider
     than Nyquist's, and of 24 to 96 pixels at Nyquist's pitch along each side.
@@ -130,28 +184,7 @@ def wall_proposals(frames: Frames, pupil_psf: PupilPSF) -> Propose | None:
     ):
         return None
     image, noise = at_nyquist(frames.images[0], float(frames.sigmas[0]), scale)
-    density = WallProposals(image, noise, trained_network())
-
-    def propose(count: int, random: Generator) -> Floats:
-        return as_coefficients(density.walls(count, random), frames, pupil_psf)
-
-    return propose
-
-
-def as_coefficients(walls: Floats, frames: Frames, pupil_psf: PupilPSF) -> Floats:
-    """Return walls (B, 18) of the network as coefficients (B, M) of a fit, waves rms.
-
-    Modes that the network does not know are 0. A known defocus is subtracted.
-    """
-    optics = pupil_psf.optics
-    found = np.zeros((len(walls), len(pupil_psf.modes)))
-    signed = walls * np.sign(optics.image_distance)
-    for column, mode in enumerate(pupil_psf.modes):
-        if mode in MODES:
-            found[:, column] = signed[:, MODES.index(mode)]
-            if mode == DEFOCUS:
-                found[:, column] -= frames.defocus[0] / optics.wavelength
-    return found
+    return Proposals(WallProposals(image, noise, trained_network()), frames, pupil_psf)
 
 
 def at_nyquist(image: Floats, noise: float, scale: float) -> tuple[Tensor, float]:

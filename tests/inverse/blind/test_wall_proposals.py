@@ -68,7 +68,7 @@ def proposed(data, point_spread, count=32, seed=0, **options):
     found = proposals.wall_proposals(
         frames_of(data, point_spread, **(usual | options)), point_spread
     )
-    return None if found is None else found(count, np.random.default_rng(seed))
+    return None if found is None else found.walls(count, np.random.default_rng(seed))
 
 
 def distance(walls, truth):
@@ -113,6 +113,22 @@ def test_a_network_of_shuffled_weights_is_no_better_than_chance(cases):
         state[name] = values.flatten()[mixed].reshape(values.shape)
     shuffled.load_state_dict(state)
     assert nearer(shuffled.eval(), cases) < 0.5
+
+
+def test_the_share_of_the_mean_tells_how_sure_the_network_is(cases):
+    density = proposals.WallProposals(
+        *proposals.at_nyquist(cases[0][0], 0.01, 1.0), proposals.trained_network()
+    )
+    assert 0.0 < density.share < 1.0
+    weights, means, _ = density._parts
+    twins = np.tile(density.mean, (len(means), 1))
+    density._parts = [weights, twins * TWIN, np.full(means.shape, 1e-9)]
+    assert density._known_share() == pytest.approx(1.0)
+    density._parts = [weights, twins, np.full(means.shape, np.linalg.norm(density.mean) / 18**0.5)]
+    assert density._known_share() == pytest.approx(0.5)
+    for share, sure in ((0.39, False), (0.41, True)):
+        density.share = share
+        assert proposals.Proposals(density, None, None).sure is sure
 
 
 def test_weights_are_small_and_proposals_repeat(cases):
@@ -242,7 +258,7 @@ def search(data, point_spread, state=None, strength=None):
         first=np.zeros(len(MODES)),
         start_error=None,
         strength=strength,
-        propose=proposals.wall_proposals(frames, point_spread),
+        proposals=proposals.wall_proposals(frames, point_spread),
         rounds=1,
         seed=3,
         state=state,
