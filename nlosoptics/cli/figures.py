@@ -47,8 +47,9 @@ def _draw_both(here: Figures, beside: Figures, folder: Path) -> None:
 
     The child's figures are drawn here too if it cannot be started or fails.
     """
-    from matplotlib.backends import backend_agg  # noqa: F401  (loaded once, for both)
+    from ..views.canvas import drawing_classes
 
+    drawing_classes()  # loaded once, for both processes
     if not sys.platform.startswith("linux") or (os.cpu_count() or 1) < 2:
         _draw({**here, **beside}, folder)
         return

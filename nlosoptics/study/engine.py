@@ -152,7 +152,7 @@ def computed(
                 return
             done, _ = wait(flying, timeout=0.2, return_when=FIRST_COMPLETED)
             ended = []
-            for future in done:
+            for future in sorted(done, key=lambda future: flying[future].row):
                 block = flying.pop(future)
                 try:
                     answers = future.result()

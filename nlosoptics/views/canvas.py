@@ -12,6 +12,8 @@ from ..errors import MissingExtraError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
 
 DOTS_PER_INCH = 120
 CHARACTER = 0.7  # width of a digit or minus sign over the font size, with a little to spare
@@ -30,6 +32,15 @@ def new_axes(
 
     ``columns`` sets the number of axes in a row, ``dots`` the pixels per inch in raster formats.
     """
+    figure_class, canvas_class = drawing_classes()
+    figure = figure_class(figsize=(width, height), dpi=dots, layout="constrained")
+    canvas_class(figure)
+    columns = columns or count
+    return tuple(figure.subplots(-(-count // columns), columns, squeeze=False).flat)
+
+
+def drawing_classes() -> tuple[type[Figure], type[FigureCanvasAgg]]:
+    """Import matplotlib; return its classes of figures and of canvases without a window."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -37,10 +48,7 @@ def new_axes(
         raise MissingExtraError(
             "matplotlib is not installed; run pip install 'nlosoptics[views]' for figures"
         ) from None
-    figure = Figure(figsize=(width, height), dpi=dots, layout="constrained")
-    FigureCanvasAgg(figure)
-    columns = columns or count
-    return tuple(figure.subplots(-(-count // columns), columns, squeeze=False).flat)
+    return Figure, FigureCanvasAgg
 
 
 def round_step(length: float) -> float:

@@ -46,6 +46,7 @@ def point() -> Picture:
         grid=(SIZE, SIZE),
         samples=SIZE**2,
         noise=Noise(photons=0.0, readout=VARIANCE, speckle=0.0),
+        grain=1.0,
     )
 
 

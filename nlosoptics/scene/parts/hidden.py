@@ -120,7 +120,8 @@ class PlanarObject(Posed):
     def __setstate__(self, state: Mapping[str, Any]) -> None:
         super().__setstate__(state)
         if isinstance(self.image, tuple):
-            picture = checked_picture("hidden.image", _decoded(*self.image, "hidden.image"))
+            suffix, content = self.image
+            picture = checked_picture("hidden.image", _decoded(suffix, content, "hidden.image"))
             object.__setattr__(self, "image", picture)
 
     def _same_source(self, other: Any) -> bool:

@@ -148,7 +148,7 @@ def test_gain_and_background_are_least_squares():
         background=0.0,
         fit_background=True,
         background_shape=shape,
-    )
+    ).in_torch()
     gain, residual = ScaledImage(data, 2.0).misfit(torch.from_numpy(seen).float())
     columns = np.stack([seen / sigma, shape / sigma], axis=-1).reshape(-1, 2)
     expected = np.linalg.lstsq(columns, (image / sigma).ravel(), rcond=None)[0]
