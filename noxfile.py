@@ -62,5 +62,12 @@ def newest(session: nox.Session) -> None:
     session.run("pytest", *session.posargs)
 
 
+@nox.session(default=False)
+def fuzz(session: nox.Session) -> None:
+    """Damage files for every reader until interrupted; `-- --inputs N` for another number."""
+    session.install("-c", "constraints.txt", "-e", ".[all,test]")
+    session.run("python", "-m", "tests.fuzz.campaign", *(session.posargs or ["--forever"]))
+
+
 if __name__ == "__main__":
     nox.main()

@@ -26,6 +26,12 @@ SHARE = 0.75
 FRESH = 0.25
 
 
+def reason(error: Exception) -> str:
+    """Return kind and text of another library's exception, printable and short, for one line."""
+    text = "".join(c if c.isprintable() else " " for c in str(error))
+    return f"{type(error).__name__}: {' '.join(text.split())[:120]}".removesuffix(": ")
+
+
 def real(name: str, value: Any) -> float:
     """Return ``value`` as a finite float, or raise `SceneError` naming ``name``."""
     kind = getattr(getattr(value, "dtype", None), "kind", "f")

@@ -299,8 +299,6 @@ def disturbance(clean, kind, strength, rng):
 
 def signs_of(found, image, model):
     """Signs of a wrong model in a reconstruction, or None without an object."""
-    import torch
-
     from nlosoptics.inverse.data.measurement import measurement
     from nlosoptics.inverse.data.status import Spectra
 
@@ -315,7 +313,7 @@ def signs_of(found, image, model):
         background_shape=None,
     )
     fitted = found.physical_parameters
-    level = torch.tensor(found.object * fitted["gain"])
+    level = found.object * fitted["gain"]
     return Spectra(data, level, fitted["background"], model).signs()
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from .._checks import reason
 from ..errors import SceneError
 from ..scene import Scene
 
@@ -218,9 +218,9 @@ class Folder:
         try:
             with np.load(path, allow_pickle=False) as file:
                 return {key: file[key] for key in wanted}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        except Exception as error:  # numpy lets through what its parsers and zipfile raise
             raise SceneError(
-                f"{path} cannot be read ({type(error).__name__}: {error}); run the command again"
+                f"{path} cannot be read ({reason(error)}); run the command again"
             ) from None
 
     def scene(self) -> Scene | None:

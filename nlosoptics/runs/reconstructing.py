@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -556,7 +555,7 @@ def kept_state(folder: Path, identity: str) -> dict[str, Array]:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             state = {name: file[name] for name in file.files}
         found = str(state.pop("identity"))
-    except (OSError, ValueError, KeyError, EOFError, TypeError, BadZipFile) as error:
+    except Exception as error:  # numpy lets through what its parsers and zipfile raise
         raise SceneError(
             f"{path} cannot be read ({type(error).__name__}); run without --resume"
         ) from None

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -14,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import imaging, inverse, psf
-from .._checks import Budget
+from .._checks import Budget, reason
 from ..errors import NlosError, SceneError
 from ..psf.aperture.aperture import Cell
 from ..psf.aperture.curves import Curve
@@ -128,7 +126,7 @@ def read(tree: Any, folder: Path) -> dict[str, Any]:
         if isinstance(error, _Damaged):
             raise SceneError(str(error)) from None
         raise SceneError(
-            f"{folder}: the saved result cannot be read ({type(error).__name__}: {error}); {REMEDY}"
+            f"{folder}: the saved result cannot be read ({reason(error)}); {REMEDY}"
         ) from None
 
 
@@ -170,5 +168,5 @@ def _entries(folder: Path, name: str) -> Mapping[str, NDArray[Any]]:
             return {entry: file[entry] for entry in file.files}
     except FileNotFoundError:
         raise _Damaged(f"{path} is missing; put it back, or {REMEDY}") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise _Damaged(f"{path} is damaged ({type(error).__name__}: {error}); {REMEDY}") from None
+    except Exception as error:  # numpy lets through what its parsers and zipfile raise
+        raise _Damaged(f"{path} is damaged ({reason(error)}); {REMEDY}") from None

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .._checks import path_of
+from .._checks import path_of, reason
 from .._nouns import Noun
 from .._whole_files import RECORD, check_folder, whole_folder
 from ..errors import SceneError
@@ -159,7 +159,7 @@ def load_result(folder: str | Path) -> Result:
     except OSError:
         raise SceneError(f"{place} holds no {RECORD} that can be read; {remedy}") from None
     except (ValueError, RecursionError) as error:
-        raise SceneError(f"{path} is damaged ({error}); {result_files.REMEDY}") from None
+        raise SceneError(f"{path} is damaged ({reason(error)}); {result_files.REMEDY}") from None
     known = result_files.FORMAT
     written = record.get("format") if isinstance(record, dict) else None
     if written is None:

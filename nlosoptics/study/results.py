@@ -21,7 +21,7 @@ from .base import Base
 from .designs import Dimension, dimensions
 from .figures import Figure
 from .file import StudyTable
-from .store import STATUSES, Store
+from .store import STATUSES, Store, reading
 from .study import Study
 from .values import label, number
 
@@ -71,11 +71,12 @@ class Results(Noun):
             If there is no store of a study.
         """
         path = path_of("path", path)
-        store = Store.open(path)
-        if store is None:
-            raise SceneError(f"{path} has no results of a study; run the study first")
-        study = study_of(store)
-        return cls(path=path, study=study, dataset=_dataset(study, store))
+        with reading(path):
+            store = Store.open(path)
+            if store is None:
+                raise SceneError(f"{path} has no results of a study; run the study first")
+            study = study_of(store)
+            return cls(path=path, study=study, dataset=_dataset(study, store))
 
     def scene(self, index: int) -> Scene:
         """Return the scene of a point, counted from 0 in the order of the flattened dataset.

@@ -18,7 +18,7 @@ from .engine import Cluster, Engine, InProcess, Processes, computed
 from .planning import plan_study
 from .point import point_spread_key
 from .results import Results, about_study, study_of
-from .store import Store, only_writer
+from .store import Store, only_writer, reading
 from .study import Study, differing_steps
 from .worker import DONE, FAILED, LOST, Block
 
@@ -90,8 +90,9 @@ def run_study(
     tell, stop = progress or (lambda text, share: None), interrupted or (lambda: False)
     count = os.cpu_count() or 1 if workers is None else whole("workers", workers, 0)
     with only_writer(path):
-        store = prepared(study, path)
-        blocks = open_blocks(study, store, again)
+        with reading(path):
+            store = prepared(study, path)
+            blocks = open_blocks(study, store, again)
         total = sum(len(block.ids) for block in blocks)
         if total:
             engine = _engine(study, min(count, len(blocks)) if count else 0, scheduler)

@@ -18,7 +18,8 @@ import numpy as np
 import zarr
 from numpy.typing import NDArray
 
-from ..errors import SceneError
+from .._checks import reason
+from ..errors import NlosError, SceneError
 from .worker import Answers, Block
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class Store:
             if path.is_dir() and not any(path.iterdir()):
                 return None
             raise SceneError(
-                f"{path} is no store of a study ({type(error).__name__}: {error}); name another"
+                f"{path} is no store of a study ({reason(error)}); name another"
             ) from None
         if "format" not in group.attrs:
             if set(group.array_keys()) <= {"id", "seconds", "message"}:
@@ -281,6 +282,20 @@ def only_writer(path: Path) -> Iterator[None]:
         yield
     finally:
         os.close(folder)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Convert what damaged metadata of a store raise, codecs' and parsers' own, to one line."""
+    try:
+        yield
+    except NlosError:
+        raise
+    except Exception as error:
+        raise SceneError(
+            f"{path}: the store is damaged ({reason(error)}); restore it from a copy, or run the "
+            "study into another folder"
+        ) from None
 
 
 @contextmanager

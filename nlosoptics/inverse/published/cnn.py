@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from ..._checks import counted, in_range, positive, whole
+from ..._checks import counted, in_range, positive, reason, whole
 from ..._nouns import Noun
 from ..._progress import Progress
 from ..._random import checked_seed, generator
@@ -199,25 +199,27 @@ class CnnBaseline(nn.Module):
             content = Path(path).read_bytes()
         except OSError as error:
             raise SceneError(f"{path} cannot be read ({error.strerror}); name another") from None
+        written = "give one written by nlosoptics train"
         try:
             tensors, told = safetensors.load(content), _metadata(content)
         except Exception as error:
             raise SceneError(
-                f"{path} is no safetensors file ({error}); give one written by nlosoptics train"
+                f"{path} is no safetensors file ({reason(error)}); {written}"
             ) from None
         if told.get("format") != _FORMAT:
             raise SceneError(
-                f'{path} has format {told.get("format")!r}, must be "{_FORMAT}"; '
-                "give one written by nlosoptics train"
+                f'{path} has format {told.get("format")!r}, must be "{_FORMAT}"; {written}'
             )
-        made = cls(base=int(told["base"]), depth=int(told["depth"]))
         try:
+            made = cls(base=int(told["base"]), depth=int(told["depth"]))
             made.network.load_state_dict(tensors)
-        except RuntimeError as error:
-            told_of = " ".join(str(error).split())[:200]
+            finite = all(bool(held.isfinite().all()) for held in tensors.values())
+        except (RuntimeError, KeyError, ValueError) as error:
             raise SceneError(
-                f"{path} does not hold its network's weights: {told_of}; train it again"
+                f"{path} does not hold its network's weights ({reason(error)}); train it again"
             ) from None
+        if not finite:
+            raise SceneError(f"{path} has weights that are not finite; train it again")
         return made
 
 

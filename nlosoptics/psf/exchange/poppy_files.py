@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import one_of, positive, real
+from ..._checks import one_of, positive, real, reason
 from ..._whole_files import write_whole
 from ...errors import MissingExtraError, SamplingError, SceneError
 from ..aperture.quadrature_nodes import fitting_pitch
@@ -48,6 +49,8 @@ KEYWORDS: Final = {
     "RMTILTV": "removed tilt dW/dv",
     "RMDEFOC": "1/m, removed defocus, times (u^2 + v^2)/2",
 }
+#: Keywords that are read: those that are written, POPPY's name of the pitch and the unit.
+READ: Final = (*KEYWORDS, "PIXELSCL", "BUNIT")
 
 
 def write_poppy(wavefront: Wavefront, *, opd: str | Path, amplitude: str | Path) -> None:
@@ -245,20 +248,26 @@ def _describe(fits: ModuleType, header: Any, wave: Wavefront, *, is_opd: bool) -
     header["COMMENT"] = "row 0 at the lowest v, the axis on the middle pixel"
 
 
-def _read_fits(path: Path) -> tuple[Array, Any]:
-    """Read the square array and the header of a FITS file."""
+def _read_fits(path: Path) -> tuple[Array, dict[str, Any]]:
+    """Read the square array of a FITS file, and the values of its header that we use."""
     fits = _fits()
     if not path.is_file():
         raise SceneError(f"{path}: there is no such file; give the path of a FITS file")
     try:
-        with fits.open(path, memmap=False) as units:
-            data, header = units[0].data, units[0].header
-    except (OSError, ValueError) as error:
-        raise SceneError(f"{path} is not a FITS file ({error}); give a FITS file") from None
+        with warnings.catch_warnings():
+            # Unusual cards are accepted, and values are checked; other warnings mean damage.
+            warnings.simplefilter("error", UserWarning)
+            warnings.simplefilter("ignore", fits.verify.VerifyWarning)
+            # astropy leaves a file open that it refuses
+            with fits.open(io.BytesIO(path.read_bytes()), memmap=False) as units:
+                data, header = units[0].data, units[0].header
+                values = {key: header[key] for key in READ if key in header}
+    except Exception as error:  # astropy raises arbitrary exceptions for damaged headers
+        raise SceneError(f"{path} is not a FITS file ({reason(error)}); give a FITS file") from None
     if data is None or data.ndim != 2 or data.shape[0] != data.shape[1]:
         shape = "nothing" if data is None else f"an array of shape {data.shape}"
         raise SceneError(f"{path} begins with {shape}; give a square image (one slice of a cube)")
-    return data.astype(np.float64), header
+    return data.astype(np.float64), values
 
 
 def _common(headers: dict[str, Any], key: str) -> float | None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..._checks import whole
+from ..._checks import reason, whole
 from ...errors import SamplingError, SceneError
 from .layouts import Found, array, bins, number, triple, upright
 from .mat_files import AT
@@ -365,7 +365,7 @@ def _own(found: Found, ours: Mapping[str, Any]) -> Found:
                     setattr(found, key, values.reshape(*shape, 3))
     except (KeyError, TypeError, ValueError) as error:
         raise SceneError(
-            f"scene_info.{OURS} does not fit the arrays ({type(error).__name__}: {error}), the "
+            f"scene_info.{OURS} does not fit the arrays ({reason(error)}), the "
             "file was changed; save the capture again"
         ) from None
     return found
