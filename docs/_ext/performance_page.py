@@ -693,9 +693,9 @@ SECTIONS = (
         "Answers of `tv_deconvolve` called converged, of those with the correlation in the "
         "heading; 64 x 64 pixels, noise of 0.5 to 10 %. Seeds on which no limit was set, and "
         "further images that show nothing of the scene.",
-        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 3000; "
-        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 2000 "
-        "--cases 210 --kinds white_noise exponential_noise photon_noise unblurred_picture blobs "
+        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 500000 --cases 220; "
+        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 600000 "
+        "--cases 200 --kinds white_noise exponential_noise photon_noise unblurred_picture blobs "
         "other_speckle other_wall",
         mismatches,
     ),
