@@ -129,7 +129,7 @@ def read_poppy(
     wavelength, image_distance, pupil_radius : float, optional
         As in `Wavefront`, m. They override the values in the files. Wavelength and distance are
         required for files written by POPPY, which hold neither, and optional for those of
-        `write_poppy`. The default radius is half the array's side.
+        `write_poppy`. The default radius is that of the disc that just fits the array.
     half_pixel : {"refuse", "shift", "scattered"}
         Treatment of arrays with an even side. Their centre is between four pixels in POPPY, but on
         pixel n//2 in a grid of this library. "refuse" raises an error. "shift" moves the pupil by

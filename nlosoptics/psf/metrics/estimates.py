@@ -26,7 +26,8 @@ class MetricEstimate(Noun):
     value : ndarray
         Metric of the mean of all patterns, of the metric's shape.
     standard_error : ndarray
-        Standard deviation of ``value`` over independent sets of as many patterns, of its shape.
+        Jackknife estimate of the standard deviation that ``value`` has over independent sets of
+        ``n_patterns`` patterns; same shape.
     n_patterns : int
         Number of patterns.
 
@@ -52,7 +53,8 @@ def metric_estimate(
         ``lambda p: psf.encircled_energy(p, radii)``, `fwhm` or `centroid`.
     patterns : iterable of PointSpread
         At least two, drawn independently on one grid, such as ``psf.sample_point_spread(scene,
-        roughness, seed=s)`` for many s. Each may be the mean of several draws, of equally many.
+        roughness, seed=s)`` for many s. Each may itself be the mean of several draws, if this
+        number is the same for all.
 
     Returns
     -------

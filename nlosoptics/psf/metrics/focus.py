@@ -259,9 +259,11 @@ def best_focus(
 
     Notes
     -----
-    The variable is the defocus t at the rim R of the pupil, ``(1/d' - 1/d) R^2/2``. The search is
-    centred on the least rms aberration. Its half width is R times the largest slope of the rest,
-    twice what brings the steepest ray of the rim to the axis, plus two wavelengths.
+    The variable is the defocus ``t = (1/d' - 1/d) R^2/2`` at the rim of the pupil, with R the
+    pupil's radius, d the image distance and d' the shifted one, m. The search is centred on the
+    least rms aberration. Its half width is R times the largest slope of W without piston, tilt and
+    defocus, plus two wavelengths. This is at least twice the defocus that brings the steepest rim
+    ray to the axis. Image distances are limited to 1/8 to 8 times that of the least rms.
 
     The Strehl ratio and the square of the MTF are band-limited in t, with periods of at least
     ``lambda`` and ``lambda/(8 x (1 - x))`` for the fraction x of the cutoff frequency. The scan

@@ -29,7 +29,7 @@ TERMS = ("piston", "tilt", "defocus")
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:
-    """Compute the Strehl ratio: intensity at the reference point relative to no aberration.
+    """Compute the Strehl ratio: intensity at the reference point over that without aberration.
 
     Parameters
     ----------
@@ -267,7 +267,8 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
         it is the modulus of its spectrum relative to frequency 0. It then lacks energy outside
         the window and includes the pixel's sinc factor if the values are integrated over pixels.
     frequency : array_like
-        Cycles per m in the image, of any shape. The result is 0 beyond 1/(lambda N).
+        Cycles per m in the image, of any shape. For a wavefront on a round pupil the result is 0
+        beyond 1/(lambda N). For a point spread, frequencies above 1/(2 pitch) are aliased.
     azimuth : float
         Direction, rad from x toward y.
 

@@ -257,7 +257,7 @@ def ptf(
 
 
 def peak_strehl(wavefront: Wavefront) -> float:
-    """Compute the peak intensity anywhere in the image plane, relative to no aberration.
+    """Compute the peak intensity anywhere in the image plane over that without aberration.
 
     The peak is found to about 1e-12 by Newton steps from the brightest sample at lambda N/3.
 

@@ -90,11 +90,11 @@ def propagate(
           Helmholtz equation. Near or far, to any pitch; the cost grows with the output window.
         - ``fresnel_transfer`` uses the paraxial transfer function.
         - ``fresnel_chirp_z`` sums the Fresnel integral over the samples, to any pitch. It needs
-          a distance at which the orders of the sampling lattice miss the output.
-        - ``fresnel_one_step`` is that sum by a single FFT, with the output pitch
+          a distance at which the diffraction orders of the sampling lattice miss the output.
+        - ``fresnel_one_step`` computes the Fresnel integral by a single FFT, with the output pitch
           ``wavelength |distance|/(n field.pitch)`` and a square shape ``(n, n)``.
     pitch : float, optional
-        Output pitch, m. Default that of the field, or of the method.
+        Output pitch, m. By default that of the field; ``fresnel_one_step`` always has its own.
     shape : int or (int, int), optional
         Output samples (ny, nx). Default that of the field. For ``fresnel_one_step``, n is the
         larger of the two, and at least that of the field.
@@ -113,7 +113,7 @@ def propagate(
         If an argument is out of range, or the field is zero everywhere, or if a periodic field
         is to be propagated to another lattice or by a sum over its samples.
     SamplingError
-        If no method, or not the requested one, samples the field to within ``tol``.
+        If no method reaches ``tol``, or the requested method does not.
     MemoryLimitError
         If an array would not fit into memory; raised before it is allocated.
 

@@ -36,8 +36,8 @@ class ExitPupil(Noun):
     entrance_radius : float
         Radius of the cone on the lens, m.
     vignetting : float
-        Fraction, 0 to 1, of that cone to the object's reference point that misses the wall,
-        computed for a flat wall of the same size.
+        Fraction, 0 to 1, of the rays between that disc on the lens and the object's reference
+        point that miss the wall, computed for a flat wall of the same size.
 
     See Also
     --------
@@ -64,7 +64,9 @@ class ExitPupil(Noun):
 
 
 def exit_pupil(scene: Scene) -> ExitPupil:
-    """Return the exit pupil of lens and wall, by reverse trace from the axial detector point.
+    """Return the exit pupil of lens and wall for the axial detector point.
+
+    It follows from the thin-lens equation; no rays are traced.
 
     Parameters
     ----------
@@ -78,7 +80,9 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     Raises
     ------
     SceneError
-        If the camera's axis misses the wall, or the object cannot be focused.
+        If the camera's axis misses the wall; if the mirrored object is within the focal length of
+        the lens, so that it cannot be focused; if the wall is the stop and within the focal length;
+        or if the cone at the detector has an F-number of 0.5 or less.
 
     See Also
     --------

@@ -51,8 +51,10 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
     -----
     ``grad_p W = -(cos_i + cos_o) M^T grad h`` with
     ``M = [P_i/d1 + P_o/d2 - (cos_i + cos_o) K]^-1 E/d2``. The pupil point p sees the wall point
-    M p. P_i and P_o project the wall's tangent plane across the two legs. K is the Hessian of the
-    mean wall (positive if concave to the room). E projects the pupil's axes across the ray into the
+    M p. The legs from the wall to the object (i) and to the lens (o) have the lengths d1 and d2 and
+    the cosines cos_i and cos_o to the wall's normal. For each leg, ``P = 1 - s s^T``, with s the
+    component of the leg's unit vector in the wall's tangent plane. K is the Hessian of the mean
+    wall (positive if concave to the room). E projects the pupil's axes across the ray into the
     tangent plane.
     """
     table, x, y = _lattice(slopes, positions)

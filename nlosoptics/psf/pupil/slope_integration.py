@@ -49,8 +49,9 @@ def wavefront_from_slopes(
     Returns
     -------
     wavefront : Wavefront
-        Layout "grid", amplitude 1 on the mask and 0 elsewhere, each node with its whole cell. The
-        mean aberration of every piece of the mask is 0, since slopes do not determine pistons.
+        Layout "grid", amplitude 1 on the mask and 0 elsewhere; the weight of each node is the area
+        of its whole cell. The mean aberration of every piece of the mask is 0, since slopes do not
+        determine pistons.
     curl_residual_rms : float
         Rms difference between the given slopes and those of the wavefront, over all pairs of
         neighbours, rad. It is 0 to rounding error if the slopes are the gradient of a quadratic.
@@ -59,6 +60,8 @@ def wavefront_from_slopes(
     ------
     SceneError
         If shapes differ, the mask is empty, or a slope on it is not finite.
+    SamplingError
+        If the iteration does not converge, see `integrated_slopes`.
 
     See Also
     --------

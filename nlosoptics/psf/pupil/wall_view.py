@@ -28,8 +28,9 @@ class WallView(Noun):
     cos_sum : float
         Sum of the cosines of incidence and exitance.
     effective_distance : ndarray, (2, 2)
-        Inverse of the path's second derivatives over the wall, m. For a flat wall at normal
-        incidence it is ``d1 d2/(d1 + d2)`` times the unit matrix.
+        Inverse of the matrix of the path's second derivatives with respect to the wall point, m.
+        For a flat wall at normal incidence it is ``d1 d2/(d1 + d2)`` times the unit matrix, with
+        d1 and d2 the distances from the wall to object and lens.
     point : ndarray, (3,)
         Point at which the chief ray meets the wall, world, m.
     tangents : ndarray, (2, 3)

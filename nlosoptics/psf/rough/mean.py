@@ -103,15 +103,15 @@ def mean_point_spread(
         Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
         sampled as finely as ``tol`` requires.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
-        Statistics of the wall's heights. Of a random wall, all seeds are averaged. A height map
-        stands for Gaussian heights of its rms height and slope.
+        Statistics of the wall's heights. For a `FacetWall` or `GaussianWall` the mean is over all
+        seeds. A height map stands for Gaussian heights of its rms height and slope.
     footprint : float or array_like (2, 2), optional
         Matrix M from a step in the exit pupil to the corresponding step on the wall;
         ``d1/(d1 + d2)`` at normal incidence. Required with a wavefront; a scene defines it
         (`wall_view`).
     cos_sum : float, optional
-        Sum of the cosines of the angles of incidence and exitance, above 0 to 2. Required with a
-        wavefront; a scene defines it.
+        Sum of the cosines of the angles of incidence and exitance, above 0 and at most 2. Required
+        with a wavefront; a scene defines it.
     tol : float
         Largest error of the result, relative to its peak.
     pitch : float, optional
@@ -144,9 +144,11 @@ def mean_point_spread(
     Notes
     -----
     ``OTF_mean(d) = OTF_0(d) exp(-s^2 [1 - C(M d)])`` for the separation d of exit-pupil points
-    [1]_. This is exact, to first order in the heights, for a thin screen of Gaussian heights that
-    is large compared with the footprint. It neglects shadowing and multiple scattering and does
-    therefore not hold for white foam. The plateau ``exp(-s^2)`` yields the smooth wall's point
+    [1]_, with OTF_0 the transfer function of the smooth wall, s the rms phase
+    (`RoughPointSpread.rayleigh_parameter`), C the autocorrelation of the heights and M the
+    footprint. This is exact, to first order in the heights, for a thin screen of Gaussian heights
+    that is large compared with the footprint. It neglects shadowing and multiple scattering and
+    does therefore not hold for white foam. The plateau ``exp(-s^2)`` yields the smooth wall's point
     spread. The rest is summed over separations at nodes of its own, which resolve a C that is
     narrow compared with the pupil; the sum is accurate in a window of any size.
 

@@ -40,8 +40,8 @@ class Roughness(Noun):
         - A callable takes an array of lags r, m, and returns C. It may have a method
           ``structure`` that returns 1 - C accurately at short lags, and an attribute ``end``, the
           lag, m, beyond which C is 0.
-        - An array holds measured lags, m, increasing from 0, and below them the values of C. It is
-          interpolated by monotone cubics and is 0 beyond the last lag.
+        - Row 0 of an array holds measured lags, m, increasing from 0; row 1 holds the values of C.
+          C is interpolated by monotone cubics and is 0 beyond the last lag.
 
     Raises
     ------

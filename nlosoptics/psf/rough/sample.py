@@ -67,13 +67,14 @@ def sample_point_spread(
         Statistics of the heights of a random wall, or one wall of given heights over its mean
         surface, which is the same for every object point, pupil and sampling.
     seed : int, optional
-        Random seed, with statistics only. The same seed and sampling yield the same wall.
+        Random seed: required with a `Roughness`, and not allowed with given heights. The same seed
+        and sampling yield the same wall.
     independent_patterns : int
-        Number of walls whose patterns are averaged, 1 for given heights; the first one is that of
-        a single wall. This also models an average over time or wavelengths: one pattern per
-        correlation length by which a wall moves during the exposure, or per wavelength step
-        lambda/s, with s the rms phase in rad. Developed speckle has the contrast
-        ``1/sqrt(independent_patterns)``.
+        Number of walls whose patterns are averaged. The first pattern is that of
+        ``independent_patterns=1``, the only value allowed with given heights. More also model an
+        average over time or wavelengths: one pattern per correlation length by which a wall moves
+        during the exposure, or per wavelength step lambda/s, with s the rms phase in rad.
+        Developed speckle has the contrast ``1/sqrt(independent_patterns)``.
     footprint : float or array_like (2, 2), optional
         Matrix M of `mean_point_spread`. Required with a wavefront; a scene defines it.
     cos_sum : float, optional
@@ -113,7 +114,7 @@ def sample_point_spread(
     The wall is a thin phase screen of Gaussian heights on the tangent plane at the chief ray. Its
     curvature and obliquity enter by M and the effective distance. The heights are drawn at the
     wall points ``w = M p`` of the pupil's lattice, or of a coarser lattice from which the field is
-    interpolated spectrally (`phase_screens.screens`). A ripple of period L reaches the pupil as
+    interpolated spectrally. A ripple of period L reaches the pupil as
     phase times cos(q) and amplitude times sin(q), with q = pi lambda d_eff/L^2 [1]_.
 
     References

@@ -30,7 +30,9 @@ def image_pitch(residual: Residual, size: int) -> float:
 
 
 def padded_size(residual: Residual, pitch: float) -> int:
-    """Return the padded size that gives an image pitch, m.
+    """Return the FFT samples per side of the padded pupil for an image pitch ``pitch``, m.
+
+    `check_padding` tests whether this pitch aliases.
 
     Raises
     ------

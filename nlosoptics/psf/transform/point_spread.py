@@ -194,8 +194,8 @@ def point_spread(
         - with ``pixel_integrated``, that of `window_shape`,
         - for ``fft`` of a grid wavefront without a pitch, the full period.
 
-        All rays must meet the window, except for methods that sum the field at given points, if
-        they are named: ``quadrature``, ``nufft``, ``huygens``, and ``mdft`` of cells and grids.
+        All rays must land inside the window, except for methods that sum the field at given points,
+        if they are named: ``quadrature``, ``nufft``, ``huygens``, and ``mdft`` of cells and grids.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Energy per pixel, whose sum over the whole plane is 1 (``unit-sum``) or `Wavefront.flux`,
         relative to a clear disc (``flux``); or intensity relative to the peak of the same pupil

@@ -49,11 +49,11 @@ def wide_point_spread(
     Returns
     -------
     PointSpread
-        Of normalisation ``"unit-sum"`` and integrated over pixels. If a pixel is at least
-        8 lambda N wide, only a square around the landing points of the rays is computed by
-        diffraction, provided that this reaches ``tol`` and saves time. The energy outside it is
-        distributed as ``1/r^3``, see `diffraction_tail`. Otherwise the result is that of
-        `point_spread`.
+        Of normalisation ``"unit-sum"`` and integrated over pixels. For polar nodes and pixels of at
+        least 8 lambda N, with N the F-number, diffraction is computed only in a square around the
+        landing points of the rays, if this reaches ``tol`` and saves time. The energy outside it is
+        distributed as ``1/r^3``. Otherwise the result is that of `point_spread` with
+        ``pixel_integrated=True`` and ``model="scalar"``.
 
     Raises
     ------

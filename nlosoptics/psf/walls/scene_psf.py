@@ -117,7 +117,8 @@ def scene_point_spread(
     ``point_spread.reason`` names. If the scene asks for the mean, it is computed in closed form.
     Otherwise rays on the roughness give the wave aberration, where diffraction between wall and
     pupil changes the result by less than ``tol``. Else the wall's field is propagated to the pupil.
-    If its phase screen does not fit into memory or a minute, rays alone give the point spread.
+    If its phase screen does not fit into memory or would take more than a minute, the point spread
+    is computed by rays alone, without diffraction.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Terms that were subtracted from an aberration before it was sampled."""
+"""Terms that were subtracted from the aberration of a wavefront."""
 
 from __future__ import annotations
 
@@ -7,16 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class Removed:
-    """Terms subtracted from an aberration before it was sampled.
+    """Piston, tilt and defocus that were subtracted from the aberration of a wavefront.
 
     Parameters
     ----------
     piston : float
         Constant path, m.
     tilt : (float, float)
-        Slopes dW/du and dW/dv, rad. They shift the image by ``tilt * image_distance``.
+        Slopes dW/du and dW/dv, rad. They correspond to an image shift of
+        ``tilt * image_distance``, m, which `point_spread` does not apply.
     defocus : float
-        Coefficient of (u^2 + v^2)/2, 1/m. It shifts the focus along the axis.
+        Coefficient c of (u^2 + v^2)/2, 1/m. A positive c moves the focus by about
+        ``c * image_distance**2``, m, along the light's direction.
 
     See Also
     --------
