@@ -32,8 +32,9 @@ class CameraImage(Noun):
     Parameters
     ----------
     values : ndarray, (ny, nx) float64
-        Counts minus dark frame, divided by the flat field. Row 0 is the file's top row, which
-        matches the package's image arrays. Masked pixels hold the mean of the others.
+        Counts minus dark frame, divided by the flat field relative to its mean, and summed over
+        binned pixels. Row 0 is the file's top row, which matches the package's image arrays.
+        Masked pixels hold the mean of the others.
     masked : ndarray of bool, (ny, nx)
         Pixels to ignore: saturated, or dead according to the flat field.
     saturated_fraction : float
@@ -156,16 +157,18 @@ def camera_image(
     paths : path or sequence of paths
         Image files: greyscale PNG or TIFF of 8 or 16 bits, or ``.npy``.
     shape : (int, int), optional
-        Rows and columns of the result. Files with an integer multiple of both are binned in square
-        groups; by default pixels are not binned.
+        Rows and columns of the result. The file's size must be k times this along both axes, with
+        the same integer k. Counts of k x k pixels are then summed, and a group with a saturated or
+        dead pixel is masked. By default pixels are not binned.
     dark : path, optional
         Dark frame: an image of the same exposure without light. It is subtracted from the images
         and from the flat field.
     flat : path, optional
-        Flat field: an image of uniform illumination. The images are divided by it.
+        Flat field: an image of uniform illumination. The images are divided by the flat field
+        relative to its mean, so that they remain counts. Pixels below 5 % of this mean are dead.
     full : float, optional
-        Count at which a pixel is saturated. By default the largest value of unsigned 8 or 16-bit
-        data; other types then have no saturated pixels.
+        Pixels with this count or more are saturated. The default is 255 for unsigned 8-bit and
+        65535 for unsigned 16-bit data; by default, other types have no saturated pixels.
 
     Returns
     -------

@@ -278,8 +278,8 @@ def form_image(
     Each pixel receives the mean of the picture over its footprint, found by chief rays via the
     wall. It is multiplied by the radiance of a white object at the pixel's centre and by the
     reflectance of the wall's mirror-like lobes. The point spread sums to the energy inside its
-    window; the energy outside is lost and listed in ``SpeckleImage.ledger``. Parts of the object
-    outside the detector's field of view contribute no blur. A perfectly smooth lobe of the wall
+    window; the energy outside is lost and listed in ``SpeckleImage.ledger``. Light that blur brings
+    in from parts of the object outside the field of view is neglected. A perfectly smooth lobe
     also reflects the laser beam into the room, which is neglected.
     Occluders dim the light by the fractions in `Shadows`; the point spread remains that of an
     unobstructed pupil.

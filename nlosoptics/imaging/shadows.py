@@ -48,7 +48,9 @@ SHADOW_BYTES = 450  # measured memory per pixel
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Shadows(Noun):
-    """Fractions of light that occluders transmit; read-only arrays, 1 without any shadow.
+    """Fractions of light that pass the black occluders, 1 without any shadow.
+
+    The arrays are read-only.
 
     Parameters
     ----------
@@ -57,7 +59,8 @@ class Shadows(Noun):
     view : ndarray, (ny, nx)
         Unblocked fraction of the paths wall - lens, over pixel area and lens.
     veil : ndarray, (ny, nx)
-        Fraction of the object's diffuse light that reaches the wall point seen by each pixel.
+        Unblocked fraction of the light spot - object - wall point that the wall then scatters
+        diffusely to the lens, for the wall point seen by each pixel.
     spot : float
         Fraction of the lens that receives direct light from the laser spot.
 

@@ -262,8 +262,8 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
 
     The predicted correlation is that of `inverse.tv_deconvolve` with its default settings. It is a
     smooth function of signal and noise at every frequency, whose constants were fitted to such
-    fits; ``score_spread`` is the scatter of other fits about it. No test of the solver whether
-    there is an object at all is part of it. See `benchmarks/inverse/feasibility.py`.
+    fits; ``score_spread`` is the scatter of other fits about it. The forecast does not include the
+    solver's test whether there is an object at all. See `benchmarks/inverse/feasibility.py`.
 
     Examples
     --------
