@@ -59,8 +59,9 @@ class Scene(Noun, Shown):
     transient : TransientScan, optional
         Time-resolved capture and the volume that is reconstructed from it.
     wall_roughness : WallRoughness, optional
-        Relief on the wall, which then is the mean surface. It carries the slope of the mirror-like
-        lobes of ``wall_material``, which must have this slope rms or zero.
+        Relief that is added to ``wall``, which is then the mean surface. The relief determines the
+        slopes of the mirror-like lobes: each such lobe of ``wall_material`` must have the slope rms
+        of the relief or zero.
 
     Raises
     ------
@@ -242,10 +243,10 @@ class Scene(Noun, Shown):
         Returns
         -------
         Scene
-            Without ``wall_roughness``. For a pattern, the wall is the sum of mean wall and heights,
-            and its mirror-like lobes are smooth. For the mean, the wall is the mean wall, and its
-            mirror-like lobes have the slope rms of the roughness. A scene without roughness is
-            returned as it is.
+            Without ``wall_roughness``. If its realisation is "pattern", the wall is the sum of mean
+            wall and heights, and its mirror-like lobes are smooth. If it is "mean", the wall is the
+            mean wall, and its mirror-like lobes have the slope rms of the roughness. A scene
+            without roughness is returned as it is.
 
         Raises
         ------

@@ -48,8 +48,9 @@ class RayPaths(Noun):
         ``max_bounces`` was reached. 4: blocked at the lens, by missing the detector, by the field
         stop or by the lens's transmission.
     ledger : mapping of str to float
-        Power by fate, W, named as in `STATUS`, with absorption split by surface. ``unresolved`` is
-        the power of rays whose hit could not be resolved in float64.
+        Power by fate, W: "detected", "escaped", "left" and "blocked" as in ``status``; "absorbed by
+        wall", "absorbed by object" and "absorbed by occluders"; and "unresolved", the power of rays
+        whose hit could not be resolved in float64.
     ledger_error : mapping of str to float
         Standard errors of the ledger, W.
     flux : float

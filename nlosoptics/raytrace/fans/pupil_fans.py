@@ -31,8 +31,8 @@ def pupil_rays(
     Parameters
     ----------
     scene : Scene
-        Its wall, smooth or a height map, reflects as a mirror of its exact shape. The material
-        is ignored.
+        Its wall, smooth or a height map, reflects as a mirror of its exact shape. The material and
+        ``wall_roughness`` are ignored; `Scene.with_relief` adds the roughness to the wall.
     object_point : array_like, (3,), optional
         Object point, world, m; by default the hidden object's reference point.
     n_rays : int

@@ -45,7 +45,8 @@ class RayPlan:
         Whether the wall can block the line between two of its points, or between the wall and a
         point in the room.
     glossy : bool
-        Whether a lobe is narrow enough to require three sampling strategies instead of one.
+        Whether wall or object has a microfacet or Ward lobe. Such a lobe requires three sampling
+        strategies instead of one.
 
     See Also
     --------

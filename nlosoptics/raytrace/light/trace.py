@@ -66,9 +66,11 @@ def trace(
     keep_paths : bool
         Keep vertices, lengths and powers of single paths, for example to plot them: all paths with
         ``analog``, else the detected ones. Otherwise memory does not grow with the number of rays.
+        With ``tol`` or ``max_seconds``, also give an ``n_rays`` whose paths fit into memory.
     analog : bool
         Trace rays as physical light propagates, without connections to object and lens and without
-        Russian roulette. This is slow, but the ledger is balanced to rounding.
+        Russian roulette. This is slow, but `RayPaths.ledger` then adds up to the laser's power
+        within rounding.
     sampler : {"sobol", "philox"}
         Scrambled Sobol points in 32 independent groups, or independent random numbers.
     seed : int
@@ -99,7 +101,8 @@ def trace(
     and light vertices are also connected to the lens. The balance heuristic then weights these
     three strategies (Veach, Robust Monte Carlo methods for light transport simulation, 1997, ch. 9
     and 10). From the fourth reflection on, weak paths are ended by Russian roulette. Standard
-    errors are those of the mean over the 32 groups.
+    errors are those of the mean over the 32 groups, times ``sqrt(31/29)`` for the variance of
+    Student's distribution. They are infinite for fewer than 4 rays.
 
     See Also
     --------

@@ -166,11 +166,11 @@ def trace_point(
 
     Notes
     -----
-    Flux: light vertices are spread uniformly over the wall (over a wide wall, as the point emits)
-    and connected to points of the lens. With a glossy lobe, half of the rays are aimed at the part
-    of the wall in which the lens sees the point mirrored. The balance heuristic then weights the
-    connections and the rays that reach the lens by scattering (Veach 1997, ch. 9). Smooth mirrors
-    get additional rays, aimed at their mirror image.
+    Flux: light vertices are spread uniformly over the wall (on a wide wall, in proportion to the
+    point's emission) and connected to points of the lens. With a glossy lobe, half of the rays are
+    aimed at the part of the wall in which the lens sees the point mirrored. The balance heuristic
+    then weights the connections and the rays that reach the lens by scattering (Veach 1997, ch. 9).
+    Smooth mirrors get additional rays, aimed at their mirror image.
 
     Pixels: light of one reflection at mirror-like lobes is taken from the rays of the flux. For all
     other light, each pixel has its own rays from the lens into its field of view. They are

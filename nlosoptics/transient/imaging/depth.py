@@ -305,8 +305,8 @@ def voxelised(
     Returns
     -------
     ndarray of bool
-        (nz, ny, nx), True at a surface. Rays run along each axis with at least two voxels. Rays
-        along one axis find the surfaces that are parallel to another.
+        (nz, ny, nx), True at a surface. Rays run along each axis with at least two voxels, because
+        rays along one axis miss the surfaces that are parallel to it.
 
     Raises
     ------

@@ -152,7 +152,10 @@ def fk_migration(
 def _migrated(
     wave: Array, grid: ConfocalGrid, volume: Volume, kind: type, progress: Progress | None
 ) -> Waves:
-    """Return the wave (nz, ny, nx) in the volume at w = 0, from ``wave`` (n_bins, ny, nx)."""
+    """Return the complex wave (nz, ny, nx) at path length 0 in the voxels of ``volume``.
+
+    ``wave`` (n_bins, ny, nx) is the amplitude on the wall, and ``kind`` the complex dtype.
+    """
     import scipy.fft
 
     from . import _migration_kernels as kernels
