@@ -43,8 +43,8 @@ def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array
     Returns
     -------
     ndarray, (ny, nx), or None
-        Noise; uniform if no number of electrons per count explains it, and None if the image has
-        no noise.
+        Rms noise, counts, infinite at masked pixels. It is uniform if no number of electrons per
+        count explains the image's mean noise, and None if the image has no noise.
     """
     from ..inverse import estimate_noise
 

@@ -108,10 +108,11 @@ class Fraction:
     value : float
         Share of the points.
     low, high : float
-        Ends of the Clopper-Pearson interval.
+        Ends of the Clopper-Pearson interval of this share, at the confidence given to
+        `fraction_within`, by default 0.95.
     met, points, failed : int
-        Points that meet the specification, all points counted, and those of them whose figure
-        failed. A failed point does not meet the specification.
+        Numbers of points that meet the specification, of all finished points, and of finished
+        points whose figure is not finite. The latter do not meet the specification.
 
     See Also
     --------
@@ -146,8 +147,8 @@ def fraction_within(
     at_least, at_most : float, optional
         Limits of the figure, in its unit; at least one of them.
     confidence : float
-        Coverage of the interval. It is exact for independent draws (method random) and rather too
-        wide for the others.
+        Least probability that the interval contains the true share, for independent draws (method
+        random). For the other methods the interval is usually wider than needed.
     incomplete : bool
         Whether points may be pending. They are not counted.
 

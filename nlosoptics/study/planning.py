@@ -38,8 +38,7 @@ class StudyPlan:
     forecasts : int
         Forecasts of the image; 0 if no figure needs one.
     seconds : float
-        Predicted CPU time of all points after compilation, s, with a factor of about two either
-        way.
+        Predicted CPU time of all points after compilation, s; uncertain by a factor of about two.
     n_bytes : int
         Largest size of the store, without the base scene's files.
     block : int

@@ -53,7 +53,8 @@ def run_study(
     progress : callable(str, float), optional
         Called with a text and the completed fraction, 0 to 1.
     interrupted : callable, optional
-        Asked between blocks whether to end after the blocks in flight.
+        Function without arguments, called between blocks. If it returns True, the study ends after
+        the blocks that are being computed.
 
     Returns
     -------

@@ -38,7 +38,7 @@ class Study(Noun):
     definition : dict
         Tables of the study file.
     folder : Path
-        Folder of the study file, which is searched for functions of the user's.
+        Folder of the study file, in which the user's own functions are looked for.
     base : Base
         Base scene with the changes of the table ``set``.
     dimensions : tuple of Dimension

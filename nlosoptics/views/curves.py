@@ -366,7 +366,8 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
     spots : SpotDiagram
         Result of `psf.spot_diagram`.
     most : int
-        Largest number of rays drawn. Where there are more, every second, third, ... is drawn.
+        Largest number of rays drawn. Where there are more, only every second, third, ... ray is
+        drawn.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 

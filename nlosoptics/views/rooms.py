@@ -149,8 +149,9 @@ def ray_paths(
     -------
     Plotter
         Plotter with the view of `scene_3d` and all path segments as one set of lines, the actor
-        "ray paths", in world coordinates, m. Its cells are the segments, with the data arrays
-        "path" (index into ``paths``), "preceding reflections" and the quantity of ``colour``.
+        "ray paths", in world coordinates, m. Its cells are the segments. Cell arrays are "path"
+        (index into ``paths``), "preceding reflections" and, for such a ``colour``, "power", W, or
+        "aberration", waves. For ``colour="path_length"``, "path length", m, is a point array.
 
     Raises
     ------

@@ -159,8 +159,8 @@ def evidence_fit(
 
     Notes
     -----
-    The answer is the start with the least free energy (`FreeEnergy`). Squared residuals would
-    prefer no blur to the truth for one frame.
+    The answer is the wall with the least variational free energy of the images, in which the object
+    is integrated out. Squared residuals would prefer no blur to the truth for one frame.
 
     For one image without ``start_error``, a network proposes walls of the Noll modes 4 to 21 if the
     pixels are no wider than Nyquist's, the frame has 24 to 96 of Nyquist's pixels along each side,

@@ -352,7 +352,7 @@ def shape_of(name: str, value: Any) -> tuple[int, ...]:
 
 
 def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> float:
-    """Estimate the rms noise of an image, assuming that it is white within about 12 pixels.
+    """Estimate the rms noise of an image, assuming white noise within blocks of 12 x 12 pixels.
 
     Parameters
     ----------

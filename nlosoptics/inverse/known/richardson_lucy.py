@@ -43,9 +43,9 @@ def richardson_lucy(
     Parameters
     ----------
     image : ndarray or Tensor
-        (H, W), any unit.
+        Image, (H, W), any unit.
     model : ForwardModel or TorchForwardModel
-        Of shape (H, W); a field of point spreads is taken as well.
+        Image model with the shape (H, W), of one point spread or of a field of them.
     accelerated : bool
         Whether to extrapolate each step along the last two iterates.
     noise_sigma : float, array_like or None
@@ -90,14 +90,16 @@ def richardson_lucy(
 
     Notes
     -----
-    ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_ conserves flux and sign; w are the pixel weights of a
-    noise map. ``A'w`` accounts for light lost at the frame, so that padded edges do not ring. The
-    background's strength is updated by the same step and starts from its estimate with the Wiener
-    filter; a remote start would need thousands of iterations. Noise can make dark pixels negative,
-    which the method does not allow. Instead of clipping, a pedestal that lifts the darkest pixel to
-    one noise sigma is added to image and model [3]_. Early stopping is the regularisation; further
-    iterations would fit the noise. The acceleration follows Biggs and Andrews [4]_. ``objective``
-    is the weighted divergence between model and image, in units of the image's range.
+    With the object x, image y, image model A and background b, the iteration is
+    ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_. It conserves flux and sign; w are the pixel weights
+    of a noise map. ``A'w`` accounts for light lost at the frame, so that padded edges do not ring.
+    The background's strength is updated by the same step and starts from its estimate with the
+    Wiener filter; a remote start would need thousands of iterations. Noise can make dark pixels
+    negative, which the method does not allow. Instead of clipping, a pedestal that lifts the
+    darkest pixel to one noise sigma is added to image and model [3]_. Early stopping is the
+    regularisation; further iterations would fit the noise. The acceleration follows Biggs and
+    Andrews [4]_. ``objective`` is the weighted divergence between model and image, in units of the
+    image's range.
 
     References
     ----------

@@ -112,12 +112,13 @@ def tv_deconvolve(
 
     Notes
     -----
-    Minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over x >= 0 in the
-    frame and b, with the reference noise sigma and isotropic TV. The alternating direction method
-    of multipliers splits image, gradient and sign, so that one step is diagonal in Fourier space
-    and the frame is a mask [1]_. For a field of point spreads this step takes a few conjugate
-    gradients, preconditioned by the mean. The weight is adjusted in every data step, in closed form
-    for uniform noise [2]_.
+    Minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over the object x
+    >= 0 in the frame and the background b. Here y is the image, A the image model, g the gain,
+    sigma_i the noise of a pixel and sigma the reference noise; TV is isotropic. The alternating
+    direction method of multipliers splits image, gradient and sign, so that one step is diagonal in
+    Fourier space and the frame is a mask [1]_. For a field of point spreads this step takes a few
+    conjugate gradients, preconditioned by the mean. The weight is adjusted in every data step, in
+    closed form for uniform noise [2]_.
 
     The target of the discrepancy principle allows for noise that the fit absorbs: the expected
     sum of squared residuals, one per pixel, is reduced by the number of pixels along the

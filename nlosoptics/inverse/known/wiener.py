@@ -89,13 +89,14 @@ def wiener(
 
     Notes
     -----
-    Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x``. The prior spectrum S is proportional to
-    1/(f^2 + f_0^2) with f_0 one cycle per frame, as in natural scenes [1]_. Its strength matches
-    the image's variance in excess of the noise; for an image that is uniform up to noise, without a
-    background to fit, it matches the mean square instead. A circular frame without weights is the
-    classical filter, solved in one step. For a padded frame or a field of point spreads, the filter
-    with the mean point spread preconditions conjugate gradients over objects inside the frame. No
-    edge tapering is needed, and edges do not ring.
+    Minimises ``|A x + b - y|^2/sigma^2 + x' S^-1 x`` for the object x, image y, image model A,
+    background b and noise sigma. The prior spectrum S is proportional to 1/(f^2 + f_0^2), with f_0
+    one cycle per frame, as in natural scenes [1]_. Its strength matches the image's variance in
+    excess of the noise; for an image that is uniform up to noise, without a background to fit, it
+    matches the mean square instead. For a circular frame without weights this is the classical
+    filter, solved in one step. For a padded frame or a field of point spreads, the filter with the
+    mean point spread preconditions conjugate gradients over objects inside the frame. No edge
+    tapering is needed, and edges do not ring.
 
     References
     ----------

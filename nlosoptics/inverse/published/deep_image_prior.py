@@ -133,7 +133,8 @@ def deep_image_prior(
     Notes
     -----
     Adam minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over the
-    weights of the network x. Gain and background take their least-squares values in every step. The
+    weights of the network, whose output is x; the other symbols are those of `tv_deconvolve`. Gain
+    g and background b take their least-squares values in every step. The
     published prior [1]_ uses a noise input; with a sharp guide instead, a quarter of the steps
     gives the same quality, and the final result is better. A network eventually fits noise [1]_, so
     the fit stops at the noise level (discrepancy principle), reduced as in `tv_deconvolve`. The

@@ -55,9 +55,10 @@ def alternating_minimisation(
 ) -> tuple[Tensor, float]:
     """Solve ``|A x| = y`` by estimating phases and solving for x in turn [1]_.
 
-    ``sizes`` are the moduli y, ``forward`` is A, and ``least_squares`` returns the x that minimises
-    ``|A x - c|`` for given c. The iteration stops at a relative change of x of ``tolerance``. Also
-    returns the error ``| |A x| - y | / |y|``.
+    ``sizes`` are the moduli y, in the shape of ``forward(x)``. ``forward`` is A, ``least_squares``
+    returns the x that minimises ``|A x - c|`` for given c, and ``start`` is the first x. The
+    iteration stops at a relative change of x of ``tolerance``, or after ``max_iterations``. Returns
+    the last x and its relative error ``| |A x| - y | / |y|``.
 
     References
     ----------
