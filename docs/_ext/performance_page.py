@@ -625,8 +625,8 @@ SECTIONS = (
     Section(
         "psf_peers.json",
         "Point spreads beside their peers",
-        "Each program by its fastest setting that reaches an error, its set-up kept; 256 x 256 "
-        "image samples, error as max |dI|/max I, one thread.",
+        "Each program with its fastest setting that reaches the error in the first column. Its "
+        "set-up is not timed; 256 x 256 image samples, error as max |dI|/max I, one thread.",
         f"{RUN}/psf_peers.py --json benchmarks/results/psf_peers.json",
         psf_peers,
         draw_psf_peers,
@@ -635,8 +635,9 @@ SECTIONS = (
     Section(
         "psf_pupils.json",
         "Point spreads of vaned and segmented pupils",
-        "As above, for one wave of aberration on a ring with four vanes and on 19 hexagons. The "
-        "peers hold the pupil as the fraction of each sample inside it; Optiland takes no part.",
+        "Each program with its fastest setting that reaches an error, for one wave of aberration "
+        "on a ring with four vanes and on 19 hexagons. The other programs store the pupil as the "
+        "fraction of each sample inside it. Optiland is not compared.",
         f"{RUN}/psf_peers.py --case spider --case '19 hexagons' --samples 1024 "
         "--json benchmarks/results/psf_pupils.json",
         psf_peers,
@@ -682,17 +683,18 @@ SECTIONS = (
     Section(
         "known_psf.jsonl",
         "Reconstruction, point spread known",
-        "Objects by smooth and speckled point spreads, 128 x 128 pixels, data not made by the "
-        "model that is inverted. scikit-image's have the best setting of those tried.",
+        "Images of objects blurred by smooth and by speckled point spreads, 128 x 128 pixels. The "
+        "images are not computed by the model that is inverted. scikit-image's solvers run with "
+        "the best of the settings tried.",
         f"{RUN}/inverse/known_psf.py --json benchmarks/results/known_psf.jsonl",
         known_psf,
     ),
     Section(
         "mismatches.jsonl",
         "Status, point spread known",
-        "Answers of `tv_deconvolve` called converged, of those with the correlation in the "
-        "heading; 64 x 64 pixels, noise of 0.5 to 10 %. Seeds on which no limit was set, and "
-        "further images that show nothing of the scene.",
+        "How many answers of `tv_deconvolve` have the status converged, of those with the "
+        "correlation in the heading; 64 x 64 pixels, noise of 0.5 to 10 %. The seeds are not those "
+        "with which the limits of the tests were set. Some images show nothing of the scene.",
         f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 500000 --cases 220; "
         f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 600000 "
         "--cases 200 --kinds white_noise exponential_noise photon_noise unblurred_picture blobs "
@@ -702,7 +704,8 @@ SECTIONS = (
     Section(
         "image_prior.jsonl",
         "Untrained networks, point spread known",
-        "The same data. The guide is the answer by total variation that the network is fed with.",
+        "`deep_image_prior` on images like those of `tv_deconvolve` above. The guide is the answer "
+        "by total variation, which is the input of the network.",
         f"{RUN}/inverse/image_prior.py --json benchmarks/results/image_prior.jsonl",
         image_prior,
     ),
@@ -727,7 +730,7 @@ SECTIONS = (
     Section(
         "evidence_one_frame.jsonl",
         "Wall unknown, one frame",
-        "The same off a single frame.",
+        "`evidence_fit` for a single frame, otherwise as for two frames.",
         f"{RUN}/inverse/evidence.py --frames 1 --rms 0.25 0.5 --jobs 2 "
         "--json benchmarks/results/evidence_one_frame.jsonl",
         evidence,
@@ -760,17 +763,17 @@ SECTIONS = (
     Section(
         "feasibility.jsonl",
         "Verdicts before the fit",
-        "Random scenes of 64 x 64 pixels, none of which set a constant of the forecast; the fit is "
-        "`tv_deconvolve` with the point spread known. Differences are those of the predicted and "
-        "the reached correlation.",
+        "Random scenes of 64 x 64 pixels, none of them used in setting the constants of the "
+        "forecast. The fit is `tv_deconvolve` with the point spread known. Differences are those "
+        "between the predicted and the reached correlation.",
         f"{RUN}/inverse/feasibility.py --json benchmarks/results/feasibility.jsonl",
         feasibility,
     ),
     Section(
         "relay_modes.jsonl",
         "Modes of diffuse light past occluders",
-        "Random scenes with a matt wall, every third with a wide mirror-like lobe too; the number "
-        "of `limits.feasibility` next to the singular values of the whole matrix.",
+        "Random scenes with a matt wall, every third with a wide mirror-like lobe too. The number "
+        "of modes by `limits.feasibility` is compared with singular values of the whole matrix.",
         f"{RUN}/relay_modes.py --scenes 6 --json benchmarks/results/relay_modes.jsonl",
         relay_modes,
     ),
@@ -786,7 +789,7 @@ SECTIONS = (
         "wu2024_facets.jsonl",
         "PCIN as published, with facets",
         "The paper's camera (F/2, pixels of 72 um) and independent facets, from random angles and "
-        "one image; beside it total variation with the true point spread.",
+        "one image; for comparison, total variation with the true point spread.",
         f"{RUN}/inverse/wu2024.py --facets 4 --walls 1 --objects F --size 128 "
         "--json benchmarks/results/wu2024_facets.jsonl",
         wu2024_facets,
@@ -794,7 +797,8 @@ SECTIONS = (
     Section(
         "dense_meshes.jsonl",
         "Three bounces off dense meshes",
-        "A dragon in a corridor, tolerance 1 %, one thread; error against a thirtieth of it.",
+        "A dragon in a corridor, tolerance 1 %, one thread. The reference of the error is a run "
+        "with a thirtieth of this tolerance.",
         f"{RUN}/transient/dense_meshes.py --json benchmarks/results/dense_meshes.jsonl",
         dense_meshes,
     ),
@@ -814,7 +818,7 @@ SECTIONS = (
         "phasor.json",
         "Phasor fields beside y-tal",
         "A letter at 1 m, one laser point; overlap is the intersection over union at its best "
-        "threshold, seconds are of a call with its set-up.",
+        "threshold, seconds are those of a call including its set-up.",
         f"{RUN}/transient/phasor.py --peer-python PEER/bin/python "
         "--json benchmarks/results/phasor.json",
         phasor,
