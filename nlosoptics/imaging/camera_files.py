@@ -244,7 +244,7 @@ def _whole_shape(shape: tuple[int, int]) -> tuple[int, int]:
 def _corrected(
     counts: Array, path: str | Path, dark: str | Path | None, flat: str | Path | None
 ) -> tuple[Array, Mask]:
-    """Subtract the dark frame and divide by the flat field; also return the mask of dead pixels."""
+    """Return counts minus dark frame over flat/mean(flat), and the mask of dead pixels."""
     still = np.zeros(counts.shape)
     if dark is not None:
         still = read_camera_file(dark)[0]
@@ -273,7 +273,10 @@ def _corrected(
 def _grouped(
     path: str | Path, values: Array, saturated: Mask, dead: Mask, shape: tuple[int, int] | None
 ) -> tuple[Array, Mask, Mask]:
-    """Sum over square groups of pixels; a group with a saturated or dead pixel is marked so."""
+    """Sum counts over groups of k x k pixels to a shape; also return both masks of the groups.
+
+    A group with a saturated or dead pixel is itself saturated or dead.
+    """
     if shape is None or values.shape == tuple(shape):
         return values, saturated, dead
     groups = {n // m if n % m == 0 else 0 for n, m in zip(values.shape, shape, strict=True)}

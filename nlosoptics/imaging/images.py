@@ -66,7 +66,8 @@ class SpeckleImage(Noun, Shown):
     Parameters
     ----------
     electrons : ndarray, (ny, nx)
-        Reading of each image pixel with all noise, electrons.
+        Reading of each image pixel with all noise, electrons. The converter's offset is subtracted,
+        so that dark pixels can be negative; background and dark current are included.
     expected : ndarray, (ny, nx)
         ``signal + background``, electrons: the mean of many exposures if no pixel saturates.
     signal : ndarray, (ny, nx)

@@ -155,7 +155,10 @@ class Study(Noun):
         return int(np.prod(self.shape))
 
     def delta(self, index: int) -> dict[str, Any]:
-        """Return the values by address that make a point, counted from 0 in the product's order."""
+        """Return the values of a point by address.
+
+        Points are counted from 0; the last dimension runs fastest.
+        """
         index = whole("index", index, 0, len(self) - 1)
         steps = np.unravel_index(index, self.shape)
         found: dict[str, Any] = {}

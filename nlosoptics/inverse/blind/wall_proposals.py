@@ -115,7 +115,11 @@ class WallProposals:
         return best
 
     def _known_share(self) -> float:
-        """Return the power of the mean over that and the expected square of its error."""
+        """Return the fraction of power that the mean explains, 0 to 1.
+
+        It is the sum of squares of the mean's coefficients, divided by this sum plus their expected
+        squared error.
+        """
         weights, means, deviations = self._parts
         twin = means * twin_signs().double().numpy()
         offset = np.minimum(*(np.square(one - self.mean).sum(axis=1) for one in (means, twin)))

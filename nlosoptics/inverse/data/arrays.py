@@ -81,9 +81,10 @@ def irfft2(spectra: Values, columns: int, out: Values | None = None) -> Values:
 
 
 def half_spectrum_weights(columns: int) -> NDArray[np.float64]:
-    """Return how often each column of an ``rfft2`` counts in the whole spectrum.
+    """Return how often each column of an ``rfft2`` counts in the whole spectrum: once or twice.
 
-    It holds every column once for two but the first, and the last of an even grid.
+    The ``rfft2`` of an image with ``columns`` columns holds one of each two conjugate columns. Its
+    first column and, if ``columns`` is even, its last one have no conjugate and count once.
     """
     weights = np.full(columns // 2 + 1, 2.0)
     weights[0] = 1.0

@@ -214,7 +214,7 @@ def _checked(wavelength: float) -> float:
 
 
 def _shown(value: float, unit: Unit, wavelength: float | None) -> str:
-    """Return the shortest decimal from which the same number is read."""
+    """Return a coefficient, m, in ``unit``, as the shortest decimal that reads back equal."""
     if unit == "waves":
         if wavelength is None:
             raise SceneError("unit = 'waves' without a wavelength; give wavelength in m")
@@ -225,7 +225,7 @@ def _shown(value: float, unit: Unit, wavelength: float | None) -> str:
 
 
 def _metres(path: Path, number: str, unit: str, wavelength: float | None) -> float:
-    """Return a number of a table in m."""
+    """Convert a number of a table from ``unit`` to m."""
     if unit == "waves":
         if wavelength is None:
             raise SceneError(f"{path} is in waves but gives no wavelength; give wavelength in m")

@@ -26,7 +26,7 @@ class ComparisonRow:
     method : str
         Name of the method in `point_spread`.
     seconds : float or None
-        Shortest run time. All figures are None if the method did not run.
+        Shortest run time, s. Like the other figures it is None if the method did not run.
     error_estimate : float or None
         Bound of max |dI|/max I that the method reports.
     difference : float or None

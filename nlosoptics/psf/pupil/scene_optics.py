@@ -50,7 +50,10 @@ class PointOptics:
 
     @property
     def zoom(self) -> float:
-        """Ratio of the exit pupil's size to that of the lens; 1 if the lens is the stop."""
+        """Ratio of the exit pupil's size to that of the cone on the lens.
+
+        It is 1 if the lens is the stop, and negative if the wall is, whose image is inverted.
+        """
         return self.exit_pupil.image_distance / self.scene.image_distance
 
     @cached_property
@@ -156,6 +159,8 @@ class SceneOptics:
         Returns
         -------
         PointOptics
+            Optics of the point; ``first.wave`` is its `Wavefront` at the nodes that
+            ``nodes="auto"`` of `wavefront` selects.
         """
         if object_point is None:
             return self.reference

@@ -128,7 +128,10 @@ def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> Wa
 
 
 def _view_of(chief: _Chief, zoom: float) -> WallView:
-    """Return the map from the exit pupil, given that from the lens."""
+    """Return the view from the exit pupil, given the optics ``chief`` of the chief ray at the lens.
+
+    ``zoom`` is the ratio of the exit pupil's size to that of the cone on the lens.
+    """
     return WallView(
         footprint=chief.footprint[0] / zoom,
         cos_sum=float(chief.cosines[0]),
@@ -139,7 +142,10 @@ def _view_of(chief: _Chief, zoom: float) -> WallView:
 
 
 def _zoom(scene: Scene) -> float:
-    """Ratio of the exit pupil's size to that of the lens; 1 unless the wall is the stop."""
+    """Ratio of the exit pupil's size to that of the cone on the lens; 1 if the lens is the stop.
+
+    It is negative if the wall is the stop, whose image is inverted.
+    """
     return exit_pupil(scene).image_distance / scene.image_distance
 
 

@@ -202,7 +202,10 @@ class Halo:
             fineness *= 1.5
 
     def _weighted(self, du: Array, dv: Array, lag: Array, steps: Array) -> Separations:
-        """Return nodes with their weights and phases."""
+        """Return the nodes (du, dv), m, of the sum over separations, with weights and phases.
+
+        ``lag`` are the separations on the wall and ``steps`` their quadrature weights, m.
+        """
         wave, pitch = self.residual.wavefront, self.window.pitch
         area = math.pi * lag * steps / abs(float(np.linalg.det(self.view.footprint)))
         factor = 2 * area * self.view.scattered_transfer(du, dv)

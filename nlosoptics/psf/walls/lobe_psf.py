@@ -283,7 +283,7 @@ def split_lobes(scene: Scene) -> tuple[list[MirrorLobe], float]:
 
 
 def _together(parts: list[tuple[float, PointSpread]]) -> PointSpread:
-    """Return the mean of (weight, point spread) pairs on the same pixels."""
+    """Return the weighted mean of (weight, point spread) pairs on the same pixels."""
     total = sum(share for share, _ in parts)
     intensity = np.sum([share / total * part.intensity for share, part in parts], axis=0)
     first = parts[0][1]

@@ -191,7 +191,7 @@ def rough_choice(
 
 
 def _choice(seen: PointOptics, pitch: float, shape: tuple[int, int], tol: float) -> RoughChoice:
-    """Make `rough_choice`."""
+    """Return the first regime that holds for a rough wall, see `rough_choice`."""
     view, residual = roughness_view(seen), seen.first.residual
     if not isinstance(view, ReliefView):
         return RoughChoice("mean", 0, 0.0, 0.0, 0.0, tol, "mean over all walls in closed form")
