@@ -220,7 +220,8 @@ def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) ->
 
     Notes
     -----
-    Estimators of Saltelli et al. (2010) in `scipy.stats.sobol_indices`, with bootstrap intervals.
+    Estimators of Saltelli et al., Comput. Phys. Commun. 181, 259 (2010), as implemented in
+    `scipy.stats.sobol_indices`, with bootstrap intervals.
     """
     _check_draws(results, "Sobol indices", ("saltelli",))
     confidence = in_range("confidence", confidence, 0.01, 0.9999)

@@ -110,8 +110,9 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     Notes
     -----
     ``W' = W + r^2/(d' + s sqrt(r^2 + d'^2)) - r^2/(d + s sqrt(r^2 + d^2))`` with d' = d + shift
-    and s the sign of d. This is the exact path difference between the spheres, from nodes in the
-    pupil plane, as in `huygens_point_spread` with ``pupil="plane"``. The paraxial term
+    and s the sign of d, and with r^2 = u^2 + v^2. This is the exact path difference between the
+    spheres, from nodes in the pupil plane, as in `huygens_point_spread` with ``pupil="plane"``. The
+    paraxial term
     ``(1/d' - 1/d) r^2/2`` differs from it by about the fraction ``3/(16 N^2)`` at the rim, 1e-4 at
     F/40. A detector beyond focus has W < 0. The tilt is kept, so that a spot at ``a d`` moves to
     ``a d'``. The amplitude is kept too; as power per area it would change by the fraction
@@ -163,7 +164,7 @@ def through_focus(
           sideways.
         - ``rms``: `rms_aberration` without piston and tilt, m.
         - ``spot``: `spot_radius`, m.
-        - ``mtf``: `mtf` at ``frequency``. Obscured and other outlines take it from their PSF.
+        - ``mtf``: `mtf` at ``frequency``; for obscured pupils and other outlines from their PSF.
         - A function of a Wavefront that returns a number, such as
           ``lambda wave: psf.encircled_energy(wave, 5e-6)``.
     frequency : float, optional

@@ -44,7 +44,8 @@ def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> floa
     Returns
     -------
     float
-        ``|sum A w exp(ikW)|^2 / (sum A w)^2``.
+        ``|sum A w exp(ikW)|^2 / (sum A w)^2``, with amplitude A, aberration W and area w of the
+        nodes, and k = 2 pi/wavelength.
 
     Raises
     ------

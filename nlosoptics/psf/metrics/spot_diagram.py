@@ -65,7 +65,8 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     wavefront : Wavefront
         Wave of any layout. One ray starts at each node of non-zero amplitude.
     rings : int
-        For a polar wavefront: least number of rings of rays, with ``2 rings`` rays per ring.
+        For a polar wavefront: least number of rings of rays. Each ring has at least twice as many
+        rays as there are rings.
 
     Returns
     -------
