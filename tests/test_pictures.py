@@ -1,4 +1,4 @@
-"""Picture files: few bytes may hold many pixels."""
+"""Picture files: a few bytes may claim very many pixels."""
 
 import struct
 import zlib

@@ -695,10 +695,10 @@ SECTIONS = (
         "How many answers of `tv_deconvolve` have the status converged, of those with the "
         "correlation in the heading; 64 x 64 pixels, noise of 0.5 to 10 %. The seeds are not those "
         "with which the limits of the tests were set. Some images show nothing of the scene.",
-        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 500000 --cases 220; "
-        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 600000 "
-        "--cases 200 --kinds white_noise exponential_noise photon_noise unblurred_picture blobs "
-        "other_speckle other_wall",
+        f"{RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl --first 500000 "
+        f"--cases 220; {RUN}/inverse/mismatches.py --json benchmarks/results/mismatches.jsonl "
+        "--first 600000 --cases 200 --kinds white_noise exponential_noise photon_noise "
+        "unblurred_picture blobs other_speckle other_wall",
         mismatches,
     ),
     Section(

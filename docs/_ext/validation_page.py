@@ -109,7 +109,7 @@ def reference_table(found: dict[str, list[Row]], tests: Iterable[Test]) -> str:
                 ", ".join(f"`{holder}`" for holder in holders),
             ]
         )
-    return table(["reference", "formula", "values", "source", "tolerance", "held by"], body)
+    return table(["reference", "formula", "values", "source", "tolerance", "checked by"], body)
 
 
 def modules(truths: str) -> Iterator[Path]:

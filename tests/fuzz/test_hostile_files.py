@@ -1,4 +1,4 @@
-"""Damaged files end in finite arrays or one line; `campaign` runs as many as one wants."""
+"""Damaged files are read to finite arrays or refused in one line; `campaign` tests any number."""
 
 from __future__ import annotations
 

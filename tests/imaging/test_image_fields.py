@@ -1,4 +1,4 @@
-"""Fields as coarse as an image allows: against fields that are much finer."""
+"""Fields of point spreads as coarse as an image allows, against much finer ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Occluders: which light they stop, against straight lines worked out by hand."""
+"""Occluders: the light that they block, against lines of sight computed by hand."""
 
 from __future__ import annotations
 

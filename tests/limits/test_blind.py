@@ -1,4 +1,4 @@
-"""Forecast of blind fits, against the tests that it is drawn from."""
+"""Forecast of blind fits, against the tests from which it is derived."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The verdict before a fit: light, modulation, noise, words, and what a fit then does."""
+"""Feasibility: photons, modulation, noise, verdict, and comparison with fits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What wide lobes pass: closed forms, and modes counted by an independent computation."""
+"""Transfer of wide lobes: closed forms, and modes counted by an independent computation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fisher information against images of a point, differenced."""
+"""Fisher information of the wave, against finite differences of images of a point."""
 
 from __future__ import annotations
 

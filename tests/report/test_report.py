@@ -1,4 +1,4 @@
-"""The page about a run: its structure, its truth to the folder, its manners in a browser."""
+"""HTML report of a run: structure, agreement with the folder, behaviour in a browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a machine is worth is measured once and kept."""
+"""The speed of the machine is measured once and stored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What nouns show in a notebook: valid HTML, words for pictures, text without matplotlib."""
+"""Notebook cards: valid HTML, alternative text of pictures, text without matplotlib."""
 
 from __future__ import annotations
 

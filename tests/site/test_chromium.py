@@ -1,4 +1,4 @@
-"""The browser of the other tests: it sees requests, complaints and drags."""
+"""Browser that other tests use: it reports requests and errors, and drags."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pictures: what they show, where it lies, and which units they name."""
+"""Maps and pictures: values, positions, orientation and units."""
 
 from __future__ import annotations
 

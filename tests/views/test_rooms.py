@@ -1,4 +1,4 @@
-"""Rooms in 3-D: what is drawn, where, in which colours, and what refuses."""
+"""Rooms in 3-D: what is drawn, where, in which colours, and bad input."""
 
 from __future__ import annotations
 

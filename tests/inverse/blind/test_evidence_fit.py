@@ -1,4 +1,4 @@
-"""The evidence fit finds wall and object from random starts, and says where it does not."""
+"""The evidence fit finds wall and object from random starts, and reports where it does not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fits of networks and walls that are watched, ended and gone on from: one protocol for all."""
+"""Blind fits and networks: progress callbacks, interruption and resumption."""
 
 from __future__ import annotations
 

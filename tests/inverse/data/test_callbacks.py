@@ -1,4 +1,4 @@
-"""Fits that are watched, ended and gone on from; pixels that do not count."""
+"""Solvers: progress callbacks, interruption and resumption, and excluded pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One loop for all solvers: interrupted anywhere and resumed, a fit gives the same bits."""
+"""Common loop of the solvers: a fit interrupted anywhere and resumed gives the same bits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pixels of infinite noise: what they read has no say, and residuals are of the others alone."""
+"""Pixels of infinite noise: their values have no effect, and residuals exclude them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The registered correlation: blind to place, scale and offset, and to nothing else."""
+"""Registered correlation: independent of position, scale and offset, and of nothing else."""
 
 from __future__ import annotations
 

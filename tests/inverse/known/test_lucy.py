@@ -1,4 +1,4 @@
-"""Richardson-Lucy: its formula, what it keeps, where it stops, fields, its peer."""
+"""Richardson-Lucy: formula, conserved flux, stopping, fields, comparison with scikit-image."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The guarded inverse filter: exact without noise, its guard, its limit."""
+"""Inverse filter: exact without noise, and its guard against amplified noise."""
 
 from __future__ import annotations
 

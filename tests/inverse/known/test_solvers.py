@@ -1,4 +1,4 @@
-"""What every solver promises: kinds, statuses, progress, one-line errors."""
+"""Properties common to all solvers: array types, status, progress, one-line errors."""
 
 from __future__ import annotations
 

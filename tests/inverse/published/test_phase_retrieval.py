@@ -1,4 +1,4 @@
-"""Phase retrieval: theory's own case, clean spectra, speckle, and what cannot be told."""
+"""Phase retrieval: the case of the theory, exact autocorrelations, speckle, and bad input."""
 
 from __future__ import annotations
 

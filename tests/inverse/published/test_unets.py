@@ -1,4 +1,4 @@
-"""Networks: the sums of plain torch, any size, seeded weights that disturb nobody's."""
+"""U-nets: results of plain torch, images of any size, seeded weights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waves of slopes, of exit angles and of scenes as leaves of a point spread."""
+"""Differentiable point spreads of slopes, of exit angles and of scenes."""
 
 from __future__ import annotations
 

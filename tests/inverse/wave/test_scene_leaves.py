@@ -1,4 +1,4 @@
-"""Numbers of a scene as leaves, against the aimed wave and finite differences."""
+"""Differentiable scene parameters, against the aimed wave and finite differences."""
 
 from __future__ import annotations
 

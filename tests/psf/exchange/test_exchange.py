@@ -1,4 +1,4 @@
-"""Pupils handed to POPPY and prysm and taken back, held by what these tools make of them."""
+"""Pupils exported to POPPY and prysm and imported again, against images by these tools."""
 
 from __future__ import annotations
 

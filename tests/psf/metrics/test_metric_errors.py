@@ -1,4 +1,4 @@
-"""Error bars of metrics: they cover the truth as often as they say."""
+"""Error bars of metrics cover the truth as often as they state."""
 
 from __future__ import annotations
 

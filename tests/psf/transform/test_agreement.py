@@ -1,4 +1,4 @@
-"""The transforms against each other where nothing parts them but rounding, nodes or the rim.
+"""The transforms against each other, where they differ only by rounding, nodes or the rim.
 
 Held elsewhere: one grid by fft, mdft and nufft (test_scattered_transforms), spherical waves against
 quadrature (test_huygens), rays against waves for defocus and astigmatism (test_geometric), the sum

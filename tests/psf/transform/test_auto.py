@@ -1,4 +1,4 @@
-"""The choice among transforms: what it knows of a wave, what it says, and whether it holds."""
+"""Choice of the transform: what it depends on, its stated reason, and its stated error."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Pixels far wider than diffraction: fine about the rays, a tail beyond, against fine samples."""
+"""Pixels far wider than diffraction: fine samples near the rays and a tail beyond."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ray density against closed forms and against the waves it stands for."""
+"""Ray density against closed forms and against diffraction."""
 
 import math
 from dataclasses import replace

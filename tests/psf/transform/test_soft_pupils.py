@@ -1,4 +1,4 @@
-"""Grids of polynomial waves with softened rims, and what is kept between waves."""
+"""Grids of polynomial waves with softened rims, and tables cached between waves."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Waves and rays of one wall: their energies, their places, and the limits they share."""
+"""Hybrid of waves and rays: energies, positions in the image, and limits."""
 
 from __future__ import annotations
 

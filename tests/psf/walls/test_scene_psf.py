@@ -1,4 +1,4 @@
-"""One door from a scene to its point spread: layout, refinement, vignetting, shared geometry."""
+"""From a scene to its point spread: layout, refinement, vignetting, shared geometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the transforms refuse, and the windows they choose."""
+"""Sampling that the transforms refuse, and the windows that they choose."""
 
 import math
 from dataclasses import replace

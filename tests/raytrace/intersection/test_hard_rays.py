@@ -1,4 +1,4 @@
-"""Every wall at its limits: 50 digits, starts on it, grazing, far coordinates, small features.
+"""Rays at the limits of every wall: 50 digits, grazing, starts on the wall, small features.
 
 Batches and threads must not change a bit of it.
 """

@@ -1,4 +1,4 @@
-"""Light on the relay wall: view factors, and what the tracer's ledger says of it."""
+"""Light on the relay wall, against view factors and the tracer's power balance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tracing: closed forms, brute force, budgets, statistics and what is left out."""
+"""Tracing: closed forms, brute force, power balance, statistics and skipped tests."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ward's lobes and the microfacets of GGX against closed forms and the law of energy."""
+"""Ward lobes and GGX microfacets, against closed forms and conservation of energy."""
 
 from __future__ import annotations
 

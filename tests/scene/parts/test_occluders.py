@@ -1,4 +1,4 @@
-"""Occluders: where they stand, and the one mesh that they make."""
+"""Occluders: their position, and the mesh that they form together."""
 
 from __future__ import annotations
 

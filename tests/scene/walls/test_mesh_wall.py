@@ -1,4 +1,4 @@
-"""Mesh walls: the smooth surface behind the triangles and what it is worth."""
+"""Mesh walls: the smooth surface fitted to the triangles, and its error."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Roughness of a scene: what it does to wall and lobes, and what does not fit together."""
+"""Roughness of a scene: its effect on wall and lobes, and contradictory input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gates, coarser bins, blurs and legs of captures keep the light that they say they keep."""
+"""Cropped, coarser and blurred captures, and captures without outer legs, keep their light."""
 
 from __future__ import annotations
 

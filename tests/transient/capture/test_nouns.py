@@ -1,4 +1,4 @@
-"""Captures and volumes check what they are given."""
+"""Captures and volumes check their arguments."""
 
 from __future__ import annotations
 

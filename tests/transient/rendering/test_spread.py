@@ -1,4 +1,4 @@
-"""Light of one triangle over bins, path and integrand linear over it, against sums of points."""
+"""Contribution of one triangle to the bins, against sums over points."""
 
 from __future__ import annotations
 
