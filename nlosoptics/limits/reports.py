@@ -57,8 +57,8 @@ class Feasibility(Noun, Shown):
     score_spread : float
         Expected rms difference between the correlation that such a fit reaches and ``score``.
     relay_score : float
-        Predicted correlation of a linear fit to the diffuse light on 24 x 24 cells, if their
-        response is known. Occluders' shadows are part of that response.
+        Predicted correlation of a linear fit to the diffuse light on cells of the object, 24 along
+        its longer side, if their response is known. Occluders' shadows are part of that response.
     photons : float
         Photons of the object's image on the detector in one exposure.
     electrons : mapping of str to float
@@ -91,7 +91,8 @@ class Feasibility(Noun, Shown):
         Resolution: the frequency at which the larger of both ratios first falls below 1, cycles/m;
         0 if it begins below 1.
     modes : int
-        Independent patterns on 24 x 24 object cells, of contrast 0.3, that exceed the noise.
+        Independent patterns, of contrast 0.3, that exceed the noise. They are counted on cells of
+        the object, 24 along its longer side.
     diffuse_modes : int
         Number of these modes that wide lobes alone would carry, including the shadows of occluders.
     wave_bounds : mapping of int to float
