@@ -95,7 +95,7 @@ def cast_shadows(scene: Scene) -> Shadows:
     Raises
     ------
     SceneError
-        If the laser beam misses the wall, or an occluder cuts it.
+        If the laser beam misses the wall or is cut by an occluder.
     MemoryLimitError
         If the paths of all pixels would not fit in memory.
 

@@ -111,9 +111,10 @@ def evidence_fit(
     strength : float or None
         Rms of the wall's wave, waves. None: unknown; several values are tried.
     max_iterations : int, optional
-        Maximum number of search rounds; by default 2 with a defocused frame, otherwise 4. A round
-        optimises 32 random walls, or about 400 walls and variations of the best for one frame,
-        after a search about the network's proposals if it is sure of them.
+        Maximum number of search rounds. The default is 2 if the images or a known object exclude a
+        wave without blur, as a defocused frame does, otherwise 4. A round optimises 32 random
+        walls, or about 400 walls and variations of the best for one frame. If the network is sure
+        of its proposals, a search from these alone comes first.
     max_seconds : float, optional
         Time after which no further round or generation starts, s. The result then depends on the
         speed of the machine.

@@ -197,11 +197,12 @@ def wavefront(
         Layout of the pupil nodes, or coordinates (u, v) in the exit pupil, m. "polar" follows the
         round rim of the lens. "cells" also follows the edge of a flat wall that cuts the cone of
         light, "grid" that of any wall. "auto" selects polar nodes, or a grid if the wall's edge
-        cuts the cone or is the stop.
+        cuts the cone or is the stop. Nodes given as coordinates are "scattered": each represents
+        an equal part of the pupil's area, or none if it lies outside the pupil radius.
     samples : int or (int, int), optional
         Polar: radii, with four times as many angles, or (radii, angles); default (24, 96). Cells:
         nodes per patch along its two sides; default (24, 24). Grid: cells per side; default 256,
-        or 512 if "auto" selects the grid.
+        or 512 if "auto" selects the grid. Not allowed with nodes given as coordinates.
     reference : {"mirror_image", "best_focus"}
         "mirror_image" removes the chief ray's piston and tilt; the tilt is an exact image shift.
         "best_focus" also fits and removes defocus. ``removed`` reports these terms.
