@@ -61,7 +61,8 @@ def sensitivities(
     Returns
     -------
     tuple of Sensitivity
-        Cases whose figure failed come last.
+        One entry per case, sorted by the magnitude of the change; cases whose figure failed come
+        last.
 
     Raises
     ------
@@ -155,6 +156,7 @@ def fraction_within(
     Returns
     -------
     Fraction
+        Share of the finished points, with its interval and the numbers of points.
 
     Raises
     ------

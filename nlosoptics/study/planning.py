@@ -83,6 +83,7 @@ def plan_study(study: Study) -> StudyPlan:
     Returns
     -------
     StudyPlan
+        Numbers of points and point spreads, predicted CPU time, and size of the store.
 
     See Also
     --------

@@ -126,6 +126,7 @@ class Aperture(Noun):
         Returns
         -------
         Aperture
+            One cell; it has a hole if ``obscuration`` is above 0.
 
         Raises
         ------
@@ -168,6 +169,7 @@ class Aperture(Noun):
         Returns
         -------
         Aperture
+            One cell, or one per sector between two vanes.
 
         Raises
         ------
@@ -209,6 +211,7 @@ class Aperture(Noun):
         Returns
         -------
         Aperture
+            One cell; it has a hole if ``obscuration`` is above 0.
 
         Raises
         ------

@@ -71,6 +71,7 @@ def to_prysm(wavefront: Wavefront) -> PrysmPupil:
     Returns
     -------
     PrysmPupil
+        Amplitude and phase, (n, n) in the order of the wave's grid, wavelength and pitch.
 
     Raises
     ------

@@ -119,6 +119,8 @@ def compare(
     Returns
     -------
     Comparison
+        One row per method: run time, error estimate, and difference from the method of the
+        smallest estimate.
 
     Raises
     ------

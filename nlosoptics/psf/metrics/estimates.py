@@ -59,6 +59,7 @@ def metric_estimate(
     Returns
     -------
     MetricEstimate
+        Metric of the mean pattern, its standard error, and the number of patterns.
 
     Raises
     ------

@@ -175,6 +175,7 @@ def through_focus(
     Returns
     -------
     ThroughFocus
+        Metric in each plane, (n,), with the shifts in the given order.
 
     Raises
     ------

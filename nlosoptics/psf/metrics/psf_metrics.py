@@ -96,7 +96,7 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     Returns
     -------
     float
-        m.
+        Root mean square aberration, m.
 
     Raises
     ------
@@ -198,7 +198,7 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     Returns
     -------
     ndarray
-        Of the shape of ``radius``.
+        Fraction of the energy, 0 to 1, in the shape of ``radius``.
 
     Raises
     ------
@@ -276,7 +276,7 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     Returns
     -------
     ndarray
-        Of the shape of ``frequency``.
+        Modulation, 1 at frequency 0, in the shape of ``frequency``.
 
     Raises
     ------

@@ -71,6 +71,7 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     Returns
     -------
     SpotDiagram
+        Landing points relative to the reference point, m, and energies of the rays, (n,) each.
 
     Raises
     ------
@@ -126,7 +127,7 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
     Returns
     -------
     (float, float)
-        (x, y), m from the reference point.
+        Coordinates (x, y) of the centroid relative to the reference point, m.
 
     See Also
     --------
@@ -156,7 +157,7 @@ def spot_radius(wavefront: Wavefront) -> float:
     Returns
     -------
     float
-        m.
+        Root mean square distance, m.
 
     See Also
     --------
@@ -182,7 +183,7 @@ def ensquared_energy(point_spread: PointSpread, side: ArrayLike) -> Array:
     Returns
     -------
     ndarray
-        Of the shape of ``side``.
+        Fraction of the energy, 0 to 1, in the shape of ``side``.
 
     Raises
     ------
@@ -271,6 +272,7 @@ def peak_strehl(wavefront: Wavefront) -> float:
     Returns
     -------
     float
+        Ratio, 0 to 1; at least the Strehl ratio at the reference point.
 
     Raises
     ------

@@ -111,6 +111,7 @@ class ScalarField(Noun):
         Returns
         -------
         ScalarField
+            Samples (ny, nx) of the function; row 0 is at the lowest y.
         """
         ny, nx = shape_of(shape)
         window = Window.centred(positive("pitch", pitch, unit="m"), (ny, nx))

@@ -76,6 +76,7 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     Returns
     -------
     ExitPupil
+        Position, radius, distance to the detector, F-number and stop.
 
     Raises
     ------

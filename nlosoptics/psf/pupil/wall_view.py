@@ -87,6 +87,7 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     Returns
     -------
     WallView
+        Footprint of the pupil on the wall, wall point of the chief ray, and effective distance.
 
     Raises
     ------

@@ -126,6 +126,7 @@ def mean_point_spread(
     Returns
     -------
     RoughPointSpread
+        Mean intensity (ny, nx), row 0 at the lowest y, with its coherent part and error estimate.
 
     Raises
     ------

@@ -92,7 +92,7 @@ def sample_point_spread(
     Returns
     -------
     PointSpread
-        Its mean over seeds is `mean_point_spread`.
+        Intensity (ny, nx), row 0 at the lowest y. Its mean over seeds is `mean_point_spread`.
 
     Raises
     ------

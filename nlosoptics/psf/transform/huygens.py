@@ -129,6 +129,7 @@ def huygens_point_spread(
     Returns
     -------
     SurfacePointSpread
+        Intensity at the points, in their shape without the last axis, with an error estimate.
 
     Raises
     ------

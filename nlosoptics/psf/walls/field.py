@@ -80,6 +80,7 @@ class PointSpreadField(Noun):
         Returns
         -------
         ndarray, (K, ...)
+            Weights of the K modes, in the broadcast shape of the coordinates.
 
         Raises
         ------
@@ -152,6 +153,7 @@ def point_spread_field(
     Returns
     -------
     PointSpreadField
+        Modes, their weights at the nodes over the object, and the errors.
 
     Raises
     ------
@@ -234,9 +236,9 @@ def isoplanatic_radius(scene: Scene | SceneOptics, *, tol: float = 0.05) -> floa
     Returns
     -------
     float
-        m; the smallest of eight directions in the object's plane, each by bisection. It is
-        infinite if the difference stays within ``tol`` over the whole object, and 0 if the
-        distance is below 1e-3 of the object's half size.
+        Distance, m: the smallest along eight directions in the object's plane, each found by
+        bisection. It is infinite if the difference stays within ``tol`` over the whole object, and
+        0 if the distance is below 1e-3 of the object's half size.
 
     Raises
     ------

@@ -88,6 +88,7 @@ def scene_point_spread(
     Returns
     -------
     ScenePointSpread
+        Exit pupil, wave of the smooth wall, and point spread (ny, nx) in energy per pixel.
 
     Raises
     ------

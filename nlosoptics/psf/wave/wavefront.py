@@ -196,6 +196,7 @@ class Wavefront(Noun, Shown):
         Returns
         -------
         Wavefront
+            Wave of amplitude 1 on the nodes.
 
         Examples
         --------
@@ -301,6 +302,7 @@ class Wavefront(Noun, Shown):
         Returns
         -------
         Wavefront
+            Wave on the nodes of the pupil.
 
         Raises
         ------
@@ -390,6 +392,7 @@ class Wavefront(Noun, Shown):
         Returns
         -------
         Wavefront
+            Wave of layout "grid" on the map's pixels.
         """
         positive("pupil_pitch", pupil_pitch, unit="m")
         surface = owned("aberration", aberration, "grid")
@@ -482,6 +485,7 @@ class Wavefront(Noun, Shown):
         Returns
         -------
         Wavefront
+            Wave of the same layout and pupil on more nodes.
         """
         self._require_spectral("be resampled")
         old = self.u.shape[-2:]

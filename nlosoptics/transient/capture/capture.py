@@ -215,6 +215,7 @@ class TransientCapture(Noun, Shown):
         Returns
         -------
         TransientCapture
+            Capture with the same data and all details.
         """
         return replace(self, details={**self.details, **more})
 

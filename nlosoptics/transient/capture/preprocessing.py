@@ -32,6 +32,7 @@ def gated(
     Returns
     -------
     TransientCapture
+        Capture with the bins in the range; ``t_start`` is the start of the first one.
 
     Raises
     ------
@@ -84,6 +85,7 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     Returns
     -------
     TransientCapture
+        Capture with fewer, wider bins and fewer wall points.
 
     Raises
     ------
@@ -159,6 +161,7 @@ def smoothed(
     Returns
     -------
     TransientCapture
+        Capture with blurred values; times and points are unchanged.
 
     Raises
     ------
@@ -200,6 +203,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
     Returns
     -------
     TransientCapture
+        Capture with weighted values; times and points are unchanged.
 
     Raises
     ------

@@ -107,6 +107,7 @@ def depth_map(
     Returns
     -------
     DepthMap
+        Distance from the wall and confidence of each column, (ny, nx).
 
     Raises
     ------
@@ -171,6 +172,7 @@ def depth_error(
     Returns
     -------
     DepthError
+        Error at the best threshold, and errors at all thresholds.
 
     Raises
     ------
@@ -264,7 +266,7 @@ def true_depths(
     Returns
     -------
     ndarray
-        (ny, nx), m; NaN if the ray meets no surface.
+        Distances from the wall, (ny, nx), m; NaN where the ray meets no surface.
 
     Raises
     ------

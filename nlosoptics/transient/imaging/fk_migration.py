@@ -71,7 +71,7 @@ def fk_migration(
     Returns
     -------
     VolumeImage
-        Squared modulus of the migrated wave.
+        Squared modulus of the migrated wave, (nz, ny, nx), in arbitrary units.
 
     Raises
     ------

@@ -76,6 +76,7 @@ class Volume(Noun):
         Returns
         -------
         Volume
+            Voxels centred in the box.
 
         Raises
         ------
@@ -106,6 +107,7 @@ class Volume(Noun):
         Returns
         -------
         Volume
+            Voxels (nz, count, count), with x and y at the centres of the wall's cells.
         """
         width, height = pair("side", side)
         middles = (np.arange(whole("count", count)) + 0.5) / count - 0.5
@@ -126,6 +128,7 @@ class Volume(Noun):
         Returns
         -------
         Volume
+            Voxels (nz, ny, nx), with x and y of the wall points.
 
         Raises
         ------
