@@ -22,6 +22,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 #: Default memory limit as a fraction of the free memory.
 SHARE = 0.75
+#: Largest component of a vector: sums of squares do not overflow.
+MOST = 1e150
 #: Seconds for which the free memory is cached; reading it takes as long as a small transform.
 FRESH = 0.25
 
@@ -117,7 +119,9 @@ def vector(name: str, value: Any) -> Vector:
         raise SceneError(
             f"{name} has {counted(len(value), 'component')}; give three, x, y and z in m"
         )
-    x, y, z = (real(f"{name}[{axis}]", v) for axis, v in zip("xyz", value, strict=True))
+    x, y, z = (
+        in_range(f"{name}[{axis}]", v, -MOST, MOST) for axis, v in zip("xyz", value, strict=True)
+    )
     return (x, y, z)
 
 

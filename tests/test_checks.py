@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from nlosoptics._checks import counted
+from nlosoptics._checks import counted, reason, vector
+from nlosoptics.errors import SceneError
 
 
 @pytest.mark.parametrize(
@@ -19,3 +20,15 @@ from nlosoptics._checks import counted
 )
 def test_counts_agree_with_their_nouns(count: int, words: tuple[str, ...], text: str) -> None:
     assert counted(count, *words) == text
+
+
+def test_vectors_whose_square_overflows_are_refused() -> None:
+    with pytest.raises(SceneError, match=r"aim\[z\] = -1e\+308 is out of range"):
+        vector("aim", (0.0, 0.0, -1e308))
+
+
+def test_texts_of_foreign_errors_are_short_and_printable() -> None:
+    told = reason(ValueError("bad\n\x00header " + "x" * 500))
+    assert told.startswith("ValueError: bad header xxx")
+    assert len(told) < 150
+    assert reason(KeyError()) == "KeyError"

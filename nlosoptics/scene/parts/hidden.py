@@ -178,9 +178,10 @@ def checked_picture(name: str, values: Any) -> Array:
         raise SceneError(f"{name} holds {raw.dtype} values; give real brightness from 0 to 1")
     short = raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2
     scale = float(np.iinfo(raw.dtype).max) if short else 1.0
-    picture = raw.astype(np.float64) / scale
+    picture = raw.astype(np.float64)
     if not np.isfinite(picture).all():
         raise SceneError(f"{name} holds NaN or infinity; give finite brightness")
+    picture /= scale
     low, high = float(picture.min()), float(picture.max())
     if low < 0 or high > 1:
         raise SceneError(f"{name} spans {low:g} to {high:g}, must be within 0 to 1; rescale it")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,9 @@ from ._sources import SourceFile
 
 if TYPE_CHECKING:
     import trimesh
+
+
+_NO_LOG = logging.NullHandler()
 
 
 def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
@@ -33,6 +37,8 @@ def load_mesh(name: str, given: Any) -> trimesh.Trimesh:
     """
     import trimesh
 
+    # Otherwise trimesh's log of a file that it cannot read, with a traceback, goes to stderr.
+    logging.getLogger("trimesh").addHandler(_NO_LOG)
     mesh: Any = given
     if isinstance(given, (str, Path)):
         path = SourceFile.at(given)
