@@ -18,6 +18,7 @@ import torch
 from numpy.random import Generator
 from torch import Tensor
 
+from ..._checks import reason
 from ...errors import MissingExtraError, SceneError
 from ...psf.wave.zernikes import zernike
 from ..wave.frames import Frames
@@ -266,9 +267,8 @@ def loaded_network(path: Path) -> WallNetwork:
             raise ValueError(f'format {told!r}, must be "{_FORMAT}"')
         network.load_state_dict({name: one.float() for name, one in tensors.items()})
     except Exception as error:
-        text = " ".join(str(error).split())[:200]
         raise SceneError(
-            f"{path} does not hold the network of wall proposals ({text}); install it again"
+            f"{path} does not hold the network of proposals ({reason(error)}); install it again"
         ) from None
     return network.eval().requires_grad_(False)
 
