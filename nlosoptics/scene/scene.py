@@ -136,7 +136,7 @@ class Scene(Noun, Shown):
 
     @classmethod
     def load(cls, path: str | Path, changes: Mapping[str, Any] | None = None) -> Scene:
-        """Read a scene file (TOML), with other values at some places if wanted.
+        """Read a scene file (TOML), optionally with some of its values replaced.
 
         Parameters
         ----------

@@ -175,8 +175,9 @@ class Material:
         Returns
         -------
         ndarray, (...)
-            Closed form where one exists. Otherwise quadrature with an error of about 1e-9, or
-            1e-16/(s cos theta)^2 if larger, for a mirror-like lobe of slope rms s.
+            Reflected share, in the shape of ``theta``: in closed form where one exists, otherwise
+            by quadrature with an error of about 1e-9, or 1e-16/(s cos theta)^2 if larger, for a
+            mirror-like lobe of slope rms s.
 
         Raises
         ------

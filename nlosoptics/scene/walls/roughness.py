@@ -130,7 +130,7 @@ class WallRoughness(Noun):
                 )
 
     def check_wall(self, wall: Wall) -> None:
-        """Check that the heights can be added to the mean wall.
+        """Check that the heights can be added to the mean wall; for the mean, nothing is added.
 
         Parameters
         ----------
