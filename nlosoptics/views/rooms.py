@@ -59,8 +59,9 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     -----
     Positions, the lens and the wall are to scale. The housings of laser and camera only mark
     positions. Beam and optical axis have a minimum width, so that they stay visible. The shading
-    of the wall shows its slopes, normalised to the steepest, which the legend states. Waviness
-    with a period below three of the 768 texels is omitted. Grain and highlight only distinguish
+    of the wall shows its slopes, normalised to the steepest, which the legend states. It has 768
+    samples along the wall's longer side. If the wall's finest period is at most three samples, the
+    shading shows no slopes, and the legend says so. Grain and highlight only distinguish
     rough from specular materials; they are not a rendering of the material.
 
     Examples

@@ -84,9 +84,10 @@ def evidence_fit(
     walls : array_like of int, optional
         Number of the wall of each image, (K,), counted from 0; by default one wall for all.
     start_error : float, optional
-        Expected rms error of the coefficients of ``pupil_psf``, waves, at most 0.25. They then have
-        a Gaussian prior, and one image can be sufficient. Overestimate it if in doubt. By default
-        the coefficients are only one more start.
+        Expected rms error of the whole wave that ``pupil_psf`` has at the start, waves, at most
+        0.25. Each of the M coefficients then has a Gaussian prior of standard deviation
+        ``start_error/sqrt(M)``, and one image can be sufficient. Overestimate it if in doubt. By
+        default the coefficients are only one more start.
     known_object : array_like, optional
         Known object, (H, W); only its brightness and the walls are fitted then.
     support : array_like, optional
@@ -116,8 +117,8 @@ def evidence_fit(
         walls, or about 400 walls and variations of the best for one frame. If the network is sure
         of its proposals, a search from these alone comes first.
     max_seconds : float, optional
-        Time after which no further round or generation starts, s. The result then depends on the
-        speed of the machine.
+        Time after which the search starts no further step, s; it first completes one answer. The
+        result then depends on the speed of the machine.
     seed : int
         Seed of the random starts.
     start : mapping, optional
@@ -125,7 +126,7 @@ def evidence_fit(
         result bit for bit; see `inverse.data.checkpoints`.
     progress : callable or None
         Called repeatedly with a text and the completed fraction. It may raise `Stop`, which ends
-        the search after the current descent.
+        the search before its next step.
 
     Returns
     -------
@@ -143,7 +144,8 @@ def evidence_fit(
           NaN also with ``start_error``,
         - ``model_error``: rms of the residual in excess of the noise, over the images' range.
 
-        ``background`` is (K,) for several images. The history has one entry per answer.
+        ``background`` is (K,) for several images. The history has one entry per wall that
+        was fitted to the end, with the values of the best so far.
 
     Raises
     ------
@@ -168,12 +170,14 @@ def evidence_fit(
     and the pupil has no known wave or transmission. Only the free energy judges them.
 
     The answer must explain the images to be "converged": ``model_error`` is at most 0.004, plus
-    0.003 times the wall's rms in waves (0.01 times with one image), counted up to one wave. If the
-    residual exceeds the noise significantly, modes up to radial orders 5, 7 and 8 are added to fits
+    0.003 times the wall's rms in waves (0.01 times with one image), counted up to one wave. Three
+    standard errors of the mean squared residual are added to the square of this limit. Images of
+    one wall whose defoci differ by less than 0.1 waves are judged like one image. If the residual
+    exceeds the noise significantly, modes up to radial orders 5, 7 and 8 are added to fits
     of several images, as long as they lower the free energy by more than their number explains.
 
     One image must also exclude a wave without blur. Without ``start_error``, ``margin`` must be
-    below -70, or ``sharp_margin`` below -0.092 per pixel (-0.14 at 0.3 % noise), because fits
+    below -70, or ``sharp_margin`` below -0.092 per pixel (-0.146 at 0.3 % noise), because fits
     without blur can also find a weak wall. With ``start_error``, ``margin`` must be below -50; or
     at most 100 (at 1 % noise; 20 at 5 %) if the prior of the coefficients puts the no-blur fit at
     least 100 above the answer, and the residual is at least 0.93 of the noise, because wrong

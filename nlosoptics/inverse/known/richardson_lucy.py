@@ -95,8 +95,8 @@ def richardson_lucy(
     of a noise map. ``A'w`` accounts for light lost at the frame, so that padded edges do not ring.
     The background's strength is updated by the same step and starts from its estimate with the
     Wiener filter; a remote start would need thousands of iterations. Noise can make dark pixels
-    negative, which the method does not allow. Instead of clipping, a pedestal that lifts the
-    darkest pixel to one noise sigma is added to image and model [3]_. Early stopping is the
+    negative, which the method does not allow. Instead of clipping, a pedestal that lifts every
+    pixel to at least one noise sigma is added to image and model [3]_. Early stopping is the
     regularisation; further iterations would fit the noise. The acceleration follows Biggs and
     Andrews [4]_. ``objective`` is the weighted divergence between model and image, in units of the
     image's range.

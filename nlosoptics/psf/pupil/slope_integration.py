@@ -177,7 +177,8 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
         Surface, m; its mean is 0 over every piece of the mask, and it is 0 outside the mask.
     residual : float
         Rms difference between the given slopes and those of the surface, over all pairs of
-        neighbours in the mask. It is 0 for slopes without curl, and if there is no pair.
+        neighbours in the mask. It is 0 for the slopes of a quadratic surface, and if there is no
+        pair; otherwise it contains curl and the discretisation error.
 
     Raises
     ------
