@@ -230,7 +230,10 @@ class Spectra:
         self._left = power(residual) * (residual.size / data.counted)
         # Excluded pixels hold the mean, and their steps would spread over all frequencies.
         masked = data.counted < residual.size
-        self._noise = self._left if masked else image_power / variance - self._ratio
+        # The image is not weighted: its noise has the mean variance of the pixels, which exceeds
+        # sigma^2 if a few bright pixels have most of the photon noise.
+        mean_variance = data.noise_power() / self._level.size
+        self._noise = self._left if masked else (image_power - signal) / mean_variance
 
     def signs(self) -> dict[str, float]:
         """Return the signs of a wrong model in a sharp fit."""

@@ -196,6 +196,25 @@ def test_stated_noise_is_compared_with_the_image(drawn):
     assert "stated noise's power" in wrong.reasons[0]
 
 
+def test_photon_noise_of_a_bright_object_in_the_dark_is_the_stated_noise():
+    """The mean variance of the pixels is more than twice their harmonic mean."""
+    model = lobe(3.0)
+    truth = np.zeros((SIDE, SIDE))
+    truth[16:48, 20:26] = truth[16:22, 20:44] = truth[29:35, 20:38] = 5000.0
+    light = model.forward(truth)
+    variance = light + 200.0
+    assert variance.mean() * (1.0 / variance).mean() > 2.0
+    image = light + np.sqrt(variance) * np.random.default_rng(0).normal(size=truth.shape)
+    right, wrong = (
+        inverse.tv_deconvolve(image, model, noise_sigma=factor * np.sqrt(variance))
+        for factor in (1.0, 1.5)
+    )
+    assert (right.status, right.reasons) == ("converged", ())
+    assert wrong.status == "does_not_fit"
+    # 0.44, as above
+    assert "has 0.4" in wrong.reasons[0]
+
+
 def test_negative_light_of_a_linear_filter(drawn):
     case, model = drawn("other_wall", seed=0, wall="speckle", subject="glyph", noise=0.01)
     found = inverse.wiener(case.image, model)
