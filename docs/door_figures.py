@@ -8,7 +8,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 import nlosoptics as nlos
-from nlosoptics import transient, views
+from nlosoptics import limits, transient, views
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "examples" / "scenes"
@@ -27,11 +27,12 @@ def letter() -> None:
     result = nlos.simulate(scene, seed=1, reconstruct=True)
     drawn = Figure(figsize=(9.5, 3.6), layout="constrained")
     left, right = drawn.subplots(1, 2)
-    views.image(result.image, axes=left)
-    views.reconstruction(result.reconstruction, axes=(right,))
-    left.set_title("picture of the camera")
+    scale = limits.object_scale(scene)
+    views.image(result.image, object_scale=scale, axes=left)
+    pitch = scale * result.image.pitch
+    views.reconstruction(result.reconstruction, pitch=pitch, axes=(right,))
+    left.set_title("camera image")
     right.set_title("reconstruction, mirror undone")
-    right.set_ylabel("")
     views.save(drawn, FIGURES / "door_camera.png")
 
 

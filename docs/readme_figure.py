@@ -9,10 +9,19 @@ import nlosoptics as nlos
 from nlosoptics import limits, views
 from nlosoptics.scene import Scene
 from nlosoptics.views.canvas import new_axes
-from nlosoptics.views.palette import BLACK, BLUE, BROWN, GREEN, ORANGE, VERMILION
+from nlosoptics.views.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, VERMILION
 
 ROOT = Path(__file__).parents[1]
 FLOOR = 1.35  # m from the wall, where the picture ends
+
+
+def arrows(axes: Axes, path: np.ndarray, **style: object) -> None:
+    """Draw a path in the x-z plane with an arrow head in the middle of each of its legs."""
+    axes.plot(path[:, 0], path[:, 2], **style)
+    for start, end in zip(path[:-1, [0, 2]], path[1:, [0, 2]], strict=True):
+        middle = start + 0.55 * (end - start)
+        head = {"arrowstyle": "-|>", "color": style["color"], "mutation_scale": 20, "shrinkB": 0}
+        axes.annotate("", middle, start, arrowprops=head | {"linewidth": 0})
 
 
 def room(scene: Scene, axes: Axes) -> None:
@@ -24,21 +33,21 @@ def room(scene: Scene, axes: Axes) -> None:
     low, high = scene.occluding_mesh.bounds
     partition = [low[2], min(high[2], FLOOR)]
     axes.plot([(low + high)[0] / 2] * 2, partition, color=BROWN, linewidth=7, solid_capstyle="butt")
-    axes.plot([laser[0], spot[0]], [laser[2], spot[2]], color=VERMILION, linewidth=2)
-    path = np.array([spot, hidden, (0, 0, 0), camera])
-    axes.plot(path[:, 0], path[:, 2], color=ORANGE, linestyle="--")
+    sight = np.array([camera, camera + (hidden - camera) * 0.4])
+    axes.plot(sight[:, 0], sight[:, 2], color=GREY, linestyle=":", linewidth=2)
+    axes.text(-0.045, 0.9, "×", color=GREY, fontsize=24, ha="center", va="center")
+    arrows(axes, np.array([laser, spot]), color=VERMILION, linewidth=2)
+    arrows(axes, np.array([spot, hidden, (0, 0, 0), camera]), color=ORANGE, linewidth=2)
     half = scene.hidden.size[0] / 2
-    axes.plot(hidden[0] + np.array([-half, half]), [hidden[2]] * 2, color=GREEN, linewidth=5)
-    axes.plot(camera[0], camera[2], "s", color=BLUE, markersize=11)
-    style = {"ha": "center", "fontsize": 12}
-    axes.text(0, -0.07, "relay wall", color=BLACK, **style)
-    axes.text(camera[0] - 0.16, camera[2] + 0.02, "camera", color=BLUE, **style)
-    axes.text(laser[0], laser[2] + 0.1, "laser", color=VERMILION, **style)
-    axes.text(hidden[0], hidden[2] + 0.11, "hidden chart", color=GREEN, **style)
-    axes.text(-0.05, 1.3, "partition", color=BROWN, fontsize=12, ha="right")
-    axes.plot([0.4, 0.65], [1.36, 1.36], color=BLACK, linewidth=2)
-    axes.text(0.525, 1.33, "0.25 m", **style)
-    axes.set(xlim=(-0.72, 0.72), ylim=(1.42, -0.17), aspect="equal")
+    axes.plot(hidden[0] + np.array([-half, half]), [hidden[2]] * 2, color=GREEN, linewidth=6)
+    axes.plot(camera[0], camera[2], "s", color=BLUE, markersize=14)
+    style = {"ha": "center", "fontsize": 15}
+    axes.text(0, -0.06, "wall", color=BLACK, **style)
+    axes.text(camera[0] - 0.05, camera[2] + 0.03, "camera", color=BLUE, ha="right", fontsize=15)
+    axes.text(laser[0], laser[2] + 0.12, "laser", color=VERMILION, **style)
+    axes.text(hidden[0], hidden[2] + 0.12, "hidden\neye chart", color=GREEN, va="top", **style)
+    axes.text(-0.05, 1.32, "partition", color=BROWN, fontsize=15, ha="right")
+    axes.set(xlim=(-0.78, 0.78), ylim=(1.39, -0.17), aspect="equal")
     axes.axis("off")
 
 
@@ -48,14 +57,13 @@ if __name__ == "__main__":
     axes = new_axes(3, width=13.5, height=4.9)
     room(scene, axes[0])
     views.image(result.image, object_scale=limits.object_scale(scene), axes=axes[1])
+    (length,) = axes[1].texts
+    length.set(text=length.get_text().removesuffix(" on the object"), fontsize=15)
     views.reconstruction(result.reconstruction, axes=axes[2:])
     for drawn in axes[1:]:
         drawn.child_axes[0].remove()
         drawn.axis("off")
-    for drawn, title in zip(
-        axes,
-        ("Room, from above", "Camera image", "Reconstruction"),
-        strict=True,
-    ):
-        drawn.set_title(title, fontsize=15)
+    titles = ("A partition hides the chart", "What the camera records", "What nlosoptics recovers")
+    for drawn, title in zip(axes, titles, strict=True):
+        drawn.set_title(title, fontsize=17)
     views.save(axes, ROOT / "docs" / "figures" / "corner.png")

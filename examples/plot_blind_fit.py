@@ -13,7 +13,7 @@ import torch
 
 from nlosoptics import inverse, psf
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # Two images

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 
 from nlosoptics import psf, views
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # Three wavefronts

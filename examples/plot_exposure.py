@@ -13,10 +13,10 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import nlosoptics as nlos
-from nlosoptics import imaging, inverse, psf, views
+from nlosoptics import imaging, inverse, limits, psf, views
 from nlosoptics.scene import WavyWall
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # The scene
@@ -45,17 +45,18 @@ model = imaging.ForwardModel(spread, shape=scene.camera.shape)
 # correlation with the ground truth, which is known here.
 
 exposures = [10e-3, 20e-3, 30e-3, 40e-3]
-figure, axes = plt.subplots(2, 4, figsize=(14, 6.5), layout="constrained")
+scale = limits.object_scale(scene)
+figure, axes = plt.subplots(2, 4, figsize=(14, 6.2), layout="constrained")
 scores, peaks = [], []
 for exposure, column in zip(exposures, axes.T, strict=True):
     image = imaging.form_image(scene, spread, exposure=exposure, seed=1)
     found = inverse.tv_deconvolve(image.electrons, model)
     views.image(image, axes=column[0])
-    views.reconstruction(found, axes=[column[1]])
+    views.reconstruction(found, pitch=scale * image.pitch, axes=[column[1]])
     scores.append(inverse.registered_correlation(found, image.ideal))
     peaks.append(image.signal.max() / image.noise_sigma.max())
     column[0].set_title(f"camera image, {1e3 * exposure:.0f} ms")
-    column[1].set_title(f"reconstruction, correlation {scores[-1]:.3f}")
+    column[1].set_title(f"correlation {scores[-1]:.3f}")
 plt.show()
 
 # %%

@@ -18,7 +18,7 @@ import nlosoptics as nlos
 from nlosoptics import psf
 from nlosoptics.scene import ConcaveWall
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # A field of point spread functions

@@ -16,7 +16,7 @@ import nlosoptics as nlos
 from nlosoptics import psf, views
 from nlosoptics.scene import ConcaveWall
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # The scene
@@ -52,7 +52,7 @@ print(f"error of the scalar model: {spread.model_error:.1g} of the peak")
 # the wall, which focuses more strongly along one axis. The last panel is a cut through the
 # reference point.
 
-figure, axes = plt.subplots(1, 3, figsize=(13.5, 4.2), layout="constrained")
+figure, axes = plt.subplots(1, 3, figsize=(13.5, 4), layout="constrained")
 views.wavefront(wave, axes=axes[0])
 views.point_spread(spread, decades=4, half_width=60e-6, axes=axes[1])
 middle = spread.shape[0] // 2
@@ -60,6 +60,7 @@ for found, label in ((perfect, "flat wall"), (spread, "concave wall")):
     axes[2].plot(found.x * 1e6, found.intensity[middle] / perfect.intensity.max(), label=label)
 axes[2].set(xlabel="x (µm)", ylabel="intensity / peak of the flat wall", xlim=(-60, 60))
 axes[2].set_title("cut along x")
+axes[2].set_box_aspect(1)
 axes[2].legend(loc="upper left")
 plt.show()
 

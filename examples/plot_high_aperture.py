@@ -11,7 +11,7 @@ import numpy as np
 
 from nlosoptics import psf
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # A focus at F/0.7
@@ -37,8 +37,11 @@ spots = {
 figure, axes = plt.subplots(1, 3, figsize=(11, 3.8), layout="constrained")
 for axis, (name, spot) in zip(axes, spots.items(), strict=True):
     edges = 1e6 * np.array([spot.x[0], spot.x[-1], spot.y[0], spot.y[-1]])
-    axis.imshow(np.sqrt(spot.intensity), origin="lower", extent=edges, cmap="cividis", vmin=0)
+    shown = axis.imshow(
+        np.sqrt(spot.intensity), origin="lower", extent=edges, cmap="cividis", vmin=0, vmax=1
+    )
     axis.set(title=name, xlabel="x (µm)", ylabel="y (µm)")
+figure.colorbar(shown, ax=axes, shrink=0.8, label="square root of intensity / ideal peak")
 plt.show()
 
 # %%

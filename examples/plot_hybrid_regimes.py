@@ -17,7 +17,7 @@ import numpy as np
 import nlosoptics as nlos
 from nlosoptics import psf, views
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # One wall, three parts

@@ -16,7 +16,7 @@ import numpy as np
 import nlosoptics as nlos
 from nlosoptics import raytrace, scene
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # Creases from shallow to steep

@@ -13,7 +13,7 @@ import trimesh
 
 from nlosoptics import scene, transient
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # A small target

@@ -11,7 +11,7 @@ import numpy as np
 
 from nlosoptics import psf
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # A bright spot behind a disc
@@ -31,12 +31,17 @@ def behind_disc(x, y):
 field = psf.ScalarField.from_function(behind_disc, pitch=pitch, shape=300, wavelength=wavelength)
 distances = (0.05, 0.2, 0.8)
 found = [psf.propagate(field, z, tol=5e-3) for z in distances]
-figure, axes = plt.subplots(2, 2, figsize=(8, 8), sharex=True, sharey=True, layout="constrained")
+figure, axes = plt.subplots(
+    2, 2, figsize=(8.6, 7.6), sharex=True, sharey=True, layout="constrained"
+)
 for each, plane in zip(axes.flat, [field, *found], strict=True):
     edges = 1e3 * np.array([plane.x[0], plane.x[-1], plane.y[0], plane.y[-1]])
-    each.imshow(plane.intensity, origin="lower", extent=edges, vmin=0, vmax=1.2, cmap="cividis")
+    shown = each.imshow(
+        plane.intensity, origin="lower", extent=edges, vmin=0, vmax=1.2, cmap="cividis"
+    )
     each.set_title(f"z = {plane.z:g} m")
     each.set(xlabel="x (mm)", ylabel="y (mm)")
+figure.colorbar(shown, ax=axes, shrink=0.6, label="relative intensity")
 
 for plane in found:
     print(
@@ -70,7 +75,7 @@ shown = each.pcolormesh(
     cmap="cividis",
     shading="nearest",
 )
-figure.colorbar(shown, label="amplitude")
+figure.colorbar(shown, label="relative amplitude")
 each.set_xlabel("z (mm)")
 each.set_ylabel("x (µm)")
 
@@ -92,12 +97,12 @@ talbot = 2 * period**2 / wavelength
 planes = np.linspace(0.0, talbot, 241)
 carpet = [psf.propagate(grating, z, method="fresnel_transfer").intensity[0] for z in planes]
 figure, each = plt.subplots(figsize=(7, 3.4), layout="constrained")
-each.pcolormesh(
+shown = each.pcolormesh(
     planes / talbot, 1e6 * grating.x, np.array(carpet).T, cmap="cividis", shading="nearest"
 )
 each.set_xlabel("z in units of 2 period$^2$/wavelength")
 each.set_ylabel("x (µm)")
-
+figure.colorbar(shown, label="relative intensity")
 plt.show()
 
 # %%

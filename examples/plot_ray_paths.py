@@ -15,7 +15,7 @@ import pyvista
 import nlosoptics as nlos
 from nlosoptics import raytrace, views
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # Ray tracing
@@ -41,12 +41,13 @@ plotter.show()
 # %%
 # Power budget
 # ------------
-# The fractions of the laser power by fate, on a logarithmic scale. "left" is the power that still
-# travels after the third reflection.
+# The fractions of the laser power by fate, on a logarithmic scale. "still
+# travelling" is the power after the third reflection, "escaped" that which misses every surface.
 
 shares = {fate: power / scene.laser.power for fate, power in paths.ledger.items() if power > 0}
 figure, axis = plt.subplots(figsize=(7.5, 3.8), layout="constrained")
-bars = axis.barh(list(shares), list(shares.values()))
+names = ["still travelling" if fate == "left" else fate for fate in shares]
+bars = axis.barh(names, list(shares.values()))
 axis.bar_label(bars, fmt="%.2g", padding=3)
 axis.set(xscale="log", xlim=(1e-9, 30), xlabel="fraction of the laser power")
 axis.set_title("power budget for up to three reflections")

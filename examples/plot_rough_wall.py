@@ -22,7 +22,7 @@ import numpy as np
 from nlosoptics import Scene, psf, views
 from nlosoptics.scene import FacetWall, GaussianWall, SpecularMicrofacet, WallRoughness
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 scene = Scene.load(Path(__file__).parent / "scenes" / "letter_flat.toml")
 scene = replace(scene, wall_material=SpecularMicrofacet(0.05, 0.0))
 wall = FacetWall(cell=1e-3, slope_rms=5e-4, seed=1)

@@ -15,7 +15,7 @@ import numpy as np
 import nlosoptics as nlos
 from nlosoptics import psf
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # Walls from smooth to rough

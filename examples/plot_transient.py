@@ -13,7 +13,7 @@ import trimesh
 
 from nlosoptics import scene, transient, views
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # A letter of four triangles

@@ -43,7 +43,7 @@ results = {
 # a pitch that resolves diffraction, and one exposure with noise. The letter is mirror-reversed,
 # because the wall acts as a mirror.
 
-figure, axes = plt.subplots(3, 4, figsize=(16, 11), layout="constrained")
+figure, axes = plt.subplots(3, 4, figsize=(15.5, 9), layout="constrained")
 spots = {}
 for (name, result), column in zip(results.items(), axes.T, strict=True):
     views.wavefront(result.wavefront, axes=column[0])

@@ -16,7 +16,7 @@ import nlosoptics as nlos
 from nlosoptics import limits, views
 from nlosoptics.scene import OrenNayar, SpecularMicrofacet, SumMaterial
 
-plt.style.use("tableau-colorblind10")
+plt.style.use("nlosoptics.views.palette")
 
 # %%
 # A wall of increasing roughness

@@ -18,7 +18,10 @@ document.addEventListener("DOMContentLoaded", () => {
     frame.className = "figure-frame";
     image.replaceWith(frame);
     frame.append(image);
-    const shape = () => image.style.setProperty("--shape", image.naturalWidth / image.naturalHeight);
+    const shape = () => {
+      image.style.setProperty("--shape", image.naturalWidth / image.naturalHeight);
+      image.style.setProperty("--wide", `${image.naturalWidth}px`);
+    };
     image.complete ? shape() : image.addEventListener("load", shape);
   }
 });

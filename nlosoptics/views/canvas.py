@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 DOTS_PER_INCH = 120
 CHARACTER = 0.7  # width of a digit or minus sign over the font size, with a little to spare
+LOG_GAP = 0.13  # least distance between labels of a log axis, in its width
 GAP = 1.0  # least distance between tick labels, in characters
 
 
@@ -60,6 +61,25 @@ def round_step(length: float) -> float:
 def space_ticks(axes: Axes, *, integer: bool = False) -> None:
     """Keep the tick labels of a linear x axis apart, at any size of the axes."""
     axes.xaxis.set_major_locator(spaced_locator(integer))
+
+
+def space_log_ticks(axes: Axes) -> None:
+    """Label the x axis with as many round numbers as have room, for its present log limits."""
+    from matplotlib.ticker import FixedLocator, LogFormatterSciNotation
+
+    low, high = axes.get_xlim()
+    powers = 10.0 ** np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    ticks = np.empty(0)
+    for factors in ((1, 1.5, 2, 3, 4, 6, 8), (1, 2, 5), (1,)):
+        ticks = np.sort(np.outer(powers, factors).ravel())
+        ticks = ticks[(ticks >= low) & (ticks <= high)]
+        places = np.log(ticks / low) / np.log(high / low)
+        if len(ticks) < 2 or np.diff(places).min() > LOG_GAP:
+            break
+    axes.xaxis.set_major_locator(FixedLocator(ticks.tolist()))
+    axes.xaxis.set_minor_formatter("")
+    formatter = LogFormatterSciNotation(labelOnlyBase=False, minor_thresholds=(np.inf, np.inf))
+    axes.xaxis.set_major_formatter(formatter)
 
 
 def spaced_locator(integer: bool) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
-from .canvas import new_axes, space_ticks
+from .canvas import new_axes, space_log_ticks, space_ticks
 from .palette import BLUE, GREY, MARKERS, ORANGE, SERIES, VERMILION
 
 if TYPE_CHECKING:
@@ -458,7 +459,10 @@ def compare_methods(
     if tol is not None:
         tol = positive("tol", tol)
         axes.axhline(tol, color=GREY, linestyle="--", label=f"requested, {tol:g}")
-    for row, colour, marker in zip(ran, SERIES, MARKERS, strict=False):
+    # By the place in the table, so that a transform looks the same for every wave.
+    for row, colour, marker in zip(comparison.rows, cycle(SERIES), cycle(MARKERS), strict=False):
+        if row.seconds is None:
+            continue
         looks: dict[str, Any] = {
             "color": colour,
             "marker": marker,
@@ -483,8 +487,10 @@ def compare_methods(
         title=f"{ny} x {nx} samples of {1e6 * comparison.pitch:.3g} µm, best: {comparison.best}",
     )
     axes.margins(x=0.15, y=0.12)
+    space_log_ticks(axes)
     axes.grid(alpha=0.25, which="both")
-    axes.legend()
+    # Next to the axes, where it cannot cover a marker.
+    axes.legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
     _tell_left_out(comparison, axes)
     return axes
 

@@ -344,13 +344,16 @@ def _scale_bar(axes: Axes, per_metre: float) -> None:
     style: dict[str, Any] = {"color": SCALE_BAR, "solid_capstyle": "butt", "linewidth": 3}
     axes.plot([x, x + length * per_metre], [y, y], scalex=False, scaley=False, **style)
     name = f"{length:g} m" if length >= 0.1 else f"{1e3 * length:g} mm"
+    from matplotlib.patheffects import withStroke
+
     axes.annotate(
         f"{name} on the object",
         (x, y),
         (0, 4),
         textcoords="offset points",
         color=SCALE_BAR,
-        fontsize="small",
+        fontsize="medium",
+        path_effects=[withStroke(linewidth=2.5, foreground="black")],  # over bright parts
     )
 
 

@@ -85,7 +85,8 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     legend |= _draw_camera(plotter, scene, extent)
     if scene.occluding_mesh is not None:
         mesh = parts.mesh_surface(scene.occluding_mesh)
-        plotter.add_mesh(mesh, color=OCCLUDER, name="occluders", **MATT)
+        # Seen through, because an occluder may stand between the viewer and the hidden object.
+        plotter.add_mesh(mesh, color=OCCLUDER, name="occluders", opacity=VEIL, **MATT)
         legend["occluders"] = OCCLUDER
     step = round_step(extent / 6)
     floor = parts.floor_grid(low, high, step)
@@ -203,6 +204,7 @@ def ray_paths(
     return plotter
 
 
+VEIL = 0.4  # opacity of an occluder's surface; a wall has two
 _SIDES = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 

@@ -60,6 +60,7 @@ def test_script_draws(
         figure = pyplot.figure(number)
         figure.canvas.draw()
         assert shown(np.asarray(figure.canvas.buffer_rgba())[..., :3]) > 0.01
+        assert scaled(figure)
         unlabelled = [axes for axes in figure.axes if axes.has_data() and not labelled(axes)]
         assert not unlabelled
     if script.stem in ROOMS:
@@ -93,6 +94,23 @@ def labelled(axes: Any) -> bool:
     """Whether an axis is named, one of a colour bar; without ticks there is nothing to name."""
     ticks = len(axes.get_xticks()) or len(axes.get_yticks())
     return bool(axes.get_xlabel() or axes.get_ylabel() or not ticks)
+
+
+def scaled(figure: Any) -> bool:
+    """Whether a figure without maps, or with a named colour bar, for one of its maps at least."""
+    maps = [axes for axes in figure.axes if axes.images]
+    parts = [part for axes in figure.axes for part in (axes, *axes.child_axes)]
+    bars = [axes for axes in parts if hasattr(axes, "_colorbar")]
+    return not maps or any(axes.get_ylabel() or axes.get_xlabel() for axes in bars)
+
+
+def test_a_map_without_a_colour_bar_is_told() -> None:
+    figure = pytest.importorskip("matplotlib.figure").Figure()
+    axes = figure.subplots()
+    shown = axes.imshow(np.eye(4))
+    assert not scaled(figure)
+    figure.colorbar(shown, label="relative intensity")
+    assert scaled(figure)
 
 
 def test_a_blank_picture_is_told() -> None:

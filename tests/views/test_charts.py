@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,6 +16,7 @@ from nlosoptics import limits, psf, views
 from nlosoptics.errors import SceneError
 from nlosoptics.psf import Comparison, ComparisonRow
 from nlosoptics.runs.plan import Plan, Stage
+from nlosoptics.views.palette import SERIES
 
 pytest.importorskip("matplotlib")
 
@@ -68,6 +70,41 @@ def test_markers_tell_transforms_apart(comparison):
     first, second = views.compare_methods(comparison).lines[:2]
     assert first.get_marker() != second.get_marker()
     assert first.get_color() != second.get_color()
+
+
+def test_a_transform_looks_the_same_whichever_others_ran(comparison):
+    _, fft, _ = comparison.rows
+    left_out = ComparisonRow(method="quadrature", reason="it would take too long")
+    fewer = Comparison(rows=(left_out, fft), best="fft", pitch=3e-7, shape=(64, 32))
+    looks = []
+    for table in (comparison, fewer):
+        lines = {line.get_label(): line for line in views.compare_methods(table).lines}
+        looks.append((lines["fft"].get_color(), lines["fft"].get_marker()))
+    assert looks[0] == looks[1]
+
+
+@pytest.mark.parametrize("seconds", [(0.0085, 0.4), (0.012, 0.036), (1e-3, 0.05), (0.1, 0.13)])
+def test_labels_of_seconds_keep_apart(comparison, seconds):
+    """From a factor of 1.3 to one of 50, with labels of minor ticks such as 2 x 10^-2."""
+    rows = [replace(row, seconds=s) for row, s in zip(comparison.rows, seconds, strict=False)]
+    axes = views.compare_methods(replace(comparison, rows=tuple(rows)))
+    figure = axes.get_figure(root=True)
+    figure.canvas.draw()
+    low, high = axes.get_xlim()
+    ticks = [*axes.xaxis.get_major_ticks(), *axes.xaxis.get_minor_ticks()]
+    named = [t.label1 for t in ticks if low <= t.get_loc() <= high and t.label1.get_text()]
+    boxes = sorted((label.get_window_extent() for label in named), key=lambda box: box.x0)
+    assert boxes
+    assert all(right.x0 - left.x1 > 2.0 for left, right in itertools.pairwise(boxes))
+
+
+def test_the_style_sheet_has_the_colours_of_the_views():
+    import matplotlib.style
+    from matplotlib.colors import to_hex
+
+    with matplotlib.style.context("nlosoptics.views.palette"):
+        cycle = matplotlib.rcParams["axes.prop_cycle"].by_key()["color"]
+    assert [to_hex(colour).upper() for colour in cycle] == list(SERIES)
 
 
 def test_no_transform_or_a_wrong_tolerance_is_refused(comparison):

@@ -7,15 +7,17 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from nlosoptics import views
 from nlosoptics.errors import MissingExtraError, SceneError
 from nlosoptics.raytrace import trace
-from nlosoptics.scene import WavyWall
+from nlosoptics.scene import Occluder, WavyWall
 from nlosoptics.views import stages
 
 pv = pytest.importorskip("pyvista")
@@ -322,3 +324,22 @@ def test_the_terminal_stays_clean(tmp_path, renders):
         [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False
     )
     assert (answer.returncode, answer.stdout, answer.stderr) == (0, "", "")
+
+
+def test_the_hidden_object_shows_through_an_occluder(renders, flat_scene):
+    """A thin partition is put between the viewer and the object."""
+    seat = np.array(views.scene_3d(flat_scene).camera.position)
+    toward = seat - flat_scene.object_point
+    place = flat_scene.object_point + 0.5 * toward / np.linalg.norm(toward)
+    occluder = Occluder(trimesh.creation.box((0.8, 0.8, 0.02)), position=tuple(place))
+    shots = []
+    for left_out in ((), ("hidden object", "object's frame")):
+        plotter = views.scene_3d(replace(flat_scene, occluders=(occluder,)))
+        plotter.camera.position, plotter.camera.focal_point = tuple(seat), flat_scene.object_point
+        plotter.camera.view_angle = 6.0  # the picture holds nothing beyond the partition
+        for name in left_out:
+            plotter.remove_actor(name, render=False)
+        shots.append(plotter.screenshot(None, return_img=True).astype(int))
+    changed = np.abs(shots[0] - shots[1]).max(axis=2) > 8
+    # the object's picture alone covers thousands of pixels
+    assert changed.sum() > 2000
