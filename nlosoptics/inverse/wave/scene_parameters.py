@@ -67,7 +67,7 @@ class SceneLeaves(nn.Module):
     ------
     SceneError
         If a parameter is unknown, repeated or absent from the scene, the wall's edge is the
-        aperture stop, or the scene has ``wall_roughness`` or several mirror-like lobes with a slope.
+        aperture stop, or the scene has ``wall_roughness`` or several sloped mirror lobes.
     CausticError, NotWaveGradeError, SamplingError
         If the wave is undefined or not resolved, at the start or later; see `psf.wavefront`.
 
@@ -81,10 +81,10 @@ class SceneLeaves(nn.Module):
     The wave is that of `psf.wavefront`, computed anew at every call. Its piston and tilt over the
     pupil are removed by least squares, because tilt only shifts the image. Amplitudes and the
     geometry of the lobe's blur (`psf.wall_view`) keep their start values. A lobe with rms slope
-    s multiplies the transfer function at frequency f by ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M
-    f|^2)``, the rough limit of `psf.mean_point_spread`, with the angles of incidence and exit,
-    the image distance d_i and the footprint M of `psf.wall_view`. Rays are aimed on the CPU;
-    the transform runs on ``device``.
+    s multiplies the transfer function at frequency f by
+    ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``, the rough limit of `psf.mean_point_spread`,
+    with the angles of incidence and exit, the image distance d_i and the footprint M of
+    `psf.wall_view`. Rays are aimed on the CPU; the transform runs on ``device``.
     """
 
     _frequencies: Tensor
