@@ -30,8 +30,8 @@ class Sensitivity:
     change : float
         Difference from the nominal scene.
     resolved : bool
-        Whether the difference exceeds the errors of both figures, added in quadrature. Always True
-        for a figure without error.
+        Whether the difference exceeds the errors of both figures, added in quadrature. Without an
+        error, any change other than 0 is resolved; a failed case never is.
 
     See Also
     --------
@@ -56,7 +56,7 @@ def sensitivities(
     figure : str
         Name of the figure.
     incomplete : bool
-        Whether points may be pending.
+        Whether points may be pending; their value is NaN, like that of failed cases.
 
     Returns
     -------
@@ -67,7 +67,8 @@ def sensitivities(
     Raises
     ------
     SceneError
-        If the study has other dimensions or pending points, or the nominal scene failed.
+        If the study has other dimensions, the nominal scene failed, or points are pending and
+        ``incomplete`` is False.
 
     See Also
     --------
@@ -161,7 +162,8 @@ def fraction_within(
     Raises
     ------
     SceneError
-        If the study has other dimensions or pending points, or no limit is given.
+        If the study has other dimensions, no limit is given, or points are pending and
+        ``incomplete`` is False.
 
     See Also
     --------

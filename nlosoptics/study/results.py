@@ -41,8 +41,11 @@ class Results(Noun):
         Study that was run.
     dataset : xarray.Dataset
         Each figure over the dimensions of the design (``study.shape``), with ``<figure>_error``
-        where it has one, ``status`` ("done", "failed", "lost" or "pending": the worst of all
-        figures), ``message`` and ``seconds``. Coordinates are values by address, in SI units.
+        where it has one. ``status`` is the worst of a point's figures, in the order "done",
+        "failed" (an exception), "lost" (the worker process ended twice) and "pending".
+        ``message`` holds errors and warnings, ``seconds`` the computing time. Each coordinate has
+        the name of its address, such as ``wall.radius``, and holds numbers in SI units, or text.
+        The dimension ``case`` has text labels only.
 
     See Also
     --------

@@ -43,7 +43,7 @@ def registered_correlation(
     Returns
     -------
     float
-        Correlation, -1 to 1; 0 if one of the images is uniform.
+        Largest correlation, 0 to 1, since its mean over all shifts is 0; 0 for a uniform image.
 
     Raises
     ------

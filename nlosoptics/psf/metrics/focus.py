@@ -164,7 +164,8 @@ def through_focus(
           sideways.
         - ``rms``: `rms_aberration` without piston and tilt, m.
         - ``spot``: `spot_radius`, m.
-        - ``mtf``: `mtf` at ``frequency``; for obscured pupils and other outlines from their PSF.
+        - ``mtf``: `mtf` at ``frequency``, from the PSF unless the wave has polar nodes without
+          obscuration.
         - A function of a Wavefront that returns a number, such as
           ``lambda wave: psf.encircled_energy(wave, 5e-6)``.
     frequency : float, optional

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 def widened(
     point_spreads: PointSpread | PointSpreadField, *, tol: float, shape: tuple[int, int]
 ) -> PointSpread | PointSpreadField:
-    """Extend point spread functions to a window that holds all but ``tol`` of the energy.
+    """Extend point spread functions by a diffraction tail until at most ``tol`` lies outside.
 
     Parameters
     ----------
@@ -32,20 +32,22 @@ def widened(
     tol : float
         Fraction of the energy that may lie outside the window, above 0 to 1.
     shape : (int, int)
-        Pixels (ny, nx) of the image to be formed. It limits the window to twice the longer side.
+        Pixels (ny, nx) of the image to be formed. The window has at most ``2*max(shape) - 1``
+        pixels along each side; then more than ``tol`` may lie outside.
 
     Returns
     -------
     PointSpread or PointSpreadField
-        In a square window, with the missing energy added as a tail ``1/r^3``; or the input if its
-        window suffices.
+        In a square window. Outside the old window, the energy that is missing from 1 falls as
+        ``1/r^3``. The input is returned if its window suffices.
 
     Raises
     ------
     SceneError
-        If ``tol`` is out of range, or the point spread includes light scattered by a rough wall.
+        If ``tol`` is out of range, or a point spread with light scattered by a rough wall needs a
+        wider window.
     SamplingError
-        If the normalisation is not ``"unit-sum"``.
+        If the window must grow and the normalisation is not ``"unit-sum"``.
     MemoryLimitError
         If the window would not fit into memory.
 
