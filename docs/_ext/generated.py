@@ -1,10 +1,11 @@
-"""Pages and figures that are made anew at each build: frames, validation, performance."""
+"""Pages and figures made anew at each build: frames, materials, validation, performance."""
 
 import builtins
 from pathlib import Path
 from typing import Any
 
 import frames_figure
+import materials_page
 import performance_page
 import validation_page
 from sphinx.application import Sphinx
@@ -15,7 +16,7 @@ def make(app: Sphinx) -> None:
     """Write everything into ``_generated``, which pages include."""
     target = Path(app.srcdir) / "_generated"
     target.mkdir(exist_ok=True)
-    for part in (frames_figure, validation_page, performance_page):
+    for part in (frames_figure, materials_page, validation_page, performance_page):
         part.pages(target)
     gather_scripts(target / "scripts")
 

@@ -4,6 +4,7 @@ from .parts._material import MirrorLobe
 from .parts.camera import Camera, pupil_frame
 from .parts.hidden import MeshObject, PlanarObject
 from .parts.laser import Laser
+from .parts.library import MaterialValue, NamedMaterial, material_library, named_material
 from .parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
 from .parts.occluders import Occluder
 from .parts.transient_scan import TransientScan
@@ -26,9 +27,11 @@ __all__ = [
     "Lambert",
     "Laser",
     "Material",
+    "MaterialValue",
     "MeshObject",
     "MeshWall",
     "MirrorLobe",
+    "NamedMaterial",
     "Occluder",
     "OrenNayar",
     "PlanarObject",
@@ -41,5 +44,7 @@ __all__ = [
     "WallRoughness",
     "Ward",
     "WavyWall",
+    "material_library",
+    "named_material",
     "pupil_frame",
 ]

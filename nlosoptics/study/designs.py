@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from ..errors import SceneError
+from ..scene.file.errors import located
+from ..scene.parts.library import MaterialValue, entry
 from .file import Distribution, Draws, Range, StudyTable
 from .values import canonical, label, number, with_unit
 
@@ -20,6 +22,7 @@ Array = NDArray[np.float64]
 Delta = Mapping[str, Any]
 #: Largest number of points.
 MOST_POINTS = 1_000_000
+WIDE = 4.0  # ratio of the ends of a material's spread above which its logarithm is uniform
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,12 +147,74 @@ def _zipped(columns: dict[str, list[Any]]) -> Dimension:
 
 def _drawn(draws: Draws, seed: int, value_of: Callable[[str], Any]) -> Dimension:
     """Return the dimension of random draws."""
-    quantiles = [_quantile(address, given, value_of) for address, given in draws.of.items()]
-    uniform = np.clip(_uniform(draws, tuple(draws.of), seed), 2.0**-53, 1.0 - 2.0**-53)
+    laws = _laws(draws)
+    quantiles = [_quantile(address, given, value_of) for address, given in laws.items()]
+    uniform = np.clip(_uniform(draws, tuple(laws), seed), 2.0**-53, 1.0 - 2.0**-53)
     columns = [quantile(u) for quantile, u in zip(quantiles, uniform.T, strict=True)]
     rows = zip(*columns, strict=True)
-    return Dimension(
-        name="draw", deltas=tuple(dict(zip(draws.of, row, strict=True)) for row in rows)
+    return Dimension(name="draw", deltas=tuple(dict(zip(laws, row, strict=True)) for row in rows))
+
+
+def named_materials(table: StudyTable) -> dict[str, str]:
+    """Return the materials whose spread is drawn, by address; the base scene gets them.
+
+    Raises
+    ------
+    SceneError
+        If an address is no material, a name is unknown, or the table ``set`` gives another one.
+    """
+    found = {}
+    for address, given in (table.draws.of if table.draws else {}).items():
+        if isinstance(given, list) or given.spread_of is None:
+            continue
+        if not address.endswith(".material"):
+            raise SceneError(
+                f"draws.of.{address}: spread_of belongs to wall.material or hidden.material, whose "
+                "values it draws; write one of them"
+            )
+        if table.set.get(address, given.spread_of) != given.spread_of:
+            raise SceneError(
+                f"set.{address} is not {given.spread_of}, of which draws.of.{address} draws the "
+                "spread; remove one of them"
+            )
+        with located(f"draws.of.{address}.spread_of = "):
+            entry(given.spread_of)
+        found[address] = given.spread_of
+    return found
+
+
+def _laws(draws: Draws) -> dict[str, list[Any] | Distribution]:
+    """Return the distributions by address, with one for each value of a named material.
+
+    Raises
+    ------
+    SceneError
+        If a name has other keys next to it, or an address is drawn twice.
+    """
+    laws: dict[str, list[Any] | Distribution] = {}
+    for address, given in draws.of.items():
+        found: dict[str, list[Any] | Distribution] = {address: given}
+        if not isinstance(given, list) and given.spread_of is not None:
+            place = f"draws.of.{address}"
+            if given.model_fields_set != {"spread_of"}:
+                raise SceneError(f"{place}: spread_of goes with no other key; remove the others")
+            found = {
+                address + value.address: _spread(value) for value in entry(given.spread_of).values
+            }
+        if twice := laws.keys() & found.keys():
+            raise SceneError(f"{min(twice)} is drawn twice; remove one of its distributions")
+        laws |= found
+    return laws
+
+
+def _spread(value: MaterialValue) -> Distribution:
+    """Return the uniform distribution of a material's value, of its logarithm if it is wide."""
+    return Distribution.model_validate(
+        {
+            "from": with_unit(value.low, value.unit),
+            "to": with_unit(value.high, value.unit),
+            "spacing": "log" if value.high > WIDE * value.low else "linear",
+        }
     )
 
 

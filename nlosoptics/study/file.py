@@ -23,13 +23,17 @@ class Range(_Table):
 
 
 class Distribution(_Table):
-    """Normal if ``sigma`` is given, else uniform; ``from`` and ``to`` truncate a normal one."""
+    """Normal if ``sigma`` is given, else uniform; ``from`` and ``to`` truncate a normal one.
+
+    ``spread_of`` names a material of the library, whose values are all drawn from their spread.
+    """
 
     mean: Any = Field(None, description="default: the value of the base scene")
     sigma: Any = None
     low: Any = Field(None, alias="from")
     high: Any = Field(None, alias="to")
     spacing: Literal["linear", "log"] = "linear"
+    spread_of: str | None = None
 
 
 def _list_or(model: type[_Table]) -> Any:

@@ -19,7 +19,7 @@ from ..errors import SceneError
 from ..scene.file.addresses import value_at
 from ..scene.file.errors import located, validated
 from .base import Base
-from .designs import Dimension, dimensions
+from .designs import Dimension, dimensions, named_materials
 from .figures import Figure, figure
 from .file import StudyTable
 
@@ -121,7 +121,7 @@ class Study(Noun):
         folder = path_of("folder", folder).absolute()
         definition = json.loads(json.dumps(dict(tables), default=str))
         table: StudyTable = validated(StudyTable, definition)
-        base = Base.read(folder / table.scene, table.set)
+        base = Base.read(folder / table.scene, table.set | named_materials(table))
         found = dimensions(table, lambda address: value_at(base.tables, address))
         packed = tuple(
             Dimension(name=d.name, deltas=tuple(base.packed(delta) for delta in d.deltas))

@@ -21,7 +21,7 @@ from nlosoptics import _random, _whole_files, cli
 from nlosoptics._whole_files import whole_folder
 from nlosoptics.cli import figures, forward, shell
 from nlosoptics.runs import record, results
-from nlosoptics.scene import Scene
+from nlosoptics.scene import Scene, material_library
 
 
 class Answer(NamedTuple):
@@ -470,3 +470,16 @@ def test_set_changes_values_of_the_scene(run, scene_file):
     assert wrong.code == shell.BAD_INPUT
     assert "laser.power = 5 has no unit" in wrong.err
     assert wrong.err.count("\n") == 1
+
+
+def test_materials_are_listed_with_their_sources(run: Run) -> None:
+    code, out, err = run("materials")
+    assert (code, err) == (0, "")
+    assert [line.split("  ")[0] for line in out.splitlines()] == list(material_library())
+    code, out, err = run("materials", "Painted-Wall")
+    assert (code, err) == (0, "")
+    assert out == f"{material_library()['painted wall']}\n"
+    code, out, err = run("materials", "tile")
+    assert (code, out) == (2, "")
+    assert 'did you mean "white ceramic tile"?' in err
+    assert err.count("\n") == 1

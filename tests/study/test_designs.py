@@ -10,6 +10,7 @@ import scipy.stats
 from pytest import approx
 
 from nlosoptics.errors import SceneError
+from nlosoptics.scene import material_library, named_material
 from nlosoptics.study import Study
 
 HERE = Path(__file__).parent
@@ -86,6 +87,34 @@ def test_draws_follow_their_distribution() -> None:
     assert np.array_equal(np.floor(latin), np.arange(64))
 
 
+def test_a_named_material_is_drawn_from_its_spread() -> None:
+    """Every value of it, the logarithm of those whose ends are far apart."""
+    entry = material_library()["whiteboard"]
+    of = {"wall.material": {"spread_of": "whiteboard"}, "laser.power": ["1 mW", "2 mW"]}
+    study = made(draws={"count": 256, "of": of}, set={"wall.material": "whiteboard"})
+    rows = [study.delta(i) for i in range(len(study))]
+    assert list(rows[0]) == [f"wall.material{v.address}" for v in entry.values] + ["laser.power"]
+    for value in entry.values:
+        column = [str(row[f"wall.material{value.address}"]) for row in rows]
+        wide = value.high > 4 * value.low
+        law = scipy.stats.loguniform(value.low, value.high)
+        if not wide:
+            law = scipy.stats.uniform(value.low, value.high - value.low)
+        numbers = [float(text.removesuffix(" rad")) for text in column]
+        # a Sobol sample's distribution function is off by a few over its number of points
+        assert scipy.stats.kstest(numbers, law.cdf).statistic < 4 / 256
+        assert wide == (value.key == "slope_rms")
+    scene = study.scene(3)
+    assert scene.wall_material.parts[0].rho == rows[3]["wall.material[0].albedo"]
+    assert study.base.scene({}).wall_material == entry.material
+
+
+def test_materials_are_an_axis() -> None:
+    names = ["whiteboard", "painted wall"]
+    study = made(axes={"wall.material": names, "laser.power": ["1 mW", "2 mW"]})
+    assert [study.scene(i).wall_material for i in (0, 2)] == [named_material(n) for n in names]
+
+
 def test_another_seed_draws_others() -> None:
     one, other = (drawn({"from": "4 m", "to": "6 m"}, "random", seed=seed) for seed in (0, 1))
     assert not np.intersect1d(one, other).size
@@ -114,6 +143,38 @@ def test_columns_of_a_saltelli_design_are_exchanged_one_by_one() -> None:
         ({"axes": {"wall": ["3 m"]}}, "not the address of a value"),
         ({"axes": {"wall.radius": {"from": "2 m", "to": "4 rad", "count": 3}}}, "different units"),
         ({"axes": {"wall.radius": {"from": "2 m", "to": "4 m", "count": 1}}}, "count = 1"),
+        ({"axes": {"wall.material": ["whitebord"]}}, 'whitebord.* did you mean "whiteboard"'),
+        (
+            {"draws": {"count": 2, "of": {"wall.material": {"spread_of": "tile"}}}},
+            "draws.of.wall.material.spread_of = 'tile' is not .*\"white ceramic tile\"",
+        ),
+        (
+            {"draws": {"count": 2, "of": {"wall": {"spread_of": "paper"}}}},
+            "draws.of.wall: spread_of belongs to wall.material",
+        ),
+        (
+            {"draws": {"count": 2, "of": {"wall.material": {"spread_of": "paper", "sigma": 1}}}},
+            "spread_of goes with no other key",
+        ),
+        (
+            {
+                "set": {"wall.material": "plaster"},
+                "draws": {"count": 2, "of": {"wall.material": {"spread_of": "paper"}}},
+            },
+            "set.wall.material is not paper",
+        ),
+        (
+            {
+                "draws": {
+                    "count": 2,
+                    "of": {
+                        "wall.material[0].albedo": {"from": 0.1, "to": 0.2},
+                        "wall.material": {"spread_of": "paper"},
+                    },
+                }
+            },
+            r"wall.material\[0\].albedo is drawn twice",
+        ),
         ({"axes": {"hidden.image": ["none.png"]}}, "none.png: the file cannot be read"),
         ({"zip": {"wall.radius": ["2 m"], "laser.power": ["1 W", "2 W"]}}, "different lengths"),
         (

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..._checks import counted
 from ...errors import SceneError
+from ..parts.library import lobe_tables
 
 _ADDRESS = re.compile(r"[A-Za-z_]\w*(\[\d+\])*(\.[A-Za-z_]\w*(\[\d+\])*)+")
 _KEYS = re.compile(r"([A-Za-z_]\w*)|\[(\d+)\]")
@@ -52,10 +53,15 @@ def value_at(raw: Mapping[str, Any], address: str) -> Any:
     place: Any = raw
     for name, index in _KEYS.findall(address):
         try:
-            place = place[int(index)] if index else place[name]
+            place = _lobes_of(place)[int(index)] if index else place[name]
         except (KeyError, IndexError, TypeError):
             return None
     return place
+
+
+def _lobes_of(value: Any) -> Any:
+    """Return the lobe tables of a material's name; another value as it is."""
+    return lobe_tables(value) if isinstance(value, str) else value
 
 
 def changed(raw: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -114,5 +120,13 @@ def _set(tables: dict[str, Any], address: str, value: Any) -> None:
         path += f"[{key}]" if isinstance(key, int) else f".{key}" if path else key
         if last:
             place[key] = copy.deepcopy(value)
+        elif isinstance(key, int):
+            place = place[key]
         else:
-            place = place[key] if isinstance(key, int) else place.setdefault(key, {})
+            inner = place.setdefault(key, {})
+            if key == "material" and isinstance(inner, str):
+                try:
+                    place[key] = inner = lobe_tables(inner)
+                except SceneError as error:
+                    raise SceneError(f"{path} = {error}") from None
+            place = inner

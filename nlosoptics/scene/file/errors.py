@@ -69,7 +69,9 @@ def _problem(problem: Any, model: Any) -> str:
     example = tables.example(_section(name), last)
     hint = f"; write for example {toml_value(example)}" if example is not None else ""
     if kind == "value_error":
-        return f"{name} = {value} {problem['ctx']['error']}{hint}"
+        told = f"{name} = {value} {problem['ctx']['error']}"
+        # the library's message lists all names
+        return told if last == "material" else told + hint
     if kind in ("model_type", "dict_type", "model_attributes_type"):
         return f"{name} = {value} is not a table; write [{name}] and its keys below"
     return f"{name} = {value}: {problem['msg'].replace('Input should', 'it should')}{hint}"

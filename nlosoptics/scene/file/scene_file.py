@@ -2,9 +2,10 @@
 
 A file has the tables ``[laser]``, ``[wall]``, ``[hidden]`` and ``[camera]``. It may have
 ``[transient]`` and any number of ``[[occluder]]``. ``[wall.material]`` and ``[hidden.material]``
-are one lobe; with double brackets they are a sum of lobes. ``[wall.roughness]`` is a relief on the
-wall. ``[camera]`` may name another ``file``
-with a camera table and override its keys. Paths are relative to the file that contains them.
+are one lobe; with double brackets they are a sum of lobes; ``material = "whiteboard"`` takes the
+lobes of the library. ``[wall.roughness]`` is a relief on the wall. ``[camera]`` may name another
+``file`` with a camera table and override its keys. Paths are relative to the file that contains
+them.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ from ...errors import SceneError
 from ..parts.camera import Camera
 from ..parts.hidden import MeshObject, PlanarObject
 from ..parts.laser import Laser
-from ..parts.materials import Lambert, Material, OrenNayar, SpecularMicrofacet, SumMaterial, Ward
+from ..parts.library import LOBE_CLASSES
+from ..parts.materials import Material, SumMaterial
 from ..parts.occluders import Occluder
 from ..parts.transient_scan import TransientScan
 from ..walls.analytic import ConcaveWall, ConvexWall, FlatWall, SumWall, Wall, WavyWall
@@ -407,15 +409,8 @@ def _material(name: str, table: Any) -> Material:
 
 def _lobe(place: str, table: Any) -> Material:
     """Return the material of one lobe table; errors are prefixed with ``place``."""
-    kinds: dict[str, type[Material]] = {
-        "lambert": Lambert,
-        "oren_nayar": OrenNayar,
-        "specular": SpecularMicrofacet,
-        "ward": Ward,
-    }
     with located(place):
-        material = kinds[table.lobe](**_given(table, "lobe"))
-        return material
+        return LOBE_CLASSES[table.lobe](**_given(table, "lobe"))
 
 
 def _camera_values(

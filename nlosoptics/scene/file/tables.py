@@ -15,11 +15,14 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     Tag,
+    TypeAdapter,
     WithJsonSchema,
 )
 
 from ..._checks import Vector as Triple
 from ..._checks import counted
+from ...errors import SceneError
+from ..parts.library import lobe_tables, material_library
 from .units import ANGLE, LENGTH, POWER, RATE, TIME, Kind, parse, written
 
 Pair = tuple[float, float]
@@ -61,7 +64,7 @@ EXAMPLES: dict[str, Any] = {
     "roughness.heights": "../walls/measured.npy",
     "cell": "1 mm",
     "realisation": "pattern",
-    "material": {"lobe": "lambert", "albedo": 0.7},
+    "material": "whiteboard",
     "lobe": "lambert",
     "albedo": 0.7,
     "slope_rms": "0.3 rad",
@@ -255,11 +258,33 @@ LobeTable = Annotated[
     | Annotated[WardTable, Tag("lobe:ward")],
     _choose("lobe", LOBES),
 ]
-#: A single table is one lobe; an array of tables is a sum of lobes.
+
+
+def _from_library(name: str) -> list[Any]:
+    """Return the lobe tables of a named material."""
+    try:
+        return TypeAdapter(list[LobeTable]).validate_python(lobe_tables(name))
+    except SceneError as error:
+        # the message begins with the name, which the caller shows with its key
+        raise ValueError(str(error).removeprefix(f"{name!r} ")) from None
+
+
+def _material_tag(value: object) -> str:
+    kind = "sum" if isinstance(value, list) else "named" if isinstance(value, str) else "one"
+    return f"material:{kind}"
+
+
+#: A single table is one lobe, an array of tables a sum of lobes, and a text a name of the library.
 MaterialTable = Annotated[
     Annotated[LobeTable, Tag("material:one")]
-    | Annotated[list[LobeTable], Tag("material:sum"), Field(min_length=1)],
-    Discriminator(lambda value: "material:sum" if isinstance(value, list) else "material:one"),
+    | Annotated[list[LobeTable], Tag("material:sum"), Field(min_length=1)]
+    | Annotated[
+        list[Any],
+        PlainValidator(_from_library),
+        WithJsonSchema({"type": "string", "enum": list(material_library())}),
+        Tag("material:named"),
+    ],
+    Discriminator(_material_tag),
 ]
 
 
@@ -556,4 +581,9 @@ OWNERS: dict[str, type[Table]] = {
     "hidden:mesh": MeshObjectTable,
 }
 #: Elements of a pydantic error location that are not keys.
-TAGS = {*OWNERS, "material:one", "material:sum"} - {"laser", "camera", "occluder", "transient"}
+TAGS = {*OWNERS, "material:one", "material:sum", "material:named"} - {
+    "laser",
+    "camera",
+    "occluder",
+    "transient",
+}

@@ -283,8 +283,8 @@ WRONG = {
     "value for a table": (
         "[hidden.material]               # of white; chosen: foam\n"
         'lobe = "lambert"\nalbedo = 0.8\n',
-        'material = "foam"\n',
-        ("hidden.material", '"foam"', "not a table"),
+        "material = 0.8\n",
+        ("hidden.material", "0.8", "not a table"),
     ),
 }
 
