@@ -1,7 +1,8 @@
-"""Commands study, study status, study plot and study export."""
+"""Commands study, study status, study plot, study report and study export."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +21,18 @@ from .shell import (
 )
 
 PARTS = ("xarray", "zarr")  # packages of the extra `study`
-LIMITS = 200  # points of a yield curve
+
+
+class Kind(StrEnum):
+    """Picture of a study."""
+
+    AUTO = "auto"
+    MAP = "map"
+    SLICES = "slices"
+    TORNADO = "tornado"
+    YIELD = "yield"
+    SOBOL = "sobol"
+    GALLERY = "gallery"
 
 
 class _RunByDefault(TyperGroup):
@@ -113,34 +125,71 @@ def plot_command(
     out: Annotated[Path, typer.Option(help="File to write: .png, .pdf or .svg.")] = Path(
         "study.png"
     ),
+    kind: Annotated[
+        Kind, typer.Option(help="Picture to draw; by default the one that fits the design.")
+    ] = Kind.AUTO,
     boundary: Annotated[
-        float | None, typer.Option(help="Value of the figure at which a map draws a line.")
+        float | None, typer.Option(help="Value of the figure at which to draw a line.")
+    ] = None,
+    contours: Annotated[
+        str | None, typer.Option(help='Values of contour lines of a map, such as "0.2,0.5,0.8".')
     ] = None,
     incomplete: Annotated[
         bool, typer.Option("--incomplete", help="Also draw a study with pending points.")
     ] = False,
     debug: Debug = False,
 ) -> None:
-    """Draw a figure of merit: a map or curves, a tornado, or the yield against the limit."""
+    """Draw a figure of merit: map or curve, slices, tornado, yield, Sobol indices, point spreads.
+
+    The default is a tornado for one_at_a_time, Sobol indices for draws by saltelli, the yield
+    against the limit for other draws, and else a map or curve.
+    """
     with errors_told(debug):
         require("matplotlib", "views")
         from .. import views
 
         results = _results(store)
         check_file(out)
-        names = [dimension.name for dimension in results.study.dimensions]
-        if names == ["case"]:
-            from ..study import sensitivities
-
-            bars = sensitivities(results, figure, incomplete=incomplete)
-            axes = views.tornado(bars, label=_label(results, figure))
-        elif names == ["draw"]:
-            axes = _yield_curve(results, figure, incomplete)
-        else:
-            results.values(figure, incomplete=incomplete)  # refuses pending points
-            axes = views.study_map(results, figure, boundary=boundary)
+        results.values(figure, incomplete=incomplete)  # refuses pending points
+        chosen = _default_kind(results) if kind is Kind.AUTO else kind
+        if contours is not None and chosen is not Kind.MAP:
+            raise typer.BadParameter("contours belong to a map; use --kind map")
+        axes = _drawn(results, figure, chosen, boundary, _numbers(contours))
         views.save(axes, out)
         typer.echo(f"{out}: {figure} of {results.path}")
+
+
+@studies.command("report")
+def report_command(
+    store: StoreFolder,
+    out: Annotated[
+        Path | None, typer.Option(help="HTML file to write; ./<store's name>.html by default.")
+    ] = None,
+    gallery: Annotated[
+        bool,
+        typer.Option(
+            "--gallery/--no-gallery",
+            help="Compute the point spreads of the worst, median and best point.",
+        ),
+    ] = True,
+    debug: Debug = False,
+) -> None:
+    """Write a self-contained HTML report of a study, complete or not."""
+    with errors_told(debug):
+        require("matplotlib", "views")
+        _results(store)  # check the input before the output path
+        from .. import report
+        from .._whole_files import write_whole
+
+        file = Path(f"{store.resolve().stem}.html") if out is None else out
+        if file.suffix.lower() not in (".html", ".htm"):
+            raise typer.BadParameter(f"{file} does not end in .html; give a name that does")
+        check_file(file)
+        with progress_bar(width=48) as progress:
+            progress("report", 0.0)
+            text = report.study_page(store, gallery=gallery)
+        write_whole({file: text.encode()})
+        typer.echo(f"{file}: {len(text.encode()) / 1e6:.2g} MB")
 
 
 @studies.command("export")
@@ -181,21 +230,43 @@ def _label(results: Any, figure: str) -> str:
     return f"{figure} ({unit})" if unit else figure
 
 
-def _yield_curve(results: Any, figure: str, incomplete: bool) -> Any:
-    """Draw the yield against the lower limit over the range of the figure."""
-    import numpy as np
+def _default_kind(results: Any) -> Kind:
+    """Return the picture that fits a study's design."""
+    names = [dimension.name for dimension in results.study.dimensions]
+    if names == ["case"]:
+        return Kind.TORNADO
+    if names == ["draw"]:
+        method = results.study.definition["draws"].get("method")
+        return Kind.SOBOL if method == "saltelli" else Kind.YIELD
+    return Kind.MAP
 
-    from .. import views
-    from ..errors import SceneError
-    from ..study import fraction_within
 
-    values = results.values(figure, incomplete=incomplete)
-    good = values[np.isfinite(values)]
-    if not len(good):
-        raise SceneError(f"{figure} failed at all points, so that there is no curve to draw")
-    limits = np.linspace(good.min(), good.max(), LIMITS)
-    found = [
-        fraction_within(results, figure, at_least=float(limit), incomplete=incomplete)
-        for limit in limits
-    ]
-    return views.yield_curve(limits, found, label=_label(results, figure))
+def _drawn(
+    results: Any, figure: str, kind: Kind, boundary: float | None, contours: list[float]
+) -> Any:
+    """Draw a picture of a study."""
+    from .. import study, views
+    from ..study import answers
+
+    label = _label(results, figure)
+    if kind is Kind.TORNADO:
+        return views.tornado(study.sensitivities(results, figure, incomplete=True), label=label)
+    if kind is Kind.SOBOL:
+        return views.sobol_bars(study.sobol_indices(results, figure), label=figure)
+    if kind is Kind.YIELD:
+        limits, found = answers.yields(results, figure)
+        return views.yield_curve(limits, found, label=label)
+    if kind is Kind.SLICES:
+        return views.study_slices(results, figure, boundary=boundary)
+    if kind is Kind.GALLERY:
+        smallest = answers.smallest_is_best(results.study.figure(figure))
+        return views.study_gallery(results, figure, smallest_is_best=smallest)
+    return views.study_map(results, figure, boundary=boundary, contours=contours)
+
+
+def _numbers(text: str | None) -> list[float]:
+    """Return the numbers of a list with commas."""
+    try:
+        return [float(part) for part in (text or "").split(",") if part.strip()]
+    except ValueError:
+        raise typer.BadParameter(f"--contours {text!r} is no list such as 0.2,0.5,0.8") from None

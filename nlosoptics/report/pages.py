@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -52,17 +53,23 @@ def page(folder: str | Path, *, interactive: bool = True) -> str:
     """
     held = Folder.read(Path(folder))
     parts = sections.parts(held, *_room(held, interactive))
-    contents = [tag("li", tag("a", title, href=f"#{anchor}")) for anchor, title, _ in parts]
+    title = f"{held.name}, nlosoptics {held.record.command}"
+    return assembled(title, sections.head(held), parts, sections.colophon())
+
+
+def assembled(title: str, head: Html, parts: Sequence[sections.Part], footer: str) -> str:
+    """Return the text of a page from its header and sections."""
+    contents = [tag("li", tag("a", name, href=f"#{anchor}")) for anchor, name, _ in parts]
     body = joined(
         [
-            tag("header", sections.head(held), _contents(contents)),
+            tag("header", head, _contents(contents)),
             tag("main", *(part for _, _, part in parts)),
-            tag("footer", tag("p", sections.colophon())),
+            tag("footer", tag("p", footer)),
         ]
     )
     place = files(__package__)
     return Template((place / "page.html").read_text(encoding="utf-8")).substitute(
-        title=tag("title", f"{held.name}, nlosoptics {held.record.command}"),
+        title=tag("title", title),
         style=(place / "style.css").read_text(encoding="utf-8"),
         body=body,
     )

@@ -12,9 +12,13 @@ from numpy.typing import NDArray
 
 from .._checks import in_range, real
 from ..errors import SceneError
+from .figures import Figure
 from .results import Results
 
 RESAMPLES = 999  # of a bootstrap
+LIMITS = 200  # of a yield curve
+#: Figures of merit that are better if they are smaller.
+SMALLEST_IS_BEST = ("aberration_rms", "spot_rms", "encircled_energy_radius")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,6 +197,45 @@ def fraction_within(
         points=count,
         failed=failed,
     )
+
+
+def smallest_is_best(figure: Figure) -> bool:
+    """Return whether a figure of merit is better if it is smaller; False for a user's function."""
+    return figure.source in SMALLEST_IS_BEST
+
+
+def yields(results: Results, figure: str) -> tuple[NDArray[np.float64], tuple[Fraction, ...]]:
+    """Return the yield against the limit over the range of a figure, finished points only.
+
+    Parameters
+    ----------
+    results : Results
+        Results of a study whose only dimension is ``draw``; see `fraction_within`.
+    figure : str
+        Name of the figure.
+
+    Returns
+    -------
+    limits : (n,) ndarray
+        Limits from the smallest to the largest value of the figure.
+    fractions : tuple of n Fraction
+        Share of the draws on the better side of each limit.
+
+    Raises
+    ------
+    SceneError
+        If the study has other dimensions, or the figure is known at no point.
+    """
+    values = results.values(figure, incomplete=True)
+    good = values[np.isfinite(values)]
+    if not len(good):
+        raise SceneError(f"{figure} is known at no point, so that there is no curve to draw")
+    limits = np.linspace(good.min(), good.max(), LIMITS)
+    key = "at_most" if smallest_is_best(results.study.figure(figure)) else "at_least"
+    found = (
+        fraction_within(results, figure, incomplete=True, **{key: float(limit)}) for limit in limits
+    )
+    return limits, tuple(found)
 
 
 def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) -> xr.Dataset:

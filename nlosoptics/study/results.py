@@ -26,6 +26,7 @@ from .study import Study
 from .values import label, number
 
 if TYPE_CHECKING:
+    from ..psf import ScenePointSpread
     from ..scene import Scene
 
 
@@ -90,6 +91,23 @@ class Results(Noun):
             Number of the point.
         """
         return self.study.scene(index)
+
+    def point_spread(self, index: int) -> ScenePointSpread:
+        """Return wave and point spread of a point, computed again with the same bits.
+
+        Parameters
+        ----------
+        index : int
+            Number of the point, counted from 0 in the order of the flattened dataset.
+
+        Raises
+        ------
+        NlosError
+            If the scene cannot be built or has no point spread, as in the study itself.
+        """
+        from ..psf import scene_point_spread
+
+        return scene_point_spread(self.scene(index), self.study.tol)
 
     def values(self, figure: str, *, incomplete: bool = False) -> NDArray[np.float64]:
         """Return a figure of all points, flat; NaN where it failed.

@@ -19,11 +19,14 @@ from .pages import html_page as html_page
 from .rooms import ray_paths as ray_paths
 from .rooms import scene_3d as scene_3d
 from .run_overview import overview as overview
+from .run_overview import study_gallery as study_gallery
 from .saving import save as save
 from .sketch import scene_sketch as scene_sketch
 from .stages import rendering_works as rendering_works
 from .stages import window as window
+from .studies import sobol_bars as sobol_bars
 from .studies import study_map as study_map
+from .studies import study_slices as study_slices
 from .studies import tornado as tornado
 from .studies import yield_curve as yield_curve
 from .volumes import phasor_volume as phasor_volume

@@ -1,12 +1,14 @@
-"""One figure that shows a whole run: room, wave aberration, PSF, image and reconstruction."""
+"""Figures of whole runs: the stages of one run, and the PSFs of a study's extreme points."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import SceneError
 from .canvas import new_axes
 from .maps import image, point_spread, pupil_field, reconstruction, wavefront
 from .sketch import room_from_above
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from ..runs.results import Result
+    from ..study import Results
 
 
 def overview(result: Result) -> tuple[Axes, ...]:
@@ -78,3 +81,74 @@ def ground_truth(result: Result) -> NDArray[np.float64] | None:
     ideal = result.image.ideal
     brightest = float(ideal.max())
     return ideal / brightest if brightest > 0 else None
+
+
+def study_gallery(
+    results: Results,
+    figure: str,
+    *,
+    smallest_is_best: bool = False,
+    axes: Sequence[Axes] | None = None,
+) -> tuple[Axes, ...]:
+    """Draw the point spreads of the worst, the median and the best point of a study.
+
+    Parameters
+    ----------
+    results : Results
+        Results of a study, complete or not. The three points are opened again by
+        `study.Results.point_spread`.
+    figure : str
+        Name of the figure of merit that ranks the points.
+    smallest_is_best : bool
+        Whether the best point has the smallest figure, as for a spot radius.
+    axes : sequence of 3 matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    tuple of Axes
+        Three maps of one size in micrometres, with the figure and the values of their points.
+
+    Raises
+    ------
+    SceneError
+        If the study has no such figure, or it is known at no point.
+
+    See Also
+    --------
+    point_spread : Map of a PSF.
+    nlosoptics.study.Results : Results of a study.
+    """
+    figure = results.study.figure(figure).name
+    chosen = ranked(results, figure, smallest_is_best=smallest_is_best)
+    values = results.values(figure, incomplete=True)
+    from ..study.values import label  # reads units, which other views do not need
+
+    panels = tuple(axes or new_axes(len(chosen), width=12.0, height=4.4))
+    widest = 0.0
+    for panel, (rank, index) in zip(panels, chosen.items(), strict=True):
+        point_spread(results.point_spread(index).point_spread, axes=panel)
+        widest = max(widest, *map(abs, (*panel.get_xlim(), *panel.get_ylim())))
+        told = [f"{rank}: {figure} = {values[index]:.3g}"]
+        told += [f"{name} = {label(value)}" for name, value in results.study.delta(index).items()]
+        panel.set_title("\n".join(told), fontsize=8)
+    for panel in panels:
+        panel.set(xlim=(-widest, widest), ylim=(-widest, widest))
+    return panels
+
+
+def ranked(results: Results, figure: str, *, smallest_is_best: bool = False) -> dict[str, int]:
+    """Return the numbers of the worst, the median and the best point of a figure.
+
+    Raises
+    ------
+    SceneError
+        If the figure is known at no point.
+    """
+    values = results.values(figure, incomplete=True)
+    order = np.argsort(-values if smallest_is_best else values, kind="stable")
+    order = order[np.isfinite(values[order])]
+    if not len(order):
+        raise SceneError(f"{figure} is known at no point of {results.path}; run the study first")
+    places = {"worst": 0, "median": len(order) // 2, "best": -1}
+    return {rank: int(order[place]) for rank, place in places.items()}

@@ -1,4 +1,4 @@
-"""Figures of design studies: maps, tornado, yield."""
+"""Figures of design studies: maps, slices, tornado, yield, Sobol indices."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 MOST_TEXTS = 80  # cells of a map that show their value
 MOST_TICKS = 9
 MOST_CURVES = len(SERIES)
+PANELS = 3  # in a row
 
 
 def study_map(
@@ -28,6 +29,7 @@ def study_map(
     *,
     at: Mapping[str, int] | None = None,
     boundary: float | None = None,
+    contours: Sequence[float] | None = None,
     axes: Axes | None = None,
 ) -> Axes:
     """Draw a figure of merit over the last two dimensions of a study, or over its only one.
@@ -42,7 +44,11 @@ def study_map(
         Step along each other dimension, counted from 0; by default the middle one. Dimensions of
         one step need none.
     boundary : float, optional
-        Value of the figure at which to draw a line, for example where a picture becomes readable.
+        Value of the figure at which to draw a line between cells, for example where a picture
+        becomes readable. Of a map, cells below it are hatched.
+    contours : sequence of float, optional
+        Values of a map's contour lines, interpolated between the centres of its cells. They
+        replace the values written into the cells.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -60,30 +66,38 @@ def study_map(
     See Also
     --------
     nlosoptics.study.Results : Results of a study.
+    study_slices : Curves along each dimension.
     tornado : Bars of one-at-a-time changes.
     """
     figure, dataset = results.study.figure(figure).name, results.dataset
     wide = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
     shown = [name for name in wide if name not in (at or {})][-2:]
-    fixed = {
-        str(name): dataset.sizes[name] // 2 if name in wide else 0
-        for name in dataset[figure].dims
-        if name not in shown
-    }
-    for name, step in (at or {}).items():
-        if name not in dataset.sizes or not 0 <= step < dataset.sizes[name]:
-            raise SceneError(f"at: {name} = {step} is no step of the study; give one from 0 on")
-        fixed[name] = step
+    fixed = _fixed(dataset, figure, shown, at or {})
     titles = [_tick(dataset, name, step, named=True) for name, step in fixed.items()]
     chosen = dataset.isel(fixed)
     if axes is None:
         (axes,) = new_axes(1, width=7.2, height=4.6)
     if len(shown) == 2:
-        _draw_map(axes, chosen, figure, shown, boundary)
+        _draw_map(axes, chosen, figure, shown, boundary, contours or ())
     else:
         _draw_curve(axes, chosen, figure, shown, boundary)
     axes.set_title("\n".join(_lines(titles)), fontsize=9)
     return axes
+
+
+def _fixed(dataset: Any, figure: str, shown: list[str], at: Mapping[str, int]) -> dict[str, int]:
+    """Return the step of each dimension that is not shown: that of ``at``, or the middle one."""
+    fixed = {
+        str(name): dataset.sizes[name] // 2 if dataset.sizes[name] > 1 else 0
+        for name in dataset[figure].dims
+        if name not in shown
+    }
+    for name, step in at.items():
+        if name not in dataset.sizes or not 0 <= step < dataset.sizes[name]:
+            raise SceneError(f"at: {name} = {step} is no step of the study; give one from 0 on")
+        if name not in shown:
+            fixed[name] = step
+    return fixed
 
 
 def _lines(texts: list[str]) -> list[str]:
@@ -120,7 +134,12 @@ def _ticks(dataset: Any, name: str) -> tuple[list[int], list[str]]:
 
 
 def _draw_map(
-    axes: Axes, dataset: Any, figure: str, shown: list[str], boundary: float | None
+    axes: Axes,
+    dataset: Any,
+    figure: str,
+    shown: list[str],
+    boundary: float | None,
+    contours: Sequence[float],
 ) -> None:
     down, across = shown
     values = np.asarray(dataset[figure].transpose(down, across).values, dtype=np.float64)
@@ -131,7 +150,7 @@ def _draw_map(
     axes.set_xticks(*_ticks(dataset, across))
     axes.set_yticks(*_ticks(dataset, down))
     axes.set(xlabel=across, ylabel=down)
-    if values.size <= MOST_TEXTS:
+    if values.size <= MOST_TEXTS and not contours:
         low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
         for (row, column), value in np.ndenumerate(values):
             dark = np.isfinite(value) and value < (low + high) / 2
@@ -140,6 +159,9 @@ def _draw_map(
                 column, row, text, ha="center", va="center", fontsize=8,
                 color="white" if dark else BLACK,
             )  # fmt: skip
+    if contours and min(values.shape) > 1:
+        lines = axes.contour(values, levels=sorted(contours), colors="white", linewidths=1.2)
+        axes.clabel(lines, fontsize=8)
     if boundary is not None:
         _draw_boundary(axes, values >= boundary)
 
@@ -147,6 +169,8 @@ def _draw_map(
 def _draw_boundary(axes: Axes, above: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
     """Draw a line along the edges of the cells between those above a boundary and the others."""
     rows, columns = above.shape
+    below = np.ma.masked_where(above, np.ones(above.shape))
+    axes.pcolor(np.arange(columns), np.arange(rows), below, hatch="//", alpha=0.0, lw=0)
     for row, column in np.argwhere(above[:, 1:] != above[:, :-1]):
         x = [column + 0.5, column + 0.5]
         axes.plot(x, [row - 0.5, row + 0.5], color=VERMILION, lw=3)
@@ -282,4 +306,168 @@ def yield_curve(
     space_ticks(axes)
     axes.grid(alpha=0.25)
     axes.legend(loc="lower left", fontsize=8)
+    return axes
+
+
+def study_slices(
+    results: Results,
+    figure: str,
+    *,
+    at: Mapping[str, int] | None = None,
+    boundary: float | None = None,
+    axes: Sequence[Axes] | None = None,
+) -> tuple[Axes, ...]:
+    """Draw the response of a figure of merit to each dimension, or to each drawn value.
+
+    Parameters
+    ----------
+    results : Results
+        Results of a study, complete or not.
+    figure : str
+        Name of the figure.
+    at : mapping of str to int, optional
+        Step along each dimension, counted from 0, at which the curves along the others are taken;
+        by default the middle one.
+    boundary : float, optional
+        Value of the figure at which to draw a line.
+    axes : sequence of matplotlib Axes, optional
+        Axes to draw on, one for each panel; a new figure by default.
+
+    Returns
+    -------
+    tuple of Axes
+        A panel for each dimension of more than one step, with the others held fixed. A study of
+        draws has a panel for each value, with a dot for each draw and a mark at the lower edge for
+        each one that failed. All panels have the same scale of the figure.
+
+    Raises
+    ------
+    SceneError
+        If the study has no such figure, dimension or step, is one of single changes, or mixes draws
+        with other dimensions.
+
+    See Also
+    --------
+    study_map : Figure of merit over two dimensions.
+    tornado : Bars of one-at-a-time changes.
+    """
+    figure, dataset = results.study.figure(figure).name, results.dataset
+    names = slice_names(results)
+    panels = tuple(axes or ())[: len(names)]
+    if len(panels) < len(names):
+        if axes is not None:
+            raise SceneError(f"axes has {len(panels)} axes, must have {len(names)}; add some")
+        columns = min(len(names), PANELS)
+        rows = -(-len(names) // columns)
+        made = new_axes(len(names), width=3.7 * columns, height=3.1 * rows, columns=columns)
+        panels = made[: len(names)]
+        for unused in made[len(names) :]:
+            unused.remove()
+    for panel, name in zip(panels, names, strict=True):
+        if "draw" in dataset[figure].dims:
+            _draw_dots(panel, dataset, figure, name, boundary)
+        else:
+            fixed = _fixed(dataset, figure, [name], at or {})
+            _draw_curve(panel, dataset.isel(fixed), figure, [name], boundary)
+            told = [_tick(dataset, other, step, named=True) for other, step in fixed.items()]
+            panel.set_title("\n".join(told), fontsize=8)
+    limits = [panel.get_ylim() for panel in panels]
+    for panel in panels:
+        panel.set_ylim(min(low for low, _ in limits), max(high for _, high in limits))
+    return panels
+
+
+def slice_names(results: Results) -> list[str]:
+    """Return the dimensions or drawn values that `study_slices` has panels for.
+
+    Raises
+    ------
+    SceneError
+        If the study is one of single changes, or mixes draws with other dimensions.
+    """
+    dataset = results.dataset
+    wide = [str(name) for name in dataset["status"].dims if dataset.sizes[name] > 1]
+    if not wide or "case" in wide or ("draw" in wide and len(wide) > 1):
+        raise SceneError(
+            f"slices need dimensions of several steps, or draws alone, not "
+            f"{', '.join(wide) or 'a single point'}; draw a tornado or a map"
+        )
+    if wide == ["draw"]:
+        return [str(key) for key, value in dataset.coords.items() if value.dims == ("draw",)]
+    return wide
+
+
+def _draw_dots(axes: Axes, dataset: Any, figure: str, name: str, boundary: float | None) -> None:
+    """Draw a figure against a drawn value, and failed draws along the lower edge."""
+    places, values = dataset.coords[name].values, dataset[figure].values
+    good = np.isfinite(values)
+    axes.plot(places[good], values[good], ".", color=BLUE, ms=4)
+    lost = dataset["status"].values != "pending"
+    if (failed := ~good & lost).any():
+        axes.plot(
+            places[failed], np.zeros(failed.sum()), "|", color=VERMILION, ms=10,
+            transform=axes.get_xaxis_transform(), clip_on=False, label=f"{failed.sum()} failed",
+        )  # fmt: skip
+        axes.legend(fontsize=8)
+    if boundary is not None:
+        axes.axhline(boundary, color=VERMILION, lw=1)
+    unit = dataset.coords[name].attrs.get("units", "")
+    axes.set(xlabel=f"{name} ({unit})" if unit else name, ylabel=_name(dataset, figure))
+    if dataset.coords[name].dtype.kind in "if":
+        space_ticks(axes)
+    axes.grid(alpha=0.25)
+
+
+def sobol_bars(indices: Any, *, label: str = "", axes: Axes | None = None) -> Axes:
+    """Draw Sobol indices as bars with their intervals, the largest total on top.
+
+    Parameters
+    ----------
+    indices : xarray.Dataset
+        Result of `study.sobol_indices`.
+    label : str
+        Name of the figure.
+    axes : matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Axes with two bars for each address: its share of the variance alone (first order) and with
+        all interactions (total). An interval that contains zero means that the share is not
+        resolved.
+
+    See Also
+    --------
+    nlosoptics.study.sobol_indices : Shares of a figure's variance.
+    tornado : Bars of one-at-a-time changes.
+    """
+    order = np.argsort(-indices["total"].values, kind="stable")
+    names = indices["address"].values[order]
+    if axes is None:
+        (axes,) = new_axes(1, width=7.2, height=1.4 + 0.6 * len(names))
+    rows = np.arange(len(names))
+    for offset, kind, told, colour in (
+        (-0.19, "first", "alone (first order)", BLUE),
+        (0.19, "total", "with interactions (total)", VERMILION),
+    ):
+        value, low, high = (
+            np.asarray(indices[name].values)[order]
+            for name in (kind, f"{kind}_low", f"{kind}_high")
+        )
+        # a percentile interval of a bootstrap may miss the estimate itself
+        reach = np.maximum([value - low, high - value], 0.0)
+        axes.barh(
+            rows + offset, value, height=0.36, color=colour, alpha=0.75, label=told, xerr=reach,
+            error_kw={"capsize": 3, "ecolor": BLACK, "lw": 1},
+        )  # fmt: skip
+    axes.axvline(0.0, color=BLACK, lw=1)
+    axes.set_yticks(rows, list(names))
+    axes.set(
+        ylim=(len(names) - 0.4, -0.6),
+        xlabel=f"share of the variance of {label}" if label else "share of the variance",
+    )
+    space_ticks(axes)
+    axes.grid(axis="x", alpha=0.25)
+    axes.legend(loc="lower right", fontsize=8)
     return axes

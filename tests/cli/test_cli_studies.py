@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from nlosoptics import cli
+from nlosoptics import cli, views
 from nlosoptics.cli import shell
 
 ROOT = Path(__file__).parents[2]
@@ -134,3 +134,54 @@ def test_interrupt_keeps_what_is_done(study: Path, capsys) -> None:
     code, out, _ = call(capsys, "study", study, "--workers", 0)
     assert code == 0
     assert "12 points: 12 done" in out
+
+
+def test_plot_has_a_picture_for_each_kind(study: Path, capsys) -> None:
+    assert call(capsys, "study", study, "--workers", 0)[0] == 0
+    for more in (("--kind", "slices"), ("--contours", "0.002,0.004"), ("--kind", "gallery")):
+        code, out, err = call(
+            capsys, "study", "plot", "powers.zarr", "power", *more, "--out", f"{more[1]}.png"
+        )
+        assert (code, err) == (0, "")
+        assert Path(f"{more[1]}.png").read_bytes()[1:4] == b"PNG"
+    for more, told in (
+        (("--kind", "slices", "--contours", "1"), "contours belong to a map"),
+        (("--contours", "a,b"), "--contours 'a,b' is no list such as 0.2,0.5,0.8"),
+        (("--kind", "sobol"), "Sobol indices needs a study with .draws. alone"),
+        (("--kind", "tornado"), "sensitivities need a study with one_at_a_time alone"),
+    ):
+        code, out, err = call(capsys, "study", "plot", "powers.zarr", "power", *more)
+        assert (code, out) == (2, "")
+        assert re.search(told, err)
+        assert err.count("\n") == 1
+
+
+def test_saltelli_draws_are_plotted_as_sobol_indices(study: Path, capsys, monkeypatch) -> None:
+    drawn = [f'"{a}" = {{ from = {v}, to = {w} }}' for a, v, w in (
+        ("laser.power", '"1 mW"', '"2 mW"'), ("camera.f_number", 2, 4))]  # fmt: skip
+    text = study.read_text().partition("[axes]")[0]
+    text += '[draws]\ncount = 8\nmethod = "saltelli"\n[draws.of]\n' + "\n".join(drawn)
+    study.write_text(text)
+    assert call(capsys, "study", study, "--workers", 0)[0] == 0
+    seen = []
+    monkeypatch.setattr(views, "sobol_bars", lambda found, label: seen.append((found, label)) or 1)
+    monkeypatch.setattr(views, "save", lambda axes, out: None)
+    assert call(capsys, "study", "plot", "powers.zarr", "power")[0] == 0
+    ((found, label),) = seen
+    assert label == "power"
+    # the figure is the power itself; 8 draws leave an error of the order of 1/8
+    assert found["total"].values == pytest.approx([1.0, 0.0], abs=0.3)
+
+
+def test_report_is_written_next_to_the_caller(study: Path, capsys) -> None:
+    assert call(capsys, "study", study, "--workers", 0)[0] == 0
+    code, out, err = call(capsys, "study", "report", "powers.zarr", "--no-gallery")
+    assert (code, err) == (0, "")
+    assert out.startswith("powers.html: ")
+    assert Path("powers.html").read_text().startswith("<!DOCTYPE html>")
+    code, out, err = call(capsys, "study", "report", "powers.zarr", "--out", "page.txt")
+    assert (code, out) == (2, "")
+    assert "page.txt does not end in .html" in err
+    code, out, err = call(capsys, "study", "report", "nothing.zarr")
+    assert (code, out) == (2, "")
+    assert "nothing.zarr has no results of a study" in err

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from nlosoptics import views
+from nlosoptics import psf, views
 from nlosoptics.errors import SceneError
 from nlosoptics.study import Fraction, Results, Sensitivity, Study
 
@@ -32,7 +32,11 @@ def results() -> Results:
         }
     )
     dataset = xr.Dataset(
-        {"strehl": (dims, values), "strehl_error": (dims, np.full((4, 2, 3), 0.5))},
+        {
+            "strehl": (dims, values),
+            "strehl_error": (dims, np.full((4, 2, 3), 0.5)),
+            "status": (dims, np.where(np.isfinite(values), "done", "failed")),
+        },
         {
             "wall.radius": ("wall.radius", [1.0, 2.0, 3.0, 4.0], {"units": "m"}),
             "hidden.image": ("hidden.image", ["F.png", "R.png"]),
@@ -105,3 +109,123 @@ def test_yield_is_drawn_in_percent_with_its_interval() -> None:
     assert (heights.min(), heights.max()) == pytest.approx((10.0, 95.0))
     assert axes.lines[0].get_ydata().tolist() == pytest.approx([90.0, 50.0, 20.0])
     assert "20 draws, 2 failed" in [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_contours_are_lines_between_cells_and_cells_below_the_boundary_are_hatched() -> None:
+    axes = views.study_map(results(), "strehl", at={"wall.radius": 0}, boundary=2.0, contours=[1.5])
+    # values are 0 1 2 / 3 4 5, so that 1.5 lies on a straight line of slope -1/3
+    (lines,) = [c for c in axes.collections if type(c).__name__ == "QuadContourSet"]
+    vertices = np.concatenate([path.vertices for path in lines.get_paths()])
+    assert vertices[:, 0] + 3 * vertices[:, 1] == pytest.approx(np.full(len(vertices), 1.5))
+    (hatched,) = [c for c in axes.collections if c.get_hatch()]
+    assert hatched.get_array().mask.reshape(2, 3).tolist() == [[False, False, True], [True] * 3]
+    assert {t.get_text() for t in axes.texts} <= {"1.5"}
+
+
+def test_slices_hold_the_others_and_share_a_scale() -> None:
+    panels = views.study_slices(results(), "strehl", at={"wall.radius": 1, "laser.power": 0})
+    assert [panel.lines[0].get_ydata().tolist() for panel in panels] == [
+        pytest.approx([3.0, 9.0, np.nan, 21.0], nan_ok=True),
+        [6.0, 9.0],
+        [9.0, 10.0, 11.0],
+    ]
+    assert [p.get_title() for p in panels][1] == "wall.radius = 2 m\nlaser.power = 1 mW"
+    assert len({panel.get_ylim() for panel in panels}) == 1
+    with pytest.raises(SceneError, match="axes has 1 axes, must have 3"):
+        views.study_slices(results(), "strehl", axes=panels[:1])
+
+
+def drawn_results() -> Results:
+    """Four draws of two values, of which one failed and one is pending."""
+    of = {
+        "wall.radius": {"from": "4 m", "to": "6 m"},
+        "laser.power": {"from": "1 mW", "to": "2 mW"},
+    }
+    study = Study.from_tables(
+        {"scene": str(SCENE), "figures": ["strehl"], "draws": {"count": 4, "of": of}}
+    )
+    dataset = xr.Dataset(
+        {
+            "strehl": ("draw", [0.1, np.nan, 0.3, np.nan]),
+            "status": ("draw", ["done", "failed", "done", "pending"]),
+        },
+        {
+            "wall.radius": ("draw", [4.0, 5.0, 5.5, 6.0], {"units": "m"}),
+            "laser.power": ("draw", [1e-3, 1.2e-3, 1.4e-3, 2e-3], {"units": "W"}),
+        },
+    )
+    return Results(path=Path("store"), study=study, dataset=dataset)
+
+
+def test_slices_of_draws_are_dots_and_failures_are_marked() -> None:
+    panels = views.study_slices(drawn_results(), "strehl")
+    assert [panel.get_xlabel() for panel in panels] == ["wall.radius (m)", "laser.power (W)"]
+    dots, marks = panels[0].lines
+    assert (dots.get_xdata().tolist(), dots.get_ydata().tolist()) == ([4.0, 5.5], [0.1, 0.3])
+    assert marks.get_xdata().tolist() == [5.0]
+    assert panels[0].get_legend().get_texts()[0].get_text() == "1 failed"
+
+
+def test_slices_of_single_changes_are_refused() -> None:
+    study = Study.from_tables(
+        {"scene": str(SCENE), "figures": ["strehl"], "one_at_a_time": {"wall.radius": ["4 m"]}}
+    )
+    dataset = xr.Dataset({"strehl": ("case", [0.1, 0.2]), "status": ("case", ["done"] * 2)})
+    with pytest.raises(SceneError, match="not case; draw a tornado"):
+        views.study_slices(Results(path=Path("s"), study=study, dataset=dataset), "strehl")
+
+
+def test_sobol_bars_are_sorted_and_have_their_intervals() -> None:
+    found = {
+        "first": [0.1, 0.6], "first_low": [0.05, 0.5], "first_high": [0.2, 0.7],
+        "total": [0.2, 0.9], "total_low": [0.1, 0.8], "total_high": [0.3, 0.85],
+    }  # fmt: skip
+    indices = xr.Dataset(
+        {name: ("address", values) for name, values in found.items()},
+        {"address": ["laser.power", "wall.radius"]},
+    )
+    axes = views.sobol_bars(indices, label="strehl")
+    assert labels(axes.yaxis) == ["wall.radius", "laser.power"]
+    first, total = axes.containers[1], axes.containers[3]
+    assert [bar.get_width() for bar in first] == [0.6, 0.1]
+    assert [bar.get_width() for bar in total] == [0.9, 0.2]
+    ends = [
+        [end for segment in bars.errorbar.lines[2][0].get_segments() for end in segment[:, 0]]
+        for bars in (first, total)
+    ]
+    # the first total lies above its percentile interval, which is drawn to the bar's end
+    assert ends[0] == pytest.approx([0.5, 0.7, 0.05, 0.2])
+    assert ends[1] == pytest.approx([0.8, 0.9, 0.1, 0.3])
+
+
+@pytest.mark.parametrize("smallest", [False, True])
+def test_gallery_opens_the_extreme_points_again(smallest: bool) -> None:
+    figures = ["strehl", "spot_rms"]
+    study = Study.from_tables(
+        {
+            "scene": str(SCENE),
+            "figures": figures,
+            "set": {"camera.f_number": 16, "camera.binning": 64},
+            "axes": {"camera.focus_distance": ["2.1 m", "1.9 m", "2 m", "2.05 m"]},
+        }
+    )
+    values = [0.4, np.nan, 0.9, 0.1]
+    dataset = xr.Dataset(
+        {name: ("camera.focus_distance", values) for name in figures}
+        | {"status": ("camera.focus_distance", ["done", "failed", "done", "done"])}
+    )
+    held = Results(path=Path("store"), study=study, dataset=dataset)
+    panels = views.study_gallery(held, figures[smallest], smallest_is_best=smallest)
+    order = [2, 0, 3] if smallest else [3, 0, 2]
+    focus = {0: "2.1 m", 2: "2 m", 3: "2.05 m"}
+    for panel, rank, index in zip(panels, ("worst", "median", "best"), order, strict=True):
+        assert panel.get_title() == (
+            f"{rank}: {figures[smallest]} = {values[index]}\ncamera.focus_distance = {focus[index]}"
+        )
+        spread = psf.scene_point_spread(study.scene(index), study.tol).point_spread
+        shown = np.asarray(panel.get_images()[0].get_array())
+        assert np.isin(spread.intensity.max(), shown)
+    assert len({panel.get_xlim() for panel in panels}) == 1
+    dataset["strehl"][:] = np.nan
+    with pytest.raises(SceneError, match="strehl is known at no point"):
+        views.study_gallery(held, "strehl")
