@@ -28,6 +28,7 @@ class Kind(StrEnum):
 
     AUTO = "auto"
     MAP = "map"
+    PANELS = "panels"
     SLICES = "slices"
     TORNADO = "tornado"
     YIELD = "yield"
@@ -152,8 +153,8 @@ def plot_command(
         check_file(out)
         results.values(figure, incomplete=incomplete)  # refuses pending points
         chosen = _default_kind(results) if kind is Kind.AUTO else kind
-        if contours is not None and chosen is not Kind.MAP:
-            raise typer.BadParameter("contours belong to a map; use --kind map")
+        if contours is not None and chosen not in (Kind.MAP, Kind.PANELS):
+            raise typer.BadParameter("contours belong to a map; use --kind map or panels")
         axes = _drawn(results, figure, chosen, boundary, _numbers(contours))
         views.save(axes, out)
         typer.echo(f"{out}: {figure} of {results.path}")
@@ -256,6 +257,8 @@ def _drawn(
     if kind is Kind.YIELD:
         limits, found = answers.yields(results, figure)
         return views.yield_curve(limits, found, label=label)
+    if kind is Kind.PANELS:
+        return views.study_panels(results, figure, boundary=boundary, contours=contours)
     if kind is Kind.SLICES:
         return views.study_slices(results, figure, boundary=boundary)
     if kind is Kind.GALLERY:

@@ -26,6 +26,7 @@ from .stages import rendering_works as rendering_works
 from .stages import window as window
 from .studies import sobol_bars as sobol_bars
 from .studies import study_map as study_map
+from .studies import study_panels as study_panels
 from .studies import study_slices as study_slices
 from .studies import tornado as tornado
 from .studies import yield_curve as yield_curve

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import SceneError
 from .canvas import new_axes, space_ticks
-from .palette import BLACK, BLUE, GREY, SERIES, VERMILION
+from .palette import BLACK, BLUE, GREY, PALE_GREY, SERIES, VERMILION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,6 +21,7 @@ MOST_TEXTS = 80  # cells of a map that show their value
 MOST_TICKS = 9
 MOST_CURVES = len(SERIES)
 PANELS = 3  # in a row
+MOST_PANELS = 6
 
 
 def study_map(
@@ -78,11 +79,86 @@ def study_map(
     if axes is None:
         (axes,) = new_axes(1, width=7.2, height=4.6)
     if len(shown) == 2:
-        _draw_map(axes, chosen, figure, shown, boundary, contours or ())
+        drawn = _draw_map(axes, chosen, figure, shown, boundary, contours or ())
+        parent: Any = axes.get_figure()
+        parent.colorbar(drawn, ax=axes, label=_name(dataset, figure))
     else:
         _draw_curve(axes, chosen, figure, shown, boundary)
     axes.set_title("\n".join(_lines(titles)), fontsize=9)
     return axes
+
+
+def study_panels(
+    results: Results,
+    figure: str,
+    *,
+    at: Mapping[str, int] | None = None,
+    boundary: float | None = None,
+    contours: Sequence[float] | None = None,
+) -> tuple[Axes, ...]:
+    """Draw a figure of merit over the last three dimensions of a study, as maps side by side.
+
+    Parameters
+    ----------
+    results : Results
+        Results of a study, complete or not.
+    figure : str
+        Name of the figure.
+    at : mapping of str to int, optional
+        Step along each further dimension, counted from 0; by default the middle one.
+    boundary, contours : float and sequence of float, optional
+        Lines in the maps; see `study_map`.
+
+    Returns
+    -------
+    tuple of Axes
+        A map for each step of the first of the three dimensions, with one scale of colours.
+
+    Raises
+    ------
+    SceneError
+        If the study has no such figure or step, fewer than three dimensions of several steps, or
+        more than 6 panels.
+
+    See Also
+    --------
+    study_map : One map.
+    study_slices : Curves along each dimension.
+    """
+    figure, dataset = results.study.figure(figure).name, results.dataset
+    wide = [str(name) for name in dataset[figure].dims if dataset.sizes[name] > 1]
+    shown = [name for name in wide if name not in (at or {})][-3:]
+    if len(shown) < 3:
+        raise SceneError(
+            f"panels need three dimensions of several steps, not {', '.join(shown) or 'none'}; "
+            "draw a map"
+        )
+    count = dataset.sizes[shown[0]]
+    if count > MOST_PANELS:
+        raise SceneError(
+            f"{shown[0]} has {count} steps, limit {MOST_PANELS} panels; put another dimension first"
+        )
+    chosen = dataset.isel(_fixed(dataset, figure, shown, at or {}))
+    values = np.asarray(chosen[figure].values, dtype=np.float64)
+    good = values[np.isfinite(values)]
+    span = (float(good.min()), float(good.max())) if len(good) else None
+    columns = min(count, PANELS)
+    rows = -(-count // columns)
+    made = new_axes(count, width=3.1 * columns + 0.9, height=3.0 * rows + 0.4, columns=columns)
+    for unused in made[count:]:
+        unused.remove()
+    for step, panel in enumerate(made[:count]):
+        drawn = _draw_map(
+            panel, chosen.isel({shown[0]: step}), figure, shown[1:], boundary, contours or (), span
+        )
+        told = _tick(dataset, shown[0], step, named=True)
+        panel.set_title(told.replace(" = ", "\n", 1), fontsize=9)
+        if step % columns:
+            panel.set(ylabel="", yticklabels=[])
+        panel.tick_params(axis="x", rotation=45)
+    parent: Any = made[0].get_figure()
+    parent.colorbar(drawn, ax=list(made[:count]), label=_name(dataset, figure))
+    return made[:count]
 
 
 def _fixed(dataset: Any, figure: str, shown: list[str], at: Mapping[str, int]) -> dict[str, int]:
@@ -140,37 +216,46 @@ def _draw_map(
     shown: list[str],
     boundary: float | None,
     contours: Sequence[float],
-) -> None:
+    span: tuple[float, float] | None = None,
+) -> Any:
+    """Draw a map of cells, with the colours from ``span``; return what a colour bar needs."""
     down, across = shown
     values = np.asarray(dataset[figure].transpose(down, across).values, dtype=np.float64)
     axes.set_facecolor("#DDDDDD")
-    drawn = axes.imshow(values, origin="lower", aspect="auto", cmap="viridis")
-    parent: Any = axes.get_figure()
-    parent.colorbar(drawn, ax=axes, label=_name(dataset, figure))
+    low, high = span or (None, None)
+    drawn = axes.imshow(values, origin="lower", aspect="auto", cmap="viridis", vmin=low, vmax=high)
     axes.set_xticks(*_ticks(dataset, across))
     axes.set_yticks(*_ticks(dataset, down))
     axes.set(xlabel=across, ylabel=down)
     if values.size <= MOST_TEXTS and not contours:
-        low, high = np.nanmin(values, initial=np.inf), np.nanmax(values, initial=-np.inf)
+        least, most = drawn.get_clim()
         for (row, column), value in np.ndenumerate(values):
-            dark = np.isfinite(value) and value < (low + high) / 2
-            text = f"{value:.3g}" if np.isfinite(value) else "failed"
+            dark = np.isfinite(value) and value < (least + most) / 2
+            text = f"{value:.{2 if span else 3}g}" if np.isfinite(value) else "failed"
             axes.text(
-                column, row, text, ha="center", va="center", fontsize=8,
-                color="white" if dark else BLACK,
+                column, row, text, ha="center", va="center",
+                fontsize=6 if span else 8, color="white" if dark else BLACK,
             )  # fmt: skip
     if contours and min(values.shape) > 1:
         lines = axes.contour(values, levels=sorted(contours), colors="white", linewidths=1.2)
         axes.clabel(lines, fontsize=8)
     if boundary is not None:
         _draw_boundary(axes, values >= boundary)
+    return drawn
 
 
 def _draw_boundary(axes: Axes, above: np.ndarray[Any, np.dtype[np.bool_]]) -> None:
     """Draw a line along the edges of the cells between those above a boundary and the others."""
+    from matplotlib.patches import Rectangle
+
     rows, columns = above.shape
-    below = np.ma.masked_where(above, np.ones(above.shape))
-    axes.pcolor(np.arange(columns), np.arange(rows), below, hatch="//", alpha=0.0, lw=0)
+    for row, column in np.argwhere(~above):
+        axes.add_patch(
+            Rectangle(
+                (column - 0.5, row - 0.5), 1.0, 1.0, fill=False, hatch="//", lw=0.0,
+                edgecolor=PALE_GREY,
+            )
+        )  # fmt: skip
     for row, column in np.argwhere(above[:, 1:] != above[:, :-1]):
         x = [column + 0.5, column + 0.5]
         axes.plot(x, [row - 0.5, row + 0.5], color=VERMILION, lw=3)
@@ -423,7 +508,7 @@ def sobol_bars(indices: Any, *, label: str = "", axes: Axes | None = None) -> Ax
 
     Parameters
     ----------
-    indices : xarray.Dataset
+    indices : Dataset
         Result of `study.sobol_indices`.
     label : str
         Name of the figure.

@@ -117,9 +117,23 @@ def test_contours_are_lines_between_cells_and_cells_below_the_boundary_are_hatch
     (lines,) = [c for c in axes.collections if type(c).__name__ == "QuadContourSet"]
     vertices = np.concatenate([path.vertices for path in lines.get_paths()])
     assert vertices[:, 0] + 3 * vertices[:, 1] == pytest.approx(np.full(len(vertices), 1.5))
-    (hatched,) = [c for c in axes.collections if c.get_hatch()]
-    assert hatched.get_array().mask.reshape(2, 3).tolist() == [[False, False, True], [True] * 3]
+    assert [patch.get_xy() for patch in axes.patches if patch.get_hatch()] == [
+        (-0.5, -0.5),
+        (0.5, -0.5),
+    ]
     assert {t.get_text() for t in axes.texts} <= {"1.5"}
+
+
+def test_panels_share_their_colours() -> None:
+    panels = views.study_panels(results(), "strehl", boundary=14.0)
+    shown = [panel.get_images()[0] for panel in panels]
+    for step, image in enumerate(shown):
+        expected = results().dataset["strehl"].values[step]
+        assert np.array_equal(image.get_array().filled(np.nan), expected, equal_nan=True)
+        assert image.get_clim() == (0.0, 23.0)
+    assert [panel.get_title() for panel in panels] == [f"wall.radius\n{r} m" for r in range(1, 5)]
+    with pytest.raises(SceneError, match="not hidden.image, laser.power; draw a map"):
+        views.study_panels(results(), "strehl", at={"wall.radius": 0})
 
 
 def test_slices_hold_the_others_and_share_a_scale() -> None:
