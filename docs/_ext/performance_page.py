@@ -212,6 +212,49 @@ def tolerances(found: Sequence[Row]) -> str:
     )
 
 
+def studies(found: Sequence[Row]) -> str:
+    """Return one row for each number of workers, and what limits them."""
+    head = [
+        "kind",
+        "workers",
+        "a block",
+        "client's CPU, a point",
+        "client's cores",
+        "blocks a second",
+        "share",
+    ]
+    body = table(
+        head,
+        (
+            [
+                row["kind"],
+                str(row["workers"]),
+                seconds(row["point"] * row["block"]),
+                seconds(row["client"]),
+                number(row.get("busy"), 2),
+                number(row.get("blocks"), 2),
+                number(row.get("share"), 2),
+            ]
+            for row in found
+        ),
+    )
+    full = [row for row in found if row.get("share", 1.0) < 0.7]
+    cpu = median(row["client"] * row["block"] for row in full)
+    cores, blocks = (median(row[key] for row in full) for key in ("busy", "blocks"))
+    real = next(row for row in found if row["kind"] == "measured")
+    return (
+        f"{body}\nThe client is the bottleneck. It writes a block of results with {seconds(cpu)} "
+        f"of CPU time, which allows {number(1 / cpu, 2)} blocks a second on a core of its own. In "
+        f"these runs other work left it {number(cores, 2)} of a core, and it wrote "
+        f"{number(blocks, 2)} blocks a second, with a store in memory as with one on disk. A "
+        "worker makes a block in about one second, so that more workers than blocks a second wait "
+        f"for the client. On 1,000 cores a block must therefore take at least {seconds(1000 * cpu)}"
+        ", by heavier points; the last row of each store has such blocks for 300 workers. A real "
+        f"worker process costs the client {seconds(real['client'] * real['block'])} a block, so "
+        "that its messages are the smaller part.\n"
+    )
+
+
 def rough_walls(found: Row) -> str:
     """Return the closed-form mean against drawn walls."""
     head = ["angle, phase rms", "mean", "one wall", "differ", "by chance", "falls with walls as"]
@@ -832,6 +875,15 @@ SECTIONS = (
         measured_charts,
         draw_measured_charts,
         "Seconds against mean error of depth of six methods on two measured charts",
+    ),
+    Section(
+        "studies.json",
+        "Design studies on up to 1,000 workers",
+        "A real worker process, then workers that wait as long as a point would take, with the "
+        "client, its store and the messages real. The share is the throughput over that of workers "
+        "that never wait.",
+        f"{RUN}/studies.py --memory /dev/shm --json benchmarks/results/studies.json",
+        studies,
     ),
     Section(
         "views.json",
