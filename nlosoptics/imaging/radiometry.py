@@ -20,6 +20,7 @@ from ..errors import SceneError
 from ..kernels.codes import BECKMANN, LAMBERT
 from ..psf.pupil.exit_pupil import working_f_number
 from ..raytrace import intersect
+from ..raytrace.intersection.meshes import worker_pool
 from ..scene import Material, Scene
 from .geometry import ChiefRays, pixel_centres
 from .objects import Patches
@@ -34,6 +35,7 @@ GRAZING = math.radians(89.0)  # largest angle of incidence of the laser beam
 NODES = 24  # nodes of the Chebyshev interpolation along each side of the detector
 NODES_HEIGHT = 3  # nodes of the interpolation over the wall's height
 GROUP = 0.08  # rad; on a curved wall, object patches within this angle share one direction
+BAND = 64  # rows of pixels that are computed together, few enough for the processor's cache
 PAIRS = 400_000  # pairs of wall point and object patch held in memory at a time
 
 
@@ -252,28 +254,65 @@ def background_radiance(
     nodes = Nodes(scene, node_x.ravel(), node_y.ravel(), node_height.ravel())
     on_y, on_x, on_height = (a.basis(v) for a, v in zip(axes, (y, x, heights), strict=True))
 
-    def interpolated(values: Array) -> Array:
-        total = np.zeros(inside.shape)
-        for k in range(shape[2]):
-            # einsum without BLAS, whose rounding can depend on the number of threads
-            plane = np.einsum("kl,jl->kj", values.reshape(shape)[..., k], on_x)
-            total += np.einsum("ik,kj->ij", on_y, plane) * on_height[..., k]
-        return total
-
     if scene.wall.is_flat:
-        part = interpolated(_flat_radiance(scene, spot, patches, diffuse, nodes))
+        (values,) = np.moveaxis(
+            _flat_radiance(scene, spot, patches, diffuse, nodes).reshape(shape), 2, 0
+        )
+        # einsum without BLAS, whose rounding can depend on the number of threads
+        part = np.einsum("ik,kj->ij", on_y, np.einsum("kl,jl->kj", values, on_x))
         result[window] = np.where(inside, np.maximum(part, 0.0), 0.0)
         return result
-    normals, view = rays.normals[window][inside], -rays.directions[window][inside]
-    total = np.zeros(len(view))
-    for flux in _grouped_flux(scene, spot, patches, nodes, diffuse):
-        arriving = np.stack([interpolated(component)[inside] for component in flux.T], axis=-1)
-        strength = np.sqrt(dot(arriving, arriving))
-        arriving /= np.maximum(strength, 1e-300)[:, None]
-        cosine = np.maximum(dot(arriving, normals), 0.0)
-        total += diffuse.evaluate(arriving, view, normals) * cosine * strength
-    result[seen] = total
+    shown = inside[..., None]
+    normals, views = (
+        np.ascontiguousarray(np.moveaxis(np.where(shown, vectors[window], 0.0), -1, 0))
+        for vectors in (rays.normals, -rays.directions)
+    )
+    fluxes = _grouped_flux(scene, spot, patches, nodes, diffuse).reshape(-1, *shape, 3)
+    weights = on_y, np.ascontiguousarray(on_x.T), np.ascontiguousarray(np.moveaxis(on_height, 2, 0))
+    part = _reflected(fluxes, weights, normals, views, diffuse.lobe_table())
+    result[window] = np.where(inside, part, 0.0)
     return result
+
+
+def _reflected(
+    fluxes: Array, weights: tuple[Array, Array, Array], normals: Array, views: Array, lobes: Array
+) -> Array:
+    """Return the radiance (rows, columns), W/(m^2 sr), that the wall's lobes reflect to the lens.
+
+    Parameters
+    ----------
+    fluxes : ndarray, (groups, ny, nx, nh, 3)
+        Vector irradiance at the nodes due to each group of patches, W/m^2.
+    weights : ndarray, (rows, ny), (nx, columns) and (nh, rows, columns)
+        Weights of the nodes along each axis.
+    normals, views : ndarray, (3, rows, columns)
+        Unit normal of the wall and unit vector to the lens at each pixel's wall point.
+    lobes : ndarray, (n, 4)
+        Table of the lobes.
+    """
+    from ..kernels import brdf
+    from ._radiance_kernels import arriving
+
+    on_y, on_x, on_height = weights
+
+    def band(first: int) -> Array:
+        rows = slice(first, first + BAND)
+        normal, view = normals[:, rows], views[:, rows]
+        facing = dot(np.moveaxis(normal, 0, -1), np.moveaxis(view, 0, -1)).ravel()
+        total = np.zeros(facing.size)
+        strength, incidence, between = (np.empty(normal.shape[1:]) for _ in range(3))
+        found = np.empty(facing.size)
+        cosines = incidence.ravel(), facing, between.ravel()  # views of these arrays
+        for flux in fluxes:
+            into = strength, incidence, between
+            arriving(flux, on_y[rows], on_x, on_height[:, rows], normal, view, *into)
+            brdf.evaluate(lobes, *cosines, found)
+            found *= np.maximum(cosines[0], 0.0)
+            found *= strength.ravel()
+            total += found
+        return total.reshape(strength.shape)
+
+    return np.concatenate(list(worker_pool().map(band, range(0, normals.shape[1], BAND))))
 
 
 class Nodes:
@@ -388,8 +427,8 @@ def _groups(patches: Patches, diffuse: Material) -> NDArray[np.intp]:
 
 def _grouped_flux(
     scene: Scene, spot: LaserSpot, patches: Patches, nodes: Nodes, diffuse: Material
-) -> Iterator[Array]:
-    """Yield the vector irradiance (n_nodes, 3), W/m^2, due to each group of patches."""
+) -> Array:
+    """Return the vector irradiance (groups, n_nodes, 3), W/m^2, due to each group of patches."""
     group = _groups(patches, diffuse)
     order = np.argsort(group, kind="stable")
     starts = np.nonzero(np.diff(group[order], prepend=-1))[0]
@@ -401,7 +440,7 @@ def _grouped_flux(
         toward *= light[..., None]
         sums = np.add.reduceat(toward, starts, axis=1)
         flux[:, nodes.used[block]] = sums.transpose(1, 0, 2)
-    yield from flux
+    return flux
 
 
 class _Chebyshev:

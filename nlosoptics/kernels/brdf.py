@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -169,7 +170,7 @@ def material(lobes, mu_i, mu_o, cos_between):
     return total
 
 
-def evaluate(lobes, mu_i, mu_o, cos_between, out):
+def evaluate(lobes: Any, mu_i: Any, mu_o: Any, cos_between: Any, out: Any) -> None:
     """Fill ``out`` (m,) with `material` for arrays of cosines.
 
     Lobes are added one by one, so that only the families that occur are compiled.
@@ -189,21 +190,21 @@ def evaluate(lobes, mu_i, mu_o, cos_between, out):
             _add_oren_nayar(mu_i, mu_o, cos_between, strength, slope, full, factor, out)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _add_microfacets(mu_i, mu_o, cos_between, reflectance, slope_rms, ggx, factor, out):
     """Add a microfacet lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):
         out[i] += factor * microfacet(mu_i[i], mu_o[i], cos_between[i], reflectance, slope_rms, ggx)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _add_ward(mu_i, mu_o, cos_between, albedo, alpha, kind, factor, out):
     """Add a Ward lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):
         out[i] += factor * ward(mu_i[i], mu_o[i], cos_between[i], albedo, alpha, kind)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _add_oren_nayar(mu_i, mu_o, cos_between, albedo, slope_rms, full, factor, out):
     """Add an Oren-Nayar lobe times a factor to ``out`` (m,)."""
     for i in range(out.size):

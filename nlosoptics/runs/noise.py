@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from .._smoothing import gaussian_smoothed
 from ..imaging import CameraImage, ForwardModel
 from ..imaging.images import reading_noise
 from ..scene import Scene
@@ -74,11 +74,11 @@ def camera_noise(scene: Scene, image: CameraImage, model: ForwardModel) -> Array
 
 def _surroundings(image: CameraImage) -> Array:
     """Return the weighted mean of the valid pixels around each pixel, counts."""
-    valid = ndimage.gaussian_filter((~image.masked).astype(np.float64), 1.5)
-    total = ndimage.gaussian_filter(np.where(image.masked, 0.0, image.values), 1.5)
+    valid = gaussian_smoothed((~image.masked).astype(np.float64), 1.5)
+    total = gaussian_smoothed(np.where(image.masked, 0.0, image.values), 1.5)
     mean = float(image.values[~image.masked].mean())
     return np.where(valid > 1e-3, total / np.maximum(valid, 1e-3), mean)
 
 
 def _local_mean(values: Array) -> Array:
-    return np.maximum(ndimage.gaussian_filter(values, 1.5), 0.0)
+    return np.maximum(gaussian_smoothed(values, 1.5), 0.0)

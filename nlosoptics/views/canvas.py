@@ -52,6 +52,15 @@ def drawing_classes() -> tuple[type[Figure], type[FigureCanvasAgg]]:
     return Figure, FigureCanvasAgg
 
 
+def set_title(axes: Axes, title: str) -> None:
+    """Set the title of axes without ticks or labels above them.
+
+    Without a given height, matplotlib measures all ticks at each drawing to move the title off
+    them, which takes a quarter of the time of a figure.
+    """
+    axes.set_title(title, y=1.0)
+
+
 def round_step(length: float) -> float:
     """Return the largest 1, 2 or 5 times a power of ten that does not exceed a length, m."""
     power = 10.0 ** math.floor(math.log10(length))

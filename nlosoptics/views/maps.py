@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, positive
-from .canvas import new_axes, round_step, space_ticks
+from .canvas import new_axes, round_step, set_title, space_ticks
 from .palette import SKY
 from .reliefs import relief, spread_norm
 
@@ -90,7 +90,8 @@ def wavefront(
         drawn = axes.tripcolor(u[lit], v[lit], values[lit], shading="gouraud", **style)
     colour_bar(axes, drawn, f"wave aberration ({unit})")
     space_ticks(axes)
-    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title="wave aberration")
+    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal")
+    set_title(axes, "wave aberration")
     return axes
 
 
@@ -143,8 +144,8 @@ def pupil_field(
     drawn = axes.imshow(shown, origin="lower", extent=extent, interpolation="nearest", **style)
     colour_bar(axes, drawn, f"{quantity} (rad)" if quantity == "phase" else "relative amplitude")
     space_ticks(axes)
-    title = f"{quantity} in the exit pupil"
-    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal", title=title)
+    axes.set(xlabel="u (mm)", ylabel="v (mm)", aspect="equal")
+    set_title(axes, f"{quantity} in the exit pupil")
     return axes
 
 
@@ -216,7 +217,8 @@ def point_spread(
             xlim=(-half_width * 1e6, half_width * 1e6), ylim=(-half_width * 1e6, half_width * 1e6)
         )
     colour_bar(axes, drawn, meaning)
-    axes.set(xlabel="x (µm)", ylabel="−y, up (µm)", title=title)
+    axes.set(xlabel="x (µm)", ylabel="−y, up (µm)")
+    set_title(axes, title)
     return axes
 
 
@@ -259,7 +261,8 @@ def hybrid_parts(
     for axis, name in zip(drawn_on, ("coherent", "halo", "diffuse"), strict=True):
         drawn = _spread_map(axis, getattr(point_spread, name), point_spread.pitch, norm)
         share = getattr(point_spread, f"{name}_flux")
-        axis.set(xlabel="x (µm)", ylabel="−y, up (µm)", title=f"{name} part, total {share:.3g}")
+        axis.set(xlabel="x (µm)", ylabel="−y, up (µm)")
+        set_title(axis, f"{name} part, total {share:.3g}")
     colour_bar(drawn_on[-1], drawn, MEANING[point_spread.normalisation])
     return drawn_on
 
@@ -330,7 +333,8 @@ def image(
         _scale_bar(axes, 1e3 / object_scale)
     colour_bar(axes, drawn, "electrons per pixel")
     space_ticks(axes)
-    axes.set(xlabel="x (mm)", ylabel="−y, up (mm)", title="camera image")
+    axes.set(xlabel="x (mm)", ylabel="−y, up (mm)")
+    set_title(axes, "camera image")
     return axes
 
 
@@ -426,7 +430,7 @@ def reconstruction(
         relative = np.isclose(values.max(), 1.0)
         colour_bar(where, drawn, "relative brightness" if relative else "object units")
         space_ticks(where)
-        where.set(title=title)
+        set_title(where, title)
     return tuple(axes)
 
 
@@ -461,5 +465,6 @@ def irradiance(irradiance: WallIrradiance, *, axes: Axes | None = None) -> Axes:
     )
     colour_bar(axes, drawn, "irradiance (W/m$^2$)")
     space_ticks(axes)
-    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="irradiance of the relay wall")
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    set_title(axes, "irradiance of the relay wall")
     return axes

@@ -101,8 +101,28 @@ def _figure_file(picture: Any, suffix: str) -> bytes:
     # without program name, date and random identifiers, equal figures give equal bytes
     metadata = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     with rc_context({"svg.hashsalt": "nlosoptics"}):
-        figure.savefig(content, format=suffix[1:], metadata=metadata[suffix])
+        if suffix == ".png" and _drawn_once(figure):
+            figure.canvas.print_png(content, metadata=metadata[suffix])
+        else:
+            figure.savefig(content, format=suffix[1:], metadata=metadata[suffix])
     return content.getvalue()
+
+
+def _drawn_once(figure: Any) -> bool:
+    """Return whether the canvas of a figure can write the PNG that `savefig` would write.
+
+    `savefig` draws a figure twice, the first time only to place its axes. The canvas places and
+    draws them at once, but reads none of matplotlib's settings for saving.
+    """
+    from matplotlib import rcParams, rcParamsDefault
+
+    from .canvas import drawing_classes
+
+    # by name, since reading all settings would load pyplot
+    saving = [name for name in rcParamsDefault if name.startswith("savefig.")]
+    return type(figure.canvas) is drawing_classes()[1] and all(
+        rcParams[name] == rcParamsDefault[name] for name in saving
+    )
 
 
 def _plotter_file(plotter: Any, suffix: str) -> bytes:

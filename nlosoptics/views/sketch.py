@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import SceneError
 from ..scene import Occluder, PlanarObject, Scene
-from .canvas import new_axes, space_ticks
+from .canvas import new_axes, set_title, space_ticks
 from .palette import BLACK, BLUE, BROWN, GREEN, ORANGE, PALE_GREEN, VERMILION
 
 if TYPE_CHECKING:
@@ -64,7 +64,8 @@ def scene_sketch(
         top, side = new_axes(2, width=10.5, height=5.4)
     room_from_above(scene, top)
     _draw(scene, side, across=2, up=1)
-    side.set(xlabel="z, into the room (m)", ylabel="y, up (m)", title="side view")
+    side.set(xlabel="z, into the room (m)", ylabel="y, up (m)")
+    set_title(side, "side view")
     if axes is None:
         figure: Any = top.get_figure(root=True)
         figure.legend(
@@ -79,7 +80,8 @@ def room_from_above(scene: Scene, axes: Axes) -> None:
     """Draw the top view of a scene: x to the right, z toward the reader, m."""
     _draw(scene, axes, across=0, up=2)
     axes.yaxis.set_inverted(True)  # in a top view with x to the right, z points down
-    axes.set(xlabel="x (m)", ylabel="z, into the room (m)", title="top view")
+    axes.set(xlabel="x (m)", ylabel="z, into the room (m)")
+    set_title(axes, "top view")
 
 
 def _draw(scene: Scene, axes: Axes, *, across: int, up: int) -> None:

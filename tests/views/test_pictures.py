@@ -239,6 +239,40 @@ def test_save_writes_equal_bytes(tmp_path: Path, suffix: str, begins: bytes) -> 
     assert contents.pop().startswith(begins)
 
 
+@pytest.mark.parametrize("drawn", ["sketch", "wavefront", "reconstruction"])
+def test_saved_figure_is_that_of_savefig_with_titles_placed_by_matplotlib(
+    tmp_path: Path, flat_scene: Scene, drawn: str
+) -> None:
+    """`save` draws once and sets the heights of titles, `savefig` draws twice and searches them."""
+    found = SimpleNamespace(object=np.diag([3.0, 0.5]), status="converged")
+
+    def figure() -> Any:
+        axes = {
+            "sketch": lambda: views.scene_sketch(flat_scene, stacked=True),
+            "wavefront": lambda: (views.wavefront(one_wave_of_tilt("polar")),),
+            "reconstruction": lambda: views.reconstruction(found, np.eye(2)),  # type: ignore[arg-type]
+        }[drawn]()
+        return axes
+
+    views.save(figure(), tmp_path / "ours.png")
+    axes = figure()
+    for axis in axes:
+        axis.set_title(axis.get_title())
+    axes[0].get_figure().savefig(tmp_path / "theirs.png", metadata={"Software": None})
+    assert (tmp_path / "ours.png").read_bytes() == (tmp_path / "theirs.png").read_bytes()
+
+
+def test_save_follows_settings_of_matplotlib(tmp_path: Path) -> None:
+    """A figure of 5.6 x 4.6 inches has 50 pixels per inch if matplotlib's settings say so."""
+    import matplotlib
+    from PIL import Image
+
+    with matplotlib.rc_context({"savefig.dpi": 50}):
+        views.save(views.wavefront(one_wave_of_tilt("grid")), tmp_path / "small.png")
+    with Image.open(tmp_path / "small.png") as picture:
+        assert picture.size == (280, 230)
+
+
 def test_unknown_unit_is_refused() -> None:
     """One line with the choices."""
     with pytest.raises(ValueError, match="unit = 'mm' is unknown, must be one of waves, nm"):

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft
 
 from ..._checks import positive, whole
+from ..._smoothing import gaussian_smoothed
 from ...errors import SamplingError, SceneError
 from .measurement import real_array
 from .reconstruction import Reconstruction
@@ -185,8 +186,8 @@ def _structural_similarity(first: Array, second: Array, offset: float, peak: flo
     """Return the mean SSIM of two mean-free images, whose common mean is ``offset``."""
 
     def local_mean(picture: Array) -> Array:
-        smooth = ndimage.gaussian_filter(picture, 1.5, truncate=3.5)
-        return np.asarray(smooth[_SSIM_EDGE:-_SSIM_EDGE, _SSIM_EDGE:-_SSIM_EDGE])
+        smooth = gaussian_smoothed(picture, 1.5, truncate=3.5)
+        return smooth[_SSIM_EDGE:-_SSIM_EDGE, _SSIM_EDGE:-_SSIM_EDGE]
 
     means = local_mean(first), local_mean(second)
     spreads = [local_mean(p * p) - m * m for p, m in zip((first, second), means, strict=True)]
