@@ -10,6 +10,7 @@ from ...kernels.heights import surface
 from ...kernels.parallel import threaded
 
 FOUND, NOT_FOUND, OFF_SURFACE = 0, 1, 2
+ROUNDED = 1e-11  # gradient of the path at which a point counts as stationary
 N_COLUMNS = 8  # x, y, z, excess, spreading, determinant, smaller curvature, status
 
 
@@ -59,7 +60,8 @@ def stationary_point(terms, tables, o, p, x, y, side):
         dx, dy = -(hyy * gx - hxy * gy) / det, -(hxx * gy - hxy * gx) / det
         length = 1.0
         moved = False
-        for _ in range(40):
+        # Near the solution the full step is taken or none: shorter ones would only try roundings.
+        for _ in range(1 if norm < ROUNDED else 40):
             xn, yn = x + length * dx, y + length * dy
             sn = surface(terms, tables, xn, yn)
             if not math.isnan(sn[0]):
@@ -71,10 +73,10 @@ def stationary_point(terms, tables, o, p, x, y, side):
             length *= 0.5
         if not moved:
             # Rounding stopped the descent. The error of the path is of second order in the rest.
-            return x, y, FOUND if norm < 1e-11 else NOT_FOUND
+            return x, y, FOUND if norm < ROUNDED else NOT_FOUND
         x, y, s, norm = xn, yn, sn, norm_n
         gx, gy, hxx, hxy, hyy = trial
-    return x, y, FOUND if norm < 1e-11 else NOT_FOUND
+    return x, y, FOUND if norm < ROUNDED else NOT_FOUND
 
 
 @njit(cache=True)

@@ -14,6 +14,8 @@ from ...errors import CausticError, SceneError
 from ...scene import CallableWall, Wall, pupil_frame
 
 Array = NDArray[np.float64]
+#: Pupil nodes up to which one thread aims: others would wait, and burn, longer than they help.
+MANY = 30_000
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -82,7 +84,8 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
     if isinstance(wall, CallableWall):
         callable_aiming.aim(wall, o, nodes, starts, axis, out)
     else:
-        _aiming_kernels.aim(*wall.compiled(), o, nodes, starts, axis, out)
+        loop = _aiming_kernels.aim if len(nodes) > MANY else _aiming_kernels.aim.alone
+        loop(*wall.compiled(), o, nodes, starts, axis, out)
     lost = out[:, 7] != _aiming_kernels.FOUND
     if lost.any():
         raise CausticError(

@@ -412,7 +412,7 @@ def _padded_intensity(
     return half if rule is None else rule.mean_down(half)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=64)
 def _rim_table(radius: float, reach: int) -> tuple[float, float, Array]:
     """Return the inner and outer radius of a softened rim, cells, and the table of its values.
 
