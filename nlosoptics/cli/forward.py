@@ -80,36 +80,37 @@ def run_command(
         from ..runs.plan import looked_at
         from ..runs.results import write_record, write_result
         from ..runs.simulate import carried_out
-        from .figures import write_figures
+        from . import figures
 
         seed = checked_seed(seed)
         scene = load(scene_file, size, changes)
         loaded = time.perf_counter()
-        planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
-        check_target(folder)
-        ready = time.perf_counter()
-        drawn = can_draw()
-        with progress_bar() as progress:
-            result = carried_out(planned, optics, seed, progress)
-            progress("writing", 1.0)
-            with whole_folder(folder) as new:
-                began = time.perf_counter()
-                report = write_result(result, new) | {"command_line": typed(context)}
-                written = time.perf_counter()
-                if drawn:
-                    write_figures(result, new)
-                ended = time.perf_counter()
-                seconds = {
-                    "loading": loaded - start,
-                    "planning": ready - loaded,
-                    **report["seconds"],
-                    "writing": written - began,
-                    "figures": ended - written,
-                }
-                # what lies between the stages
-                seconds["other"] = ended - start - sum(seconds.values())
-                report["seconds"] = seconds | {"total": ended - start}
-                write_record(report, new)
+        with figures.painters(scene) as beside:
+            planned, optics = looked_at(scene, tol, reconstruct, in_bytes(memory), max_seconds)
+            check_target(folder)
+            ready = time.perf_counter()
+            drawn = can_draw()
+            with progress_bar() as progress:
+                result = carried_out(planned, optics, seed, progress)
+                progress("writing", 1.0)
+                with whole_folder(folder) as new:
+                    began = time.perf_counter()
+                    report = write_result(result, new) | {"command_line": typed(context)}
+                    written = time.perf_counter()
+                    if drawn:
+                        figures.write_figures(result, new, beside)
+                    ended = time.perf_counter()
+                    seconds = {
+                        "loading": loaded - start,
+                        "planning": ready - loaded,
+                        **report["seconds"],
+                        "writing": written - began,
+                        "figures": ended - written,
+                    }
+                    # what lies between the stages
+                    seconds["other"] = ended - start - sum(seconds.values())
+                    report["seconds"] = seconds | {"total": ended - start}
+                    write_record(report, new)
         _print_summary(report, folder)
 
 

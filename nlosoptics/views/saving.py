@@ -72,7 +72,7 @@ def save(
         content = film_file(picture, suffix)
     else:
         _checked_suffix(path, "a figure", (".png", ".pdf", ".svg"))
-        content = _figure_file(picture, suffix)
+        content = figure_file(picture, suffix)
     write_whole({path: content})
 
 
@@ -85,7 +85,7 @@ def _checked_suffix(path: Path, what: str, known: tuple[str, ...]) -> None:
         )
 
 
-def _figure_file(picture: Any, suffix: str) -> bytes:
+def figure_file(picture: Any, suffix: str) -> bytes:
     """Return the figure of axes as the bytes of a file."""
     parts = [picture] if hasattr(picture, "get_figure") else list(picture)
     figures = {part.get_figure(root=True) for part in parts}  # a figure is its own root

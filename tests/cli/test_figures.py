@@ -1,71 +1,107 @@
-"""Figures drawn by two processes."""
+"""Figures drawn by two other processes."""
 
 from __future__ import annotations
 
 import os
 import time
+from types import SimpleNamespace
 
 import pytest
 
 from nlosoptics.cli import figures
 
-
-def drawn_by(tmp_path, monkeypatch, here, beside):
-    """Draw fake figures, which write the process that drew them; return what the files hold."""
-
-    def draw(jobs, folder):
-        for name, job in jobs.items():
-            job()
-            (folder / name).write_text(str(os.getpid()))
-
-    monkeypatch.setattr(figures, "_draw", draw)
-    figures._draw_both(here, beside, tmp_path)
-    return {path.name: int(path.read_text()) for path in tmp_path.iterdir()}
+HERE = os.getpid()
+forks = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-def test_half_of_the_figures_are_drawn_beside(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
-    found = drawn_by(tmp_path, monkeypatch, {"a": lambda: 0}, {"b": lambda: 0})
-    assert found["a"] == os.getpid() != found["b"]
+@pytest.fixture
+def drawn_by(tmp_path, monkeypatch, flat_scene):
+    """Function that draws fake figures and returns the process that drew each of them.
+
+    Its arguments are functions that are called before the figure of their name is drawn.
+    """
+
+    def run(cores=2, **before):
+        def named(*names):
+            return lambda _: {name: before.get(name, lambda: None) for name in names}
+
+        monkeypatch.setattr(figures, "_of_scene", named("scene"))
+        monkeypatch.setattr(figures, "_of_run", named("overview"))
+        monkeypatch.setattr(figures, "_of_parts", named("image"))
+        monkeypatch.setattr(figures, "_drawn", lambda draw: draw() or str(os.getpid()).encode())
+        monkeypatch.setattr(figures.os, "cpu_count", lambda: cores)
+        with figures.painters(flat_scene) as beside:
+            figures.write_figures(SimpleNamespace(scene=flat_scene), tmp_path, beside)
+        return {path.stem: int(path.read_text()) for path in tmp_path.iterdir()}
+
+    return run
 
 
-def test_one_core_draws_all(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures.os, "cpu_count", lambda: 1)
-    found = drawn_by(tmp_path, monkeypatch, {"a": lambda: 0}, {"b": lambda: 0})
-    assert set(found.values()) == {os.getpid()}
+def elsewhere(action):
+    """Return a function that does something in other processes than this one."""
+    return lambda: action() if os.getpid() != HERE else None
 
 
-def test_figures_of_a_child_that_fails_are_drawn_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
-    parent = os.getpid()
-
-    def only_here():
-        if os.getpid() != parent:
-            raise MemoryError
-
-    found = drawn_by(tmp_path, monkeypatch, {"a": lambda: 0}, {"b": only_here})
-    assert found == {"a": parent, "b": parent}
+def fail():
+    raise MemoryError
 
 
-def test_an_error_reaches_the_caller(tmp_path, monkeypatch):
+@forks
+def test_two_other_processes_draw(drawn_by):
+    found = drawn_by()
+    assert found["scene"] == found["image"]
+    assert len({HERE, found["image"], found["overview"]}) == 3
+
+
+def test_one_core_draws_all_here(drawn_by):
+    assert drawn_by(cores=1) == {"scene": HERE, "image": HERE, "overview": HERE}
+
+
+@pytest.mark.parametrize("name", ["scene", "overview", "image"])
+def test_figures_of_a_process_that_fails_are_drawn_here(drawn_by, capfd, name):
+    assert drawn_by(**{name: elsewhere(fail)})[name] == HERE
+    assert capfd.readouterr().err == ""
+
+
+def test_an_error_reaches_the_caller(drawn_by):
     def broken():
         raise ValueError("no such colour")
 
-    monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
     with pytest.raises(ValueError, match="no such colour"):
-        drawn_by(tmp_path, monkeypatch, {"a": lambda: 0}, {"b": broken})
+        drawn_by(image=broken)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-def test_a_child_that_hangs_is_ended(tmp_path, monkeypatch):
+@forks
+@pytest.mark.parametrize("name", ["scene", "overview"])
+def test_a_process_that_hangs_is_ended(drawn_by, monkeypatch, name):
+    """Its figures are drawn here; no process is left, whichever of the two hangs."""
+    monkeypatch.setattr(figures, "LONGEST", 2.0)
+    monkeypatch.setattr(figures, "ENDING", 0.1)
+    ends = []
+    monkeypatch.setattr(figures.os, "killpg", lambda *call: (ends.append(call), kill(*call)))
+    assert drawn_by(**{name: elsewhere(lambda: time.sleep(60))})[name] == HERE
+    assert_gone(ends[0][0])
+
+
+@forks
+def test_processes_end_with_a_run_that_fails(drawn_by, flat_scene, monkeypatch):
     monkeypatch.setattr(figures.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(figures, "LEAST_WAIT", 0.2)
-    parent = os.getpid()
+    ends = []
+    monkeypatch.setattr(figures.os, "killpg", lambda *call: (ends.append(call), kill(*call)))
+    with pytest.raises(KeyboardInterrupt), figures.painters(flat_scene):
+        raise KeyboardInterrupt
+    assert_gone(ends[0][0])
 
-    def hangs_there():
-        if os.getpid() != parent:
-            time.sleep(60)
 
-    found = drawn_by(tmp_path, monkeypatch, {"a": lambda: 0}, {"b": hangs_there})
-    assert found == {"a": parent, "b": parent}
+kill = getattr(os, "killpg", None)
+
+
+def assert_gone(group):
+    """Check that a process group has no running member left."""
+    for _ in range(100):
+        try:
+            kill(group, 0)
+        except OSError:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"processes of the group {group} still run")
