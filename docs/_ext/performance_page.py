@@ -212,6 +212,25 @@ def tolerances(found: Sequence[Row]) -> str:
     )
 
 
+def growth(found: Sequence[Row]) -> str:
+    """Return one row for each stage: its range, its times and memory, and their exponents."""
+    head = ["stage", "number n", "seconds", "grow as", "memory", "grows as"]
+    return table(
+        head,
+        (
+            [
+                row["stage"],
+                f"{row['numbers'][0]} to {row['numbers'][-1]} {row['against']}",
+                f"{seconds(row['seconds'][0])} to {seconds(row['seconds'][-1])}",
+                f"n^{row['seconds_exponent']:.2f}",
+                f"{row['bytes'][0] / 2**20:.3g} to {row['bytes'][-1] / 2**20:.3g} MiB",
+                f"n^{row['bytes_exponent']:.2f}",
+            ]
+            for row in found
+        ),
+    )
+
+
 def rough_walls(found: Row) -> str:
     """Return the closed-form mean against drawn walls."""
     head = ["angle, phase rms", "mean", "one wall", "differ", "by chance", "falls with walls as"]
@@ -662,6 +681,15 @@ SECTIONS = (
         tolerances,
         draw_tolerances,
         "Seconds against error of fields of point spreads and of traces at two tolerances",
+    ),
+    Section(
+        "growth.json",
+        "Growth with pixels and field points",
+        "Processor time of all threads and memory of numpy's arrays, of one call after a first one "
+        "that compiles. Exponents are fitted to four sizes; below 1, a part of the work does not "
+        "depend on the size.",
+        f"{RUN}/growth.py --json benchmarks/results/growth.json",
+        growth,
     ),
     Section(
         "rough_walls.json",
