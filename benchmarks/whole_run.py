@@ -37,12 +37,15 @@ wall, cpu = (sorted(seconds(clock) for _ in range(9))[4]
              for clock in (time.perf_counter, time.process_time))
 print(json.dumps({"wall": wall, "cpu": cpu}))
 """
-FLAT, WAVY = "examples/scenes/letter_flat.toml", "examples/scenes/letter_wavy.toml"
+FLAT, WAVY, CORNER = (
+    f"examples/scenes/{name}.toml" for name in ("letter_flat", "letter_wavy", "corner")
+)
 CASES = {
     "run letter_flat 512, cold": ("run", FLAT),  # first: the others use the cache that it fills
     "run letter_flat 512, warm": ("run", FLAT),
     "run letter_flat 128, warm": ("run", FLAT, "--size", "128"),
     "run letter_wavy 512, warm": ("run", WAVY),
+    "run corner, warm": ("run", CORNER),
     "plan letter_flat, warm": ("plan", FLAT),
     "help": ("--help",),
     "limits.feasibility": (),
