@@ -103,7 +103,7 @@ def test_plan_aims_waves_and_computes_no_point_spread(flat_scene, monkeypatch):
     from nlosoptics.psf.rough import scattered_light
     from nlosoptics.psf.transform import selection
 
-    aimed = counted(monkeypatch, _aiming_kernels, "aim")
+    aimed = counted(monkeypatch, _aiming_kernels.aim, "alone")
     transforms = counted(monkeypatch, selection, "transform") + counted(
         monkeypatch, scattered_light, "transfer"
     )
@@ -156,7 +156,7 @@ def test_simulation_runs_exactly_the_plan(flat_scene, wall):
 def test_aiming_runs_for_curved_walls_only(flat_scene, monkeypatch):
     from nlosoptics.psf.pupil import _aiming_kernels
 
-    calls = counted(monkeypatch, _aiming_kernels, "aim")
+    calls = counted(monkeypatch, _aiming_kernels.aim, "alone")
     assert "aiming" in [s.name for s in nlos.plan(flat_scene).skipped]
     nlos.simulate(flat_scene)
     assert len(calls) == 0

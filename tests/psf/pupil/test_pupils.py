@@ -159,7 +159,7 @@ def test_flat_wall_never_aims(flat_scene, monkeypatch):
     from nlosoptics.psf.pupil import _aiming_kernels
 
     calls = []
-    monkeypatch.setattr(_aiming_kernels, "aim", lambda *a: calls.append(a))
+    monkeypatch.setattr(_aiming_kernels.aim, "alone", lambda *a: calls.append(a))
     psf.wavefront(flat_scene)
     assert not calls
 
