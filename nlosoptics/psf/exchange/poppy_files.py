@@ -167,7 +167,7 @@ def read_poppy(
     path = opd if opd is not None else amplitude
     first = next(iter(arrays.values()))
     light, lead = maps(
-        str(path), arrays.get("amplitude", np.ones_like(first)), arrays.get("opd", 0 * first)
+        str(path), arrays.get("amplitude", np.ones_like(first)), arrays.get("opd", np.zeros_like(first))
     )
     n, pitch = first.shape[0], _pitch(heads)
     if n % 2 == 0 and half_pixel == "refuse":
