@@ -72,6 +72,62 @@ def tilted_wave(u, v, path, size, along, across, per_metre, out):
             part[i] = complex(real[i], imaginary[i])
 
 
+@njit(cache=True, nogil=True)
+def unit_wave(phase, turns, out):
+    """Fill the complex ``out`` (n,) with ``exp(2 pi i turns phase)``, in blocks."""
+    part, size, real, imaginary = np.empty(BLOCK), np.ones(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    for start in range(0, out.shape[0], BLOCK):
+        count = min(BLOCK, out.shape[0] - start)
+        given, line = phase[start : start + count], out[start : start + count]
+        for i in range(count):
+            part[i] = turns * given[i]
+        phasors(part[:count], size[:count], real[:count], imaginary[:count])
+        for i in range(count):
+            line[i] = complex(real[i], imaginary[i])
+
+
+@njit(cache=True, nogil=True)
+def delayed(waves, u, v, along, mixed, across):
+    """Multiply plane waves (n, m) by ``exp(-2 pi i turns)``; u (m,) and v (n,) are frequencies.
+
+    The turns are ``along u^2 + mixed u v + across v^2``.
+    """
+    count = u.shape[0]
+    turns, size = np.empty(count), np.ones(count)
+    real, imaginary = np.empty(count), np.empty(count)
+    for i in range(v.shape[0]):
+        line = waves[i]
+        for j in range(count):
+            turns[j] = -(along * u[j] * u[j] + mixed * u[j] * v[i] + across * v[i] * v[i])
+        phasors(turns, size, real, imaginary)
+        for j in range(count):
+            line[j] *= complex(real[j], imaginary[j])
+
+
+@njit(cache=True, nogil=True)
+def extended_polynomial(powers, u, v, inner, out):
+    """Fill ``out`` (n,) with ``sum powers[i, j] u^i v^j`` at points of a ring from ``inner`` to 1.
+
+    Beyond both rims the values are extrapolated linearly along the radius.
+    """
+    n = powers.shape[0]
+    for k in range(out.shape[0]):
+        r = math.sqrt(u[k] * u[k] + v[k] * v[k])
+        at = min(max(r, inner), 1.0)
+        cosine, sine = (u[k] / r, v[k] / r) if r > 0.0 else (1.0, 0.0)
+        x, y = (u[k], v[k]) if at == r else (at * cosine, at * sine)
+        total = along = across = 0.0
+        for i in range(n - 1, -1, -1):
+            value = slope = 0.0
+            for j in range(n - 1 - i, -1, -1):
+                slope = slope * y + value
+                value = value * y + powers[i, j]
+            along = along * x + total
+            total = total * x + value
+            across = across * x + slope
+        out[k] = total + (r - at) * (cosine * along + sine * across)
+
+
 @njit(cache=True)
 def polar_fit(values, waves, weights, modes, heights):
     """Fill ``heights`` (orders, terms) with the fit coefficients of ``values`` (rings, spokes).
