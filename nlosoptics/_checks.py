@@ -80,10 +80,9 @@ def positive(name: str, value: Any, *, unit: str = "", remedy: str = "") -> floa
 
 def whole(name: str, value: Any, low: int = 1, high: int | None = None) -> int:
     """Return ``value`` as an int from ``low`` to ``high``; reject booleans and fractions."""
+    wrong = isinstance(value, (str, bytes, bytearray, bool))
     # integers may have more digits than a float
-    if not isinstance(value, Integral) and not real(name, value).is_integer():
-        raise SceneError(f"{name} = {value!r} is not a whole number; give an integer")
-    if isinstance(value, bool):
+    if wrong or (not isinstance(value, Integral) and not real(name, value).is_integer()):
         raise SceneError(f"{name} = {value!r} is not a whole number; give an integer")
     number = int(value)
     if number < low or (high is not None and number > high):

@@ -1,4 +1,4 @@
-"""Scalar products of many vectors, and views for compiled kernels."""
+"""Products of many vectors or matrices, and views for compiled kernels."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+#: Multiplications per block of a matrix product. OpenBLAS shares larger products among threads, and
+#: the rounding would then depend on their number.
+BLOCK_PRODUCT = 2**18
 
 
 def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
@@ -17,6 +21,27 @@ def dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> Any:
     total += a[..., 1] * b[..., 1]
     total += a[..., 2] * b[..., 2]
     return total
+
+
+def row_blocks(rows: int, columns: int, inner: int) -> list[tuple[int, int]]:
+    """Divide the rows of a product into blocks of at most `BLOCK_PRODUCT` multiplications.
+
+    ``inner`` is the number of terms of each sum.
+    """
+    step = max(1, BLOCK_PRODUCT // max(columns * inner, 1))
+    return [(start, min(start + step, rows)) for start in range(0, rows, step)]
+
+
+def product(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return ``left @ right`` with the same bits for any number of threads.
+
+    Leading axes broadcast as in `numpy.matmul`.
+    """
+    rows, inner, columns = *left.shape[-2:], right.shape[-1]
+    if rows * inner * columns <= BLOCK_PRODUCT:
+        return np.asarray(left @ right)
+    blocks = row_blocks(rows, columns, inner)
+    return np.concatenate([left[..., a:b, :] @ right for a, b in blocks], axis=-2)
 
 
 def read_only(array: NDArray[Any]) -> NDArray[Any]:

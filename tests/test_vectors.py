@@ -1,22 +1,27 @@
-"""Scalar products of many vectors."""
-
-from __future__ import annotations
+"""Products of matrices whose bits do not depend on the number of threads."""
 
 import numpy as np
 import pytest
 
-from nlosoptics._vectors import dot
+from nlosoptics._vectors import BLOCK_PRODUCT, product, row_blocks
 
 
-@pytest.mark.parametrize(
-    ("first", "second"),
-    [((3,), (3,)), ((7, 3), (3,)), ((50, 1, 3), (1, 40, 3)), ((0, 3), (0, 3))],
-)
-def test_equals_a_sum_bit_for_bit(first: tuple[int, ...], second: tuple[int, ...]) -> None:
-    """Another order of the three terms would change the last bit of some products."""
-    draws = np.random.default_rng(1)
-    a, b = draws.normal(size=first), draws.normal(size=second)
-    before = a.copy(), b.copy()
-    assert np.array_equal(dot(a, b), (a * b).sum(axis=-1))
-    assert np.array_equal(a, before[0])
-    assert np.array_equal(b, before[1])
+@pytest.mark.parametrize(("rows", "columns", "inner"), [(1, 2, 2), (128, 512, 34), (7, 8000, 901)])
+def test_product_blocks_hold_every_row(rows, columns, inner):
+    blocks = row_blocks(rows, columns, inner)
+    assert [i for start, stop in blocks for i in range(start, stop)] == list(range(rows))
+    longest = max(stop - start for start, stop in blocks)
+    assert longest == 1 or longest * columns * inner <= BLOCK_PRODUCT
+
+
+@pytest.mark.parametrize("shape", [(3, 4, 5, 6), (2, 90, 80, 70)])
+def test_products_in_blocks_are_products(shape):
+    batch, rows, inner, columns = shape
+    draw = np.random.default_rng(1)
+    left, right = draw.normal(size=(batch, rows, inner)), draw.normal(size=(inner, columns))
+    expected = np.einsum("bri,ic->brc", left, right)
+    # rounding of sums of at most 80 terms of order 1
+    assert np.abs(product(left, right) - expected).max() < 1e-12
+    other = draw.normal(size=(batch, inner, columns))
+    expected = np.einsum("ri,bic->brc", left[0], other)
+    assert np.abs(product(left[0], other) - expected).max() < 1e-12

@@ -34,8 +34,8 @@ LEAST_STRIDE: Final = 4
 BEYOND: Final = 1e-9
 #: Value of C at which the torus for that test is cut; a step of 1e-6 would add to the spectrum.
 NOTHING: Final = 1e-12
-#: Relative accuracy of the interpolation.
-EPSILON: Final = 1e-12
+#: Lines of a field that are interpolated at a time, few enough for the processor's cache.
+LINES: Final = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +48,18 @@ class Screens:
         Square root of the discrete power spectrum of the heights, in units of height_rms.
     phase_rms : float
         Rms phase s, rad.
-    spreading : ndarray, (n, n), or None
-        Phase added to each plane wave of the screen by propagation from wall to pupil, rad; None
-        for geometric propagation.
+    pitch, wavelength : float
+        Lattice pitch in the pupil and wavelength, m.
+    distance : ndarray, (2, 2), or None
+        Effective distance from wall to pupil, m, see `spreading_matrix`; None for geometric
+        propagation.
     """
 
     heights: Array
     phase_rms: float
-    spreading: Array | None
+    pitch: float
+    wavelength: float
+    distance: Array | None
 
     @property
     def size(self) -> int:
@@ -66,22 +70,47 @@ class Screens:
         """Yield fields (n, n) of independent random walls at the pupil points, of mean power 1."""
         random = generator(seed, SCREENS)
         n = self.size
-        turn = None if self.spreading is None else np.exp(-1j * self.spreading)
         while True:
             waves = ducc0.fft.r2c(random.standard_normal((n, n)), nthreads=1)
             waves *= self.heights
             heights = ducc0.fft.c2r(waves, lastsize=n, forward=False, inorm=2, nthreads=1)
-            field = np.exp(-1j * self.phase_rms * heights)
-            yield field if turn is None else propagated(field, turn)
+            field = phase_field(heights, self.phase_rms)
+            if self.distance is not None:
+                propagated(field, self.distance, self.pitch, self.wavelength)
+            yield field
 
 
-def propagated(field: ComplexArray, turn: ComplexArray) -> ComplexArray:
-    """Return a periodic field (n, n) after propagation, computed in place.
+def phase_field(phase: Array, factor: float = 1.0) -> ComplexArray:
+    """Return ``exp(-i factor phase)`` of an array (n, n), rad."""
+    from ..wave import _wave_kernels
 
-    ``turn`` holds the factor of each plane wave, (n, n) in FFT order.
+    field = np.empty(phase.shape, dtype=np.complex128)
+    _wave_kernels.unit_wave(phase.ravel(), -factor / (2 * math.pi), field.ravel())
+    return field
+
+
+def propagated(
+    field: ComplexArray, distance: Array, pitch: float, wavelength: float
+) -> ComplexArray:
+    """Return a periodic field (n, n) after propagation to the pupil, computed in place.
+
+    A component of frequency q is delayed by ``pi lambda q^T d q``.
+
+    Parameters
+    ----------
+    field : ndarray of complex, (n, n)
+        Field at lattice points, rows v.
+    distance : ndarray, (2, 2)
+        Effective distance d in pupil coordinates, m, see `spreading_matrix`.
+    pitch, wavelength : float
+        Lattice pitch in the pupil and wavelength, m.
     """
+    from ..wave import _wave_kernels
+
     ducc0.fft.c2c(field, out=field, nthreads=1)
-    field *= turn
+    q = np.fft.fftfreq(len(field), pitch)
+    xx, xy, yy = wavelength / 2 * distance[[0, 0, 1], [0, 1, 1]]
+    _wave_kernels.delayed(field, q, q, xx, 2 * xy, yy)
     ducc0.fft.c2c(field, out=field, forward=False, inorm=2, nthreads=1)
     return field
 
@@ -117,22 +146,31 @@ class Between:
     """
 
     def __init__(self, size: int, cells: int, count: int) -> None:
-        turns = np.arange(count) * (2 * math.pi / (size * cells))
-        self.coord = np.stack([axis.ravel() for axis in np.meshgrid(turns, turns, indexing="ij")])
-        self.size, self.count = size, count
+        self.size, self.cells, self.count = size, cells, count
+        # phases that shift a field by a fraction of the lattice's spacing
+        shifts = np.arange(1, cells)[:, None] / cells
+        self.turns = np.exp(2j * math.pi * np.fft.fftfreq(size) * shifts)
 
     def __call__(self, field: ComplexArray) -> ComplexArray:
         """Interpolate a field (size, size) to the pupil points (count, count)."""
-        waves = ducc0.fft.c2c(field, inorm=2, nthreads=1)
-        values = ducc0.nufft.u2nu(
-            grid=waves,
-            coord=self.coord.T,
-            forward=False,
-            epsilon=EPSILON,
-            nthreads=1,
-            fft_order=True,
-        )
-        return np.asarray(values.reshape(self.count, self.count))
+        rows = np.empty((self.size, self.count), dtype=np.complex128)
+        for a in range(0, self.size, LINES):
+            rows[a : a + LINES] = self._along(field[a : a + LINES])
+        out = np.empty((self.count, self.count), dtype=np.complex128)
+        for a in range(0, self.count, LINES):
+            out[:, a : a + LINES] = self._along(np.ascontiguousarray(rows[:, a : a + LINES].T)).T
+        return out
+
+    def _along(self, lines: ComplexArray) -> ComplexArray:
+        """Interpolate lines (n, size) to (n, count) points."""
+        out = np.empty((len(lines), self.count), dtype=np.complex128)
+        waves = ducc0.fft.c2c(lines, axes=(1,), inorm=2, nthreads=1)
+        out[:, :: self.cells] = lines[:, : -(-self.count // self.cells)]
+        for j in range(1, self.cells):
+            part = out[:, j :: self.cells]
+            shifted = ducc0.fft.c2c(waves * self.turns[j - 1], axes=(1,), forward=False, nthreads=1)
+            part[...] = shifted[:, : part.shape[1]]
+        return out
 
 
 def widest_pitch(view: RoughView) -> float:
@@ -155,19 +193,6 @@ def spreading_matrix(view: RoughView) -> Array:
         )
     back = np.linalg.inv(view.footprint)
     return np.asarray(back @ view.effective_distance @ back.T)
-
-
-def spreading_phase(view: RoughView, n: int, pitch: float, wavelength: float) -> Array:
-    """Return the phase by which propagation to the pupil delays each plane wave, (n, n), rad.
-
-    The lattice has n points of a pitch, m, per side; plane waves are in FFT order. A component of
-    frequency q is delayed by ``pi lambda q^T d_eff q``.
-    """
-    matrix = spreading_matrix(view)
-    u = np.fft.fftfreq(n, pitch)
-    v = u[:, None]
-    form = matrix[0, 0] * u**2 + 2 * matrix[0, 1] * u * v + matrix[1, 1] * v**2
-    return np.asarray(math.pi * wavelength * form)
 
 
 def throw(view: RoughView, halo_angle: float) -> float:
@@ -230,10 +255,8 @@ def screens(view: RoughView, cells: int, pitch: float, wavelength: float, reach:
         )
     positive = np.maximum(spectrum, 0.0)
     positive /= float(np.sum(positive * twice)) / n**2  # restores the variance
-    spreading = None
-    if reach > 0:
-        spreading = spreading_phase(view, n, pitch, wavelength)
-    return Screens(np.sqrt(positive), view.rayleigh_parameter, spreading)
+    distance = spreading_matrix(view) if reach > 0 else None
+    return Screens(np.sqrt(positive), view.rayleigh_parameter, pitch, wavelength, distance)
 
 
 def _torus(

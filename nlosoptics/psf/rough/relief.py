@@ -15,7 +15,7 @@ from ..._checks import fits_memory
 from ...errors import SceneError
 from ...scene import FacetWall, GaussianWall, HeightMapWall
 from ..wave.wavefront import Wavefront
-from .phase_screens import propagated, spreading_matrix, spreading_phase
+from .phase_screens import phase_field, propagated, spreading_matrix
 from .view import RoughView
 
 Array = NDArray[np.float64]
@@ -164,11 +164,10 @@ class ReliefScreen:
     def field(self) -> ComplexArray:
         """Return the complex field (size, size) at the pupil points, 1 for a smooth wall."""
         per_metre = self.view.rayleigh_parameter / self.view.roughness.height_rms
-        field: ComplexArray = np.exp(-1j * per_metre * self.heights())
+        field = phase_field(self.heights(), per_metre)
         if not self.propagates:
             return field
-        delay = spreading_phase(self.view, self.size, self.pitch, self.wavelength)
-        return propagated(field, np.exp(-1j * delay))
+        return propagated(field, spreading_matrix(self.view), self.pitch, self.wavelength)
 
     def draw(self, seed: int | None = None) -> Iterator[ComplexArray]:
         """Yield the field of the wall; there is no other. ``seed`` is not used."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
+from ..wave.wavefront import Wavefront
 from ..window.window import Window
 from .relief import STEEPEST, ReliefView
 
@@ -43,6 +44,16 @@ def ray_counts(view: ReliefView, radius: float, wavelength: float) -> tuple[int,
     half = seen + throw * np.linalg.norm(view.effective_distance, axis=1)
     share = float(np.prod(seen / half))
     return math.isqrt(min(MOST_RAYS, math.ceil(RAYS / share))), half
+
+
+def neglected_diffraction(view: ReliefView, wave: Wavefront, pitch: float) -> float:
+    """Return the error of rays without diffraction at the relief, relative to the peak.
+
+    It is the spread of the light of one of its facets or bumps over the pixel's side ``pitch``, m.
+    """
+    across = float(np.linalg.norm(view.footprint, 2))
+    spread = wave.wavelength * abs(wave.image_distance) * across / view.length
+    return min(1.0, spread / pitch)
 
 
 def ray_image(residual: Residual, view: ReliefView, window: Window) -> tuple[Array, float]:
@@ -100,10 +111,8 @@ def ray_image(residual: Residual, view: ReliefView, window: Window) -> tuple[Arr
     area = 4 * float(np.prod(half)) / n**2 * abs(float(np.linalg.det(back)))
     pupil = math.pi * wave.pupil_radius**2 * (1 - wave.obscuration**2)
     energy = counts.reshape(ny, nx) * area / pupil
-    across = float(np.linalg.norm(view.footprint, 2))
-    blur = wave.wavelength * abs(wave.image_distance) * across / (view.length * window.pitch)
-    error = min(1.0, blur) + 1 / math.sqrt(max(counts.max(), 1.0))
-    return energy, float(error)
+    error = neglected_diffraction(view, wave, window.pitch)
+    return energy, float(error + 1 / math.sqrt(max(counts.max(), 1.0)))
 
 
 def _smooth_slopes(residual: Residual) -> Callable[[Array], Array]:

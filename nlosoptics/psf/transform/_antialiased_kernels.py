@@ -125,24 +125,45 @@ def _along_row(coefficients, y, step, centre, across, out, first):
 
 
 @njit(cache=True, nogil=True)
-def spread(points, first_u, first_v, along, across, out):
+def spread(points, first, along, across, columns, out):
     """Add ``points`` (n,) to cells, each to a square of them, with a product of shares.
 
-    ``first_u`` and ``first_v`` (n,) are the square's first cells, ``along`` and ``across`` (n,
-    width) its shares along u and v. ``out`` (rows, 2 columns) holds real and imaginary parts; rows
-    are u.
+    ``first`` (n,) are the square's first cells in ``out``, ``along`` (n, width) its shares along u
+    and ``across`` (n, m) those along v, filled up with zeros to whole vector registers. ``out`` is
+    flat and holds real and imaginary parts; rows of ``columns`` cells are u. The zeros may reach
+    into the next row.
     """
-    width = along.shape[1]
-    tile = np.empty(2 * width, dtype=along.dtype)
+    count, step = np.uintp(2 * across.shape[1]), np.uintp(2 * columns)
+    tile = np.empty(count, dtype=along.dtype)
     for i in range(points.shape[0]):
-        for b in range(width):
+        for b in range(across.shape[1]):
             tile[2 * b] = points[i].real * across[i, b]
             tile[2 * b + 1] = points[i].imag * across[i, b]
-        for a in range(width):
-            # real and imaginary parts in one loop, which is vectorised
-            share, line = along[i, a], out[first_u[i] + a, 2 * first_v[i] :]
-            for k in range(tile.shape[0]):
-                line[k] += share * tile[k]
+        # Unsigned indices are never counted from the end, without which the loop is vectorised.
+        start = np.uintp(2 * first[i])
+        for a in range(along.shape[1]):
+            share = along[i, a]
+            for k in range(count):
+                out[start + k] += share * tile[k]
+            start += step
+
+
+@njit(cache=True, nogil=True)
+def node_errors(distance, slope, sizes, counts, least, out):
+    """Fill ``out`` (n,) with the accuracy of Gauss-Legendre nodes of cells at image points.
+
+    It is the law of `quadrature.coarse_counts`, at least ``least``. ``slope`` holds the largest
+    phase slope of the aberration, 1/m, and its increase with the ``distance`` (n,), 1/m^2;
+    ``sizes`` are the longest lines along both sides of a patch, m, and ``counts`` the nodes on
+    them, less those for the aberration's degree.
+    """
+    for i in range(distance.shape[0]):
+        digits = math.inf
+        for side in range(2):
+            v = max((slope[0] + slope[1] * distance[i]) * sizes[side], 1e-3)
+            spare = max(counts[side] - v / 4, 0.0)
+            digits = min(digits, (spare / (0.67 * v ** (1 / 3))) ** 1.5)
+        out[i] = max(10.0**-digits, least)
 
 
 @njit(cache=True, nogil=True)

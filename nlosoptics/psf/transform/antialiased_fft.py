@@ -20,6 +20,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import row_blocks
 from ..wave.detilted import Residual
 from ..window import antialiased_disc
 from ..window.pixels import PixelRule
@@ -36,9 +37,6 @@ STEPS = 256
 WORKSPACE_BYTES = 2**22
 #: Memory of a block of columns, bytes, small enough for the processor's cache.
 BLOCK_BYTES = 2**19
-#: Multiplications per block of a product. OpenBLAS shares larger products among threads, and the
-#: rounding would then depend on their number.
-BLOCK_PRODUCT = 2**18
 
 _own = threading.local()
 
@@ -242,7 +240,7 @@ def folded_intensity(
     half_odd = workspace("half odd", ((nx + 1) // 2, rows), kind)
     for part, source, out in zip(tables[1], (even, odd), (half_even, half_odd), strict=True):
         reals, out = source.view(part.dtype), out.view(part.dtype)
-        for start, stop in _blocks(len(part), rows, centre):
+        for start, stop in row_blocks(len(part), 2 * rows, centre + 1):
             np.matmul(part[start:stop], reals, out=out[start:stop])
     real = half_even.real.dtype
     evens = workspace("even", (centre + 1, 2 * nx), real)
@@ -270,7 +268,7 @@ def _unfolded(
     # Each block of rows is averaged along x at once, so the fine image need not fit into memory.
     across = nx if rule is None else rule.count(nx)
     half = np.empty((ny, across))
-    blocks = _blocks((ny + 1) // 2, nx, len(odds))
+    blocks = row_blocks((ny + 1) // 2, 2 * nx, len(evens))
     rows = blocks[0][1]
     part_even = workspace("part even", (rows, 2 * nx), evens.dtype)
     part_odd = workspace("part odd", (rows, 2 * nx), evens.dtype)
@@ -324,12 +322,6 @@ def waves(
         cosines *= gain[:, None]
         sines *= gain[:, None]
     return Waves(cosines, sines)
-
-
-def _blocks(rows: int, columns: int, inner: int) -> list[tuple[int, int]]:
-    """Divide the rows of a product into blocks of at most `BLOCK_PRODUCT` multiplications."""
-    step = max(1, BLOCK_PRODUCT // (2 * columns * (inner + 1)))
-    return [(start, min(start + step, rows)) for start in range(0, rows, step)]
 
 
 def _fill(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..._vectors import read_only
 from ..wave.detilted import Residual
 from ..wave.polar_series import PolarSpectrum
-from ..wave.pupil_polynomials import fitted
+from ..wave.pupil_polynomials import polynomial_of
 from ..window import antialiased_disc, error_bounds
 from ..window.window import Window
 
@@ -24,8 +24,6 @@ Array = NDArray[np.float64]
 #: Arguments of `_antialiased_kernels.rim_errors` that depend on the wave, see `rim_of`.
 Rim = tuple[float, float, Array, Array, float]
 
-#: Highest degree used; polynomials of higher degree grow too fast outside the rim.
-DEGREE = 10
 #: Largest relative amplitude variation for which this method is used.
 UNEVEN = 0.3
 #: Smallest ``tol`` for which single precision and shorter soft rims are used.
@@ -75,7 +73,7 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     """Fit polynomials to a polar wave without piston and tilt.
 
     Returns None if the wave is not polar, its amplitude varies by more than `UNEVEN`, or an
-    intensity error of ``tol`` would need a degree above `DEGREE`.
+    intensity error of ``tol`` would need a degree above `pupil_polynomials.DEGREE`.
     """
     wave = residual.wavefront
     if wave.layout != "polar":
@@ -86,7 +84,7 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
         rounding = 1e-14 * float(np.abs(residual.aberration).max())
         threshold = max(1e-3 * tol / residual.wavenumber, rounding)
         series = residual.polar_series[0]
-        fit = _polynomial(series, residual.aberration, wave.obscuration, threshold)
+        fit = polynomial_of(series, residual.aberration, wave.obscuration, threshold)
     if fit is None:
         return None
     misfit = residual.wavenumber * fit[1]
@@ -96,26 +94,13 @@ def soft_wave(residual: Residual, tol: float) -> SoftWave | None:
     if float(amplitude.min()) < 1 - UNEVEN:
         return None
     series = PolarSpectrum(amplitude, wave.pupil_radius, wave.obscuration)
-    even = _polynomial(series, amplitude, wave.obscuration, max(1e-3 * tol, 1e-14))
+    even = polynomial_of(series, amplitude, wave.obscuration, max(1e-3 * tol, 1e-14))
     if even is None:
         return None
     # Amplitudes lie in [1 - UNEVEN, 1] at the nodes. Outside, allow as much again above 1; the
     # mean is at least 1 - UNEVEN.
     strength = (1 + UNEVEN) / (1 - UNEVEN)
     return SoftWave(fit[0], even[0], misfit + even[1], strength)
-
-
-def _polynomial(
-    series: PolarSpectrum, values: Array, obscuration: float, threshold: float
-) -> tuple[Array, float] | None:
-    """Fit a polynomial to values on polar nodes; return its coefficients and largest error.
-
-    The degree is that of the terms of ``series`` above the threshold. Returns None if it exceeds
-    `DEGREE`.
-    """
-    radial, angular = series.degrees(threshold)
-    degree = max(2 * radial + 1, angular)
-    return None if degree > DEGREE else fitted(values, obscuration, degree)
 
 
 def period_of(residual: Residual, rim: Rim, samples: Window, tol: float) -> float:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import read_only
 from ..wave.detilted import Residual
 from ..window.window import Window
 
@@ -127,11 +128,17 @@ def phasors_about(
 
     wave = residual.wavefront
     per_metre = 1 / (wave.wavelength * wave.image_distance)
-    turns = (per_metre * (residual.shift[0] - middle[0])) * u
-    turns += (per_metre * (residual.shift[1] - middle[1])) * v
-    turns += path / wave.wavelength
     points = np.empty(u.size, dtype=np.complex64 if single else np.complex128)
-    _wave_kernels.wave_of(turns.ravel(), size.ravel(), points)
+    _wave_kernels.tilted_wave(
+        read_only(u.ravel()),
+        read_only(v.ravel()),
+        read_only(path.ravel()),
+        read_only(size.ravel()),
+        per_metre * (residual.shift[0] - middle[0]),
+        per_metre * (residual.shift[1] - middle[1]),
+        1 / wave.wavelength,
+        points,
+    )
     return points
 
 

@@ -113,15 +113,22 @@ class Coarse(NamedTuple):
         Measured errors reach 0.6 of it. It is not claimed to be below that of the core, so that the
         law of `coarse_counts` is not extrapolated.
         """
-        slope = distance / abs(residual.wavefront.image_distance) + residual.rays.slope
-        digits = np.full(np.shape(distance), np.inf)
-        for count, degree, size in zip(
-            self.counts[1:], self.degrees, residual.aperture.patch_size, strict=True
-        ):
-            v = np.maximum(residual.wavenumber * slope * size, 1e-3)
-            spare = np.maximum(count - v / 4 - degree / 2, 0.0)
-            digits = np.minimum(digits, (spare / (0.67 * np.cbrt(v))) ** 1.5)
-        return np.asarray(SAFETY * np.maximum(10**-digits, self.core))
+        from . import _antialiased_kernels
+
+        k, (size_s, size_t) = residual.wavenumber, residual.aperture.patch_size
+        own, most = np.empty_like(distance), self.counts[1:]
+        spare = tuple(n - degree / 2 for n, degree in zip(most, self.degrees, strict=True))
+        per_metre = k / abs(residual.wavefront.image_distance)
+        _antialiased_kernels.node_errors(
+            distance.ravel(),
+            (k * residual.rays.slope, per_metre),
+            (size_s, size_t),
+            spare,
+            self.core,
+            own.ravel(),
+        )
+        own *= SAFETY
+        return own
 
 
 def coarse_counts(

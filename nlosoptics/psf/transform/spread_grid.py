@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..._checks import fits_memory
+from ..._vectors import product
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import shared_cell_nodes
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
@@ -34,6 +35,8 @@ OVERSAMPLINGS = (1.5, 1.75, 2.0)
 WIDTHS = range(3, 14)
 #: Radius, over the rms distance of the rays, within which an image may be as bright as its peak.
 WIDE = 1.5
+#: Bytes of the widest vector registers.
+REGISTER = 64
 #: Number of places from the middle of a window to its edge at which repeats are bounded.
 PLACES = 16
 
@@ -94,15 +97,13 @@ def spread_grids(
     for oversampling in OVERSAMPLINGS:
         pitch = wave.wavelength * abs(wave.image_distance) / (2 * oversampling * half)
         cells = math.ceil(residual.aperture.half_width / pitch)
-        enough = (
-            width
-            for width, leak in zip(WIDTHS, _leaks_of_widths(oversampling), strict=True)
-            if 2 * leak[place] <= core and 2 * leak[-1] <= edge
-        )
-        last = WIDTHS[-1] if oversampling == OVERSAMPLINGS[-1] and not found else None
-        width = next(enough, last)
-        if width is None:
-            continue
+        for width in WIDTHS:
+            leak = _leak_list(width, oversampling)
+            if 2 * leak[place] <= core and 2 * leak[-1] <= edge:
+                break
+        else:
+            if found or oversampling < OVERSAMPLINGS[-1]:
+                continue
         found.append(SpreadGrid(pitch, cells + width // 2 + 1, width, oversampling, single))
     return found
 
@@ -148,14 +149,15 @@ def image(
     half = (nx - 1) / 2 * samples.pitch, (ny - 1) / 2 * samples.pitch
     middle = samples.first[0] + half[0], samples.first[1] + half[1]
     points = phasors_about(residual, *quadrature.pupil_nodes(residual, counts), middle, grid.single)
-    values = workspace("values", (rows, rows), points.dtype)
+    # One row more than the grid has, for the zeros at the end of a node's shares.
+    values = workspace("values", (rows + 1, rows), points.dtype)
     values[...] = 0.0
     make = _kept_cells_of if points.size <= KEPT else _cells_of
     shares = make(residual.aperture, counts[1], counts[2], grid)
-    _antialiased_kernels.spread(points, *shares, values.view(values.real.dtype))
+    _antialiased_kernels.spread(points, *shares, rows, values.view(values.real.dtype).ravel())
     side = samples.pitch * grid.pitch / (wave.wavelength * wave.image_distance)
     tables = _waves(ny, side, grid), _waves(nx, side, grid)
-    return folded_intensity(values, (ny, nx), tables, rule, 1.0)
+    return folded_intensity(values[:rows], (ny, nx), tables, rule, 1.0)
 
 
 def _waves(count: int, side: float, grid: SpreadGrid) -> Waves:
@@ -179,10 +181,13 @@ _kept_waves_of = lru_cache(maxsize=8)(_waves_of)
 
 
 class _Spreading(NamedTuple):
-    """First cell of each node along u and v, (n,), and its shares of the cells, (n, width)."""
+    """First cell of each node in the flat grid, (n,), and its shares along u and v.
 
-    first_u: NDArray[np.int64]
-    first_v: NDArray[np.int64]
+    Those along u are (n, width). Those along v are followed by zeros, up to a multiple of
+    `REGISTER` bytes.
+    """
+
+    first: NDArray[np.int64]
     along: NDArray[np.floating]
     across: NDArray[np.floating]
 
@@ -201,9 +206,12 @@ def _cells_of(aperture: Aperture, n_s: int, n_t: int, grid: SpreadGrid) -> _Spre
         return (first + grid.centre).astype(np.int64), np.asarray(shares, dtype=kind)
 
     (first_u, along_u), (first_v, along_v) = (along(a.ravel() / grid.pitch) for a in (u, v))
-    for part in (first_u, first_v, along_u, along_v):
+    cells = REGISTER // (2 * along_v.itemsize)
+    along_v = np.pad(along_v, ((0, 0), (0, -grid.width % cells)))
+    found = _Spreading(first_u * (2 * grid.centre + 1) + first_v, along_u, along_v)
+    for part in found:
         part.setflags(write=False)
-    return _Spreading(first_u, first_v, along_u, along_v)
+    return found
 
 
 _kept_cells_of = lru_cache(maxsize=8)(_cells_of)
@@ -228,12 +236,20 @@ def _kernel(bend: Array, width: int, oversampling: float) -> Array:
 
 def _spectrum(frequency: Array, width: int, oversampling: float) -> Array:
     """Return the kernel's spectrum at frequencies, turns per cell."""
+    phase, values = _sampled_kernel(width, oversampling, float(np.max(frequency)))
+    return np.asarray(np.sum(values * np.cos(phase * frequency[:, None]), axis=1))
+
+
+def _sampled_kernel(width: int, oversampling: float, highest: float) -> tuple[Array, Array]:
+    """Return nodes on the kernel, as phases per frequency in turns per cell, and their shares.
+
+    They are enough for its spectrum up to the ``highest`` frequency.
+    """
     # with t = width/2 sin(angle) the kernel has no root at its ends
-    fraction, weights = gauss_legendre(64 + 8 * width + math.ceil(2 * width * np.max(frequency)))
+    fraction, weights = gauss_legendre(64 + 8 * width + math.ceil(2 * width * highest))
     angle = math.pi / 2 * fraction
     values = _kernel(np.cos(angle), width, oversampling) * np.cos(angle) * weights
-    phase = math.pi * width * np.sin(angle) * frequency[:, None]
-    return np.asarray(math.pi / 2 * width * np.sum(values * np.cos(phase), axis=1))
+    return math.pi * width * np.sin(angle), math.pi / 2 * width * values
 
 
 @lru_cache(maxsize=64)
@@ -244,18 +260,22 @@ def leaks(width: int, oversampling: float) -> Array:
     40 cells are bounded by their power law.
     """
     places, most = np.linspace(0.0, 0.5 / oversampling, PLACES + 1), 40
-    far = np.arange(1.0, most + 1)
-    each = np.stack([far - places[:, None], far + places[:, None]], axis=1)
-    repeats = np.abs(_spectrum(each.ravel(), width, oversampling)).reshape(each.shape)
-    rest = 4 * most * repeats[:, :, -8:].max(axis=(1, 2))
-    middle = _spectrum(places, width, oversampling)
-    return frozen(np.maximum.accumulate((repeats.sum(axis=(1, 2)) + rest) / middle))
+    phase, values = _sampled_kernel(width, oversampling, most + float(places[-1]))
+    far, near = np.arange(1.0, most + 1)[:, None] * phase, phase[:, None] * places
+    # spectra at the sums and differences of both frequencies, by the addition theorem
+    even = product(np.cos(far) * values, np.cos(near))
+    odd = product(np.sin(far) * values, np.sin(near))
+    repeats = np.abs(np.stack([even + odd, even - odd]))
+    rest = 4 * most * repeats[:, -8:].max(axis=(0, 1))
+    middle = product(values[None], np.cos(near))[0]
+    return frozen(np.maximum.accumulate((repeats.sum(axis=(0, 1)) + rest) / middle))
 
 
-@lru_cache(maxsize=8)
-def _leaks_of_widths(oversampling: float) -> list[list[float]]:
-    """Return `leaks` of all `WIDTHS` as numbers of Python, which are faster to compare."""
-    return [leaks(width, oversampling).tolist() for width in WIDTHS]
+@lru_cache(maxsize=64)
+def _leak_list(width: int, oversampling: float) -> list[float]:
+    """Return `leaks` as numbers of Python, which are faster to compare."""
+    found: list[float] = leaks(width, oversampling).tolist()
+    return found
 
 
 @lru_cache(maxsize=32)

@@ -19,7 +19,7 @@ from ..pupil.wall_wavefront import AimedWave, aimed_wave
 from ..rough.aberration import aberration_error, rough_wave
 from ..rough.mean import detilted_mean
 from ..rough.relief import SCREEN_BYTES, STEEPEST, ReliefView, margins, relief_stride
-from ..rough.relief_rays import ray_counts, ray_image
+from ..rough.relief_rays import neglected_diffraction, ray_counts, ray_image
 from ..rough.sample import detilted_sample, grid_pitch, speckle_pupil, speckle_samples
 from ..rough.scattered_light import FAR, WORTH, inner_window
 from ..rough.source import rough_view
@@ -37,8 +37,10 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Regime = Literal["aberration", "diffraction", "mean", "rays"]
 
-#: Seconds per pupil point to which a coarser screen is interpolated.
-BETWEEN_SECONDS: Final = 4e-7
+#: Seconds per point of the smooth wave in the pupil, and of the lines of a coarser screen that are
+#: interpolated to it.
+PUPIL_SECONDS: Final = 5e-8
+BETWEEN_SECONDS: Final = 6.5e-9
 #: Longest predicted run time of one pattern, s.
 LONGEST: Final = 60.0
 #: Pupil nodes at which the wave of a relief is sampled: radii and angles, or cells per side.
@@ -232,15 +234,13 @@ def _rays(residual: Residual, view: ReliefView, pitch: float, screen: RoughChoic
     """Return count, cost and error of rays alone, if a screen would take too much."""
     wave = residual.wavefront
     n, _ = ray_counts(view, wave.pupil_radius, wave.wavelength)
-    across = float(np.linalg.norm(view.footprint, 2))
-    blur = wave.wavelength * abs(wave.image_distance) * across / (view.length * pitch)
     return RoughChoice(
         "rays",
         n,
         0.0,
         (view.roughness.ray_seconds / 20 + 3e-7) * n * n,
         2e8,
-        min(1.0, blur),
+        neglected_diffraction(view, wave, pitch),
         f"rays on this wall without diffraction: {_steepness(view)} would need a phase screen of "
         f"{screen.cells} x {screen.cells} points, {screen.seconds:.3g} s and "
         f"{screen.n_bytes / 2**30:.3g} GiB",
@@ -275,7 +275,9 @@ def _screen(
     stride = relief_stride(view, step, wave.wavelength)
     size = n // stride + 2 * sum(margins(view, stride * step, wave.wavelength))
     seconds = view.roughness.screen_seconds * float(size) ** 2
-    seconds += costs.map_sums(n, samples) + (BETWEEN_SECONDS * n * n if stride > 1 else 0.0)
+    seconds += costs.map_sums(n, samples) + PUPIL_SECONDS * float(n) ** 2
+    if stride > 1:
+        seconds += BETWEEN_SECONDS * stride * size * (float(size) + n)
     held = SCREEN_BYTES * float(size) ** 2 + 48.0 * n * (n + max(samples.shape))
     reason = (
         f"this wall's field, propagated from wall to pupil: {_steepness(view)} need a phase screen "

@@ -55,19 +55,77 @@ def phasors(turns, size, real, imaginary):
 
 
 @njit(cache=True)
-def wave_of(turns, size, out):
-    """Fill the complex ``out`` (n,) with ``size exp(2 pi i turns)``.
+def tilted_wave(u, v, path, size, along, across, per_metre, out):
+    """Fill the complex ``out`` (n,) with a wave at points u, v (n,), in blocks.
 
-    The parts are computed in contiguous blocks, since a loop with strided stores is not vectorised.
+    It has the amplitude ``size`` (n,) and the phase ``along u + across v + per_metre path``, turns.
     """
-    block = min(turns.shape[0], BLOCK)
-    real, imaginary = np.empty(block), np.empty(block)
-    for start in range(0, turns.shape[0], BLOCK):
-        stop = min(start + BLOCK, turns.shape[0])
+    turns, real, imaginary = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    for start in range(0, out.shape[0], BLOCK):
+        stop = min(start + BLOCK, out.shape[0])
         count = stop - start
-        phasors(turns[start:stop], size[start:stop], real[:count], imaginary[:count])
+        x, y, paths, part = u[start:stop], v[start:stop], path[start:stop], out[start:stop]
         for i in range(count):
-            out[start + i] = complex(real[i], imaginary[i])
+            turns[i] = along * x[i] + across * y[i] + per_metre * paths[i]
+        phasors(turns[:count], size[start:stop], real[:count], imaginary[:count])
+        for i in range(count):
+            part[i] = complex(real[i], imaginary[i])
+
+
+@njit(cache=True, nogil=True)
+def unit_wave(phase, turns, out):
+    """Fill the complex ``out`` (n,) with ``exp(2 pi i turns phase)``, in blocks."""
+    part, size, real, imaginary = np.empty(BLOCK), np.ones(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    for start in range(0, out.shape[0], BLOCK):
+        count = min(BLOCK, out.shape[0] - start)
+        given, line = phase[start : start + count], out[start : start + count]
+        for i in range(count):
+            part[i] = turns * given[i]
+        phasors(part[:count], size[:count], real[:count], imaginary[:count])
+        for i in range(count):
+            line[i] = complex(real[i], imaginary[i])
+
+
+@njit(cache=True, nogil=True)
+def delayed(waves, u, v, along, mixed, across):
+    """Multiply plane waves (n, m) by ``exp(-2 pi i turns)``; u (m,) and v (n,) are frequencies.
+
+    The turns are ``along u^2 + mixed u v + across v^2``.
+    """
+    count = u.shape[0]
+    turns, size = np.empty(count), np.ones(count)
+    real, imaginary = np.empty(count), np.empty(count)
+    for i in range(v.shape[0]):
+        line = waves[i]
+        for j in range(count):
+            turns[j] = -(along * u[j] * u[j] + mixed * u[j] * v[i] + across * v[i] * v[i])
+        phasors(turns, size, real, imaginary)
+        for j in range(count):
+            line[j] *= complex(real[j], imaginary[j])
+
+
+@njit(cache=True, nogil=True)
+def extended_polynomial(powers, u, v, inner, out):
+    """Fill ``out`` (n,) with ``sum powers[i, j] u^i v^j`` at points of a ring from ``inner`` to 1.
+
+    Beyond both rims the values are extrapolated linearly along the radius.
+    """
+    n = powers.shape[0]
+    for k in range(out.shape[0]):
+        r = math.sqrt(u[k] * u[k] + v[k] * v[k])
+        at = min(max(r, inner), 1.0)
+        cosine, sine = (u[k] / r, v[k] / r) if r > 0.0 else (1.0, 0.0)
+        x, y = (u[k], v[k]) if at == r else (at * cosine, at * sine)
+        total = along = across = 0.0
+        for i in range(n - 1, -1, -1):
+            value = slope = 0.0
+            for j in range(n - 1 - i, -1, -1):
+                slope = slope * y + value
+                value = value * y + powers[i, j]
+            along = along * x + total
+            total = total * x + value
+            across = across * x + slope
+        out[k] = total + (r - at) * (cosine * along + sine * across)
 
 
 @njit(cache=True)
@@ -217,6 +275,37 @@ def jacobian_extremes(x, y, r, apart):
 
 
 @njit(cache=True)
+def patch_jacobian_extremes(x, y, areas):
+    """Return the extremes of the signed ratio of image area to pupil area on patches.
+
+    ``x`` and ``y`` (patches, n + 2, m + 2) are the landing points of rays from nodes and edges, and
+    ``areas`` (patches, n - 1, m - 1) twice the areas of the squares between the nodes.
+    """
+    low, high = math.inf, -math.inf
+    for p in range(areas.shape[0]):
+        for i in range(1, areas.shape[1] + 1):
+            for j in range(1, areas.shape[2] + 1):
+                # The cross product of a square's diagonals is twice its area.
+                first_x, first_y = x[p, i + 1, j + 1] - x[p, i, j], y[p, i + 1, j + 1] - y[p, i, j]
+                second_x = x[p, i + 1, j] - x[p, i, j + 1]
+                second_y = y[p, i + 1, j] - y[p, i, j + 1]
+                area = (first_x * second_y - first_y * second_x) / areas[p, i - 1, j - 1]
+                low, high = min(low, area), max(high, area)
+    return low, high
+
+
+@njit(cache=True)
+def patch_gradient(by_s, by_t, u_of_s, u_of_t, v_of_s, v_of_t, du, dv):
+    """Fill ``du`` and ``dv`` with the gradient of a function of s and t; all arrays are flat.
+
+    ``by_s`` and ``by_t`` are its slopes, ``u_of_s`` to ``v_of_t`` the inverse of the map's.
+    """
+    for i in range(du.shape[0]):
+        du[i] = by_s[i] * u_of_s[i] + by_t[i] * u_of_t[i]
+        dv[i] = by_s[i] * v_of_s[i] + by_t[i] * v_of_t[i]
+
+
+@njit(cache=True)
 def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
     """Fill ``du`` and ``dv`` (rings, spokes), the Cartesian gradient, from polar components.
 
@@ -227,27 +316,6 @@ def turned_gradient(d_r, d_theta, cosine, sine, du, dv):
         for j in range(d_r.shape[1]):
             du[i, j] = cosine[j] * d_r[i, j] - sine[j] * d_theta[i, j]
             dv[i, j] = sine[j] * d_r[i, j] + cosine[j] * d_theta[i, j]
-
-
-@njit(cache=True)
-def patch_products(values, first, second, out):
-    """Fill ``out`` (p, k, m) with ``first values second`` for each patch of ``values`` (p, i, j).
-
-    ``first`` is (k, i) and ``second`` (j, m). The sums have a fixed order.
-    """
-    half = np.empty(values.shape[2])
-    for p in range(values.shape[0]):
-        for k in range(first.shape[0]):
-            half[:] = 0.0
-            for i in range(first.shape[1]):
-                factor = first[k, i]
-                for j in range(half.shape[0]):
-                    half[j] += factor * values[p, i, j]
-            line = out[p, k]
-            line[:] = 0.0
-            for j in range(half.shape[0]):
-                for m in range(line.shape[0]):
-                    line[m] += half[j] * second[j, m]
 
 
 @njit(cache=True)

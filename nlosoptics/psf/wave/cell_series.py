@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import product, read_only
 from ..aperture.aperture import Aperture
 from ..aperture.curves import cross
 from ..aperture.quadrature_nodes import KEPT, frozen, gauss_legendre
@@ -85,6 +86,8 @@ class CellSpectrum:
         weights : ndarray
             Area of each node, (n_patches, n_s + 2, n_t + 2), m^2; 0 on the edges.
         """
+        from . import _wave_kernels
+
         make = _kept_frame if n_patches * n_s * n_t <= KEPT else _frame
         frame = make(self.aperture, n_s, n_t)
         (s, s_rate), (t, t_rate) = (
@@ -93,12 +96,18 @@ class CellSpectrum:
         )
         by_s = _products(self.coefficients, s_rate, t)
         by_t = _products(self.coefficients, s, t_rate)
-        du = by_s * frame.u_of_s
-        du += by_t * frame.u_of_t
-        by_s *= frame.v_of_s
-        by_t *= frame.v_of_t
-        by_s += by_t
-        return du, by_s, frame.share
+        du, dv = np.empty_like(by_s), np.empty_like(by_t)
+        _wave_kernels.patch_gradient(
+            by_s.ravel(),
+            by_t.ravel(),
+            read_only(frame.u_of_s.ravel()),
+            read_only(frame.u_of_t.ravel()),
+            read_only(frame.v_of_s.ravel()),
+            read_only(frame.v_of_t.ravel()),
+            du.ravel(),
+            dv.ravel(),
+        )
+        return du, dv, frame.share
 
 
 class _Frame(NamedTuple):
@@ -129,13 +138,7 @@ _kept_frame = lru_cache(maxsize=8)(_frame)
 
 def _products(values: Array, first: Array, second: Array) -> Array:
     """Return ``first values second^T`` for each patch of ``values`` (n_patches, n_s, n_t)."""
-    from . import _wave_kernels
-
-    out = np.empty((len(values), len(first), len(second)))
-    _wave_kernels.patch_products(
-        np.ascontiguousarray(values), first, np.ascontiguousarray(second.T), out
-    )
-    return out
+    return product(first, product(values, second.T))
 
 
 @lru_cache(maxsize=64)

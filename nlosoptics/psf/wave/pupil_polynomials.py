@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from ..._vectors import read_only
 from ..aperture.quadrature_nodes import frozen, polar_nodes
 from .fits import projection
+from .polar_series import PolarSpectrum
 from .zernikes import zernike, zernike_order
 
 Array = NDArray[np.float64]
 
 #: Highest degree of a `LowPolynomial`; degree 6 covers third- and fifth-order aberrations.
 LOW = 6
+#: Highest degree of `polynomial_of`; polynomials of higher degree grow too fast outside the rim.
+DEGREE = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,15 @@ class LowPolynomial:
         _wave_kernels.slopes(self.powers / self.radius, *places, du, dv)
         return du, dv
 
+    def at(self, u: Array, v: Array) -> Array:
+        """Return values at points (u, v), m; outside the pupil, linear along the radius."""
+        from . import _wave_kernels
+
+        out = np.empty(u.shape)
+        places = u / self.radius, v / self.radius
+        _wave_kernels.extended_polynomial(read_only(self.powers), *places, self.obscuration, out)
+        return out
+
     def on_rims(self, cosine: Array, sine: Array) -> Array:
         """Return values on the inner rim (or at the centre) and the outer, (2, len(cosine)), m."""
         from . import _wave_kernels
@@ -96,6 +108,19 @@ def low_polynomial(values: Array, radius: float, obscuration: float) -> LowPolyn
     lit = np.abs(heights) > 1e-15 * largest
     degree = int(np.max(orders.degrees, where=lit, initial=1))
     return LowPolynomial(powers[: degree + 1, : degree + 1], misfit, radius, obscuration)
+
+
+def polynomial_of(
+    series: PolarSpectrum, values: Array, obscuration: float, threshold: float
+) -> tuple[Array, float] | None:
+    """Fit a polynomial to values on polar nodes; return its coefficients and largest error.
+
+    The degree is that of the terms of ``series`` above the threshold. Returns None if it exceeds
+    `DEGREE`.
+    """
+    radial, angular = series.degrees(threshold)
+    degree = max(2 * radial + 1, angular)
+    return None if degree > DEGREE else fitted(values, obscuration, degree)
 
 
 class _Orders(NamedTuple):

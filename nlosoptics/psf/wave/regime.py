@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from ..._vectors import read_only
 from ..aperture.aperture import Aperture
 from ..aperture.cell_nodes import shared_cell_nodes
 from ..aperture.quadrature_nodes import KEPT, frozen
@@ -140,7 +141,8 @@ def _folded(residual: Residual, rays: Rays) -> bool:
         uu, uv, vv = residual.local.bends.T
         jacobian = uu * vv - uv * uv
     elif wave.layout == "cells":
-        jacobian = _cell_jacobian(residual, rays)
+        low, high = _cell_extremes(residual, rays)
+        return min(-low, high) > FLAT * max(-low, high)
     else:
         jacobian = _grid_jacobian(residual, rays)
     if not jacobian.size:
@@ -160,12 +162,14 @@ def _polar_extremes(residual: Residual, rays: Rays) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _cell_jacobian(residual: Residual, rays: Rays) -> Array:
-    """Jacobian of the landing points for the squares between the nodes of each patch."""
+def _cell_extremes(residual: Residual, rays: Rays) -> tuple[float, float]:
+    """Return the extreme Jacobians of the landing points between the nodes of each patch."""
+    from . import _wave_kernels
+
     wave = residual.wavefront
-    inner = np.s_[:, 1:-1, 1:-1]
     areas = _areas(residual) if wave.u.size > KEPT else _kept_areas(residual.aperture, wave.u.shape)
-    return np.asarray(_diagonals(rays.x[inner], rays.y[inner]) / areas)
+    low, high = _wave_kernels.patch_jacobian_extremes(rays.x, rays.y, read_only(areas))
+    return float(low), float(high)
 
 
 def _areas(residual: Residual) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ..._checks import fits_memory
 from ..wave.detilted import Residual
 from ..wave.polar_series import values_at
+from ..wave.pupil_polynomials import LowPolynomial, polynomial_of
 from . import antialiased_disc
 from .pixels import PixelRule
 
@@ -121,6 +123,32 @@ def grid_size(radius: float, pitch: float) -> int:
     return 2 * (int(np.ceil(radius / pitch)) + antialiased_disc.REACH) + 1
 
 
+def _polynomials(
+    residual: Residual, accuracy: float
+) -> Callable[[Array, Array], tuple[Array, Array | None]] | None:
+    """Return aberration and amplitude of a polar wave at points u, v, m, as two polynomials.
+
+    ``accuracy`` is that of the aberration, m. Returns None if low degrees do not reach it.
+    """
+    wave, functions = residual.wavefront, []
+    series, even = residual.polar_series
+    for one, values, least in (
+        (series, residual.aberration, accuracy),
+        (even, wave.amplitude, 1e-8 * float(wave.amplitude.max())),
+    ):
+        if one is None:
+            continue
+        # A fit has rounding errors, and gathers terms below the accuracy.
+        least = max(least, 1e-14 * float(np.abs(values).max()))
+        found = polynomial_of(one, values, wave.obscuration, least / 10)
+        if found is None or found[1] > least:
+            return None
+        functions.append(LowPolynomial(*found, wave.pupil_radius, wave.obscuration).at)
+    if len(functions) == 1:
+        return lambda u, v: (functions[0](u, v), None)
+    return lambda u, v: (functions[0](u, v), functions[1](u, v))
+
+
 def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     """Return the pupil function of a polar wavefront on a grid, with softened rims.
 
@@ -138,6 +166,9 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
     # Relative accuracy of the aberration that gives the phase to 1e-8 rad.
     epsilon = float(np.clip(1e-8 / max(largest, 1.0), 1e-13, 1e-8))
     series, amplitude = residual.polar_series
+    at = _polynomials(residual, epsilon * largest / residual.wavenumber) or partial(
+        values_at, series, amplitude, epsilon=epsilon
+    )
     values = np.zeros((n, n), dtype=np.complex128)
     total = 0.0
     block = max(1, BLOCK // n)
@@ -153,7 +184,7 @@ def pupil_grid_from_polar(residual: Residual, pitch: float) -> PupilGrid:
             pupil = part.astype(np.complex128)
         else:
             u, v = axis[columns] * pitch, y[rows, 0] * pitch
-            path, transmitted = values_at(series, amplitude, u, v, epsilon)
+            path, transmitted = at(u, v)
             if transmitted is not None:
                 part = part * transmitted
             pupil = part * np.exp(1j * residual.wavenumber * path)

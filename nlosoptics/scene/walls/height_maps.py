@@ -59,7 +59,7 @@ class HeightMapWall(Wall):
 
     #: Predicted seconds to find a ray's wall point, and per point of a phase screen.
     ray_seconds: ClassVar[float] = 1e-5
-    screen_seconds: ClassVar[float] = 5e-7
+    screen_seconds: ClassVar[float] = 1.6e-7
 
     heights: Any
     pitch: float

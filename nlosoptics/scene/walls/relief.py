@@ -146,7 +146,7 @@ class FacetWall(_Relief):
     """
 
     ray_seconds: ClassVar[float] = 2e-6
-    screen_seconds: ClassVar[float] = 2e-7
+    screen_seconds: ClassVar[float] = 7e-8
 
     cell: float
     slope_rms: float
@@ -240,7 +240,7 @@ class GaussianWall(_Relief):
     """
 
     ray_seconds: ClassVar[float] = 8e-5
-    screen_seconds: ClassVar[float] = 5e-7
+    screen_seconds: ClassVar[float] = 2.2e-7
 
     height_rms: float
     correlation_length: float

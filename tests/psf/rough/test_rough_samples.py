@@ -12,7 +12,7 @@ from scipy import fft, stats
 from nlosoptics import psf
 from nlosoptics.errors import MemoryLimitError, SamplingError, SceneError
 from nlosoptics.psf.rough import sample
-from nlosoptics.psf.rough.phase_screens import screens, throw
+from nlosoptics.psf.rough.phase_screens import Between, propagated, screens, throw
 from nlosoptics.psf.rough.source import rough_source
 
 WAVELENGTH, RADIUS, DISTANCE = 632.8e-9, 12.5e-3, 50e-3
@@ -187,18 +187,34 @@ def test_ripple_comes_as_talbot_has_it():
         grid_wave(), wall(1.2, 2e-3), [[0.7, 0.2], [-0.1, 0.5]], 2.0, ASKEW_D_EFF
     ).view
     walls = screens(view, 100, 2e-4, WAVELENGTH, 5e-3)
-    n = walls.spreading.shape[0]
+    n = walls.size
     j = np.arange(n)
     ku, kv = 4, -7
     phase = 2 * np.pi * (ku * j + kv * j[:, None]) / n
     screen = np.exp(-1.2j * np.cos(phase))
-    found = np.fft.ifft2(np.fft.fft2(screen) * np.exp(-1j * walls.spreading))
+    assert walls.distance is not None
+    found = propagated(screen.copy(), walls.distance, walls.pitch, walls.wavelength)
     # wave vector on the wall: q . M p = k . p
     q = np.linalg.solve(view.footprint.T, np.array([ku, kv]) / (n * 2e-4))
     turn = math.pi * WAVELENGTH * q @ view.effective_distance @ q
     series = [(-1j) ** m * jv(m, 1.2) * np.exp(1j * m * (phase - m * turn)) for m in range(-20, 21)]
     assert turn > 0.1
     assert np.abs(found - sum(series)).max() < 1e-12
+
+
+@pytest.mark.parametrize(("size", "cells", "count"), [(12, 3, 20), (15, 4, 31), (20, 1, 20)])
+def test_interpolated_lattices_are_sums_of_their_waves(size, cells, count):
+    """Against the direct sum of the plane waves of a random field below the highest frequency."""
+    draw = np.random.default_rng(3)
+    k = np.fft.fftfreq(size) * size
+    waves = draw.normal(size=(size, size)) + 1j * draw.normal(size=(size, size))
+    lit = np.abs(k) < size / 2
+    waves = waves * lit * lit[:, None]
+    turns = np.exp(2j * np.pi * np.outer(np.arange(count), k) / (size * cells))
+    expected = turns @ waves @ turns.T
+    found = Between(size, cells, count)(np.fft.ifft2(waves, norm="forward"))
+    # rounding of sums of 400 terms of order 1
+    assert np.abs(found - expected).max() < 1e-11
 
 
 def test_drawn_heights_have_their_correlation():

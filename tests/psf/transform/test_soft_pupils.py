@@ -229,15 +229,6 @@ def test_cosines_and_sines_are_the_padded_transform(shape, distance, factor):
         assert np.abs(images[1] - images[0]).max() < rounding
 
 
-def test_product_blocks_hold_every_row():
-    for rows, columns, inner in ((1, 1, 1), (128, 256, 33), (7, 4000, 900)):
-        blocks = antialiased_fft._blocks(rows, columns, inner)
-        assert [i for start, stop in blocks for i in range(start, stop)] == list(range(rows))
-        assert (blocks[0][1] - blocks[0][0]) * 2 * columns * (inner + 1) <= max(
-            antialiased_fft.BLOCK_PRODUCT, 2 * columns * (inner + 1)
-        )
-
-
 @pytest.mark.parametrize("radius", [6.0, 23.0, 70.5])
 @pytest.mark.parametrize(("reach", "wider"), [(10, 17), (17, 25)])
 def test_rims_cut_short_err_by_what_is_said(monkeypatch, radius, reach, wider):

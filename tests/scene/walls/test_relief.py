@@ -300,3 +300,22 @@ def test_mesh_of_facets_keeps_its_sag_error():
 def test_bad_input_is_refused(make, message):
     with pytest.raises(SceneError, match=message):
         make()
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"slope_rms": -0.1}, "wall.slope_rms = -0.1 rad is out of range, must be from 0"),
+        ({"slope_rms": math.nan}, "wall.slope_rms = nan is not finite; give a finite number"),
+        ({"cell": 0.0}, "wall.cell = 0 m is out of range, must be above 0"),
+        ({"seed": 1.5}, "wall.seed = 1.5 is not a whole number; give an integer"),
+        ({"seed": "one"}, "wall.seed = 'one' is not a whole number; give an integer"),
+        ({"seed": True}, "wall.seed = True is not a whole number; give an integer"),
+        ({"seed": -1}, "wall.seed = -1 is out of range, must be from 0 to 18446744073709551615"),
+    ],
+)
+def test_bad_facets_are_refused_in_one_line(values, message):
+    with pytest.raises(SceneError) as refusal:
+        FacetWall(**{"cell": CELL, "slope_rms": SLOPE, **values})
+    assert message in str(refusal.value)
+    assert "\n" not in str(refusal.value)
