@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from .._checks import counted
 from ..errors import NlosError
 from ..runs.plan import plan
-from .point import point_spread_key
+from .design.point import point_spread_key
 
 if TYPE_CHECKING:
-    from .study import Study
+    from .design.study import Study
 
 BLOCK_SECONDS = 1.0  # predicted time of a block, s
 MOST_ROWS = 1000  # in a block

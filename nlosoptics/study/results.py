@@ -17,13 +17,13 @@ from .._nouns import Noun
 from ..errors import SceneError
 from ..scene.file.addresses import value_at
 from ..scene.file.errors import validated
-from .base import Base
-from .designs import Dimension, dimensions
-from .figures import Figure
-from .file import StudyTable
+from .design.base import Base
+from .design.designs import Dimension, dimensions
+from .design.figures import Figure
+from .design.file import StudyTable
+from .design.study import Study
+from .design.values import label, number
 from .store import STATUSES, Store, reading
-from .study import Study
-from .values import label, number
 
 if TYPE_CHECKING:
     from ..scene import Scene

@@ -14,12 +14,12 @@ from .._checks import path_of, whole
 from .._progress import Progress
 from ..errors import SceneError
 from ..runs.record import versions
+from .design.point import point_spread_key
+from .design.study import Study, differing_steps
 from .engine import Cluster, Engine, InProcess, Processes, computed
 from .planning import plan_study
-from .point import point_spread_key
 from .results import Results, about_study, study_of
 from .store import Store, only_writer, reading
-from .study import Study, differing_steps
 from .worker import DONE, FAILED, LOST, Block
 
 

@@ -23,7 +23,7 @@ from ..errors import NlosError, SceneError
 from .worker import Answers, Block
 
 if TYPE_CHECKING:
-    from .figures import Figure
+    from .design.figures import Figure
 
 FORMAT = 1
 ROWS = 65_536  # ids in a chunk

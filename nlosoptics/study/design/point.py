@@ -8,12 +8,12 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..errors import NlosError, ValidityWarning
+from ...errors import NlosError, ValidityWarning
 
 if TYPE_CHECKING:
-    from ..limits import Feasibility
-    from ..psf import ScenePointSpread
-    from ..scene import Scene
+    from ...limits import Feasibility
+    from ...psf import ScenePointSpread
+    from ...scene import Scene
     from .base import Base
 
 #: Values that change neither the wave nor the point spread at the object's reference point.
@@ -122,7 +122,7 @@ class StudyPoint:
     @property
     def point_spread(self) -> ScenePointSpread:
         """Wave and point spread at the object's reference point, shared where nothing differs."""
-        from .. import psf
+        from ... import psf
 
         key = point_spread_key(self._delta)
         found: ScenePointSpread = self._stage(
@@ -133,7 +133,7 @@ class StudyPoint:
     @property
     def forecast(self) -> Feasibility:
         """Forecast of what the image shows, from `limits.feasibility`."""
-        from .. import limits
+        from ... import limits
 
         found: Feasibility = self._stage(
             "forecast", self._key, lambda: limits.feasibility(self.scene)

@@ -13,13 +13,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from .._nouns import Noun
-from ..errors import SceneError
-from ..scene import Scene
-from ..scene.file.addresses import changed
-from ..scene.file.errors import validated
-from ..scene.file.scene_file import scene_from_tables, scene_tables
-from ..scene.file.tables import SceneFile
+from ..._nouns import Noun
+from ...errors import SceneError
+from ...scene import Scene
+from ...scene.file.addresses import changed
+from ...scene.file.errors import validated
+from ...scene.file.scene_file import scene_from_tables, scene_tables
+from ...scene.file.tables import SceneFile
 from .values import canonical
 
 #: Keys of a scene file whose values are names of files.

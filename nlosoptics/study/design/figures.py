@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import scipy.optimize
 
-from .. import psf
-from .._checks import in_range, positive, real
-from ..errors import SceneError
-from ..limits import object_scale
+from ... import psf
+from ..._checks import in_range, positive, real
+from ...errors import SceneError
+from ...limits import object_scale
 
 if TYPE_CHECKING:
     from .file import FigureTable

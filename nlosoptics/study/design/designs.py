@@ -12,7 +12,7 @@ import scipy.stats
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from ..errors import SceneError
+from ...errors import SceneError
 from .file import Distribution, Draws, Range, StudyTable
 from .values import canonical, label, number, with_unit
 

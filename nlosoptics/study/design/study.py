@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import in_range, path_of, whole
-from .._nouns import Noun
-from ..errors import SceneError
-from ..scene.file.addresses import value_at
-from ..scene.file.errors import located, validated
+from ..._checks import in_range, path_of, whole
+from ..._nouns import Noun
+from ...errors import SceneError
+from ...scene.file.addresses import value_at
+from ...scene.file.errors import located, validated
 from .base import Base
 from .designs import Dimension, dimensions
 from .figures import Figure, figure
 from .file import StudyTable
 
 if TYPE_CHECKING:
-    from ..scene import Scene
+    from ...scene import Scene
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

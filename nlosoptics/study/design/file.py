@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator
 
-from ..scene.file.errors import validated
+from ...scene.file.errors import validated
 
 
 class _Table(BaseModel):
