@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ...errors import NlosError, ValidityWarning
+from ...scene.file.addresses import changed, value_at
 
 if TYPE_CHECKING:
     from ...limits import Feasibility
@@ -94,6 +95,8 @@ class StudyPoint:
         Seed for random numbers of a figure of merit.
     tol : float
         Error tolerance of point spreads.
+    base : Base
+        Base scene of the study.
 
     See Also
     --------
@@ -109,14 +112,29 @@ class StudyPoint:
         caches: Mapping[str, StageCache],
     ) -> None:
         self.seed, self.tol = seed, tol
-        self._base, self._delta, self._caches = base, delta, caches
+        self.base, self._delta, self._caches = base, delta, caches
+        self._adjusted: dict[str, StudyPoint] = {}
         self._key = json.dumps(dict(delta), sort_keys=True)
         self.warnings: dict[str, None] = {}
+
+    def value(self, address: str) -> Any:
+        """Return the value at an address, as a scene file holds it; None if there is none."""
+        return value_at(changed(self.base.tables, self._delta), address)
+
+    def changed(self, delta: Mapping[str, Any]) -> StudyPoint:
+        """Return the point with other values at some addresses, and with the same seed."""
+        return StudyPoint(self.base, {**self._delta, **delta}, self.seed, self.tol, self._caches)
+
+    def adjusted(self, key: str, make: Callable[[], StudyPoint]) -> StudyPoint:
+        """Return the point after a compensation, which ``make`` computes once for each key."""
+        if key not in self._adjusted:
+            self._adjusted[key] = make()
+        return self._adjusted[key]
 
     @property
     def scene(self) -> Scene:
         """Scene of this point."""
-        scene: Scene = self._stage("scene", self._key, lambda: self._base.scene(self._delta))
+        scene: Scene = self._stage("scene", self._key, lambda: self.base.scene(self._delta))
         return scene
 
     @property
