@@ -23,6 +23,8 @@ from .saving import save as save
 from .sketch import scene_sketch as scene_sketch
 from .stages import rendering_works as rendering_works
 from .stages import window as window
+from .studies import pareto as pareto
+from .studies import search_history as search_history
 from .studies import study_map as study_map
 from .studies import tornado as tornado
 from .studies import yield_curve as yield_curve
