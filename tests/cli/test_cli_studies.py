@@ -149,12 +149,12 @@ objectives = [{ figure = "power", goal = "minimise" }, { figure = "gap", goal = 
 @pytest.fixture
 def search(study: Path) -> Path:
     """A search of the least power and the least distance from 9 mW."""
-    (study.parent / "powers.py").write_text(
+    (study.parent / "gaps.py").write_text(  # Python keeps a module of a name that it has read
         "import time\n"
         "def power(point):\n    time.sleep(0.05)\n    return point.scene.laser.power\n"
         "def gap(point):\n    return 9e-3 - point.scene.laser.power\n"
     )
-    text = study.read_text().replace('"powers:power"', '"powers:power", "powers:gap"')
+    text = study.read_text().replace('"powers:power"', '"gaps:power", "gaps:gap"')
     study.write_text(text.partition("[axes]")[0] + SEARCH)
     return study
 
