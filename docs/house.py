@@ -46,7 +46,7 @@ FLOORS: tuple[dict[str, tuple[str, ...]], ...] = (
     {"limits": ()},
     {"inverse": ("data", "wave", "known", "published", "blind")},
     {"runs": ()},
-    {"study": ()},
+    {"study": ("design", "search")},
     {"views": ()},
     {"report": ()},
     {"cli": ()},

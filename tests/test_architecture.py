@@ -30,6 +30,7 @@ ONLY_IN = {
     "matplotlib": ("views/",),
     "pyvista": ("views/",),
     "vtk": ("views/",),
+    "optuna": ("study/search/with_optuna.py",),
     "dask": ("study/",),
     "distributed": ("study/",),
     "zarr": ("study/",),

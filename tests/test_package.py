@@ -32,6 +32,7 @@ HEAVY = {
     "matplotlib",
     "numba",
     "numpy",
+    "optuna",
     "pydantic",
     "pyvista",
     "rich",

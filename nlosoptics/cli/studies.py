@@ -1,4 +1,4 @@
-"""Commands study, study status, study plot, study report and study export."""
+"""Commands study, study status, plot, optimum, report and export."""
 
 from __future__ import annotations
 
@@ -106,17 +106,17 @@ def run_command(
                 progress=progress,
                 interrupted=interrupted,
             )
-        typer.echo(str(results))
-        if results.counts["pending"]:
+        typer.echo(_told(results))
+        if not results.complete:
             typer.echo("nlosoptics: interrupted; the same command goes on", err=True)
             raise typer.Exit(FAILED)
 
 
 @studies.command("status")
 def status_command(store: StoreFolder, debug: Debug = False) -> None:
-    """Show how many points are done, the range of each figure, and why points failed."""
+    """Show how many points are done, the range of each figure, why points failed, and answers."""
     with errors_told(debug):
-        typer.echo(str(_results(store)))
+        typer.echo(_told(_results(store)))
 
 
 @studies.command("plot")
@@ -151,6 +151,8 @@ def plot_command(
 
         results = _results(store)
         check_file(out)
+        if results.study.dimensions[0].name == "trial":
+            raise typer.BadParameter(f"{store} is a search; draw it with study optimum")
         results.values(figure, incomplete=incomplete)  # refuses pending points
         chosen = _default_kind(results) if kind is Kind.AUTO else kind
         if contours is not None and chosen not in (Kind.MAP, Kind.PANELS):
@@ -193,6 +195,30 @@ def report_command(
         typer.echo(f"{file}: {len(text.encode()) / 1e6:.2g} MB")
 
 
+@studies.command("optimum")
+def optimum_command(
+    store: StoreFolder,
+    out: Annotated[Path, typer.Option(help="File to write: .png, .pdf or .svg.")] = Path(
+        "optimum.png"
+    ),
+    incomplete: Annotated[
+        bool, typer.Option("--incomplete", help="Also draw a search that has not ended.")
+    ] = False,
+    debug: Debug = False,
+) -> None:
+    """Draw an optimisation: the front of two objectives, or one objective by trials."""
+    with errors_told(debug):
+        require("matplotlib", "views")
+        from .. import views
+        from ..study import optimum
+
+        found = optimum(_results(store), incomplete=incomplete)
+        check_file(out)
+        several = len(found.labels) > 1
+        views.save(views.pareto(found) if several else views.search_history(found), out)
+        typer.echo(f"{found}\n{out}: {len(found.feasible)} trials of {store}")
+
+
 @studies.command("export")
 def export_command(
     store: StoreFolder,
@@ -218,6 +244,18 @@ def _results(store: Path) -> Any:
     from ..study import Results
 
     return Results.load(store)
+
+
+def _told(results: Any) -> str:
+    """Return a study's results as text, with the answers of its search."""
+    from ..study import inverse_sensitivities, optimum
+
+    table, lines = results.study.table, [str(results)]
+    if table.optimise is not None:
+        lines.append(str(optimum(results, incomplete=True)))
+    elif table.inverse_sensitivity is not None and results.complete:
+        lines += map(str, inverse_sensitivities(results))
+    return "\n".join(lines)
 
 
 def _require_parts() -> None:

@@ -19,7 +19,7 @@ from .sections import Part, colophon
 
 if TYPE_CHECKING:
     from ..study import Results
-    from ..study.figures import Figure
+    from ..study.design.figures import Figure
 
 MOST_ROWS = 12  # of a table of steps or sensitivities
 PENDING = "{} of {} are pending. Ranges and pictures show the finished ones only."
@@ -122,7 +122,7 @@ def _head(results: Results) -> Html:
 
 
 def _design(results: Results) -> Iterator[Html]:
-    from ..study.values import label
+    from ..study.design.values import label
 
     rows: list[tuple[object, ...]] = []
     for dimension in results.study.dimensions:
@@ -149,7 +149,7 @@ def _design(results: Results) -> Iterator[Html]:
 
 def _sorted(values: list[Any]) -> list[Any]:
     """Return values in ascending order if they are numbers, else as they are."""
-    from ..study.values import number as as_number
+    from ..study.design.values import number as as_number
 
     numbers = [as_number(value) for value in values]
     if None in numbers:
@@ -160,7 +160,7 @@ def _sorted(values: list[Any]) -> list[Any]:
 def _merit(results: Results, merit: Figure) -> Iterator[Html]:
     """Range, pictures and extreme points of one figure of merit."""
     from ..study.answers import smallest_is_best
-    from ..study.values import label
+    from ..study.design.values import label
     from ..views.run_overview import ranked
 
     unit = f" ({merit.unit})" if merit.unit else ""

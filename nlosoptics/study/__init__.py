@@ -1,8 +1,8 @@
 """Design studies: figures of merit over any values of a scene file, on all cores or a cluster.
 
 `Study.load` reads a study file, `run_study` computes its points into a store that a later run
-resumes or extends, and `Results` reads the store. `sensitivities`, `sobol_indices` and
-`fraction_within` answer the designer's questions.
+resumes or extends, and `Results` reads the store. `sensitivities`, `inverse_sensitivities`,
+`sobol_indices`, `fraction_within` and `optimum` answer the designer's questions.
 """
 
 import lazy_loader as _lazy

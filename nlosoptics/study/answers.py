@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from .._checks import in_range, real
 from ..errors import SceneError
-from .figures import Figure
+from .design.figures import Figure
 from .results import Results
 
 RESAMPLES = 999  # of a bootstrap

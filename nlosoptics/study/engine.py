@@ -120,7 +120,7 @@ class Cluster:
 
 
 def computed(
-    engine: Engine, blocks: Iterator[Block], interrupted: Callable[[], bool]
+    engine: Engine, blocks: Iterator[Block | None], interrupted: Callable[[], bool]
 ) -> Iterator[tuple[Block, Answers]]:
     """Yield blocks with their answers as they are finished.
 
@@ -129,7 +129,7 @@ def computed(
     engine : Engine
         Engine that knows the study.
     blocks : iterator of Block
-        Blocks, taken as workers become free.
+        Blocks, taken as workers become free. None says that further blocks wait for results.
     interrupted : callable
         Whether to end after the blocks in flight.
 

@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from .._checks import counted
 from ..errors import NlosError
 from ..runs.plan import plan
-from .point import point_spread_key
+from .design.point import point_spread_key
+from .design.variables import delta_of
+from .search.methods import most_trials, trials_together
 
 if TYPE_CHECKING:
-    from .study import Study
+    from .design.study import Study
 
 BLOCK_SECONDS = 1.0  # predicted time of a block, s
 MOST_ROWS = 1000  # in a block
 LEAST_BLOCKS = 8  # so that a short study shows progress and uses several workers
 SCENE_SECONDS = 0.004  # s to build and check a scene
 FORECAST = 0.1, 2.0  # s of a forecast, and multiple of the point spread's seconds
+COMPENSATION = 30  # evaluations of a compensation
 UNKNOWN = 0.1  # s of a point spread that cannot be planned, and of a function of the user's
 
 
@@ -89,6 +92,8 @@ def plan_study(study: Study) -> StudyPlan:
     --------
     run_study : Compute the points of a study, or resume.
     """
+    if study.variables:
+        return _plan_search(study)
     count = len(study)
     stages = {figure.stage for figure in study.figures}
     needs_spread = "point spread" in stages
@@ -101,6 +106,8 @@ def plan_study(study: Study) -> StudyPlan:
         + len(keys) * one
         + forecasts * (FORECAST[0] + FORECAST[1] * one)
     )
+    if study.table.compensate is not None:
+        seconds += COMPENSATION * count * (SCENE_SECONDS + one)
     block = min(MOST_ROWS, int(BLOCK_SECONDS * count / seconds), count // LEAST_BLOCKS)
     width = 40 + 9 * len(study.figures) + 8 * sum(f.has_error for f in study.figures)
     return StudyPlan(
@@ -111,6 +118,24 @@ def plan_study(study: Study) -> StudyPlan:
         seconds=seconds,
         n_bytes=width * count + 4000 * (2 * len(study.figures) + 4),
         block=max(1, block),
+    )
+
+
+def _plan_search(study: Study) -> StudyPlan:
+    """Return the plan of a search: as if all its trials were at the first point."""
+    start = delta_of(study.variables, {v.address: v.start for v in study.variables})
+    one = plan_study(replace(study.with_trials([start]), variables=()))
+    trials = most_trials(study)
+    together = one.points * min(trials, trials_together(study))
+    block = min(int(BLOCK_SECONDS * one.points / one.seconds), together // LEAST_BLOCKS)
+    return StudyPlan(
+        points=one.points * trials,
+        figures=one.figures,
+        point_spreads=one.point_spreads * trials,
+        forecasts=one.forecasts * trials,
+        seconds=one.seconds * trials,
+        n_bytes=one.n_bytes * trials,
+        block=max(1, min(MOST_ROWS, block)),
     )
 
 

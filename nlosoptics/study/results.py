@@ -17,17 +17,20 @@ from .._nouns import Noun
 from ..errors import SceneError
 from ..scene.file.addresses import value_at
 from ..scene.file.errors import validated
-from .base import Base
-from .designs import Dimension, dimensions
-from .figures import Figure
-from .file import StudyTable
+from .design.base import Base
+from .design.designs import Dimension, dimensions
+from .design.figures import Figure
+from .design.file import StudyTable
+from .design.study import Study, search_variables
+from .design.values import label, number
 from .store import STATUSES, Store, reading
-from .study import Study
-from .values import label, number
 
 if TYPE_CHECKING:
     from ..psf import ScenePointSpread
     from ..scene import Scene
+
+
+RUNNING = "running"  # state of a search that has not ended
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,7 +49,8 @@ class Results(Noun):
         "failed" (an exception), "lost" (the worker process ended twice) and "pending".
         ``message`` holds errors and warnings, ``seconds`` the computing time. Each coordinate has
         the name of its address, such as ``wall.radius``, and holds numbers in SI units, or text.
-        The dimension ``case`` has text labels only.
+        The dimension ``case`` has text labels only. The trials of a search are the first
+        dimension, ``trial``, and the attribute ``search`` says why the search ended.
 
     See Also
     --------
@@ -126,12 +130,21 @@ class Results(Noun):
         """
         name = self.study.figure(figure).name
         pending = self.counts["pending"]
+        if not self.complete and not pending and not incomplete:
+            raise SceneError(
+                f"the search in {self.path} has not ended; finish it, or pass incomplete=True"
+            )
         if pending and not incomplete:
             raise SceneError(
                 f"{counted(pending, 'point')} of {len(self.study)} in {self.path} are pending; "
                 "finish the study, or pass incomplete=True"
             )
         return np.asarray(self.dataset[name].values, dtype=np.float64).ravel()
+
+    @property
+    def complete(self) -> bool:
+        """Whether no point is pending and a search, if there is one, has ended."""
+        return not self.counts["pending"] and self.dataset.attrs.get("search") != RUNNING
 
     @cached_property
     def counts(self) -> dict[str, int]:
@@ -184,7 +197,7 @@ def study_of(store: Store) -> Study:
         source=about["source"], tables=about["tables"], files=store.files(), names=about["names"]
     )
     found = dimensions(table, lambda address: value_at(base.tables, address))
-    return Study(
+    study = Study(
         definition=about["definition"],
         folder=Path(about["folder"]),
         base=base,
@@ -195,7 +208,9 @@ def study_of(store: Store) -> Study:
         figures=tuple(Figure(**given) for given in about["figures"]),
         tol=table.tol,
         seed=table.seed,
+        variables=search_variables(table, base),
     )
+    return study.with_trials(store.trials()) if study.variables else study
 
 
 def _dataset(study: Study, store: Store) -> xr.Dataset:
@@ -233,7 +248,8 @@ def _dataset(study: Study, store: Store) -> xr.Dataset:
     coordinates: dict[str, Any] = {}
     for dimension in study.dimensions:
         coordinates |= _coordinates(dimension)
-    return xr.Dataset(arrays, coordinates)
+    told = {"search": store.ended or RUNNING} if study.variables else {}
+    return xr.Dataset(arrays, coordinates, told)
 
 
 def _joined(text: str) -> str:
@@ -247,8 +263,8 @@ def _joined(text: str) -> str:
 def _coordinates(dimension: Dimension) -> dict[str, Any]:
     """Return the coordinates of a dimension: values by address, and a label or number."""
     found: dict[str, Any] = {}
-    if dimension.name == "case":
-        return {"case": ("case", list(dimension.labels()))}
+    if any(set(delta) != set(dimension.addresses) for delta in dimension.deltas):
+        return {dimension.name: (dimension.name, list(dimension.labels()))}  # one at a time
     for address in dimension.addresses:
         values = [delta[address] for delta in dimension.deltas]
         numbers = [number(value) for value in values]

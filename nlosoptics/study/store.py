@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,10 +23,11 @@ from ..errors import NlosError, SceneError
 from .worker import Answers, Block
 
 if TYPE_CHECKING:
-    from .figures import Figure
+    from .design.figures import Figure
 
 FORMAT = 1
 ROWS = 65_536  # ids in a chunk
+TRIALS = 1000  # in a chunk
 STATUSES = ("pending", "done", "failed", "lost")
 
 
@@ -135,8 +136,56 @@ class Store:
         """Return the id of each row; empty for rows without a point."""
         return [str(name) for name in self._read("id")]
 
-    def add(self, ids: list[str], figures: tuple[Figure, ...]) -> None:
-        """Add figures that the store does not have, and rows for points, from a new block on."""
+    def trials(self) -> list[dict[str, Any]]:
+        """Return the values by address of the trials of a search, in their order."""
+        if "search/trials" not in self._group:
+            return []
+        found = []
+        for text in self._read("search/trials"):
+            if not text:  # its writing was interrupted
+                break
+            found.append(json.loads(str(text)))
+        return found
+
+    def add_trials(self, first: int, deltas: Iterable[Mapping[str, Any]]) -> None:
+        """Append trials of a search to the ``first`` ones."""
+        with writing(self.path):
+            if "search/trials" not in self._group:
+                self._group.require_group("search").create_array(
+                    "trials", shape=(0,), chunks=(TRIALS,), dtype=str, fill_value=""
+                )
+            texts = np.array([json.dumps(dict(delta)) for delta in deltas], dtype=object)
+            self._at("search/trials").resize((first + len(texts),))
+            self._at("search/trials")[first:] = texts
+
+    @property
+    def ended(self) -> str:
+        """Why a search ended; empty if it did not."""
+        group: Any = self._group.get("search", None)
+        return "" if group is None else str(group.attrs.get("ended", ""))
+
+    def set_ended(self, why: str) -> None:
+        """Keep why a search ended."""
+        with writing(self.path):
+            self._group.require_group("search").attrs["ended"] = why
+
+    def add(self, ids: list[str], figures: tuple[Figure, ...], spare: int = 0) -> range:
+        """Add figures that the store does not have, and rows for points, from a new block on.
+
+        Parameters
+        ----------
+        ids : list of str
+            Names of the points.
+        figures : tuple of Figure
+            Figures of the study; those that the store has are left as they are.
+        spare : int
+            Further rows, which `place` fills.
+
+        Returns
+        -------
+        range
+            New rows.
+        """
         with writing(self.path):
             for figure in figures:
                 about = figure.meaning, figure.unit
@@ -153,11 +202,17 @@ class Store:
                     flag_meanings=" ".join(STATUSES),
                 )
             first = -(-self._at("id").shape[0] // self.block) * self.block
-            rows = first + len(ids) if ids else self._at("id").shape[0]
+            rows = first + len(ids) + spare if ids else self._at("id").shape[0]
             for name in self._group.array_keys():
                 self._at(name).resize((rows,))
-            if ids:
-                self._at("id")[first:] = np.array(ids, dtype=object)
+        if ids:
+            self.place(first, ids)
+        return range(first, rows)
+
+    def place(self, first: int, ids: list[str]) -> None:
+        """Name the points of empty rows."""
+        with writing(self.path):
+            self._at("id")[first : first + len(ids)] = np.array(ids, dtype=object)
 
     def write(self, block: Block, answers: Answers) -> None:
         """Write a block; the statuses come last."""

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from .study import Study
+    from .design.study import Study
 
 DONE, FAILED, LOST = 1, 2, 3  # codes of a figure's status; 0 is pending
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -63,7 +63,7 @@ def prepare(key: str, packed: bytes, *, own_process: bool = True) -> None:
         os.environ |= dict.fromkeys(THREADS, "1")
     import pickle
 
-    from .point import StageCache
+    from .design.point import StageCache
 
     _studies[key] = (
         pickle.loads(packed),
@@ -83,7 +83,7 @@ def evaluate(key: str, block: Block) -> Answers:
     """
     import numba
 
-    from .study import point_seed
+    from .design.study import point_seed
 
     study, caches = _studies[key]
     answers = Answers([], [], [], [], [])
@@ -108,7 +108,7 @@ def _point(
     study: Study, figures: list[Any], delta: Mapping[str, Any], seed: int, caches: dict[str, Any]
 ) -> list[tuple[float, float, int, str]]:
     """Return value, error, status and message of every figure of a point."""
-    from .point import StudyPoint
+    from .design.point import StudyPoint
 
     point = StudyPoint(study.base, delta, seed, study.tol, caches)
     try:

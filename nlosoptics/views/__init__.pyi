@@ -21,6 +21,8 @@ from .rooms import scene_3d as scene_3d
 from .run_overview import overview as overview
 from .run_overview import study_gallery as study_gallery
 from .saving import save as save
+from .searches import pareto as pareto
+from .searches import search_history as search_history
 from .sketch import scene_sketch as scene_sketch
 from .stages import rendering_works as rendering_works
 from .stages import window as window

@@ -122,7 +122,7 @@ def study_gallery(
     figure = results.study.figure(figure).name
     chosen = ranked(results, figure, smallest_is_best=smallest_is_best)
     values = results.values(figure, incomplete=True)
-    from ..study.values import label  # reads units, which other views do not need
+    from ..study.design.values import label  # reads units, which other views do not need
 
     panels = tuple(axes or new_axes(len(chosen), width=12.0, height=4.4))
     widest = 0.0

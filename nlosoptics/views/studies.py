@@ -187,7 +187,7 @@ def _tick(dataset: Any, name: str, step: int, *, named: bool = False) -> str:
         own = [key for key in dataset.coords if dataset.coords[key].dims == (name,)]
         texts = [_tick(dataset, str(key), step, named=True) for key in own]
         return ", ".join(texts) or f"{name} {step}"
-    from ..study.values import label, with_unit  # reads units, which other views do not need
+    from ..study.design.values import label, with_unit  # reads units, which other views do not need
 
     coordinate = dataset.coords[name]
     value = coordinate.values[step]

@@ -15,7 +15,7 @@ import pytest
 from nlosoptics import psf
 from nlosoptics.errors import SceneError
 from nlosoptics.study import Results, Study, plan_study, run_study
-from nlosoptics.study.point import NOT_IN_POINT_SPREAD
+from nlosoptics.study.design.point import NOT_IN_POINT_SPREAD
 from nlosoptics.study.store import Store
 
 HERE = Path(__file__).parent

@@ -10,7 +10,7 @@ import xarray as xr
 
 from nlosoptics import psf, views
 from nlosoptics.errors import SceneError
-from nlosoptics.study import Fraction, Results, Sensitivity, Study
+from nlosoptics.study import Fraction, Optimum, Results, Sensitivity, Study
 
 SCENE = Path(__file__).parents[2] / "examples" / "scenes" / "letter_concave.toml"
 
@@ -243,3 +243,59 @@ def test_gallery_opens_the_extreme_points_again(smallest: bool) -> None:
     dataset["strehl"][:] = np.nan
     with pytest.raises(SceneError, match="strehl is known at no point"):
         views.study_gallery(held, "strehl")
+
+
+def searched(objectives: list[list[float]], goals: tuple[str, ...]) -> Optimum:
+    """An optimisation of which trial 2 failed and trial 3 is outside the constraints."""
+    values = np.array(objectives)
+    signs = np.where(np.array(goals) == "minimise", 1.0, -1.0)
+    feasible = np.array([True, True, False, False, True])
+    costs = np.where(feasible[:, None], signs * values, np.inf)
+    worse = (costs[:, None] >= costs).all(-1) & (costs[:, None] > costs).any(-1)
+    return Optimum(
+        results=results(),
+        labels=tuple(f"objective {i} (m)" for i in range(len(goals))),
+        goals=goals,
+        objectives=values,
+        feasible=feasible,
+        failed=np.isnan(values[:, 0]),
+        front=tuple(np.flatnonzero(feasible & ~worse.any(axis=1)).tolist()),
+    )
+
+
+@pytest.mark.parametrize(
+    ("goals", "corner"),
+    [
+        (("minimise", "minimise"), (2.0, 3.0)),  # right of the first point, above the second
+        (("maximise", "maximise"), (1.0, 1.0)),
+    ],
+)
+def test_front_runs_through_what_its_points_dominate(goals, corner) -> None:
+    nan = np.nan
+    worst = [9.0, 9.0] if goals[0] == "minimise" else [0.0, 0.0]
+    found = searched([[2.0, 1.0], [1.0, 3.0], [nan, nan], [0.5, 0.5], worst], goals)
+    axes = views.pareto(found)
+    front = next(line for line in axes.lines if str(line.get_label()).startswith("front"))
+    assert front.get_xydata().tolist() == [[1.0, 3.0], [2.0, 1.0]]
+    # between its two points a step has one corner
+    drawn = {"steps-post": (2.0, 3.0), "steps-pre": (1.0, 1.0)}[front.get_drawstyle()]
+    assert drawn == corner
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    told = ["feasible: 3 trials", "outside constraints: 1 trials", "failed: 1 trials"]
+    assert texts == [*told, "front: 2 trials"]
+    assert axes.get_xlabel() == f"objective 0 (m), to {goals[0]}"
+    with pytest.raises(SceneError, match="objectives 0 and 2 are not two of 2"):
+        views.pareto(found, second=2)
+    with pytest.raises(SceneError, match="draw them with pareto"):
+        views.search_history(found)
+
+
+def test_history_shows_the_best_feasible_trial_so_far() -> None:
+    nan = np.nan
+    found = searched([[3.0], [2.0], [nan], [1.0], [2.5]], ("minimise",))
+    axes = views.search_history(found)
+    best = next(line for line in axes.lines if line.get_label() == "best so far")
+    assert best.get_ydata().tolist() == [3.0, 2.0, 2.0, 2.0, 2.0]
+    failed = searched([[nan]] * 5, ("minimise",))
+    with pytest.raises(SceneError, match="no trial with values"):
+        views.search_history(failed)

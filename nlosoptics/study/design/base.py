@@ -13,13 +13,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from .._nouns import Noun
-from ..errors import SceneError
-from ..scene import Scene
-from ..scene.file.addresses import changed
-from ..scene.file.errors import validated
-from ..scene.file.scene_file import scene_from_tables, scene_tables
-from ..scene.file.tables import SceneFile
+from ..._nouns import Noun
+from ...errors import SceneError
+from ...scene import Scene
+from ...scene.file.addresses import changed
+from ...scene.file.errors import validated
+from ...scene.file.scene_file import scene_from_tables, scene_tables
+from ...scene.file.tables import SceneFile
 from .values import canonical
 
 #: Keys of a scene file whose values are names of files.
@@ -117,7 +117,7 @@ class Base(Noun):
 
     def differences(self, other: Base) -> list[str]:
         """Return the addresses at which another base differs, with both values."""
-        mine, theirs = dict(_leaves(self.tables)), dict(_leaves(other.tables))
+        mine, theirs = dict(leaves(self.tables)), dict(leaves(other.tables))
         return [
             f"{address} = {mine.get(address, 'absent')} instead of {theirs.get(address, 'absent')}"
             for address in sorted(mine.keys() | theirs.keys())
@@ -125,13 +125,13 @@ class Base(Noun):
         ]
 
 
-def _leaves(tables: Any, address: str = "") -> Iterator[tuple[str, str]]:
+def leaves(tables: Any, address: str = "") -> Iterator[tuple[str, str]]:
     """Yield all values of tables as JSON, with their addresses."""
     if isinstance(tables, dict):
         for key, inner in tables.items():
-            yield from _leaves(inner, f"{address}.{key}" if address else key)
+            yield from leaves(inner, f"{address}.{key}" if address else key)
     elif isinstance(tables, list) and any(isinstance(inner, dict) for inner in tables):
         for index, inner in enumerate(tables):
-            yield from _leaves(inner, f"{address}[{index}]")
+            yield from leaves(inner, f"{address}[{index}]")
     else:
         yield address, json.dumps(tables)

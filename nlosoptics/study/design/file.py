@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator
 
-from ..scene.file.errors import validated
+from ...scene.file.errors import validated
 
 
 class _Table(BaseModel):
@@ -36,6 +36,14 @@ class Distribution(_Table):
     spread_of: str | None = None
 
 
+class Limits(_Table):
+    """Limits between which a search may choose a value."""
+
+    low: Any = Field(alias="from")
+    high: Any = Field(alias="to")
+    spacing: Literal["linear", "log"] = "linear"
+
+
 def _list_or(model: type[_Table]) -> Any:
     """Return the annotation of a list of values or a table of ``model``."""
 
@@ -50,6 +58,7 @@ def _list_or(model: type[_Table]) -> Any:
 
 
 Values = Annotated[list[Any] | Range, _list_or(Range)]
+Choice = Annotated[list[Any] | Limits, _list_or(Limits)]
 Law = Annotated[list[Any] | Distribution, _list_or(Distribution)]
 
 
@@ -70,6 +79,56 @@ class FigureTable(_Table):
     name: str | None = Field(None, description="name in the results; default: that of the figure")
 
 
+class Within(_Table):
+    """Figure of merit with limits, over all points that a trial has beside others."""
+
+    figure: str
+    at_least: float | None = Field(None, allow_inf_nan=False)
+    at_most: float | None = Field(None, allow_inf_nan=False)
+
+
+class Objective(Within):
+    """Figure to minimise or maximise; with limits, the share of points within them."""
+
+    goal: Literal["minimise", "maximise"]
+    over: Literal["worst", "mean"] = "worst"
+
+
+class Constraint(Within):
+    """Limits that a share of the points must meet."""
+
+    share: float = Field(1.0, gt=0.0, le=1.0)
+
+
+class Optimise(_Table):
+    """Search for the best values."""
+
+    method: Literal["cobyqa", "differential-evolution", "tpe", "cma-es", "nsga-ii"]
+    evaluations: int = Field(ge=1, le=100_000)
+    population: int | None = Field(None, ge=1, le=10_000)
+    objectives: list[Objective] = Field(min_length=1)
+    constraints: list[Constraint] = []
+    variables: dict[str, Choice] = Field(min_length=1)
+
+
+class InverseSensitivity(_Table):
+    """Search for the change of each value that costs a stated loss."""
+
+    figure: str
+    loss: float = Field(gt=0.0, allow_inf_nan=False)
+    goal: Literal["minimise", "maximise"] = "maximise"
+    precision: float = Field(0.01, ge=1e-9, le=0.5)
+    of: dict[str, Limits] = Field(min_length=1)
+
+
+class Compensate(_Table):
+    """Values that are adjusted at every point for the best figure."""
+
+    figure: str | FigureTable
+    goal: Literal["minimise", "maximise"]
+    variables: dict[str, Limits] = Field(min_length=1)
+
+
 class StudyTable(_Table):
     """Study file."""
 
@@ -82,3 +141,6 @@ class StudyTable(_Table):
     zip: dict[str, list[Any]] = {}
     one_at_a_time: dict[str, Values] = {}
     draws: Draws | None = None
+    optimise: Optimise | None = None
+    inverse_sensitivity: InverseSensitivity | None = None
+    compensate: Compensate | None = None

@@ -12,9 +12,9 @@ import scipy.stats
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from ..errors import SceneError
-from ..scene.file.errors import located
-from ..scene.parts.library import MaterialValue, entry
+from ...errors import SceneError
+from ...scene.file.errors import located
+from ...scene.parts.library import MaterialValue, entry
 from .file import Distribution, Draws, Range, StudyTable
 from .values import canonical, label, number, with_unit
 
@@ -32,7 +32,7 @@ class Dimension:
     Parameters
     ----------
     name : str
-        An address, or "zip", "case" (one at a time) or "draw".
+        An address, or "zip", "case" (one at a time), "draw", or "trial" (of a search).
     deltas : tuple of mapping
         Values by address at each step.
     """
@@ -71,15 +71,17 @@ def dimensions(table: StudyTable, value_of: Callable[[str], Any]) -> tuple[Dimen
         twice.
     """
     found = []
+    if table.optimise is not None or table.inverse_sensitivity is not None:
+        found.append(Dimension(name="trial", deltas=()))  # grows as the search goes on
     for address, given in table.axes.items():
-        values = _listed(f"axes.{address}", given)
+        values = listed(f"axes.{address}", given)
         found.append(Dimension(name=address, deltas=tuple({address: v} for v in values)))
     if table.zip:
-        found.append(_zipped({a: _listed(f"zip.{a}", v) for a, v in table.zip.items()}))
+        found.append(_zipped({a: listed(f"zip.{a}", v) for a, v in table.zip.items()}))
     if table.one_at_a_time:
         cases: list[Delta] = [{}]
         for address, given in table.one_at_a_time.items():
-            cases += [{address: v} for v in _listed(f"one_at_a_time.{address}", given)]
+            cases += [{address: v} for v in listed(f"one_at_a_time.{address}", given)]
         found.append(Dimension(name="case", deltas=tuple(cases)))
     if table.draws is not None:
         found.append(_drawn(table.draws, table.seed, value_of))
@@ -88,21 +90,21 @@ def dimensions(table: StudyTable, value_of: Callable[[str], Any]) -> tuple[Dimen
         if twice := seen & set(dimension.addresses):
             raise SceneError(f"{min(twice)} is varied twice in the study; remove one of them")
         seen |= set(dimension.addresses)
-    count = float(np.prod([float(len(d.deltas)) for d in found])) if found else 0.0
+    count = float(np.prod([float(len(d.deltas)) for d in found if d.name != "trial"]))
     if not found:
         raise SceneError(
-            "the design is empty; add [axes], [zip], [one_at_a_time] or [draws] with addresses and "
-            "values"
+            "the design is empty; add [axes], [zip], [one_at_a_time], [draws], [optimise] or "
+            "[inverse_sensitivity] with addresses and values"
         )
     if count > MOST_POINTS:
         raise SceneError(f"the design has {count:.3g} points, limit {MOST_POINTS:,}; use fewer")
     return tuple(found)
 
 
-def _listed(name: str, given: list[Any] | Range) -> list[Any]:
-    """Return the values of an axis in SI units."""
+def listed(name: str, given: list[Any] | Range) -> list[Any]:
+    """Return the values of an axis in SI units; ``name`` is its key, for messages."""
     if isinstance(given, Range):
-        (low, high), unit = _numbers(name, given.low, given.high)
+        (low, high), unit = numbers(name, given.low, given.high)
         space = np.linspace if given.spacing == "linear" else np.geomspace
         if given.spacing == "log" and min(low, high) <= 0.0:
             raise SceneError(f"{name}: spacing = log needs values above 0; give such limits")
@@ -121,7 +123,7 @@ def _listed(name: str, given: list[Any] | Range) -> list[Any]:
     return values
 
 
-def _numbers(name: str, *values: Any) -> tuple[list[float], str]:
+def numbers(name: str, *values: Any) -> tuple[list[float], str]:
     """Return numbers of one unit, and that unit."""
     found = [number(value) for value in values]
     for value, one in zip(values, found, strict=True):
@@ -254,13 +256,13 @@ def _quantile(
     """Return the values of a distribution as a function of numbers from 0 to 1, (n,)."""
     name = f"draws.of.{address}"
     if isinstance(given, list):
-        values = _listed(name, given)
+        values = listed(name, given)
         return lambda u: [values[i] for i in (u * len(values)).astype(int)]
     limits = [given.low, given.high]
     if given.sigma is None:
         if None in limits or given.mean is not None:
             raise SceneError(f"{name} needs sigma, or from and to; add them")
-        (low, high), unit = _numbers(name, *limits)
+        (low, high), unit = numbers(name, *limits)
         _check_order(name, low, high)
         if given.spacing == "log":
             if low <= 0.0:
@@ -273,11 +275,11 @@ def _quantile(
     if given.spacing == "log":
         raise SceneError(f"{name}: spacing = log does not go with sigma; remove one of them")
     ends = [v for v in limits if v is not None]
-    (centre, sigma, *_), unit = _numbers(name, mean, given.sigma, *ends)
+    (centre, sigma, *_), unit = numbers(name, mean, given.sigma, *ends)
     if not sigma > 0.0:
         raise SceneError(f"{name}.sigma = {sigma:g} is not above 0; give a width")
-    low = -np.inf if given.low is None else _numbers(name, given.low)[0][0]
-    high = np.inf if given.high is None else _numbers(name, given.high)[0][0]
+    low = -np.inf if given.low is None else numbers(name, given.low)[0][0]
+    high = np.inf if given.high is None else numbers(name, given.high)[0][0]
     _check_order(name, low, high)
     law = scipy.stats.truncnorm((low - centre) / sigma, (high - centre) / sigma, centre, sigma)
     return lambda u: [with_unit(v, unit) for v in law.ppf(u)]

@@ -8,12 +8,13 @@ from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..errors import NlosError, ValidityWarning
+from ...errors import NlosError, ValidityWarning
+from ...scene.file.addresses import changed, value_at
 
 if TYPE_CHECKING:
-    from ..limits import Feasibility
-    from ..psf import ScenePointSpread
-    from ..scene import Scene
+    from ...limits import Feasibility
+    from ...psf import ScenePointSpread
+    from ...scene import Scene
     from .base import Base
 
 #: Values that change neither the wave nor the point spread at the object's reference point.
@@ -94,6 +95,8 @@ class StudyPoint:
         Seed for random numbers of a figure of merit.
     tol : float
         Error tolerance of point spreads.
+    base : Base
+        Base scene of the study.
 
     See Also
     --------
@@ -109,20 +112,35 @@ class StudyPoint:
         caches: Mapping[str, StageCache],
     ) -> None:
         self.seed, self.tol = seed, tol
-        self._base, self._delta, self._caches = base, delta, caches
+        self.base, self._delta, self._caches = base, delta, caches
+        self._adjusted: dict[str, StudyPoint] = {}
         self._key = json.dumps(dict(delta), sort_keys=True)
         self.warnings: dict[str, None] = {}
+
+    def value(self, address: str) -> Any:
+        """Return the value at an address, as a scene file holds it; None if there is none."""
+        return value_at(changed(self.base.tables, self._delta), address)
+
+    def changed(self, delta: Mapping[str, Any]) -> StudyPoint:
+        """Return the point with other values at some addresses, and with the same seed."""
+        return StudyPoint(self.base, {**self._delta, **delta}, self.seed, self.tol, self._caches)
+
+    def adjusted(self, key: str, make: Callable[[], StudyPoint]) -> StudyPoint:
+        """Return the point after a compensation, which ``make`` computes once for each key."""
+        if key not in self._adjusted:
+            self._adjusted[key] = make()
+        return self._adjusted[key]
 
     @property
     def scene(self) -> Scene:
         """Scene of this point."""
-        scene: Scene = self._stage("scene", self._key, lambda: self._base.scene(self._delta))
+        scene: Scene = self._stage("scene", self._key, lambda: self.base.scene(self._delta))
         return scene
 
     @property
     def point_spread(self) -> ScenePointSpread:
         """Wave and point spread at the object's reference point, shared where nothing differs."""
-        from .. import psf
+        from ... import psf
 
         key = point_spread_key(self._delta)
         found: ScenePointSpread = self._stage(
@@ -133,7 +151,7 @@ class StudyPoint:
     @property
     def forecast(self) -> Feasibility:
         """Forecast of what the image shows, from `limits.feasibility`."""
-        from .. import limits
+        from ... import limits
 
         found: Feasibility = self._stage(
             "forecast", self._key, lambda: limits.feasibility(self.scene)

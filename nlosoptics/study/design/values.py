@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..scene.file.units import measured, written
+from ...scene.file.units import measured, written
 
 PREFIXED = ("m", "s", "W", "rad")
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))

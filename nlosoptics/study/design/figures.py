@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import inspect
+import json
 import math
 import pkgutil
+import re
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import scipy.optimize
 
-from .. import psf
-from .._checks import in_range, positive, real
-from ..errors import SceneError
-from ..limits import object_scale
+from ... import psf
+from ..._checks import in_range, positive, real
+from ...errors import SceneError
+from ...limits import object_scale
+from .compensation import adjusted
+from .values import number
 
 if TYPE_CHECKING:
-    from .file import FigureTable
+    from .file import Compensate, FigureTable
     from .point import StudyPoint
+    from .variables import Variable
 
 #: A value, or a value with its error.
 Answer = float | tuple[float, float]
@@ -43,9 +48,11 @@ class Figure:
     meaning : str
         What it is, in a few words.
     stage : str
-        Most expensive stage that it needs: "point spread", "forecast" or "own function".
+        Most expensive stage that it needs: "scene", "point spread", "forecast" or "own function".
     has_error : bool
         Whether it comes with an error.
+    compensate : dict, optional
+        Table of the values that are adjusted before it is computed, as JSON.
     """
 
     name: str
@@ -55,10 +62,16 @@ class Figure:
     meaning: str
     stage: str
     has_error: bool
+    compensate: dict[str, Any] | None = None
 
     def value(self, point: StudyPoint, folder: Path) -> tuple[float, float]:
         """Return the figure of a point and its error, which is NaN if it has none."""
-        answer = _function(self.source, folder)(point, **self.options)
+        there = point
+        if self.compensate is not None:
+            there = compensated(point, self.compensate, folder)
+            there.warnings.clear()
+        answer = _function(self.source, folder)(there, **self.options)
+        point.warnings |= there.warnings
         value, error = answer if isinstance(answer, tuple) else (answer, math.nan)
         return real(self.name, value), float(error)
 
@@ -128,6 +141,16 @@ def predicted_correlation(point: StudyPoint) -> Answer:
     return point.forecast.score, point.forecast.score_spread
 
 
+def value(point: StudyPoint, address: str) -> Answer:
+    """Value of the scene at an address."""
+    found = number(point.value(address))
+    if found is None:
+        raise SceneError(
+            f"{address} = {point.value(address)!r} is not a number; name the address of a number"
+        )
+    return found[0]
+
+
 @dataclass(frozen=True)
 class _Known:
     function: Callable[..., Answer]
@@ -147,9 +170,12 @@ FIGURES: Mapping[str, _Known] = {
     "resolution": _Known(resolution, "1/m", "forecast"),
     "relay_modes": _Known(relay_modes, "", "forecast"),
     "predicted_correlation": _Known(predicted_correlation, "", "forecast", True),
+    "value": _Known(value, "", "scene"),
 }
 #: Names that arrays of the results have themselves.
-TAKEN = ("status", "message", "seconds", "case", "draw", "zip", "point", "id")
+TAKEN = ("status", "message", "seconds", "case", "draw", "trial", "zip", "point", "id")
+#: Endings of names of arrays that belong to a figure.
+ENDINGS = ("_error", "_status", "_compensated")
 
 
 def figure(given: str | FigureTable, folder: Path) -> Figure:
@@ -163,10 +189,12 @@ def figure(given: str | FigureTable, folder: Path) -> Figure:
     source = given if isinstance(given, str) else given.figure
     options = {} if isinstance(given, str) else dict(given.model_extra or {})
     name = source.rpartition(":")[2] if isinstance(given, str) else given.name or source
-    if not name.isidentifier() or name in TAKEN or name.endswith(("_error", "_status")):
+    if source == "value" and name == source:
+        name = plain_name(str(options.get("address", source)))
+    if not name.isidentifier() or name in TAKEN or name.endswith(ENDINGS):
         raise SceneError(
             f"figures: {name!r} cannot name a figure; give a name of letters, digits and _ that "
-            "does not end in _error or _status"
+            f"does not end in {' or '.join(ENDINGS)}"
         )
     function = _function(source, folder)
     try:
@@ -185,6 +213,85 @@ def figure(given: str | FigureTable, folder: Path) -> Figure:
         # an own function may return an error for some points only
         has_error=known is None or known.has_error,
     )
+
+
+def plain_name(address: str) -> str:
+    """Return an address as a name of letters, digits and _: camera_position_0."""
+    return re.sub(r"\W+", "_", address).strip("_")
+
+
+def with_compensation(
+    figures: tuple[Figure, ...], table: Compensate, folder: Path, variables: tuple[Variable, ...]
+) -> tuple[Figure, ...]:
+    """Return figures, the same after compensation, and the values that the compensators take.
+
+    Parameters
+    ----------
+    figures : tuple of Figure
+        Figures of a study.
+    table : Compensate
+        Table of the study file.
+    folder : Path
+        Folder of the study file.
+    variables : tuple of Variable
+        Values to adjust.
+    """
+    best = next((f for f in figures if f.name == table.figure), None) or figure(
+        table.figure, folder
+    )
+    given = {
+        "figure": {"source": best.source, "options": best.options},
+        "goal": table.goal,
+        "variables": {
+            address: limits.model_dump(by_alias=True) for address, limits in table.variables.items()
+        },
+    }
+    after = [
+        replace(
+            f,
+            name=f"{f.name}_compensated",
+            meaning=f"{f.meaning}, after compensation",
+            compensate=given,
+        )
+        for f in figures
+        if f.source != "value"
+    ]
+    values = [
+        Figure(
+            name=f"{plain_name(one.address)}_compensated",
+            source="value",
+            options={"address": one.address},
+            unit=one.unit,
+            meaning=f"{one.address} after compensation",
+            stage=best.stage,
+            has_error=False,
+            compensate=given,
+        )
+        for one in variables
+    ]
+    return (*figures, *after, *values)
+
+
+def compensated(point: StudyPoint, table: Mapping[str, Any], folder: Path) -> StudyPoint:
+    """Return a point at which some values are adjusted for the best figure; itself if that is best.
+
+    Parameters
+    ----------
+    point : StudyPoint
+        Point before compensation.
+    table : mapping
+        Figure, goal and variables, as `with_compensation` writes them.
+    folder : Path
+        Folder of the study file.
+    """
+    function, options = _function(table["figure"]["source"], folder), table["figure"]["options"]
+    sign = 1.0 if table["goal"] == "minimise" else -1.0
+
+    def cost(there: StudyPoint) -> float:
+        answer = function(there, **options)
+        return sign * real("figure", answer[0] if isinstance(answer, tuple) else answer)
+
+    return point.adjusted(json.dumps(table), lambda: adjusted(point, table["variables"], cost))
 
 
 def _function(source: str, folder: Path) -> Callable[..., Answer]:

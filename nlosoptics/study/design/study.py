@@ -5,26 +5,90 @@ from __future__ import annotations
 import hashlib
 import json
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._checks import in_range, path_of, whole
-from .._nouns import Noun
-from ..errors import SceneError
-from ..scene.file.addresses import value_at
-from ..scene.file.errors import located, validated
+from ..._checks import in_range, path_of, whole
+from ..._nouns import Noun
+from ...errors import SceneError
+from ...scene.file.addresses import value_at
+from ...scene.file.errors import located, validated
 from .base import Base
-from .designs import Dimension, dimensions, named_materials
-from .figures import Figure, figure
+from .designs import Delta, Dimension, dimensions, named_materials
+from .figures import Figure, figure, with_compensation
 from .file import StudyTable
+from .searches import check_search
+from .values import number
+from .variables import Variable, check_variable, variable
 
 if TYPE_CHECKING:
-    from ..scene import Scene
+    from ...scene import Scene
+
+
+def _figures_and_variables(
+    table: StudyTable, folder: Path, base: Base, dimensions: tuple[Dimension, ...]
+) -> tuple[tuple[Figure, ...], tuple[Variable, ...]]:
+    """Return the figures of a study, with those after compensation, and the search's variables."""
+    adjusted = {} if table.compensate is None else table.compensate.variables
+    variables = search_variables(table, base)
+    compensators = _variables("compensate.variables", adjusted, base)
+    for one in (*variables, *compensators):
+        check_variable(one, base)
+    figures = tuple(figure(given, folder) for given in table.figures)
+    units = {v.address: v.unit for v in (*variables, *compensators)}
+    for dimension in dimensions:
+        for address in dimension.addresses:
+            units[address] = (number(dimension.deltas[-1].get(address)) or (0.0, ""))[1]
+    figures = tuple(_with_unit(one, base, units) for one in figures)
+    if table.compensate is not None:
+        figures = with_compensation(figures, table.compensate, folder, compensators)
+    names = [f.name for f in figures]
+    for name in names:
+        if names.count(name) > 1:
+            raise SceneError(f"figures names {name} twice; give one of them another name")
+    check_search(table, variables, dimensions, tuple(names))
+    return figures, variables
+
+
+def search_variables(table: StudyTable, base: Base) -> tuple[Variable, ...]:
+    """Return the values that the search of a study may change; empty if it has no search.
+
+    Parameters
+    ----------
+    table : StudyTable
+        Checked study file.
+    base : Base
+        Base scene.
+    """
+    if table.inverse_sensitivity is not None:
+        return _variables("inverse_sensitivity.of", table.inverse_sensitivity.of, base)
+    given = {} if table.optimise is None else table.optimise.variables
+    return _variables("optimise.variables", given, base)
+
+
+def _variables(name: str, given: Mapping[str, Any], base: Base) -> tuple[Variable, ...]:
+    return tuple(
+        variable(f"{name}.{address}", address, one, value_at(base.tables, address), base)
+        for address, one in given.items()
+    )
+
+
+def _with_unit(one: Figure, base: Base, units: Mapping[str, str]) -> Figure:
+    """Return a figure, that of a value with the unit of its address."""
+    if one.source != "value":
+        return one
+    address = str(one.options["address"])
+    found = value_at(base.tables, address)
+    if found is None and address not in units:
+        raise SceneError(f"figures: value of {address}: the scene has no such value; correct it")
+    return replace(
+        one, unit=units.get(address, "") if found is None else (number(found) or (0.0, ""))[1]
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,12 +112,16 @@ class Study(Noun):
     tol : float
         Error tolerance of point spreads, max |dI|/max I.
     seed : int
-        Seed of the draws and of the points.
+        Seed of the draws, the points and a search.
+    variables : tuple of Variable
+        Values that a search may change; empty without one. Its points so far are the first
+        dimension, "trial".
 
     See Also
     --------
     plan_study : Predict points, shared stages, time and size.
     run_study : Compute the points of a study, or resume.
+    optimum : Best points of an optimisation.
 
     Examples
     --------
@@ -76,6 +144,7 @@ class Study(Noun):
     figures: tuple[Figure, ...]
     tol: float
     seed: int
+    variables: tuple[Variable, ...] = ()
 
     @classmethod
     def load(cls, path: str | Path) -> Study:
@@ -130,11 +199,7 @@ class Study(Noun):
         for dimension in packed:
             for delta in dimension.deltas[:1] if dimension.name == "draw" else dimension.deltas:
                 base.checked(delta)
-        figures = tuple(figure(given, folder) for given in table.figures)
-        names = [f.name for f in figures]
-        for name in names:
-            if names.count(name) > 1:
-                raise SceneError(f"figures names {name} twice; give one of them another name")
+        figures, variables = _figures_and_variables(table, folder, base, packed)
         return cls(
             definition=definition,
             folder=folder,
@@ -143,7 +208,19 @@ class Study(Noun):
             figures=figures,
             tol=in_range("tol", table.tol, 1e-12, 0.1),
             seed=table.seed,
+            variables=variables,
         )
+
+    @cached_property
+    def table(self) -> StudyTable:
+        """Checked tables of the study file."""
+        found: StudyTable = validated(StudyTable, self.definition)
+        return found
+
+    def with_trials(self, deltas: Iterable[Delta]) -> Study:
+        """Return the study with other points of its search."""
+        first, *others = self.dimensions
+        return replace(self, dimensions=(replace(first, deltas=tuple(deltas)), *others))
 
     @property
     def shape(self) -> tuple[int, ...]:

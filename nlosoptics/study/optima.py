@@ -1,0 +1,328 @@
+"""Answers of searches: the best points, Pareto fronts, and inverse sensitivities."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .._checks import counted, whole
+from .._nouns import Noun
+from ..errors import SceneError
+from .design.figures import Figure
+from .design.file import Objective
+from .design.values import label, number, with_unit
+from .results import Results
+from .search.methods import outcome_of, searched_figures
+from .search.problem import Outcome
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Optimum(Noun):
+    """Trials of an optimisation and the best of them.
+
+    Parameters
+    ----------
+    results : Results
+        Results of the study.
+    labels : tuple of str
+        Name and unit of each objective.
+    goals : tuple of str
+        "minimise" or "maximise", for each objective.
+    objectives : ndarray, (trials, objectives)
+        Objectives of all trials, each in its figure's unit; NaN where a figure failed. A figure
+        with limits gives the share of points within them.
+    feasible : ndarray of bool, (trials,)
+        Whether no figure failed and all constraints are met.
+    failed : ndarray of bool, (trials,)
+        Whether a figure failed, for example because the scene was refused.
+    front : tuple of int
+        Numbers of the best trials, counted from 0: feasible ones to which no other is at least as
+        good in all objectives and better in one. They are in the order of the first objective, and
+        equal trials are named once. Empty if no trial is feasible.
+
+    See Also
+    --------
+    optimum : Best points of an optimisation.
+    nlosoptics.views.pareto : Picture of two objectives.
+    """
+
+    results: Results
+    labels: tuple[str, ...]
+    goals: tuple[str, ...]
+    objectives: NDArray[np.float64]
+    feasible: NDArray[np.bool_]
+    failed: NDArray[np.bool_]
+    front: tuple[int, ...]
+
+    @property
+    def best(self) -> int:
+        """Number of the best trial of the only objective.
+
+        Raises
+        ------
+        SceneError
+            If no trial is feasible, or there are several objectives.
+        """
+        if len(self.labels) > 1:
+            raise SceneError(
+                f"there are {len(self.labels)} objectives, so that no trial is the best; choose "
+                "one of front"
+            )
+        if not self.front:
+            raise SceneError(f"{self.results.path}: {self._none_feasible()}")
+        return self.front[0]
+
+    def values(self, trial: int | None = None) -> dict[str, Any]:
+        """Return the values of a trial by address, as a scene file holds them.
+
+        Parameters
+        ----------
+        trial : int, optional
+            Number of the trial; `best` by default.
+        """
+        trials = self.results.study.dimensions[0].deltas
+        chosen = self.best if trial is None else whole("trial", trial, 0, len(trials) - 1)
+        return dict(trials[chosen])
+
+    def scene(self, trial: int | None = None) -> Scene:
+        """Return the scene of a trial, without the values that draws or axes change.
+
+        Parameters
+        ----------
+        trial : int, optional
+            Number of the trial; `best` by default.
+        """
+        return self.results.study.base.scene(self.values(trial))
+
+    def __str__(self) -> str:
+        """Return how many trials are feasible, and the best ones with their values."""
+        n, met, failed = len(self.feasible), int(self.feasible.sum()), int(self.failed.sum())
+        state = self.results.dataset.attrs["search"]
+        head = f"search: {state}; {counted(n, 'trial')}, {met} feasible, {failed} failed"
+        if not self.front:
+            return f"{head}\n{self._none_feasible()}"
+        return "\n".join([head, *(self._line(trial) for trial in self.front)])
+
+    def _line(self, trial: int) -> str:
+        found = [
+            f"{label.partition(' (')[0]} {value:.6g}"
+            for label, value in zip(self.labels, self.objectives[trial], strict=True)
+        ]
+        values = [f"{address} = {label(value)}" for address, value in self.values(trial).items()]
+        return f"trial {trial}: {', '.join(found)}: {', '.join(values)}"
+
+    def _none_feasible(self) -> str:
+        why = self.results.failures()
+        told = f"; {max(why, key=lambda text: why[text])}" if why else ""
+        return f"no trial is feasible{told}; widen the limits or loosen the constraints"
+
+
+def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
+    """Return the best points of an optimisation: one, or the Pareto front of several objectives.
+
+    Parameters
+    ----------
+    results : Results
+        Results of a study with the table ``optimise``.
+    incomplete : bool
+        Whether the search may still run. Trials with pending points are left out of the front.
+
+    Returns
+    -------
+    Optimum
+
+    Raises
+    ------
+    SceneError
+        If the study has no such table, or has not ended.
+
+    See Also
+    --------
+    run_study : Compute the points of a study, or resume.
+    inverse_sensitivities : Change of each value that costs a stated loss.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> from nlosoptics.study import Study, optimum, run_study
+    >>> study = Study.from_tables(
+    ...     {
+    ...         "scene": "examples/scenes/letter_flat.toml",
+    ...         "figures": ["aberration_rms"],
+    ...         "optimise": {
+    ...             "method": "cobyqa",
+    ...             "evaluations": 40,
+    ...             "objectives": [{"figure": "aberration_rms", "goal": "minimise"}],
+    ...             "variables": {"camera.focus_distance": {"from": "1.5 m", "to": "3 m"}},
+    ...         },
+    ...     }
+    ... )
+    >>> with TemporaryDirectory() as folder:
+    ...     found = optimum(run_study(study, folder + "/focus.zarr", workers=0))
+    >>> round(found.scene().camera.focus_distance, 3)
+    2.049
+    """
+    table = results.study.table.optimise
+    if table is None:
+        raise SceneError("an optimum needs a study with the table [optimise]; add it")
+    outcomes = _outcomes(results, incomplete)
+    signs = np.array([1.0 if one.goal == "minimise" else -1.0 for one in table.objectives])
+    values = np.array([one.values for one in outcomes]).reshape(-1, len(table.objectives))
+    feasible = np.array([one.feasible for one in outcomes], dtype=bool)
+    study = results.study
+    several = len(study.dimensions) > 1
+    return Optimum(
+        results=results,
+        labels=tuple(_label(one, study.figure(one.figure), several) for one in table.objectives),
+        goals=tuple(one.goal for one in table.objectives),
+        objectives=signs * values + 0.0,  # -0.0 becomes 0.0
+        feasible=feasible,
+        failed=np.array([one.failed for one in outcomes], dtype=bool),
+        front=_front(values, feasible),
+    )
+
+
+def _outcomes(results: Results, incomplete: bool) -> list[Outcome]:
+    """Return the outcome of each trial."""
+    study = results.study
+    trials = len(study.dimensions[0].deltas)
+    columns = {
+        name: results.values(name, incomplete=incomplete).reshape(trials, -1)
+        for name in searched_figures(study)
+    }
+    pending = (results.dataset["status"].values == "pending").reshape(trials, -1).any(axis=1)
+    found = []
+    for trial in range(trials):
+        rows = {name: column[trial] for name, column in columns.items()}
+        if pending[trial]:
+            rows = {name: np.full_like(row, np.nan) for name, row in rows.items()}
+        found.append(outcome_of(study, rows))
+    return found
+
+
+def _front(values: NDArray[np.float64], feasible: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Return the feasible rows, (n, objectives), that no other dominates, each value once."""
+    rows = np.flatnonzero(feasible)
+    rows = rows[np.lexsort((rows, *values[rows].T[::-1]))]
+    kept: list[int] = []
+    for row in rows:  # sorted, so that only rows before it may dominate it
+        if not any((values[other] <= values[row]).all() for other in kept):
+            kept.append(int(row))
+    return tuple(kept)
+
+
+def _label(objective: Objective, figure: Figure, several: bool) -> str:
+    """Return the name of an objective with its unit; ``several`` points may make a trial."""
+    limits = [f"at least {objective.at_least:g}"] if objective.at_least is not None else []
+    limits += [f"at most {objective.at_most:g}"] if objective.at_most is not None else []
+    if limits:
+        return f"share of {figure.name} {' and '.join(limits)}"
+    over = f"{objective.over} " if several and figure.source != "value" else ""
+    return f"{over}{figure.name}" + (f" ({figure.unit})" if figure.unit else "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Allowance:
+    """Interval of a value within which a figure loses less than a stated amount.
+
+    Parameters
+    ----------
+    address : str
+        Address of the value.
+    unit : str
+        SI unit, or empty.
+    nominal : float
+        Value of the scene.
+    low, high : float
+        Ends of the interval: the farthest values at which the figure was still kept.
+    low_open, high_open : bool
+        Whether the loss is not reached at the limit of the study, so that the interval goes on.
+
+    See Also
+    --------
+    inverse_sensitivities : Intervals of all values.
+    """
+
+    address: str
+    unit: str
+    nominal: float
+    low: float
+    high: float
+    low_open: bool
+    high_open: bool
+
+    def __str__(self) -> str:
+        """Return the interval as text."""
+        nominal, low, high = (
+            label(with_unit(value, self.unit)) for value in (self.nominal, self.low, self.high)
+        )
+        below, above = "or less " * self.low_open, " or more" * self.high_open
+        return f"{self.address:32s} {low} {below}to {high}{above}, nominal {nominal}"
+
+
+def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
+    """Return how far each value may go, alone, until a figure has lost a stated amount.
+
+    Parameters
+    ----------
+    results : Results
+        Complete results of a study with the table ``inverse_sensitivity``.
+
+    Returns
+    -------
+    tuple of Allowance
+        The tightest first, as parts of the ranges that the study gives.
+
+    Raises
+    ------
+    SceneError
+        If the study has no such table or has not ended, or the nominal scene failed.
+
+    See Also
+    --------
+    sensitivities : Change of a figure with each value.
+    optimum : Best points of an optimisation.
+
+    Notes
+    -----
+    Each end is found by bisection between the scene's own value and the limit of the range, to the
+    table's ``precision`` as part of that interval. Where the figure is not monotonic, the end is
+    one of several at which the loss is reached.
+    """
+    table = results.study.table.inverse_sensitivity
+    if table is None:
+        raise SceneError(
+            "inverse sensitivities need a study with the table [inverse_sensitivity]; add it"
+        )
+    costs = [one.values[0] for one in _outcomes(results, False)]
+    if not np.isfinite(costs[0]):
+        raise SceneError(f"{table.figure} of the nominal scene failed, so that no loss is defined")
+    found = []
+    trials = results.study.dimensions[0].deltas
+    for variable in results.study.variables:
+        tried = {
+            (number(delta[variable.address]) or (np.nan,))[0]: cost <= costs[0] + table.loss
+            for delta, cost in zip(trials, costs, strict=True)
+            if variable.address in delta
+        }
+        nominal = (number(variable.value(variable.start)) or (np.nan,))[0]
+        kept = [nominal, *(value for value, good in tried.items() if good)]
+        found.append(
+            Allowance(
+                address=variable.address,
+                unit=variable.unit,
+                nominal=nominal,
+                low=min(kept),
+                high=max(kept),
+                low_open=tried.get(variable.low, True),
+                high_open=tried.get(variable.high, True),
+            )
+        )
+    widths = {v.address: v.high - v.low for v in results.study.variables}
+    return tuple(sorted(found, key=lambda one: (one.high - one.low) / widths[one.address]))
