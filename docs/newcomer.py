@@ -62,7 +62,9 @@ class Walk:
     def help_of_every_command(self) -> None:
         """Print the seconds of ``nlosoptics COMMAND --help`` for every command."""
         listed = self("nlosoptics --help", "COLUMNS=200 nlosoptics --help")
-        for command in re.findall(r"^│ ([a-z][\w-]+) ", listed, re.MULTILINE):
+        commands = re.findall(r"^  ([a-z][\w-]+) ", listed.partition("Commands:")[2], re.MULTILINE)
+        self.failed |= not commands
+        for command in commands:
             self(f"nlosoptics {command} --help", f"nlosoptics {command} --help")
 
     def page(self, name: str) -> None:

@@ -187,7 +187,7 @@ def draw_psf_study(found: Row) -> Any:
         over = [row[key] / row["asked"] for row in run]
         axes.scatter([row["seconds"] for row in run], over, label=key, s=18, **style)
     axes.axhline(1, color="black", linewidth=0.8)
-    axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="over the error asked for")
+    axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel="error / requested error")
     axes.legend()
     axes.grid(alpha=0.3)
     return drawn
@@ -714,7 +714,7 @@ SECTIONS = (
         f"{RUN}/psf_study.py --max-seconds 20 --json benchmarks/results/psf_study.json",
         psf_study,
         draw_psf_study,
-        "Error and estimate over the error asked for, against seconds: errors all lie below one",
+        "Error and estimate over the requested error, against seconds: errors all lie below one",
     ),
     Section(
         "tolerances.json",

@@ -9,6 +9,8 @@ from typing import Any
 from .. import __version__
 from .._checks import counted
 from .._html import Column, Html, joined, png, table, tag
+from ..errors import SceneError
+from ..limits import object_scale
 from ..runs.plan import FIELD
 from . import words
 from .elements import date, facts, figure, number, percent, quantity, seconds, section
@@ -383,12 +385,13 @@ def _objects(held: Folder) -> Iterator[Html]:
     """True object if known, and the reconstructed object or its last preview."""
     found = held.arrays("reconstruction.npz", "object")
     image = None if found is None else held.arrays("image.npz", "ideal")
+    size = "" if found is None else _size_on_object(held, found["object"].shape)
     if image is not None and (brightest := float(image["ideal"].max())) > 0.0:
         yield pixels(
             image["ideal"][:, ::-1] / brightest,
             "Truth",
             alt="The object as the camera would see it without blur and noise.",
-            told="Object in the image's frame without blur and noise; mirror reversal undone.",
+            told=f"{size}Object in the image's frame, no blur or noise; mirror reversal undone.",
             unit="of the brightest",
             low=0.0,
             high=1.0,
@@ -398,7 +401,7 @@ def _objects(held: Folder) -> Iterator[Html]:
             found["object"][:, ::-1],
             "Reconstruction",
             alt="Reconstructed object.",
-            told="Mirror reversal undone.",
+            told=f"{size}Mirror reversal undone.",
             unit="of the brightest",
             low=0.0,
             high=max(1.0, float(found["object"].max())),
@@ -410,6 +413,18 @@ def _objects(held: Folder) -> Iterator[Html]:
             ", mirror reversal undone; 0 is black, the brightest pixel white.",
             class_="pixels",
         )
+
+
+def _size_on_object(held: Folder, shape: tuple[int, ...]) -> str:
+    """Return the size of a reconstruction on the object as a sentence; empty if unknown."""
+    try:
+        scene = held.scene()
+    except SceneError:  # the view of the room says what is wrong with it
+        return ""
+    if scene is None or shape != scene.camera.shape:
+        return ""
+    scale = 1e3 * object_scale(scene) * scene.camera.image_pitch
+    return f"{number(shape[1] * scale)} × {number(shape[0] * scale)} mm on the object. "
 
 
 def _spaced(name: str) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from nlosoptics import cli, report, views
+from nlosoptics import cli, limits, report, views
 from nlosoptics._html import tag
 from nlosoptics.errors import MissingExtraError
 from nlosoptics.report.elements import number, quantity
@@ -174,6 +174,14 @@ def test_tells_what_the_record_says(run, text):
     assert "seed 3, tol 0.001" in words
     assert record["finished"][:10] in words
     assert " ".join((run / "scene.toml").read_text().split()) in words
+
+
+def test_truth_and_reconstruction_say_their_size_on_the_object(run, text):
+    scene = Scene.load(run / "scene.toml")
+    pixel = 1e3 * limits.object_scale(scene) * scene.camera.image_pitch
+    rows, columns = (n * pixel for n in scene.camera.shape)
+    size = f"{number(columns)} × {number(rows)} mm on the object."
+    assert told(text).count(size) == 2
 
 
 def test_each_accuracy_stands_beside_its_time(run, text):
