@@ -34,12 +34,15 @@ from ._lobe_kernels import STEEPEST, facet_slope_sq, is_narrow
 from ._surround_kernels import OBJECT, WALL, on_detector, texel
 
 STREAM = np.uint64(303)  # stream of the random numbers
-NEWTON, HALVINGS = 20, 6  # largest number of Newton steps, and of halvings of a step
+# Largest numbers of Newton steps and of halvings of a step. A search tries many starts, and some
+# have no solution. Elsewhere a solution that is missed would be lost.
+SEARCH, SOLVE = (20, 6), (60, 12)
 MARGIN = 0.3  # added to the slope of the wall at the start, to bound that at the solution
 ZERO = 1e-20  # sum of the squared equations (direction cosines) at a solution
 SAME = 1e-6  # distance of equal solutions relative to the length of the path
 TRIALS = 1 << 16  # largest number of starts for one solution
 THINNED = 8.0  # search one of so many chains for each reflection at the wall after the first
+LONG = 4  # reflections beyond which one of two chains is traced, for each further reflection
 
 
 @njit(cache=True)
@@ -287,16 +290,17 @@ def _steps(g, own, back, ahead, step):
 
 
 @njit(cache=True)
-def _solve(walls, kinds, frames, slopes, a, p, u, x, g):
+def _solve(walls, kinds, frames, slopes, a, p, u, x, g, limits):
     """Move the coordinates ``u`` (m, 2) to a solution; return the Jacobian's determinant, or 0.
 
-    Newton steps are halved until the sum of squares falls. Without a solution the result is 0.
+    Newton steps are halved until the sum of squares falls. ``limits`` are the largest numbers of
+    steps and halvings; without a solution within them the result is 0.
     """
     m = u.shape[0]
     own, back, ahead = np.zeros((m, 2, 2)), np.zeros((m, 2, 2)), np.zeros((m, 2, 2))
     step, old = np.zeros((m, 2)), np.empty((m, 2))
     worst = _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead)
-    for _ in range(NEWTON):
+    for _ in range(limits[0]):
         if not worst < math.inf:
             return 0.0
         det = _steps(g, own, back, ahead, step)
@@ -304,7 +308,7 @@ def _solve(walls, kinds, frames, slopes, a, p, u, x, g):
             return det if worst < ZERO else 0.0
         old[:] = u
         share, better = 1.0, math.inf
-        for _ in range(HALVINGS):
+        for _ in range(limits[1]):
             u[:] = old + share * step
             better = _equations(walls, kinds, frames, slopes, a, p, u, x, g, own, back, ahead)
             if better < worst:
@@ -447,6 +451,13 @@ def chain_to_lens(
         for k in range(m):
             kinds[k] = WALL if (vertex[SURFACE] == OBJECT) == (k % 2 == 0) else OBJECT
             on_wall += 1 if kinds[k] == WALL else 0
+        search = several and on_wall > 0
+        keep = THINNED ** (1 - on_wall) if search else 1.0
+        keep *= 0.5 ** max(0, m - LONG)
+        if keep < 1.0 and _number(seed, ray, bounce, m, 4 * m) >= keep:
+            continue
+        share /= keep
+        for k in range(m):
             chance = _number(seed, ray, bounce, m, 4 * k)
             share *= _set_frame(world, kinds[k], chance, frames[k], bounds[k])
             ready = ready and chained_at(world, kinds[k])
@@ -461,18 +472,12 @@ def chain_to_lens(
             ready = ready and lobes_at[k] >= 0
         if not ready:
             continue
-        search = several and on_wall > 0
-        if search and on_wall > 1:
-            keep = THINNED ** (1 - on_wall)
-            if _number(seed, ray, bounce, m, 4 * m) >= keep:
-                continue
-            share /= keep
         reach = math.sqrt((a[0] - p[0]) ** 2 + (a[1] - p[1]) ** 2 + (a[2] - p[2]) ** 2)
         reach += abs(a[2]) + abs(p[2])
         u[:] = start
         if search:
             _shift(walls, seed, ray, (bounce, m, 4 * m + 1), kinds, reach, start, u)
-        det = _solve(walls, kinds, frames, slopes, a, p, u, x, g)
+        det = _solve(walls, kinds, frames, slopes, a, p, u, x, g, SEARCH if search else SOLVE)
         if det == 0.0:
             continue
         carried = _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inverse)
@@ -496,17 +501,19 @@ def chain_to_lens(
         if f <= 0.0:
             continue
         if search:
+            trials = TRIALS
             for trial in range(1, TRIALS + 1):
                 address = (bounce, m, (4 + 3 * trial) * m + 1)
                 _shift(walls, seed, ray, address, kinds, reach, start, again)
-                if _solve(walls, kinds, frames, slopes, a, p, again, y, other) != 0.0:
+                if _solve(walls, kinds, frames, slopes, a, p, again, y, other, SEARCH) != 0.0:
                     off = 0.0
                     for k in range(m):
                         for c in range(3):
                             off += abs(x[k, c] - y[k, c])
                     if off < SAME * m * reach:
-                        f *= trial
+                        trials = trial
                         break
+            f *= trials
         value[i], length[i] = f, vertex[LENGTH] + r + s
         for c in range(3):
             points[i, 0, c], points[i, m + 1, c] = a[c], p[c]

@@ -15,6 +15,9 @@ from ...scene import ConvexWall, PlanarObject, Scene
 TRIANGLES: Final = 128
 #: Points per side of the grid on which the slopes of a wall are looked up.
 GRID: Final = 129
+#: Largest number of hills and hollows of a wall, along x times along y, between which a chain
+#: searches for its reflection points.
+HILLS: Final = 100.0
 #: Half width, m, of the part of an unbounded wall whose slopes are looked up.
 UNBOUNDED: Final = 2.0
 #: Standard deviations of the facet slope within which a mirror-like lobe sends its light.
@@ -58,7 +61,7 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
         Whether light from the wall can meet the wall again.
     """
     wall, thing = bool(scene.wall_material.mirror_lobes), bool(scene.hidden.material.mirror_lobes)
-    steepest = 0.0 if scene.wall.is_flat else _steepest(scene)
+    steepest, hills = (0.0, 0.0) if scene.wall.is_flat else _slopes(scene)
     missing: list[tuple[int, str]] = []
     if wall and wall_to_wall and _lens_elevation(scene) <= 3.0 * math.atan(steepest):
         text = (
@@ -70,7 +73,7 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
     facets = DEVIATIONS * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
     spread = 2.0 * (math.atan(steepest) + facets)
     wall = wall and (thing or _meets_object(scene, spread, mirrored=True))
-    obstacle = _obstacle(scene) if wall else ""
+    obstacle = _obstacle(scene, hills) if wall else ""
     if obstacle:
         path = "the object and then" if thing else "the wall, and after the object again"
         text = f"light that mirror-like lobes reflect at {path} at the wall: {obstacle}"
@@ -94,7 +97,7 @@ def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
     )
 
 
-def _obstacle(scene: Scene) -> str:
+def _obstacle(scene: Scene, hills: float) -> str:
     """Return why reflection points on the wall cannot be solved for, or an empty string."""
     if not scene.wall.is_compiled:
         return "the wall's height is a Python function"
@@ -103,16 +106,25 @@ def _obstacle(scene: Scene) -> str:
     terms = scene.wall.compiled()[0]
     if np.isin(terms[:, 0], (FACETS, BUMPS)).any():
         return "the wall has a rough relief"
+    if hills > HILLS:
+        return f"the wall has some {hills:.0f} hills and hollows, limit {HILLS:g}"
     return ""
 
 
-def _steepest(scene: Scene) -> float:
-    """Return the largest slope of the wall on a grid of points."""
+def _slopes(scene: Scene) -> tuple[float, float]:
+    """Return the largest slope of the wall, and its number of hills and hollows, on a grid.
+
+    Hills and hollows are counted by the changes of the slope's sign along the rows and columns of
+    the grid, on average, and multiplied.
+    """
     size = scene.wall.size or (2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
     x, y = (np.linspace(-0.5 * s, 0.5 * s, GRID) for s in size)
     slopes = np.asarray(scene.wall.derivatives(*(a.ravel() for a in np.meshgrid(x, y))))[:, 1:3]
     norms = np.hypot(slopes[:, 0], slopes[:, 1])
-    return float(np.max(norms, initial=0.0, where=np.isfinite(norms)))
+    signs = np.sign(slopes.reshape(GRID, GRID, 2))
+    turns = [float((np.abs(np.diff(signs[..., k], axis=1 - k)) == 2.0).mean()) for k in (0, 1)]
+    hills = (1.0 + turns[0] * (GRID - 1)) * (1.0 + turns[1] * (GRID - 1))
+    return float(np.max(norms, initial=0.0, where=np.isfinite(norms))), hills
 
 
 def _lens_elevation(scene: Scene) -> float:

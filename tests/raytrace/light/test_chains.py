@@ -27,6 +27,7 @@ from nlosoptics.scene import (
     Scene,
     SpecularMicrofacet,
     SumMaterial,
+    SumWall,
     WallRoughness,
     Ward,
     WavyWall,
@@ -237,6 +238,7 @@ def test_kept_paths_hold_the_reflection_points():
 # what is left to chance
 
 
+SHORT = SumWall(WavyWall(1e-4, 0.1), WavyWall(1e-4, 0.1, direction=math.pi / 2), size=(2.0, 2.0))
 LEVEL = (lambda x, y: 0.0 * x, lambda x, y: (0.0 * x, 0.0 * y))
 
 
@@ -254,11 +256,12 @@ def with_facets(**options):
             "Python function",
         ),
         (with_facets(), 3, "rough relief"),
+        (room(SHORT), 3, "hills and hollows, limit 100"),
         (room(WavyWall(0.05, 0.4, size=(2.0, 2.0)), matt_and(0.3), Lambert(0.8)), 4, "twice"),
         (room(mesh=trimesh.creation.icosphere(2, 0.2)), 2, "320 triangles, limit 128"),
         (room(mesh=trimesh.creation.annulus(0.1, 0.3, 0.2, sections=8)), 3, "not convex"),
     ],
-    ids=["python", "facets", "wall to wall", "triangles", "hollow mesh"],
+    ids=["python", "facets", "short waves", "wall to wall", "triangles", "hollow mesh"],
 )
 def test_tol_is_refused_where_light_is_left_to_chance(scene, least, words):
     plan = ray_plan(scene)
