@@ -71,6 +71,12 @@ class RayPaths(Noun):
         Number of rays traced.
     stopped : {"rays", "tol", "time"}
         Limit that ended the tracing.
+    uncertain : tuple of str
+        Values whose error is dominated by rare paths: ``"flux"``, ``"stray"`` or ``"bounce 4"``.
+        Their errors are widened, but may still be too small; trace more rays.
+    unreached : tuple of str
+        Paths that rays find by chance only. The values may miss their light without showing it in
+        their errors.
     seconds : float
         Wall-clock time.
     queries : mapping of str to int
@@ -103,6 +109,8 @@ class RayPaths(Noun):
     mean_path_length: float = 0.0
     n_rays: int = 0
     stopped: str = "rays"
+    uncertain: tuple[str, ...] = ()
+    unreached: tuple[str, ...] = ()
     seconds: float = 0.0
     queries: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 

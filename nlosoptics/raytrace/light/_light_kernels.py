@@ -8,7 +8,10 @@ vertex, and
 - SURFACE: kind of surface, negative if the path has ended; SCALE: brightness;
 - LENGTH: path length so far, m; MET: 1 if the path has met the hidden object;
 - HISTORY: bit 0 is set if DENSITY is -1 here, bit 1 if it was at the previous vertex;
-- BEFORE: kind of surface of the previous vertex.
+- BEFORE: kind of surface of the previous vertex;
+- NARROW: share of the light that narrow lobes reflected at the previous vertex, 1 for the laser;
+- BEGUN: share that arrives by a chain of narrow lobes, or may begin one here;
+- LINKED: share that `_chain_kernels` traces if narrow lobes reflect it to the lens from here.
 """
 
 from __future__ import annotations
@@ -18,10 +21,11 @@ import math
 import numpy as np
 from numba import njit
 
-from ...kernels.brdf import is_mirror, lobe_pdf, material, sample_lobe, total_strength
+from ...kernels.brdf import material
 from ...kernels.codes import GROUPS, UNIT
 from ...kernels.random import draw
 from ..fans import paths
+from ._lobe_kernels import lobe_density, lobe_direction, narrow_part
 from ._surround_kernels import (
     DRAW_THIN,
     LENS,
@@ -36,11 +40,12 @@ from ._surround_kernels import (
     three,
 )
 
-VERTEX = 18
+VERTEX = 20
 P, N, I = slice(0, 3), slice(3, 6), slice(6, 9)  # noqa: E741  (the letter of incidence)
 POWER, DENSITY, SURFACE, SCALE, LENGTH, MET, HISTORY, BEFORE = range(9, 17)
-LEAVE = 9
-LOBE, PDF, MIRROR, AIMED, REACH, APART = range(3, 9)
+NARROW, BEGUN, LINKED = range(17, 20)
+LEAVE = 10
+LOBE, PDF, MIRROR, AIMED, REACH, APART, SHARE = range(3, 10)
 
 # columns of the sums that follow the fluxes by number of reflections
 STRAY, LENGTHS, ABSORBED_WALL, ABSORBED_OBJECT, ABSORBED_OCCLUDERS = range(5)
@@ -64,92 +69,49 @@ def _lobes(world, kind):
     return world.wall if kind == WALL else world.thing
 
 
-@njit(cache=True)
-def tangents(n):
-    """Return two unit vectors perpendicular to n and to each other.
-
-    Duff et al., J. Comput. Graph. Tech. 6(1), 2017.
-    """
-    sign = math.copysign(1.0, n[2])
-    p = -1.0 / (sign + n[2])
-    q = n[0] * n[1] * p
-    return (1.0 + sign * n[0] * n[0] * p, sign * q, -sign * n[0]), (
-        q,
-        sign + n[1] * n[1] * p,
-        -n[1],
-    )
-
-
-@njit(cache=True)
-def _chance(lobes, j, total, eye):
-    """Return the probability of drawing lobe ``j`` of a table of lobes.
-
-    ``total`` is the sum of their strengths. Light paths (``eye`` False) draw lobes in proportion to
-    their strength, to follow the power. Eye paths do so for one half and choose uniformly for the
-    other, since a faint mirror can form the whole image.
-    """
-    strength = lobes[j, 1] * lobes[j, 3]
-    if strength <= 0.0:
-        return 0.0
-    if not eye:
-        return strength / total
-    some = 0
-    for k in range(lobes.shape[0]):
-        some += 1 if lobes[k, 1] * lobes[k, 3] > 0.0 else 0
-    return 0.5 * strength / total + 0.5 / some
-
-
-@njit(cache=True)
-def _lobe_density(lobes, mu_i, mu_o, cos_between, eye):
-    """Return the probability density, 1/sr, with which `_lobe_direction` draws a direction.
-
-    Smooth mirrors are excluded. ``mu_i`` and ``mu_o`` are the cosines of incidence and exitance,
-    ``cos_between`` that of the angle between both directions.
-    """
-    total = total_strength(lobes)
-    density = 0.0
-    for j in range(lobes.shape[0]):
-        chance = _chance(lobes, j, total, eye)
-        if chance > 0.0:
-            density += chance * lobe_pdf(lobes, j, mu_i, mu_o, cos_between)
-    return density
-
-
-@njit(cache=True)
-def _lobe_direction(lobes, incident, n, u, v, w, eye):
-    """Draw a direction from the lobes; return it with the weight of a chosen mirror, else -1.
-
-    ``incident`` and ``n`` are unit vectors, toward the previous vertex and along the normal. ``u``,
-    ``v`` and ``w`` are random numbers from 0 to 1.
-    """
-    a, b = tangents(n)
-    ix, iy, iz = dot(incident, a), dot(incident, b), dot(incident, n)
-    total = total_strength(lobes)
-    chosen, left = -1, w
-    for j in range(lobes.shape[0]):
-        chance = _chance(lobes, j, total, eye)
-        if chance > 0.0 and (chosen < 0 or left >= 0.0):
-            chosen = j
-        left -= chance
-    if chosen < 0:
-        return n, 0.0
-    x, y, z, _ = sample_lobe(lobes, chosen, ix, iy, iz, u, v)
-    d = (
-        x * a[0] + y * b[0] + z * n[0],
-        x * a[1] + y * b[1] + z * n[1],
-        x * a[2] + y * b[2] + z * n[2],
-    )
-    if is_mirror(lobes, chosen):
-        return d, lobes[chosen, 1] * lobes[chosen, 3] / _chance(lobes, chosen, total, eye)
-    return d, -1.0
-
-
 @njit(cache=True, inline="always")
 def _aimed(world, vertex, eye):
     """Return the fraction, 0 to 1, of the rays leaving ``vertex`` that are aimed at the object."""
     if vertex[SURFACE] != WALL:
         return 0.0
     return world.aimed[0] if eye or vertex[BEFORE] == NOTHING else world.aimed[1]
+
+
+@njit(cache=True, inline="always")
+def chained_at(world, kind):
+    """Return whether narrow lobes of a surface take part in the chains of `_chain_kernels`."""
+    return world.chains & (1 if kind == WALL else 2) != 0
+
+
+@njit(cache=True)
+def narrow_share(world, kind, mu_i, mu_o, cos_between):
+    """Return the share of the narrow lobes in f_r of a surface; 0 if chains are not traced."""
+    if not chained_at(world, kind):
+        return 0.0
+    lobes = _lobes(world, kind)
+    narrow = narrow_part(lobes, mu_i, mu_o, cos_between)
+    return narrow / material(lobes, mu_i, mu_o, cos_between) if narrow > 0.0 else 0.0
+
+
+@njit(cache=True, inline="always")
+def _linked(vertex, narrow, kind):
+    """Return BEGUN and LINKED of the vertex on a surface ``kind`` that follows ``vertex``.
+
+    ``narrow`` is the share of the narrow lobes in the reflection at ``vertex``. A chain begins with
+    a reflection by other lobes. It goes on from one surface to another kind of surface. A chain of
+    one reflection counts if narrow lobes or the laser brought the light to its beginning.
+    """
+    if vertex[SURFACE] == kind:
+        return 0.0, 0.0
+    chain, wide = narrow * vertex[BEGUN], 1.0 - narrow
+    return wide + chain, wide * vertex[NARROW] + chain
+
+
+@njit(cache=True, inline="always")
+def _follow(old, new, narrow, kind):
+    """Fill NARROW, BEGUN and LINKED of a vertex on a surface ``kind`` that follows ``old``."""
+    new[NARROW] = narrow
+    new[BEGUN], new[LINKED] = _linked(old, narrow, kind)
 
 
 @njit(cache=True, inline="always")
@@ -171,7 +133,7 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
     ``eye`` is True for vertices of eye paths. Columns of ``leave``: direction; f_r times cosine
     (LOBE); density of the lobes (PDF); weight of a mirror or -1 (MIRROR); share aimed at the object
     (AIMED); distance of the point aimed at or -1 (REACH); 1 if only aimed rays may reach the object
-    (APART).
+    (APART); share of the narrow lobes in f_r (SHARE).
     """
     for i in range(vertices.shape[0]):
         vertex = vertices[i]
@@ -195,18 +157,21 @@ def scatter(world, sampler, first, number, eye, vertices, leave, origins, direct
         else:
             # a single lobe needs no random choice
             w = draw(sampler, group, index, ray, number + 3) if lobes.shape[0] > 1 else 0.0
-            d, mirror = _lobe_direction(lobes, incident, n, u, v, w, eye)
+            d, mirror = lobe_direction(lobes, incident, n, u, v, w, eye)
         cosine = dot(d, n)
         f = density = 0.0
+        narrow = 1.0 if chained_at(world, kind) else 0.0
         if mirror < 0.0 and cosine > 0.0:
             mu, between = dot(incident, n), dot(incident, d)
             f = material(lobes, mu, cosine, between) * cosine
-            density = _lobe_density(lobes, mu, cosine, between, eye)
+            density = lobe_density(lobes, mu, cosine, between, eye)
+            narrow = narrow_share(world, kind, mu, cosine, between)
         for k in range(3):
             leave[i, k] = directions[i, k] = d[k]
             origins[i, k] = p[k]
         leave[i, LOBE], leave[i, PDF], leave[i, MIRROR] = f, density, mirror
         leave[i, AIMED], leave[i, REACH] = share, reach
+        leave[i, SHARE] = narrow
         leave[i, APART] = 1.0 if share > 0.0 and _far(world, p) else 0.0
         live[i] = cosine > 0.0
 
@@ -339,6 +304,8 @@ def land(
             if where == WALL and at == WALL:
                 sums[tail + WALL_TO_WALL] += sent
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], sent, density)
+            if world.chains != 0:
+                _follow(old[i], new[i], leave[i, SHARE], where)
             if bounce == most:
                 sums[tail + LEFT] += sent
                 new[i, SURFACE] = NOTHING
@@ -355,7 +322,8 @@ def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
 
     Unless the trace is analog, connections already account for this light. The exception is light
     from a mirror if its vertex or the one before was determined by a mirror or the laser, since
-    connections cannot find such paths. ``sent`` is the power that left the vertex, W.
+    connections cannot find such paths; chains are traced separately. ``sent`` is the power that
+    left the vertex, W.
     """
     d = three(leave, 0)
     point = (old[0] + distance * d[0], old[1] + distance * d[1], old[2] + distance * d[2])
@@ -363,11 +331,12 @@ def _enter_lens(world, sums, tail, old, leave, bounce, distance, sent, analog):
     kept = sent * world.camera[18] if seen else 0.0
     by_mirrors = leave[MIRROR] >= 0.0 and old[HISTORY] > 0.0
     if analog or by_mirrors:
+        counted = kept if analog else kept * (1.0 - old[LINKED])
         if old[MET] > 0.0:
-            sums[bounce] += kept
-            sums[tail + LENGTHS] += kept * (old[LENGTH] + distance)
+            sums[bounce] += counted
+            sums[tail + LENGTHS] += counted * (old[LENGTH] + distance)
         else:
-            sums[tail + STRAY] += kept
+            sums[tail + STRAY] += counted
     sums[tail + BLOCKED] += sent - kept
     return kept
 
@@ -404,6 +373,7 @@ def start(world, first, most, origins, directions, hits, new, path_sums, fates):
                 power,
                 -1.0,
             )
+            new[i, NARROW] = 1.0
         elif where == LENS:
             sums[tail + BLOCKED] += power
             fates[i] = paths.BLOCKED
@@ -452,6 +422,7 @@ def look_on(world, old, leave, origins, directions, hits, new):
             o = three(origins[i], 0)
             power = old[i, POWER] * passed
             _arrive(old[i], new[i], o, d, distance[i], where, n, scale[i], power, density)
+            new[i, NARROW] = leave[i, SHARE]
 
 
 @njit(cache=True, inline="always")
@@ -468,6 +439,14 @@ def reflected(world, vertex, direction, cosine):
 
 
 @njit(cache=True, inline="always")
+def narrow_at(world, vertex, direction, cosine):
+    """Return the share of the narrow lobes in `reflected`."""
+    incident = three(vertex, 6)
+    mu = dot(incident, three(vertex, 3))
+    return narrow_share(world, int(vertex[SURFACE]), mu, cosine, dot(incident, direction))
+
+
+@njit(cache=True, inline="always")
 def next_density(world, vertex, incident, direction, cosine, target, target_cosine, square, eye):
     """Return the density, 1/m^2, with which `scatter` continues a path to the point of a target.
 
@@ -477,7 +456,7 @@ def next_density(world, vertex, incident, direction, cosine, target, target_cosi
     kind = int(vertex[SURFACE])
     n = three(vertex, 3)
     mu, between = dot(incident, n), dot(incident, direction)
-    density = _lobe_density(_lobes(world, kind), mu, cosine, between, eye)
+    density = lobe_density(_lobes(world, kind), mu, cosine, between, eye)
     share = _aimed(world, vertex, eye)
     density *= (1.0 - share) * target_cosine / square
     if target[SURFACE] == OBJECT:
@@ -495,6 +474,23 @@ def between(a, b):
     r = math.sqrt(square)
     d = (d[0] / r, d[1] / r, d[2] / r)
     return d, square, dot(d, three(a, 3)), -dot(d, three(b, 3))
+
+
+@njit(cache=True, inline="always")
+def _chained(world, a, b, seen, second, d, cos_a, cos_b):
+    """Return the share of a connection by `connect` that is traced as a chain of narrow lobes.
+
+    The connection goes from the light vertex ``a`` to the eye vertex ``b`` along the unit vector
+    ``d``. ``seen`` is the first eye vertex, and ``b`` the second one if ``second``.
+    """
+    narrow = narrow_at(world, a, d, cos_a)
+    begun, linked = _linked(a, narrow, b[SURFACE])
+    narrow_b = narrow_at(world, b, (-d[0], -d[1], -d[2]), cos_b)
+    if not second:
+        return linked * narrow_b
+    if b[SURFACE] == seen[SURFACE]:
+        return 0.0
+    return b[NARROW] * (narrow_b * begun + (1.0 - narrow_b) * narrow)
 
 
 @njit(cache=True, nogil=True)
@@ -536,6 +532,8 @@ def connect(world, light, eye, seen, second, glossy, value, length, starts, ends
                     )
                     others += upstream / a[DENSITY]
                 f /= 1.0 + others
+        if world.chains != 0:
+            f *= 1.0 - _chained(world, a, b, seen[i], second, d, cos_a, cos_b)
         value[i] = f
         length[i] = a[LENGTH] + math.sqrt(square) + b[LENGTH]
         for k in range(3):
@@ -577,6 +575,8 @@ def to_lens(world, light, before, lens, glossy, value, length, starts, ends):
                 upstream = next_density(world, a, d, to, cos_a, b, cos_b, r2, True)
                 ratio += ratio * upstream / b[DENSITY]
             f /= 1.0 + ratio
+        if a[LINKED] > 0.0:
+            f *= 1.0 - a[LINKED] * narrow_at(world, a, d, cosine)
         value[i] = f
         length[i] = a[LENGTH] + r
         for k in range(3):

@@ -27,8 +27,8 @@ from ._light_kernels import (
     between,
     next_density,
     reflected,
-    tangents,
 )
+from ._lobe_kernels import tangents
 from ._surround_kernels import (
     DRAW_BEAM,
     DRAW_LENS,

@@ -62,6 +62,9 @@ class World(NamedTuple):
         Shares of rays from the wall that are aimed at the object; see `surroundings.AIMED`.
     glossy : bool
         Whether a lobe requires three sampling strategies.
+    chains : int
+        Surfaces of which `_chain_kernels` traces chains of narrow lobes: 1 for the wall, plus 2 for
+        the hidden object.
     ball : ndarray, (4,)
         Centre and radius of a sphere around the object.
     camera : ndarray, (21,)
@@ -84,6 +87,7 @@ class World(NamedTuple):
     norm: float
     aimed: NDArray[np.float64]
     glossy: bool
+    chains: int
     ball: NDArray[np.float64]
     camera: NDArray[np.float64]
     laser: NDArray[np.float64]
@@ -192,7 +196,7 @@ def _plate(world, o, d, low, high):
 
 
 @njit(cache=True, inline="always")
-def _texel(world, point):
+def texel(world, point):
     """Return the pixel value of the planar object's picture at a point on the object."""
     plate, picture = world.plate, world.picture
     across = (point[0] - plate[0], point[1] - plate[1], point[2] - plate[2])
@@ -293,7 +297,7 @@ def plate_and_lens(world, origins, directions, live, distance, kind, normal, sca
                 for k in range(3):
                     normal[i, k] = world.plate[9 + k]
                 kind[i] = OBJECT if dot(d, three(world.plate, 9)) < 0.0 else BACK
-                scale[i] = _texel(world, (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]))
+                scale[i] = texel(world, (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2]))
         t = _lens(world, o, d, 1e-9, distance[i])
         if t < distance[i]:
             distance[i], kind[i] = t, LENS

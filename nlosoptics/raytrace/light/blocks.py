@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...kernels.codes import GROUPS, UNIT
 from ...scene import Scene
 from ..fans.paths import DETECTED
+from . import _chain_kernels as chaining
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 from .surroundings import Surroundings
@@ -102,6 +103,8 @@ class Rays:
         self.live = np.ones(n, dtype=bool)
         self.fates = np.empty(n, dtype=np.int8)
         self.value, self.length = np.empty((2, n))
+        self.by_object = np.zeros((n, kernels.VERTEX))  # stands for chains, which meet the object
+        self.by_object[:, kernels.MET] = 1.0
         self.walked: list[Array] = []
         self.kept: list[Kept] = []
 
@@ -181,6 +184,42 @@ class Rays:
         if glossy and bounce + 2 <= most:
             kernels.connect(world, light, self.further, self.seen, True, glossy, *found)
             self._book(light, self.further, bounce + 2, (self.further, self.seen))
+        if self.around.chains.surfaces:
+            longest = most - bounce if self.around.chains.both else min(1, most - bounce)
+            for m in range(1, longest + 1):
+                self._chain(light, bounce, m)
+
+    def _chain(self, light: Array, bounce: int, m: int) -> None:
+        """Add the power of chains of ``m`` mirror-like reflections from light vertices to the lens.
+
+        ``bounce`` is the number of reflections up to the light vertices.
+        """
+        points, chains = np.zeros((self.n, m + 2, 3)), self.around.chains
+        chaining.chain_to_lens(
+            self.around.world,
+            self.around.compiled_wall,
+            self.job.sampler,
+            self.first,
+            light,
+            self.lens,
+            (bounce, m),
+            chains.several,
+            chains.steepest,
+            self.value,
+            self.length,
+            points,
+        )
+        if not self.value.any():
+            return
+        from_wall = light[:, kernels.SURFACE] == surround.WALL
+        on_wall = from_wall
+        for k in range(m):
+            self.starts[:], self.ends[:] = points[:, k], points[:, k + 1]
+            self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
+            on_wall = ~on_wall
+        self.starts[:], self.ends[:] = points[:, m], points[:, m + 1]
+        mirrors = tuple(points[:, k] for k in range(1, m + 1))
+        self._book(light, self.by_object, bounce + m, mirrors, on_wall)
 
     def _scatter(self, vertices: Array, number: int, eye: bool) -> None:
         """Draw the directions in which the paths continue, from random number ``number`` on."""
@@ -213,13 +252,23 @@ class Rays:
             self.origins, self.directions, self.live, on_wall, self.counts
         )
 
-    def _book(self, light: Array, eye: Array, bounce: int, seen: tuple[Array, ...]) -> None:
+    def _book(
+        self,
+        light: Array,
+        eye: Array,
+        bounce: int,
+        seen: tuple[Array, ...],
+        on_wall: NDArray[np.bool_] | None = None,
+    ) -> None:
         """Add the power of unblocked connections to the sums, and store their paths if wanted.
 
         ``light`` and ``eye`` are the connected vertices and ``bounce`` the number of reflections.
-        ``seen`` holds the later vertices of the eye paths, for stored paths.
+        ``seen`` holds the vertices between the light vertices and the lens, for stored paths.
+        ``on_wall`` (n,) tells whether a connection starts on the wall; by default this is the
+        surface of the light vertices.
         """
-        on_wall = light[:, kernels.SURFACE] == surround.WALL
+        if on_wall is None:
+            on_wall = light[:, kernels.SURFACE] == surround.WALL
         self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
         kernels.book(
             light,

@@ -14,6 +14,7 @@ from ...kernels.codes import BECKMANN
 from ...scene import CallableWall, ConcaveWall, ConvexWall, PlanarObject, Scene
 from ..intersection.intersections import HIT, UNRESOLVED, intersect, search_bounds
 from ..intersection.meshes import intersect_mesh, occluded
+from .chains import Chains, mirror_chains
 
 if TYPE_CHECKING:
     import trimesh
@@ -47,6 +48,12 @@ class RayPlan:
     glossy : bool
         Whether wall or object has a microfacet or Ward lobe. Such a lobe requires three sampling
         strategies instead of one.
+    chains : bool
+        Whether light that mirror-like lobes of wall and object reflect in a row is traced by
+        solving for its reflection points.
+    unreached : tuple of str
+        Paths that only rays find which happen to meet the lens, and the reasons. `trace` refuses
+        ``tol`` if there are any, because its error may not contain them.
 
     See Also
     --------
@@ -58,6 +65,8 @@ class RayPlan:
     wall_to_wall: bool
     wall_shadows: bool
     glossy: bool
+    chains: bool = False
+    unreached: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         rows = [
@@ -90,10 +99,18 @@ class RayPlan:
                 if self.glossy
                 else "all lobes are wide: connections to points seen from the lens suffice",
             ),
+            (
+                "mirror chains",
+                self.chains,
+                "reflection points are solved for"
+                if self.chains
+                else "no mirror-like lobe whose reflection points can be solved for",
+            ),
         ]
-        return "\n".join(
+        lines = [
             f"{name:16s}  {'runs' if runs else 'skipped':7s}  {why}" for name, runs, why in rows
-        )
+        ]
+        return "\n".join(lines + [f"{'unreached':16s}  {'':7s}  {why}" for why in self.unreached])
 
 
 def ray_plan(scene: Scene) -> RayPlan:
@@ -135,12 +152,15 @@ def ray_plan(scene: Scene) -> RayPlan:
     beside = isinstance(wall, ConcaveWall) and not _within_hollow(wall, scene)
     how = "python" if isinstance(wall, CallableWall) else "closed form" if closed else "march"
     lobes = np.concatenate([scene.wall_material.lobe_table(), scene.hidden.material.lobe_table()])
+    chains = mirror_chains(scene, wall_to_wall=not convex)
     return RayPlan(
         wall_hits=how,
         embree=bool(scene.occluders) or not isinstance(scene.hidden, PlanarObject),
         wall_to_wall=not convex,
         wall_shadows=beside or not closed,
         glossy=bool((lobes[:, 0] >= BECKMANN).any()),
+        chains=chains.surfaces > 0,
+        unreached=tuple(text for _, text in chains.unreached),
     )
 
 
@@ -175,7 +195,8 @@ class Surroundings:
 
     def __init__(self, scene: Scene, *, analog: bool = False) -> None:
         self.plan = ray_plan(scene)
-        self.world = _world(scene, self.plan, analog)
+        self.chains = mirror_chains(scene, wall_to_wall=self.plan.wall_to_wall)
+        self.world = _world(scene, self.plan, self.chains, analog)
         self._wall = scene.wall
         self._walls: Any = None
         if self.plan.wall_hits != "python":
@@ -187,6 +208,8 @@ class Surroundings:
             bounds = search_bounds(scene.wall, terms, tables)
             terms, tables = with_draws(terms, tables, bounds[1], math.inf)
             self._walls = (terms, tables, *bounds)
+        flat = (np.zeros((0, 8)), np.zeros(0), np.zeros(0), np.full(2, math.inf), np.zeros(2), 0.0)
+        self.compiled_wall: Any = flat if self._walls is None else self._walls
         self._mesh, self._thing_faces = _triangles(scene)
         if self._mesh is not None:
             self._normals = np.array(self._mesh.face_normals, dtype=np.float64)
@@ -367,7 +390,7 @@ def _triangles(scene: Scene) -> tuple[trimesh.Trimesh | None, int]:
     return trimesh.Trimesh(vertices, faces, process=False), len(thing.faces)
 
 
-def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
+def _world(scene: Scene, plan: RayPlan, chains: Chains, analog: bool) -> World:
     """Return the data of a scene as arrays for the kernels."""
     from ._surround_kernels import World
 
@@ -419,6 +442,7 @@ def _world(scene: Scene, plan: RayPlan, analog: bool) -> World:
         norm=1.0 / total if total > 0.0 else 0.0,
         aimed=np.array(AIMED[plan.wall_to_wall] if total > 0.0 and not analog else (0.0, 0.0)),
         glossy=plan.glossy,
+        chains=0 if analog else chains.surfaces,
         ball=np.array([*centre, radius]),
         camera=np.concatenate(
             [

@@ -33,6 +33,11 @@ FIRST: Final = 1 << 10  # rays before the first check of the error; a multiple o
 MOST: Final = 1 << 36  # largest number of rays
 GIVE_UP: Final = 1 << 18  # rays without any detected light after which tracing to tol fails
 MOST_BOUNCES: Final = 64  # largest number of reflections
+#: Skewness of the groups above which errors are widened; 1.4 % of normal groups exceed it.
+SKEWED: Final = 1.0
+#: Added to the squared relative width of an error, per squared skewness above the limit. Chosen so
+#: that 95 % intervals of rare reflections hold; see benchmarks/trace_coverage.py.
+WIDER: Final = 0.75
 
 
 def trace(
@@ -88,7 +93,7 @@ def trace(
     ------
     SceneError
         If an option is out of range, a part of the scene is behind the wall, or ``tol`` is given
-        and no light reaches the detector via the hidden object.
+        and no light reaches the detector via the hidden object or some is found by chance only.
     MemoryLimitError
         If the paths to keep would not fit in memory.
 
@@ -104,6 +109,17 @@ def trace(
     errors are those of the mean over the 32 groups, times ``sqrt(31/29)`` for the variance of
     Student's distribution. They are infinite for fewer than 4 rays.
 
+    Mirror-like lobes of wall and object can reflect light in a row, which connections cannot find
+    if the lobes are narrow. Such chains are traced by solving for their reflection points: Newton
+    steps lead from a vertex to a point of the lens, and the Jacobian gives the power (Hanika et
+    al., Manifold next event estimation, 2015). On walls that may have several solutions, starts
+    are random and weighted without bias (Zeltner et al., Specular manifold sampling, 2020). Each
+    path is split by the lobes that reflect it, so that no light is counted twice. `ray_plan` lists
+    the paths that remain to chance; with ``tol`` they are refused.
+
+    Errors are widened where the groups are skewed, because rare paths then dominate them; the
+    result's ``uncertain`` names these values.
+
     See Also
     --------
     ray_plan : Intersection tests that the scene requires.
@@ -113,9 +129,9 @@ def trace(
     --------
     >>> from nlosoptics import Scene, raytrace
     >>> scene = Scene.load("examples/scenes/letter_flat.toml")
-    >>> light = raytrace.trace(scene, n_rays=1024, max_bounces=3, seed=0)
+    >>> light = raytrace.trace(scene, n_rays=16384, max_bounces=3, seed=0)
     >>> light.n_rays, light.stopped, light.standard_error < 0.2 * light.flux
-    (1024, 'rays', True)
+    (16384, 'rays', True)
     """
     from .blocks import traced
 
@@ -123,6 +139,7 @@ def trace(
     if tol is not None:
         in_range("tol", tol, 1e-6, 1.0)
         _refuse_darkness(scene)
+        _refuse_unreached(job, tol)
     if max_seconds is not None:
         positive("max_seconds", max_seconds, unit="s")
     open_end = tol is not None or max_seconds is not None
@@ -221,6 +238,16 @@ def _refuse_darkness(scene: Scene) -> None:
         )
 
 
+def _refuse_unreached(job: Job, tol: float) -> None:
+    """Raise `SceneError` if paths exist that only chance finds, since ``tol`` may miss them."""
+    for least, text in job.around.chains.unreached:
+        if least <= job.max_bounces and not job.analog:
+            raise SceneError(
+                f"tol = {tol:g} cannot be promised, because the rays find by chance only {text}; "
+                f"give n_rays instead of tol, or max_bounces = {least - 1} to leave it out"
+            )
+
+
 def in_blocks(
     work: Callable[[Given, int, int], Found], job: Given, start: int, end: int
 ) -> Iterator[Found]:
@@ -250,15 +277,36 @@ def mean_of(sums: Array, rays: int) -> tuple[float, float]:
 
     ``sums`` (units, groups) are sums over groups of rays, and ``rays`` is the number of all rays.
     With g groups, the error contains the factor sqrt((g - 1)/(g - 3)) of Student's distribution.
-    Deviations divided by it then have unit variance.
+    Deviations divided by it then have unit variance. It is widened if the groups are skewed, since
+    their spread then underestimates the error: rare paths dominate it, and some were not met.
     """
-    # the sizes of the groups differ by at most one ray
     groups = min(rays, len(sums))
-    means = sums[:groups] * (groups / rays)
     mean = math.fsum(sums) / rays
     if groups < 4:
         return mean, math.inf
-    return mean, math.sqrt(math.fsum((means - mean) ** 2) / (groups * (groups - 3)))
+    spread = math.fsum((_group_means(sums, rays) - mean) ** 2) / (groups * (groups - 3))
+    excess = max(0.0, skewness_of(sums, rays) ** 2 - SKEWED**2)
+    return mean, math.sqrt(spread * (1.0 + WIDER * excess))
+
+
+def skewness_of(sums: Array, rays: int) -> float:
+    """Return the skewness of the means over groups of rays, 0 if they are equal.
+
+    The arguments are those of `mean_of`.
+    """
+    means = _group_means(sums, rays)
+    deviations = means - math.fsum(means) / len(means)
+    largest = float(np.abs(deviations).max())
+    if len(means) < 4 or largest <= 1e-14 * float(np.abs(means).max()):
+        return 0.0
+    deviations = deviations / largest  # no underflow of the cubes
+    return float((deviations**3).mean() / (deviations**2).mean() ** 1.5)
+
+
+def _group_means(sums: Array, rays: int) -> Array:
+    """Return the means over the groups; their sizes differ by at most one ray."""
+    groups = min(rays, len(sums))
+    return sums[:groups] * (groups / rays)
 
 
 def _result(
@@ -274,7 +322,8 @@ def _result(
 
     rays, most = counts.pop("rays"), job.max_bounces
     bounces = [mean_of(total[:, k], rays) for k in range(most + 1)]
-    flux = mean_of(total[:, : most + 1].sum(axis=1), rays)
+    detected = total[:, : most + 1].sum(axis=1)
+    flux = mean_of(detected, rays)
     tail = total[:, most + 1 :]
     stray = mean_of(tail[:, kernels.STRAY], rays)
     columns = {
@@ -282,12 +331,15 @@ def _result(
         "absorbed by object": tail[:, kernels.ABSORBED_OBJECT],
         "absorbed by occluders": tail[:, kernels.ABSORBED_OCCLUDERS],
         "escaped": tail[:, kernels.ESCAPED],
-        "detected": total[:, : most + 1].sum(axis=1) + tail[:, kernels.STRAY],
+        "detected": detected + tail[:, kernels.STRAY],
         "blocked": tail[:, kernels.BLOCKED],
         "left": tail[:, kernels.LEFT],
         "unresolved": tail[:, kernels.UNRESOLVED_LIGHT],
     }
     ledger = {name: mean_of(column, rays) for name, column in columns.items()}
+    named = {"flux": detected, "stray": tail[:, kernels.STRAY]}
+    named |= {f"bounce {k}": total[:, k] for k in range(1, most + 1)}
+    uncertain = tuple(n for n, sums in named.items() if abs(skewness_of(sums, rays)) > SKEWED)
     between = mean_of(tail[:, kernels.WALL_TO_WALL], rays)
     trapped = mean_of(tail[:, kernels.TRAPPED], rays)
     length = math.fsum(tail[:, kernels.LENGTHS]) / rays
@@ -325,6 +377,8 @@ def _result(
         mean_path_length=length / flux[0] if flux[0] > 0.0 else 0.0,
         n_rays=rays,
         stopped=stopped,
+        uncertain=uncertain,
+        unreached=tuple(text for least, text in job.around.chains.unreached if least <= most),
         seconds=seconds,
         queries=MappingProxyType(dict(counts)),
     )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ...kernels.brdf import material, material_pdf, sample_material
 from ...kernels.codes import LAMBERT
 from ...kernels.random import draw
-from ...raytrace.light._light_kernels import tangents
+from ...raytrace.light._lobe_kernels import tangents
 from ...raytrace.light._surround_kernels import dot, three
 from ._sight_kernels import blocked
 

@@ -44,4 +44,5 @@ def test_plan_says_what_the_letter_takes(wu_scene):
         "wall to wall": False,
         "wall shadows": False,
         "three strategies": False,
+        "mirror chains": False,
     }

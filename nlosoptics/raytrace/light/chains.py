@@ -1,0 +1,160 @@
+"""Chains of mirror-like reflections between wall and object: which are traced, and which not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ...kernels.codes import BUMPS, FACETS
+from ...scene import ConvexWall, PlanarObject, Scene
+
+#: Largest number of triangles of a mirror-like object from which a chain draws one at random.
+TRIANGLES: Final = 128
+#: Points per side of the grid on which the slopes of a wall are looked up.
+GRID: Final = 129
+#: Largest number of hills and hollows of a wall, along x times along y, between which a chain
+#: searches for its reflection points.
+HILLS: Final = 100.0
+#: Half width, m, of the part of an unbounded wall whose slopes are looked up.
+UNBOUNDED: Final = 2.0
+#: Standard deviations of the facet slope within which a mirror-like lobe sends its light.
+DEVIATIONS: Final = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chains:
+    """Treatment of light that mirror-like lobes reflect several times in a row.
+
+    Parameters
+    ----------
+    surfaces : int
+        Surfaces whose reflection points are solved for: 1 for the wall, plus 2 for the object.
+    both : bool
+        Whether both surfaces take part, so that chains have more than one reflection.
+    several : bool
+        Whether a chain may have several solutions.
+    steepest : float
+        Largest slope of the wall.
+    unreached : tuple of (int, str)
+        Paths that are found by chance only, with the reasons, after the least number of their
+        reflections.
+    """
+
+    surfaces: int
+    both: bool
+    several: bool
+    steepest: float
+    unreached: tuple[tuple[int, str], ...]
+
+
+def mirror_chains(scene: Scene, *, wall_to_wall: bool) -> Chains:
+    """Return which chains of mirror-like reflections are traced and which are left to chance.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene with its relief, if any.
+    wall_to_wall : bool
+        Whether light from the wall can meet the wall again.
+    """
+    wall, thing = bool(scene.wall_material.mirror_lobes), bool(scene.hidden.material.mirror_lobes)
+    steepest, hills = (0.0, 0.0) if scene.wall.is_flat else _slopes(scene)
+    missing: list[tuple[int, str]] = []
+    if wall and wall_to_wall and _lens_elevation(scene) <= 3.0 * math.atan(steepest):
+        text = (
+            "light that the wall's mirror-like lobes reflect twice in a row: its slopes, up to "
+            f"{steepest:.2g}, suffice to send such light to the lens"
+        )
+        missing.append((3 if _meets_object(scene, 0.0, mirrored=False) else 4, text))
+    # chains of one reflection matter if the laser's glint on the wall reaches the object
+    facets = DEVIATIONS * max((x.slope_rms for x in scene.wall_material.mirror_lobes), default=0.0)
+    spread = 2.0 * (math.atan(steepest) + facets)
+    wall = wall and (thing or _meets_object(scene, spread, mirrored=True))
+    obstacle = _obstacle(scene, hills) if wall else ""
+    if obstacle:
+        path = "the object and then" if thing else "the wall, and after the object again"
+        text = f"light that mirror-like lobes reflect at {path} at the wall: {obstacle}"
+        missing.append((3, text))
+    if thing and not isinstance(scene.hidden, PlanarObject):
+        count = len(scene.hidden.surface.faces)
+        if count > TRIANGLES:
+            text = "light that mirror-like lobes of the object reflect to the wall or the lens: it "
+            missing.append((2, f"{text}has {count} triangles, limit {TRIANGLES}"))
+            thing = False
+        elif not scene.hidden.surface.is_convex:
+            text = "light that the object's mirror-like lobes reflect twice in a row: its mesh is "
+            missing.append((3, f"{text}not convex"))
+    wall = wall and not obstacle
+    return Chains(
+        surfaces=int(wall) + 2 * int(thing),
+        both=wall and thing,
+        several=not (scene.wall.is_flat or isinstance(scene.wall, ConvexWall)),
+        steepest=steepest,
+        unreached=tuple(missing),
+    )
+
+
+def _obstacle(scene: Scene, hills: float) -> str:
+    """Return why reflection points on the wall cannot be solved for, or an empty string."""
+    if not scene.wall.is_compiled:
+        return "the wall's height is a Python function"
+    if scene.wall.is_flat:
+        return ""
+    terms = scene.wall.compiled()[0]
+    if np.isin(terms[:, 0], (FACETS, BUMPS)).any():
+        return "the wall has a rough relief"
+    if hills > HILLS:
+        return f"the wall has some {hills:.0f} hills and hollows, limit {HILLS:g}"
+    return ""
+
+
+def _slopes(scene: Scene) -> tuple[float, float]:
+    """Return the largest slope of the wall, and its number of hills and hollows, on a grid.
+
+    Hills and hollows are counted by the changes of the slope's sign along the rows and columns of
+    the grid, on average, and multiplied.
+    """
+    size = scene.wall.size or (2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
+    x, y = (np.linspace(-0.5 * s, 0.5 * s, GRID) for s in size)
+    slopes = np.asarray(scene.wall.derivatives(*(a.ravel() for a in np.meshgrid(x, y))))[:, 1:3]
+    norms = np.hypot(slopes[:, 0], slopes[:, 1])
+    signs = np.sign(slopes.reshape(GRID, GRID, 2))
+    turns = [float((np.abs(np.diff(signs[..., k], axis=1 - k)) == 2.0).mean()) for k in (0, 1)]
+    hills = (1.0 + turns[0] * (GRID - 1)) * (1.0 + turns[1] * (GRID - 1))
+    return float(np.max(norms, initial=0.0, where=np.isfinite(norms))), hills
+
+
+def _lens_elevation(scene: Scene) -> float:
+    """Return the least elevation, rad, at which points of the wall see the lens; 0 if unbounded."""
+    if scene.wall.size is None:
+        return 0.0
+    camera = scene.camera
+    corner = np.abs(camera.position[:2]) + np.divide(scene.wall.size, 2)
+    radius = camera.stop_diameter / 2
+    return math.atan2(camera.position[2] - radius, float(np.hypot(*corner)) + radius)
+
+
+def _meets_object(scene: Scene, spread: float, *, mirrored: bool) -> bool:
+    """Return whether the laser beam may meet the object, directly or mirrored by the wall.
+
+    ``spread`` is the largest angle, rad, between the light and the beam (mirrored at z = 0).
+    """
+    laser, hidden = scene.laser, scene.hidden
+    start, aim = np.array(laser.position), np.array(laser.aim)
+    beam = (aim - start) / np.linalg.norm(aim - start)
+    if mirrored:
+        start = start - beam * (start[2] / beam[2]) if beam[2] < 0.0 else aim
+        beam = beam * (1.0, 1.0, -1.0)
+    points = hidden.corners if isinstance(hidden, PlanarObject) else hidden.surface.vertices
+    points = np.asarray(points, dtype=np.float64)
+    centre = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    radius = float(np.linalg.norm(points - centre, axis=1).max()) + laser.beam_diameter
+    away = centre - start
+    distance = float(np.linalg.norm(away))
+    if distance <= radius:
+        return True
+    angle = math.acos(float(np.clip(beam @ away / distance, -1.0, 1.0)))
+    return angle <= math.asin(radius / distance) + spread
