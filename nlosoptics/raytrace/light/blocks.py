@@ -14,12 +14,11 @@ from ...scene import Scene
 from ..fans.paths import DETECTED
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
+from .kept_paths import Kept, kept_paths
 from .surroundings import Surroundings
 
 Array = NDArray[np.float64]
 LEDGER: Final = 0.25  # share of the rays continued when only the ledger still needs them
-#: Points, lengths, powers, numbers of reflections and status of paths.
-Kept = tuple[Array, Array, Array, NDArray[np.int32], NDArray[np.int8]]
 #: Sums by unit and group, numbers of intersection tests, and kept paths of a block.
 Traced = tuple[Array, Counter[str], list[Kept]]
 
@@ -59,7 +58,12 @@ class Job:
 
 def traced(job: Job, first: int, end: int) -> Traced:
     """Trace the rays with the numbers ``first`` to ``end - 1``, and return their sums and paths."""
-    block = Rays(job, first, end - first)
+    return follow(Rays(job, first, end - first))
+
+
+def follow(block: Rays) -> Traced:
+    """Trace a block of rays from the laser, and return its sums and paths."""
+    job, first = block.job, block.first
     light = block.from_laser()
     if not job.analog:
         block.look()
@@ -68,7 +72,7 @@ def traced(job: Job, first: int, end: int) -> Traced:
     # without glossy lobes, vertices after this bounce contribute to the ledger only
     last_seen = 0 if job.around.plan.glossy else max(1, job.max_bounces - 1)
     for bounce in range(1, job.max_bounces + 1):
-        block.walked.append(light[:, kernels.P])
+        block.walked.append(light)
         if not (light[:, kernels.SURFACE] >= 0.0).any():
             break
         if not job.analog:
@@ -102,6 +106,7 @@ class Rays:
         self.live = np.ones(n, dtype=bool)
         self.fates = np.empty(n, dtype=np.int8)
         self.value, self.length = np.empty((2, n))
+        self.watched = job.keep_paths
         self.walked: list[Array] = []
         self.kept: list[Kept] = []
 
@@ -109,14 +114,14 @@ class Rays:
         """Return the first vertices of the light paths, where the laser's rays hit a surface."""
         job, rays = self.job, (self.origins, self.directions)
         surround.beam(self.around.world, job.sampler, self.first, *rays)
-        self.walked.append(self.origins.copy())
+        self.sources = self.origins.copy()
         hits = self._hits(None)
         new = np.zeros((self.n, kernels.VERTEX))
         kernels.start(
             self.around.world, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates
         )
         self._settle(new)
-        self._keep_ended(new, 0)
+        self._take_ended(new, 0)
         return new
 
     def look(self) -> None:
@@ -162,7 +167,7 @@ class Rays:
             self.fates,
         )
         self._settle(new)
-        self._keep_ended(new, bounce)
+        self._take_ended(new, bounce)
         return new
 
     def detect(self, light: Array, before: Array, bounce: int) -> None:
@@ -231,35 +236,83 @@ class Rays:
             self.length,
             self.sums,
         )
-        if self.job.keep_paths:
-            rows = np.flatnonzero(self.value > 0.0)
-            parts = [*self.walked, *(vertices[:, kernels.P] for vertices in seen), self.lens]
-            status = np.full(len(rows), DETECTED, dtype=np.int8)
-            self._keep(rows, parts, self.length, self.value, bounce, status)
+        if self.watched:
+            self.take_detected(self.value, self.length, [*self.walked, *seen], self.lens, bounce)
 
-    def _keep_ended(self, new: Array, bounce: int) -> None:
-        """Store the paths of an analog trace that ended at the vertices ``new``."""
-        if self.job.keep_paths and self.job.analog:
-            rows = np.flatnonzero(self.fates >= 0)
-            parts = [*self.walked, new[:, kernels.P]]
-            length, power = new[:, kernels.LENGTH], new[:, kernels.POWER]
-            self._keep(rows, parts, length, power, bounce, self.fates[rows])
+    def _take_ended(self, new: Array, bounce: int) -> None:
+        """Pass on paths that ended at the vertices ``new`` and that no connection stands for.
+
+        In an analog trace these are all paths, otherwise those that smooth mirrors sent to the
+        lens; see `_light_kernels.land`.
+        """
+        if not self.watched:
+            return
+        length, ends = new[:, kernels.LENGTH], new[:, kernels.P]
+        detected = self.fates == DETECTED
+        by_mirror = np.zeros(self.n, dtype=bool)
+        if bounce > 0:
+            by_mirror = self.leave[:, kernels.MIRROR] >= 0.0
+            if not self.job.analog:
+                detected &= by_mirror & (self.walked[-1][:, kernels.HISTORY] > 0.0)
+        if self.job.analog and self.job.keep_paths:
+            rows = np.flatnonzero((self.fates >= 0) & ~detected)
+            power, status = new[:, kernels.POWER], self.fates[rows]
+            self._keep(rows, length, power, self.walked, ends, bounce, by_mirror, status)
+        if detected.any():
+            power = np.where(detected, new[:, kernels.POWER], 0.0)
+            self.take_detected(power, length, self.walked, ends, bounce, by_mirror)
+
+    def take_detected(
+        self,
+        power: Array,
+        length: Array,
+        vertices: list[Array],
+        ends: Array,
+        bounce: int,
+        by_mirror: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Store the paths of detected light if wanted; called once for each set of such paths.
+
+        Parameters
+        ----------
+        power : ndarray, (n,)
+            Detected power of each ray's path, W times rays; 0 without a path.
+        length : ndarray, (n,)
+            Length from the laser to the lens, m.
+        vertices : list of ndarray, (n, VERTEX)
+            Vertices in the order of the light.
+        ends : ndarray, (n, 3)
+            Points of the lens, world, m.
+        bounce : int
+            Number of reflections.
+        by_mirror : ndarray of bool, (n,), optional
+            Whether a smooth mirror reflected the light at the last vertex; False by default.
+        """
+        if self.job.keep_paths:
+            rows = np.flatnonzero(power > 0.0)
+            status = np.full(len(rows), DETECTED, dtype=np.int8)
+            self._keep(rows, length, power, vertices, ends, bounce, by_mirror, status)
 
     def _keep(
         self,
         rows: NDArray[np.int64],
-        parts: list[Array],
         length: Array,
         power: Array,
+        vertices: list[Array],
+        ends: Array,
         bounce: int,
+        by_mirror: NDArray[np.bool_] | None,
         status: NDArray[np.int8],
     ) -> None:
-        """Store the paths of the rays ``rows``; shorter paths repeat their last point.
-
-        ``parts`` are the paths' points, m, ``length`` is in m and ``power`` in W.
-        """
-        points = np.stack([part[rows] for part in parts], axis=1)
-        missing = self.job.max_bounces + 2 - points.shape[1]
-        points = np.concatenate([points, np.repeat(points[:, -1:], missing, axis=1)], axis=1)
+        """Store the paths of the rays ``rows``; `take_detected` describes the other arguments."""
+        lines = kept_paths(
+            self.around.world,
+            self.job.max_bounces,
+            self.sources[rows],
+            [vertex[rows] for vertex in vertices],
+            len(self.walked),
+            ends[rows],
+            np.zeros(len(rows), dtype=bool) if by_mirror is None else by_mirror[rows],
+        )
         bounces = np.full(len(rows), bounce, dtype=np.int32)
-        self.kept.append((points, length[rows], power[rows], bounces, status))
+        self.kept.append((*lines, length[rows], power[rows], bounces, status))
