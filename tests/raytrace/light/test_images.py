@@ -254,7 +254,7 @@ def test_pixels_and_bins_agree_with_a_plain_walk(scene):
 
 @pytest.mark.parametrize("analog", [False, True])
 def test_sums_are_those_of_a_trace(analog):
-    # a white object in the laser beam that the wall mirrors, so that mirrors alone light some pixels
+    # a white object in the laser beam that the wall mirrors: mirrors alone light some pixels
     scene = wide_room(MIRROR, MIRROR)
     scene = replace(scene, hidden=replace(scene.hidden, image=np.ones((2, 2))))
     options = {"n_rays": 20_000, "max_bounces": 4, "analog": analog, "seed": 7}
