@@ -62,8 +62,8 @@ class RayPaths(Noun):
         for the source, the end and repeated ends. Empty if unknown.
     lobe : ndarray of int8, (n, k)
         Lobe that reflects most of the path's light at each point, counted from 0 in the order of
-        the surface's material; -1 without a surface. A reflection that was drawn from a smooth
-        mirror has this lobe. Empty if unknown.
+        the surface's material; -1 without a surface. Reflections in the exact direction of a
+        smooth mirror have its lobe. Empty if unknown.
     ledger : mapping of str to float
         Power by fate, W: "detected", "escaped", "left" and "blocked" as in ``status``; "absorbed by
         wall", "absorbed by object" and "absorbed by occluders"; and "unresolved", the power of rays

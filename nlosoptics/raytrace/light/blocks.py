@@ -247,29 +247,19 @@ class Rays:
         """
         if not self.watched:
             return
-        length, ends = new[:, kernels.LENGTH], new[:, kernels.P]
+        length, power, ends = new[:, kernels.LENGTH], new[:, kernels.POWER], new[:, kernels.P]
         detected = self.fates == DETECTED
-        by_mirror = np.zeros(self.n, dtype=bool)
-        if bounce > 0:
-            by_mirror = self.leave[:, kernels.MIRROR] >= 0.0
-            if not self.job.analog:
-                detected &= by_mirror & (self.walked[-1][:, kernels.HISTORY] > 0.0)
         if self.job.analog and self.job.keep_paths:
             rows = np.flatnonzero((self.fates >= 0) & ~detected)
-            power, status = new[:, kernels.POWER], self.fates[rows]
-            self._keep(rows, length, power, self.walked, ends, bounce, by_mirror, status)
+            self._keep(rows, power, length, self.walked, ends, bounce, self.fates[rows])
+        elif bounce > 0 and not self.job.analog:
+            detected &= self.leave[:, kernels.MIRROR] >= 0.0
+            detected &= self.walked[-1][:, kernels.HISTORY] > 0.0
         if detected.any():
-            power = np.where(detected, new[:, kernels.POWER], 0.0)
-            self.take_detected(power, length, self.walked, ends, bounce, by_mirror)
+            self.take_detected(np.where(detected, power, 0.0), length, self.walked, ends, bounce)
 
     def take_detected(
-        self,
-        power: Array,
-        length: Array,
-        vertices: list[Array],
-        ends: Array,
-        bounce: int,
-        by_mirror: NDArray[np.bool_] | None = None,
+        self, power: Array, length: Array, vertices: list[Array], ends: Array, bounce: int
     ) -> None:
         """Store the paths of detected light if wanted; called once for each set of such paths.
 
@@ -280,28 +270,25 @@ class Rays:
         length : ndarray, (n,)
             Length from the laser to the lens, m.
         vertices : list of ndarray, (n, VERTEX)
-            Vertices in the order of the light.
+            Reflecting vertices in the order of the light, with point, normal, SURFACE and MET.
         ends : ndarray, (n, 3)
             Points of the lens, world, m.
         bounce : int
             Number of reflections.
-        by_mirror : ndarray of bool, (n,), optional
-            Whether a smooth mirror reflected the light at the last vertex; False by default.
         """
         if self.job.keep_paths:
             rows = np.flatnonzero(power > 0.0)
             status = np.full(len(rows), DETECTED, dtype=np.int8)
-            self._keep(rows, length, power, vertices, ends, bounce, by_mirror, status)
+            self._keep(rows, power, length, vertices, ends, bounce, status)
 
     def _keep(
         self,
         rows: NDArray[np.int64],
-        length: Array,
         power: Array,
+        length: Array,
         vertices: list[Array],
         ends: Array,
         bounce: int,
-        by_mirror: NDArray[np.bool_] | None,
         status: NDArray[np.int8],
     ) -> None:
         """Store the paths of the rays ``rows``; `take_detected` describes the other arguments."""
@@ -310,9 +297,7 @@ class Rays:
             self.job.max_bounces,
             self.sources[rows],
             [vertex[rows] for vertex in vertices],
-            len(self.walked),
             ends[rows],
-            np.zeros(len(rows), dtype=bool) if by_mirror is None else by_mirror[rows],
         )
         bounces = np.full(len(rows), bounce, dtype=np.int32)
         self.kept.append((*lines, length[rows], power[rows], bounces, status))

@@ -101,16 +101,10 @@ class ImagedRays(Rays):
         self.landed: list[tuple[*Landed, NDArray[np.int64]]] = []
 
     def take_detected(
-        self,
-        power: Array,
-        length: Array,
-        vertices: list[Array],
-        ends: Array,
-        bounce: int,
-        by_mirror: NDArray[np.bool_] | None = None,
+        self, power: Array, length: Array, vertices: list[Array], ends: Array, bounce: int
     ) -> None:
         """Find pixel and bin of detected light; `Rays.take_detected` describes the arguments."""
-        super().take_detected(power, length, vertices, ends, bounce, by_mirror)
+        super().take_detected(power, length, vertices, ends, bounce)
         met = np.zeros(self.n, dtype=bool)
         for vertex in vertices:
             met |= vertex[:, kernels.MET] > 0.0

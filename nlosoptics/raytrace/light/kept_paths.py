@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from . import _light_kernels as kernels
 from . import _surround_kernels as surround
 
 Array = NDArray[np.float64]
+#: Angle to the direction of a mirror, rad, within which a smooth mirror must have reflected light.
+#: Rounding of points leaves less, and any other lobe reaches it once in 10^12 reflections.
+EXACT: Final = 1e-6
 #: Points (m), surfaces and lobes, then lengths (m), powers (W), reflections and status of paths.
 Kept = tuple[
     Array,
@@ -32,9 +35,7 @@ def kept_paths(
     most: int,
     sources: Array,
     vertices: list[Array],
-    n_light: int,
     ends: Array,
-    by_mirror: NDArray[np.bool_],
 ) -> tuple[Array, NDArray[np.int8], NDArray[np.int8]]:
     """Return points, surfaces and lobes of paths with the same number of reflections.
 
@@ -47,11 +48,7 @@ def kept_paths(
     sources, ends : ndarray, (n, 3)
         First and last points, world, m.
     vertices : list of ndarray, (n, VERTEX)
-        Reflecting vertices in the order of the light.
-    n_light : int
-        Number of vertices that were traced from the laser. The others were traced from the lens.
-    by_mirror : ndarray of bool, (n,)
-        Whether a smooth mirror reflected the light at the last vertex.
+        Reflecting vertices in the order of the light; point, normal and surface are read.
 
     Returns
     -------
@@ -65,13 +62,6 @@ def kept_paths(
     surfaces = np.full(points.shape[:2], NO_SURFACE, dtype=np.int8)
     lobes = np.full_like(surfaces, -1)
     for j, vertex in enumerate(vertices):
-        # a mirror leaves no density at the vertex that is traced after its own
-        if j + 1 < len(vertices) and j + 1 < n_light:
-            mirrored = vertices[j + 1][:, kernels.DENSITY] < 0.0
-        elif j > n_light:
-            mirrored = vertices[j - 1][:, kernels.DENSITY] < 0.0
-        else:
-            mirrored = by_mirror & (j + 1 == len(vertices))
         come, go = _units(corners[j] - corners[j + 1]), _units(corners[j + 2] - corners[j + 1])
         for kind, surface, table in (
             (surround.WALL, ON_WALL, world.wall),
@@ -79,27 +69,26 @@ def kept_paths(
         ):
             rows = vertex[:, kernels.SURFACE] == kind
             surfaces[rows, j + 1] = surface
-            lobes[rows, j + 1] = _strongest(
-                table, come[rows], go[rows], vertex[rows, kernels.N], mirrored[rows]
-            )
+            lobes[rows, j + 1] = _strongest(table, come[rows], go[rows], vertex[rows, kernels.N])
     return points, surfaces, lobes
 
 
-def _strongest(
-    table: Array, come: Array, go: Array, normals: Array, mirrored: NDArray[np.bool_]
-) -> NDArray[np.int8]:
+def _strongest(table: Array, come: Array, go: Array, normals: Array) -> NDArray[np.int8]:
     """Return the row of a table of lobes that reflects most of the light of each path, (n,).
 
-    ``come`` and ``go`` (n, 3) are unit vectors to the previous and the next point. ``mirrored``
-    (n,) marks reflections by a smooth mirror.
+    ``come`` and ``go`` (n, 3) are unit vectors to the previous and the next point.
     """
     evaluate: Any = brdf.evaluate  # untyped
     cosines = dot(come, normals), dot(go, normals), dot(come, go)
+    off = go + come - 2.0 * cosines[0][:, None] * normals
+    mirrored = dot(off, off) < EXACT**2
     values = np.empty((len(table), len(come)))
     for j in range(len(table)):
         smooth = table[j, 0] >= BECKMANN and table[j, 2] == 0.0
         evaluate(table[j : j + 1], *cosines, values[j])
-        values[j, mirrored] = table[j, 1] * table[j, 3] if smooth else -1.0
+        if smooth:
+            # a smooth mirror has no finite value; all light in its exact direction is its own
+            values[j, mirrored] = np.inf if table[j, 1] * table[j, 3] > 0.0 else 0.0
     return np.asarray(values.argmax(axis=0), dtype=np.int8)
 
 
