@@ -110,6 +110,8 @@ class ImagedRays(Rays):
             met |= vertex[:, kernels.MET] > 0.0
         cells, slots, rays = np.empty((3, self.n), dtype=np.int64)
         powers = np.empty(self.n)
+        # of one layout in memory, so that the kernel is compiled once
+        length, ends = np.ascontiguousarray(length), np.ascontiguousarray(ends)
         count = image_kernels.sort_light(
             self.around.world.camera,
             self.first,
