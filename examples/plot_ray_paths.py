@@ -30,9 +30,10 @@ paths = raytrace.trace(scene, n_rays=8192, max_bounces=3, keep_paths=True, seed=
 # %%
 # Paths in 3-D
 # ------------
-# The view shows 300 of the paths, sampled in proportion to power and coloured by path length. The
-# beam comes from the laser on the right, with the letter behind it. ``views.save(plotter,
-# "room.html")`` writes an interactive web page.
+# The view shows 300 of the paths via the letter, sampled in proportion to power and coloured by
+# path length. Stray light is drawn only if there are fewer such paths. The beam comes from the
+# laser on the right, with the letter behind it. ``views.save(plotter, "room.html")`` writes an
+# interactive web page.
 
 plotter = pyvista.Plotter(window_size=(1100, 800))
 views.ray_paths(paths, scene, colour="path_length", most=300, plotter=plotter)

@@ -148,9 +148,10 @@ def _drawn(
             seed=seed,
             progress=progress,
         )
-        # only detected paths are kept
-        kept = int((found.n_bounces == bounces).sum()) if bounces else len(found.weight)
-        if kept >= count or (kept and rays >= MOST_RAYS):
+        # only detected paths are kept; stray light is drawn if the hidden object's paths are few
+        wanted = found.n_bounces == bounces if bounces else found.n_bounces > 0
+        kept = int((wanted & found.met_object).sum())
+        if kept >= count or (wanted.any() and rays >= MOST_RAYS):
             return {"paths": found}
         if rays >= MOST_RAYS:
             kind = "" if bounces is None else f" with --bounces {bounces}"

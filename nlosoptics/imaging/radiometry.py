@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .._checks import in_range, positive
+from .._photons import photon_rate
 from .._vectors import dot
 from ..errors import SceneError
 from ..kernels.codes import BECKMANN, LAMBERT
@@ -27,35 +27,12 @@ from .objects import Patches
 
 Array = NDArray[np.float64]
 
-# Exact by definition of the SI; scipy.constants would load all of CODATA.
-PLANCK = 6.62607015e-34  # J s
-LIGHT_SPEED = 299_792_458.0  # m/s
-
 GRAZING = math.radians(89.0)  # largest angle of incidence of the laser beam
 NODES = 24  # nodes of the Chebyshev interpolation along each side of the detector
 NODES_HEIGHT = 3  # nodes of the interpolation over the wall's height
 GROUP = 0.08  # rad; on a curved wall, object patches within this angle share one direction
 BAND = 64  # rows of pixels that are computed together, few enough for the processor's cache
 PAIRS = 400_000  # pairs of wall point and object patch held in memory at a time
-
-
-def photon_rate(power: float, wavelength: float) -> float:
-    """Photon rate of a beam, P lambda/(h c).
-
-    Parameters
-    ----------
-    power : float
-        Power, W.
-    wavelength : float
-        Vacuum wavelength, m.
-
-    Returns
-    -------
-    float
-        Photons per second, 1/s.
-    """
-    positive("wavelength", wavelength, unit="m")
-    return in_range("power", power, 0.0, unit="W") * wavelength / (PLANCK * LIGHT_SPEED)
 
 
 def electrons_per_joule(scene: Scene) -> float:

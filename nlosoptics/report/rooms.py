@@ -70,8 +70,8 @@ def _scene(scene: Scene, seed: int) -> Room:
     return _drawn(
         views.ray_paths(paths, scene, most=MOST),
         f"{min(MOST, len(paths.weight))} light paths that reach the camera, from {RAYS} rays "
-        f"traced for this page with seed {seed}. The density of lines is proportional to the "
-        "power.",
+        f"traced for this page with seed {seed}. Paths via the hidden object are drawn first, and "
+        "the density of lines is proportional to their power.",
     )
 
 

@@ -2,6 +2,7 @@ from .curves import compare_methods as compare_methods
 from .curves import encircled_energy as encircled_energy
 from .curves import history as history
 from .curves import mtf as mtf
+from .curves import path_lengths as path_lengths
 from .curves import spot_diagram as spot_diagram
 from .curves import through_focus as through_focus
 from .films import transient as transient
@@ -14,6 +15,7 @@ from .maps import irradiance as irradiance
 from .maps import point_spread as point_spread
 from .maps import pupil_field as pupil_field
 from .maps import reconstruction as reconstruction
+from .maps import traced_image as traced_image
 from .maps import wavefront as wavefront
 from .pages import html_page as html_page
 from .rooms import ray_paths as ray_paths

@@ -15,6 +15,7 @@ PICTURES: Final[Mapping[str, Callable[[Any], Any]]] = {
     "PointSpread": lambda noun: views.point_spread(noun),
     "ThroughFocus": lambda noun: views.through_focus(noun),
     "SpeckleImage": lambda noun: views.image(noun),
+    "TracedImage": lambda noun: views.traced_image(noun),
     "Reconstruction": lambda noun: views.reconstruction(noun),
     "Feasibility": lambda noun: views.feasibility(noun),
     "TransientCapture": lambda noun: views.transient(noun, at=()),

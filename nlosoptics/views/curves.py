@@ -1,4 +1,4 @@
-"""Curves of metrics, fit histories and transforms; and spot diagrams."""
+"""Curves of metrics, fit histories, transforms and path lengths; and spot diagrams."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from ..inverse import Reconstruction, Training
     from ..psf import Comparison, MetricEstimate, SpotDiagram, ThroughFocus
+    from ..raytrace import PathHistogram
 
 Array = NDArray[np.float64]
 
@@ -511,3 +512,73 @@ def _tell_left_out(comparison: Comparison, axes: Axes) -> None:
             verticalalignment="top",
             fontsize=8,
         )
+
+
+def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:
+    """Draw detected power against path length, by number of reflections.
+
+    Parameters
+    ----------
+    histogram : PathHistogram
+        Histogram from `raytrace.trace_image`.
+    axes : matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    Axes
+        Axes with the power per bin in W, on a logarithmic scale, against the path length in m. The
+        bands are one standard error. Numbers of reflections without light are left out.
+
+    Raises
+    ------
+    SceneError
+        If there is no light in any bin.
+
+    See Also
+    --------
+    nlosoptics.raytrace.trace_image : Image and histogram of a scene.
+    transient : Streak image of a capture.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace, views
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(16)
+    >>> bins = {"t_start": 3.0, "delta_t": 0.1, "n_bins": 40}
+    >>> found = raytrace.trace_image(scene, n_rays=4096, max_bounces=3, seed=0, **bins)
+    >>> views.path_lengths(found.histogram).get_xlabel()
+    'path length, laser to lens (m)'
+    """
+    parts = [
+        (f"{k} reflection{'s' if k > 1 else ''}", power, histogram.by_bounce_error[k])
+        for k, power in enumerate(histogram.by_bounce)
+    ]
+    parts.append(("stray light", histogram.stray, histogram.stray_error))
+    parts = [part for part in parts if part[1].any()]
+    if not parts:
+        low, high = histogram.edges[[0, -1]]
+        raise SceneError(
+            f"no light has a path length of {low:g} to {high:g} m; change t_start or n_bins, or "
+            "trace more rays"
+        )
+    (axes,) = (axes,) if axes is not None else new_axes(1, width=6.4, height=4.2)
+    for k, (label, power, error) in enumerate(parts):
+        colour = SERIES[k % len(SERIES)]
+        lit = np.where(power > 0.0, power, np.nan)
+        axes.step(histogram.times, lit, where="mid", color=colour, label=label)
+        spread = np.where(np.isfinite(error), error, 0.0)
+        low = np.maximum(lit - spread, 0.1 * lit)  # a band down to zero has no end on this scale
+        high = lit + spread
+        axes.fill_between(histogram.times, low, high, step="mid", color=colour, alpha=0.25)
+    ends = "laser to lens" if histogram.outer_legs else "first to last reflection"
+    axes.set(
+        xlabel=f"path length, {ends} (m)",
+        ylabel="detected power per bin (W)",
+        yscale="log",
+        xlim=tuple(histogram.edges[[0, -1]]),
+        title="path lengths of the detected light",
+    )
+    space_ticks(axes)
+    axes.grid(alpha=0.25)
+    axes.legend()
+    return axes

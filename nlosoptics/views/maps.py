@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..imaging import SpeckleImage
     from ..inverse import Reconstruction
     from ..psf import HybridPointSpread, PointSpread, PupilField, Wavefront
-    from ..raytrace import WallIrradiance
+    from ..raytrace import TracedImage, WallIrradiance
 
 Array = NDArray[np.float64]
 
@@ -321,21 +321,79 @@ def image(
     if object_scale is not None:
         object_scale = positive("object_scale", object_scale)
     (axes,) = (axes,) if axes is not None else new_axes(1, width=5.6, height=4.6)
-    ny, nx = speckle_image.electrons.shape
-    right, top = (n / 2 * speckle_image.pitch * 1e3 for n in (nx, ny))
-    drawn = axes.imshow(
-        speckle_image.electrons,
-        cmap="gray",
-        extent=(-right, right, -top, top),
-        interpolation="nearest",
-    )
+    _pixel_map(axes, speckle_image.electrons, speckle_image.pitch, "electrons per pixel")
     if object_scale is not None:
         _scale_bar(axes, 1e3 / object_scale)
-    colour_bar(axes, drawn, "electrons per pixel")
-    space_ticks(axes)
-    axes.set(xlabel="x (mm)", ylabel="−y, up (mm)")
     set_title(axes, "camera image")
     return axes
+
+
+def traced_image(
+    traced_image: TracedImage,
+    *,
+    quantity: Literal["expected", "power", "stray"] = "expected",
+    axes: Sequence[Axes] | None = None,
+) -> tuple[Axes, ...]:
+    """Draw a traced image and the relative standard error of its pixels.
+
+    Parameters
+    ----------
+    traced_image : TracedImage
+        Image to draw.
+    quantity : {"expected", "power", "stray"}
+        Expected electrons of all light, or the power of light that met the hidden object or that
+        never met it. The second helps if the laser spot outshines the object.
+    axes : sequence of two matplotlib Axes, optional
+        Axes to draw on; a new figure by default.
+
+    Returns
+    -------
+    tuple of two Axes
+        Values of the pixels, oriented as by `image`, and their standard errors in per cent. Pixels
+        without light are blank in the map of errors.
+
+    See Also
+    --------
+    nlosoptics.raytrace.trace_image : Image and histogram of a scene.
+    path_lengths : Curves of the histogram.
+    image : Image by waves, with the noise of the camera.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace, views
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(16)
+    >>> found = raytrace.trace_image(scene, n_rays=4096, max_bounces=3, seed=0)
+    >>> axes = views.traced_image(found)
+    >>> axes[0].get_title(), axes[0].get_xlabel()
+    ('traced image', 'x (mm)')
+    """
+    one_of("quantity", quantity, ("expected", "power", "stray"))
+    drawn_on = tuple(axes) if axes is not None else new_axes(2, width=10.6, height=4.6)
+    values, errors = (getattr(traced_image, quantity + end) for end in ("", "_error"))
+    unit = "electrons per pixel" if quantity == "expected" else "power per pixel (W)"
+    relative = np.full(values.shape, np.nan)
+    known = np.isfinite(errors) & (values > 0.0)
+    np.divide(100.0 * errors, values, out=relative, where=known)
+    _pixel_map(drawn_on[0], values, traced_image.pitch, unit)
+    _pixel_map(drawn_on[1], relative, traced_image.pitch, "standard error (%)", "viridis")
+    kinds = {"expected": "", "power": ", hidden object's light", "stray": ", stray light"}
+    set_title(drawn_on[0], f"traced image{kinds[quantity]}")
+    set_title(drawn_on[1], "relative standard error")
+    return drawn_on
+
+
+def _pixel_map(axes: Axes, values: Array, pitch: float, label: str, colours: str = "gray") -> None:
+    """Draw values of the camera's pixels with a colour bar; ``pitch`` is their side, m.
+
+    Row 0 is on top, so that -y points up.
+    """
+    ny, nx = values.shape
+    right, top = (n / 2 * pitch * 1e3 for n in (nx, ny))
+    extent = (-right, right, -top, top)
+    drawn = axes.imshow(values, cmap=colours, extent=extent, interpolation="nearest")
+    colour_bar(axes, drawn, label)
+    space_ticks(axes)
+    axes.set(xlabel="x (mm)", ylabel="−y, up (mm)")
 
 
 def _scale_bar(axes: Axes, per_metre: float) -> None:

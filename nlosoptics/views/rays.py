@@ -36,6 +36,9 @@ def chosen_paths(
 ) -> NDArray[np.int64]:
     """Return the indices (n,) of the paths to draw, in increasing order.
 
+    Paths that met the hidden object come first: others are drawn only if these are fewer than
+    ``most``.
+
     Raises
     ------
     SceneError
@@ -63,8 +66,13 @@ def chosen_paths(
             raise SceneError(
                 f"no path has n_bounces = {n_bounces}; choose from {', '.join(map(str, there))}"
             )
-    found = np.flatnonzero(wanted)
-    return found[_by_power(paths.weight[found], most)]
+    chosen: list[NDArray[np.int64]] = []
+    for kind in (paths.met_object, ~paths.met_object):
+        found = np.flatnonzero(wanted & kind)
+        left = most - sum(map(len, chosen))
+        if left and len(found):
+            chosen.append(found[_by_power(paths.weight[found], left)])
+    return np.sort(np.concatenate(chosen))
 
 
 def _by_power(weight: NDArray[np.float64], most: int) -> NDArray[np.int64]:

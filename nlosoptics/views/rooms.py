@@ -141,8 +141,9 @@ def ray_paths(
     only_detected : bool
         Whether to draw only paths that reach the detector through the pupil.
     most : int
-        Largest number of paths drawn. Where there are more, a systematic sample in proportion to
-        power is drawn, so that the density of lines follows the power.
+        Largest number of paths drawn. Paths that the hidden object reflected come first, and stray
+        light is drawn only if they are fewer. Of each kind, a systematic sample in proportion to
+        power is drawn where there are more, so that the density of lines follows the power.
     plotter : pyvista Plotter, optional
         Plotter to draw on; a new one that renders off screen by default. A scene and paths that it
         already shows are replaced.

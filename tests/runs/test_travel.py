@@ -192,6 +192,9 @@ MADE: Mapping[str, Any] = {
         wl_mean=0.1,
         wl_sigma=0.1,
     ),
+    "TracedImage": lambda: raytrace.trace_image(
+        room(), n_rays=256, max_bounces=3, t_start=3.0, delta_t=1.0, n_bins=4
+    ),
     "Plan": lambda: nlos.plan(room()),
     "Study": design_study,
     "Results": results,

@@ -22,6 +22,16 @@ BLOCKED: Final = 4
 #: Names of the status numbers of a path.
 STATUS: Final = ("detected", "escaped", "absorbed", "left", "blocked")
 
+#: Surfaces of the points of a path.
+NO_SURFACE: Final = -1
+ON_WALL: Final = 0
+ON_OBJECT: Final = 1
+
+
+def _no_numbers() -> NDArray[np.int8]:
+    """Return an empty array of surfaces or lobes, as a default."""
+    return np.zeros((0, 0), dtype=np.int8)
+
 
 def _nothing() -> Mapping[str, float]:
     """Return an empty read-only mapping, as a default."""
@@ -47,6 +57,13 @@ class RayPaths(Noun):
         0: detected. 1: escaped from the scene. 2: absorbed, or not resolved. 3: left over when
         ``max_bounces`` was reached. 4: blocked at the lens, by missing the detector, by the field
         stop or by the lens's transmission.
+    surface : ndarray of int8, (n, k)
+        Surface that reflects the light at each point: 0 for the wall, 1 for the hidden object, -1
+        for the source, the end and repeated ends. Empty if unknown.
+    lobe : ndarray of int8, (n, k)
+        Lobe that reflects most of the path's light at each point, counted from 0 in the order of
+        the surface's material; -1 without a surface. Reflections in the exact direction of a
+        smooth mirror have its lobe. Empty if unknown.
     ledger : mapping of str to float
         Power by fate, W: "detected", "escaped", "left" and "blocked" as in ``status``; "absorbed by
         wall", "absorbed by object" and "absorbed by occluders"; and "unresolved", the power of rays
@@ -95,6 +112,8 @@ class RayPaths(Noun):
     weight: Array
     n_bounces: NDArray[np.int32]
     status: NDArray[np.int8]
+    surface: NDArray[np.int8] = field(default_factory=_no_numbers)
+    lobe: NDArray[np.int8] = field(default_factory=_no_numbers)
     ledger: Mapping[str, float] = field(default_factory=_nothing)
     ledger_error: Mapping[str, float] = field(default_factory=_nothing)
     flux: float = 0.0
@@ -116,5 +135,13 @@ class RayPaths(Noun):
 
     def __post_init__(self) -> None:
         arrays = (self.points, self.path_length, self.weight, self.n_bounces, self.status)
-        for array in (*arrays, self.by_bounce, self.by_bounce_error):
+        found = (self.surface, self.lobe, self.by_bounce, self.by_bounce_error)
+        for array in (*arrays, *found):
             array.flags.writeable = False
+
+    @property
+    def met_object(self) -> NDArray[np.bool_]:
+        """Whether the hidden object reflected the light of each path, (n,); False if unknown."""
+        if not self.surface.size:
+            return np.zeros(len(self.weight), dtype=bool)
+        return np.asarray((self.surface == ON_OBJECT).any(axis=1))

@@ -23,6 +23,7 @@ from ...kernels.heights import surface
 from ...kernels.random import uniform
 from ._light_kernels import (
     LENGTH,
+    MET,
     NARROW,
     POWER,
     SURFACE,
@@ -321,6 +322,17 @@ def _solve(walls, kinds, frames, slopes, a, p, u, x, g, limits):
 
 
 @njit(cache=True)
+def _normal(frame, slopes):
+    """Return the unit normal of a surface with these two slopes above the plane of a frame."""
+    tilt = 1.0 / math.sqrt(1.0 + slopes[0] ** 2 + slopes[1] ** 2)
+    return (
+        (frame[9] - slopes[0] * frame[3] - slopes[1] * frame[6]) * tilt,
+        (frame[10] - slopes[0] * frame[4] - slopes[1] * frame[7]) * tilt,
+        (frame[11] - slopes[0] * frame[5] - slopes[1] * frame[8]) * tilt,
+    )
+
+
+@njit(cache=True)
 def _inside(world, walls, kind, bounds, u, v):
     """Return whether a surface extends to the point with the coordinates u, v of its frame."""
     if kind == WALL:
@@ -352,11 +364,7 @@ def _carried(world, walls, kinds, frames, bounds, lobes_at, a, p, u, x, g, inver
         r, s = math.sqrt(_dot(d, d)), math.sqrt(_dot(e, e))
         d, e = (d[0] / r, d[1] / r, d[2] / r), (e[0] / s, e[1] / s, e[2] / s)
         f, tilt = frames[i], 1.0 / math.sqrt(1.0 + g[i, 0] ** 2 + g[i, 1] ** 2)
-        n = (
-            (f[9] - g[i, 0] * f[3] - g[i, 1] * f[6]) * tilt,
-            (f[10] - g[i, 0] * f[4] - g[i, 1] * f[7]) * tilt,
-            (f[11] - g[i, 0] * f[5] - g[i, 1] * f[8]) * tilt,
-        )
+        n = _normal(f, g[i])
         mu_i, mu_o, between = _dot(d, n), _dot(e, n), _dot(d, e)
         if mu_i <= 0.0 or mu_o <= 0.0:
             return 0.0
@@ -402,7 +410,7 @@ def _shift(walls, seed, ray, address, kinds, reach, start, u):
 
 @njit(cache=True, nogil=True)
 def chain_to_lens(
-    world, walls, sampler, first, light, lens, order, several, steepest, value, length, points
+    world, walls, sampler, first, light, lens, order, several, steepest, value, length, mirrors
 ):
     """Fill the detected power and length of chains of narrow reflections to points of the lens.
 
@@ -426,8 +434,8 @@ def chain_to_lens(
         Largest slope of the wall.
     value, length : ndarray, (n,)
         Detected power, W, and length, m; filled.
-    points : ndarray, (n, m + 2, 3)
-        Points of the chains, from light vertex to lens, m; filled where the value is above 0.
+    mirrors : ndarray, (m, n, VERTEX)
+        Vertices of the chains: point, m, normal and surface; filled where the value is above 0.
 
     Notes
     -----
@@ -515,11 +523,11 @@ def chain_to_lens(
                         break
             f *= trials
         value[i], length[i] = f, vertex[LENGTH] + r + s
-        for c in range(3):
-            points[i, 0, c], points[i, m + 1, c] = a[c], p[c]
         for k in range(m):
+            mirror, n = mirrors[k, i], _normal(frames[k], g[k])
             for c in range(3):
-                points[i, k + 1, c] = x[k, c]
+                mirror[c], mirror[3 + c] = x[k, c], n[c]
+            mirror[SURFACE], mirror[MET] = kinds[k], 1.0
             if k > 0:
                 away = (x[k, 0] - x[k - 1, 0], x[k, 1] - x[k - 1, 1], x[k, 2] - x[k - 1, 2])
                 length[i] += math.sqrt(_dot(away, away))

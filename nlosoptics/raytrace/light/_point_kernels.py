@@ -259,7 +259,7 @@ def _lens_point(camera, sampler, group, index, ray):
 
 
 @njit(cache=True, inline="always")
-def _landing(camera, point, d):
+def landing(camera, point, d):
     """Return the point (x, y) of the detector plane, m, at which light along a ray is imaged.
 
     ``point`` is a point of the lens and ``d`` the unit vector from there back along the ray. The
@@ -420,7 +420,7 @@ def to_lens(world, sampler, first, counted, glossy, light, value, starts, ends, 
             here = square / (at_lens * area)
             f /= 1.0 + material_pdf(world.wall, mu, cosine, turn) / here
         value[i] = f * camera[18]
-        x[i], y[i] = _landing(camera, p, (-d[0], -d[1], -d[2]))
+        x[i], y[i] = landing(camera, p, (-d[0], -d[1], -d[2]))
         for k in range(3):
             starts[i, k], ends[i, k] = a[k], p[k]
 
@@ -439,7 +439,7 @@ def image_hits(world, directions, origins, powers, hits, value, x, y, imaged):
         t = distance[i]
         p = (origins[i, 0] + t * d[0], origins[i, 1] + t * d[1], origins[i, 2] + t * d[2])
         value[i], imaged[i] = powers[i] * camera[18], 1.0
-        x[i], y[i] = _landing(camera, p, (-d[0], -d[1], -d[2]))
+        x[i], y[i] = landing(camera, p, (-d[0], -d[1], -d[2]))
 
 
 @njit(cache=True, nogil=True)
@@ -479,7 +479,7 @@ def lens_hits(
             imaged[i] = _imaged(lobes, matt, mu, cosine, turn, f)
             value[i] = sent * f * cosine / leave[i, LOBE]
             value[i] *= leave[i, PDF] / (leave[i, PDF] + here)
-        x[i], y[i] = _landing(camera, three(new[i], 0), (-d[0], -d[1], -d[2]))
+        x[i], y[i] = landing(camera, three(new[i], 0), (-d[0], -d[1], -d[2]))
 
 
 @njit(cache=True, nogil=True)
@@ -504,7 +504,7 @@ def connect(world, light, eye, value, starts, ends):
 def landings(world, points, directions, x, y):
     """Fill the detector positions, m, of light that arrives along rays traced from the lens."""
     for i in range(x.size):
-        x[i], y[i] = _landing(world.camera, three(points[i], 0), three(directions[i], 0))
+        x[i], y[i] = landing(world.camera, three(points[i], 0), three(directions[i], 0))
 
 
 @njit(cache=True, nogil=True)

@@ -15,12 +15,11 @@ from ..fans.paths import DETECTED
 from . import _chain_kernels as chaining
 from . import _light_kernels as kernels
 from . import _surround_kernels as surround
+from .kept_paths import Kept, kept_paths
 from .surroundings import Surroundings
 
 Array = NDArray[np.float64]
 LEDGER: Final = 0.25  # share of the rays continued when only the ledger still needs them
-#: Points, lengths, powers, numbers of reflections and status of paths.
-Kept = tuple[Array, Array, Array, NDArray[np.int32], NDArray[np.int8]]
 #: Sums by unit and group, numbers of intersection tests, and kept paths of a block.
 Traced = tuple[Array, Counter[str], list[Kept]]
 
@@ -60,7 +59,12 @@ class Job:
 
 def traced(job: Job, first: int, end: int) -> Traced:
     """Trace the rays with the numbers ``first`` to ``end - 1``, and return their sums and paths."""
-    block = Rays(job, first, end - first)
+    return follow(Rays(job, first, end - first))
+
+
+def follow(block: Rays) -> Traced:
+    """Trace a block of rays from the laser, and return its sums and paths."""
+    job, first = block.job, block.first
     light = block.from_laser()
     if not job.analog:
         block.look()
@@ -69,7 +73,7 @@ def traced(job: Job, first: int, end: int) -> Traced:
     # without glossy lobes, vertices after this bounce contribute to the ledger only
     last_seen = 0 if job.around.plan.glossy else max(1, job.max_bounces - 1)
     for bounce in range(1, job.max_bounces + 1):
-        block.walked.append(light[:, kernels.P])
+        block.walked.append(light)
         if not (light[:, kernels.SURFACE] >= 0.0).any():
             break
         if not job.analog:
@@ -105,6 +109,7 @@ class Rays:
         self.value, self.length = np.empty((2, n))
         self.by_object = np.zeros((n, kernels.VERTEX))  # stands for chains, which meet the object
         self.by_object[:, kernels.MET] = 1.0
+        self.watched = job.keep_paths
         self.walked: list[Array] = []
         self.kept: list[Kept] = []
 
@@ -112,14 +117,14 @@ class Rays:
         """Return the first vertices of the light paths, where the laser's rays hit a surface."""
         job, rays = self.job, (self.origins, self.directions)
         surround.beam(self.around.world, job.sampler, self.first, *rays)
-        self.walked.append(self.origins.copy())
+        self.sources = self.origins.copy()
         hits = self._hits(None)
         new = np.zeros((self.n, kernels.VERTEX))
         kernels.start(
             self.around.world, self.first, job.max_bounces, *rays, hits, new, self.sums, self.fates
         )
         self._settle(new)
-        self._keep_ended(new, 0)
+        self._take_ended(new, 0)
         return new
 
     def look(self) -> None:
@@ -165,7 +170,7 @@ class Rays:
             self.fates,
         )
         self._settle(new)
-        self._keep_ended(new, bounce)
+        self._take_ended(new, bounce)
         return new
 
     def detect(self, light: Array, before: Array, bounce: int) -> None:
@@ -194,7 +199,7 @@ class Rays:
 
         ``bounce`` is the number of reflections up to the light vertices.
         """
-        points, chains = np.zeros((self.n, m + 2, 3)), self.around.chains
+        mirrors, chains = np.zeros((m, self.n, kernels.VERTEX)), self.around.chains
         chaining.chain_to_lens(
             self.around.world,
             self.around.compiled_wall,
@@ -207,19 +212,19 @@ class Rays:
             chains.steepest,
             self.value,
             self.length,
-            points,
+            mirrors,
         )
         if not self.value.any():
             return
-        from_wall = light[:, kernels.SURFACE] == surround.WALL
-        on_wall = from_wall
-        for k in range(m):
-            self.starts[:], self.ends[:] = points[:, k], points[:, k + 1]
+        on_wall = light[:, kernels.SURFACE] == surround.WALL
+        self.starts[:] = light[:, kernels.P]
+        for mirror in mirrors:
+            self.ends[:] = mirror[:, kernels.P]
             self.around.clear(self.starts, self.ends, on_wall, self.value, self.counts)
+            self.starts[:] = self.ends
             on_wall = ~on_wall
-        self.starts[:], self.ends[:] = points[:, m], points[:, m + 1]
-        mirrors = tuple(points[:, k] for k in range(1, m + 1))
-        self._book(light, self.by_object, bounce + m, mirrors, on_wall)
+        self.ends[:] = self.lens
+        self._book(light, self.by_object, bounce + m, tuple(mirrors), on_wall)
 
     def _scatter(self, vertices: Array, number: int, eye: bool) -> None:
         """Draw the directions in which the paths continue, from random number ``number`` on."""
@@ -280,35 +285,68 @@ class Rays:
             self.length,
             self.sums,
         )
-        if self.job.keep_paths:
-            rows = np.flatnonzero(self.value > 0.0)
-            parts = [*self.walked, *(vertices[:, kernels.P] for vertices in seen), self.lens]
-            status = np.full(len(rows), DETECTED, dtype=np.int8)
-            self._keep(rows, parts, self.length, self.value, bounce, status)
+        if self.watched:
+            self.take_detected(self.value, self.length, [*self.walked, *seen], self.lens, bounce)
 
-    def _keep_ended(self, new: Array, bounce: int) -> None:
-        """Store the paths of an analog trace that ended at the vertices ``new``."""
-        if self.job.keep_paths and self.job.analog:
-            rows = np.flatnonzero(self.fates >= 0)
-            parts = [*self.walked, new[:, kernels.P]]
-            length, power = new[:, kernels.LENGTH], new[:, kernels.POWER]
-            self._keep(rows, parts, length, power, bounce, self.fates[rows])
+    def _take_ended(self, new: Array, bounce: int) -> None:
+        """Pass on paths that ended at the vertices ``new`` and that no connection stands for.
+
+        In an analog trace these are all paths, otherwise those that smooth mirrors sent to the
+        lens; see `_light_kernels.land`.
+        """
+        if not self.watched:
+            return
+        length, power, ends = new[:, kernels.LENGTH], new[:, kernels.POWER], new[:, kernels.P]
+        detected = self.fates == DETECTED
+        if self.job.analog and self.job.keep_paths:
+            rows = np.flatnonzero((self.fates >= 0) & ~detected)
+            self._keep(rows, power, length, self.walked, ends, bounce, self.fates[rows])
+        elif bounce > 0 and not self.job.analog:
+            detected &= self.leave[:, kernels.MIRROR] >= 0.0
+            detected &= self.walked[-1][:, kernels.HISTORY] > 0.0
+        if detected.any():
+            self.take_detected(np.where(detected, power, 0.0), length, self.walked, ends, bounce)
+
+    def take_detected(
+        self, power: Array, length: Array, vertices: list[Array], ends: Array, bounce: int
+    ) -> None:
+        """Store the paths of detected light if wanted; called once for each set of such paths.
+
+        Parameters
+        ----------
+        power : ndarray, (n,)
+            Detected power of each ray's path, W times rays; 0 without a path.
+        length : ndarray, (n,)
+            Length from the laser to the lens, m.
+        vertices : list of ndarray, (n, VERTEX)
+            Reflecting vertices in the order of the light, with point, normal, SURFACE and MET.
+        ends : ndarray, (n, 3)
+            Points of the lens, world, m.
+        bounce : int
+            Number of reflections.
+        """
+        if self.job.keep_paths:
+            rows = np.flatnonzero(power > 0.0)
+            status = np.full(len(rows), DETECTED, dtype=np.int8)
+            self._keep(rows, power, length, vertices, ends, bounce, status)
 
     def _keep(
         self,
         rows: NDArray[np.int64],
-        parts: list[Array],
-        length: Array,
         power: Array,
+        length: Array,
+        vertices: list[Array],
+        ends: Array,
         bounce: int,
         status: NDArray[np.int8],
     ) -> None:
-        """Store the paths of the rays ``rows``; shorter paths repeat their last point.
-
-        ``parts`` are the paths' points, m, ``length`` is in m and ``power`` in W.
-        """
-        points = np.stack([part[rows] for part in parts], axis=1)
-        missing = self.job.max_bounces + 2 - points.shape[1]
-        points = np.concatenate([points, np.repeat(points[:, -1:], missing, axis=1)], axis=1)
+        """Store the paths of the rays ``rows``; `take_detected` describes the other arguments."""
+        lines = kept_paths(
+            self.around.world,
+            self.job.max_bounces,
+            self.sources[rows],
+            [vertex[rows] for vertex in vertices],
+            ends[rows],
+        )
         bounces = np.full(len(rows), bounce, dtype=np.int32)
-        self.kept.append((points, length[rows], power[rows], bounces, status))
+        self.kept.append((*lines, length[rows], power[rows], bounces, status))

@@ -14,7 +14,7 @@ from ..._nouns import Noun
 from ...errors import SceneError
 from ...kernels.codes import GROUPS
 from ...scene import Lambert, Scene
-from .trace import MOST, MOST_BOUNCES, in_blocks, job_of, mean_of
+from .trace import MOST, MOST_BOUNCES, in_blocks, job_of, mean_map, mean_of
 
 if TYPE_CHECKING:
     from .blocks import Job
@@ -155,16 +155,13 @@ def wall_irradiance(
     maps = sums.reshape(GROUPS, ny, nx)
     x, y = (c + s * (np.arange(n) + 0.5) for c, s, n in zip(corner, step, (nx, ny), strict=True))
     areas = step[0] * step[1] / _upright(scene, x, y)
-    groups = min(n_rays, GROUPS)
-    means = maps[:groups] * (groups / n_rays)
-    spread = ((means - means.mean(axis=0)) ** 2).sum(axis=0)
-    error = np.sqrt(spread / (groups * (groups - 3))) if groups > 3 else np.full(shape, np.inf)
+    mean, variance = mean_map(maps, n_rays)
     power, power_error = mean_of(maps.sum(axis=(1, 2)), n_rays)
     return WallIrradiance(
         x=x,
         y=y,
-        irradiance=maps.sum(axis=0) / n_rays / areas,
-        standard_error=error / areas,
+        irradiance=mean / areas,
+        standard_error=np.sqrt(variance) / areas,
         power=power,
         power_error=power_error,
         n_rays=n_rays,

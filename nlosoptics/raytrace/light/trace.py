@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, Literal, TypeVar
 
@@ -23,7 +24,8 @@ from ..intersection.meshes import worker_pool
 from .surroundings import Surroundings
 
 if TYPE_CHECKING:
-    from .blocks import Job, Kept
+    from .blocks import Job, Traced
+    from .kept_paths import Kept
 
 Array = NDArray[np.float64]
 Found = TypeVar("Found")
@@ -69,9 +71,10 @@ def trace(
     max_bounces : int, default 5
         Largest number of reflections, 1 to 64. Three correspond to wall, object, wall.
     keep_paths : bool
-        Keep vertices, lengths and powers of single paths, for example to plot them: all paths with
-        ``analog``, else the detected ones. Otherwise memory does not grow with the number of rays.
-        With ``tol`` or ``max_seconds``, also give an ``n_rays`` whose paths fit into memory.
+        Keep vertices, lobes, lengths and powers of single paths, for example to plot them: all
+        paths with ``analog``, else the detected ones. Otherwise memory does not grow with the
+        number of rays. With ``tol`` or ``max_seconds``, also give an ``n_rays`` whose paths fit
+        into memory.
     analog : bool
         Trace rays as physical light propagates, without connections to object and lens and without
         Russian roulette. This is slow, but `RayPaths.ledger` then adds up to the laser's power
@@ -136,9 +139,26 @@ def trace(
     from .blocks import traced
 
     job = job_of(scene, max_bounces, sampler, seed, analog=analog, keep_paths=keep_paths)
+    return until_done(job, partial(in_blocks, traced, job), n_rays, tol, max_seconds, progress)
+
+
+def until_done(
+    job: Job,
+    blocks: Callable[[int, int], Iterable[Traced]],
+    n_rays: int | None,
+    tol: float | None,
+    max_seconds: float | None,
+    progress: Progress | None,
+) -> RayPaths:
+    """Trace rays until a limit is reached; `trace` describes the limits and ``progress``.
+
+    ``blocks(start, end)`` yields the traced blocks of rays from ``start`` to ``end`` in their
+    order.
+    """
+    max_bounces, keep_paths, analog = job.max_bounces, job.keep_paths, job.analog
     if tol is not None:
         in_range("tol", tol, 1e-6, 1.0)
-        _refuse_darkness(scene)
+        _refuse_darkness(job.scene)
         _refuse_unreached(job, tol)
     if max_seconds is not None:
         positive("max_seconds", max_seconds, unit="s")
@@ -149,7 +169,7 @@ def trace(
             f"paths of {counted(most, 'ray')} (n_rays)"
             if most < MOST
             else "paths without a limit (n_rays)",
-            most * (max_bounces + 4) * 24 * (1 if analog else max_bounces),
+            most * (max_bounces + 4) * 26 * (1 if analog else max_bounces),
             "trace fewer rays, or keep_paths=False",
         )
     begun = time.perf_counter()
@@ -157,7 +177,7 @@ def trace(
     done, stopped = 0, "rays"
     goal = min(most, FIRST) if open_end else most
     while True:
-        for sums, asked, paths in in_blocks(traced, job, done, goal):
+        for sums, asked, paths in blocks(done, goal):
             for unit in sums:
                 total += unit
             counts += asked
@@ -309,6 +329,20 @@ def _group_means(sums: Array, rays: int) -> Array:
     return sums[:groups] * (groups / rays)
 
 
+def mean_map(sums: Array, rays: int) -> tuple[Array, Array]:
+    """Return the mean of each pixel over the rays and its variance, in the unit of the sums.
+
+    ``sums`` (groups, ...) are sums over groups of rays, and ``rays`` is the number of all rays. The
+    variance contains the factor of Student's distribution of `mean_of`; it is infinite for fewer
+    than four groups.
+    """
+    groups = min(rays, GROUPS)
+    mean, spread = sums.sum(axis=0) / rays, np.zeros(sums.shape[1:])
+    for one in sums[:groups]:  # one at a time, which needs a quarter of the memory
+        spread += (one * (groups / rays) - mean) ** 2
+    return mean, spread / (groups * (groups - 3)) if groups > 3 else np.full_like(mean, np.inf)
+
+
 def _result(
     job: Job,
     total: Array,
@@ -344,17 +378,10 @@ def _result(
     trapped = mean_of(tail[:, kernels.TRAPPED], rays)
     length = math.fsum(tail[:, kernels.LENGTHS]) / rays
     if not kept:
-        empty = np.zeros(0)
-        kept = [
-            (
-                np.zeros((0, most + 2, 3)),
-                empty,
-                empty,
-                np.zeros(0, dtype=np.int32),
-                np.zeros(0, dtype=np.int8),
-            )
-        ]
-    points, lengths, powers, n_bounces, status = (
+        empty, none = np.zeros(0), np.zeros((0, most + 2), dtype=np.int8)
+        numbers = np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.int8)
+        kept = [(np.zeros((0, most + 2, 3)), none, none, empty, empty, *numbers)]
+    points, surface, lobe, lengths, powers, n_bounces, status = (
         np.concatenate(part) for part in zip(*kept, strict=True)
     )
     return RayPaths(
@@ -363,6 +390,8 @@ def _result(
         weight=powers / rays,
         n_bounces=n_bounces,
         status=status,
+        surface=surface,
+        lobe=lobe,
         ledger=MappingProxyType({name: mean for name, (mean, _) in ledger.items()}),
         ledger_error=MappingProxyType({name: error for name, (_, error) in ledger.items()}),
         flux=flux[0],

@@ -19,7 +19,7 @@ from ...errors import SceneError
 from ...kernels.codes import GROUPS
 from ...scene import Lambert, PlanarObject, Scene
 from ..fans.footprints import lens_footprint
-from .trace import MOST, in_blocks, job_of, mean_of
+from .trace import MOST, in_blocks, job_of, mean_map, mean_of
 
 if TYPE_CHECKING:
     from .point_blocks import Task
@@ -235,24 +235,11 @@ def trace_point(
         if progress is not None:
             progress("pixels", done / (ny * nx))
     if landed.any():  # the rays of a pixel rarely find mirror images; the rays of the flux do
-        mean, spread = _mean_map(landed.reshape(GROUPS, -1), n_rays)
+        mean, spread = mean_map(landed.reshape(GROUPS, -1), n_rays)
         energy += mean
         variance += spread
     del counts["rays"]
     return _result(task, total, energy, variance, n_rays, time.perf_counter() - begun, counts)
-
-
-def _mean_map(landed: Array, n_rays: int) -> tuple[Array, Array]:
-    """Return the mean power per pixel, W, and its variance, W^2, both (n,).
-
-    ``landed`` (groups, n) are the powers summed over each group of rays. The variance contains the
-    factor of Student's distribution of `trace.mean_of`.
-    """
-    groups = min(n_rays, GROUPS)
-    mean, spread = landed.sum(axis=0) / n_rays, np.zeros(landed.shape[1])
-    for one in landed[:groups]:  # one at a time, which needs a quarter of the memory
-        spread += (one * (groups / n_rays) - mean) ** 2
-    return mean, spread / (groups * (groups - 3)) if groups > 3 else np.full_like(mean, np.inf)
 
 
 def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:

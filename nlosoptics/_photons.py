@@ -1,0 +1,28 @@
+"""Photon rates of light of a given power."""
+
+from __future__ import annotations
+
+from ._checks import in_range, positive
+
+# Exact by definition of the SI; scipy.constants would load all of CODATA.
+PLANCK = 6.62607015e-34  # J s
+LIGHT_SPEED = 299_792_458.0  # m/s
+
+
+def photon_rate(power: float, wavelength: float) -> float:
+    """Photon rate of a beam, P lambda/(h c).
+
+    Parameters
+    ----------
+    power : float
+        Power, W.
+    wavelength : float
+        Vacuum wavelength, m.
+
+    Returns
+    -------
+    float
+        Photons per second, 1/s.
+    """
+    positive("wavelength", wavelength, unit="m")
+    return in_range("power", power, 0.0, unit="W") * wavelength / (PLANCK * LIGHT_SPEED)

@@ -1,0 +1,131 @@
+"""Blocks of rays whose detected light is sorted by pixel and by path length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...kernels.codes import GROUPS, UNIT
+from . import _image_kernels as image_kernels
+from . import _light_kernels as kernels
+from .blocks import Job, Rays, Traced, follow
+from .trace import in_blocks
+
+Array = NDArray[np.float64]
+#: Cells of the image, cells of the histogram, and powers of detected paths.
+Landed = tuple[NDArray[np.int64], NDArray[np.int64], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """Sums of detected power by group of rays, layer, and pixel or bin.
+
+    Layer 0 is the light that never met the hidden object; layer k is the other light after k
+    reflections.
+
+    Parameters
+    ----------
+    job : Job
+        Scene and options.
+    shape : (int, int)
+        Rows and columns of the image.
+    bins : (float, float, int, bool)
+        Start of the first bin and width of a bin, m, number of bins, and whether path lengths
+        include the outer legs.
+
+    Attributes
+    ----------
+    image : ndarray, (groups, layers, ny, nx)
+        Sums of pixels, W times rays.
+    histogram : ndarray, (groups, layers, n_bins + 2)
+        Sums of bins, W times rays; the first and the last one are of the light outside all bins.
+    """
+
+    job: Job
+    shape: tuple[int, int]
+    bins: tuple[float, float, int, bool]
+    image: Array = field(init=False)
+    histogram: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        sums = (GROUPS, self.job.max_bounces + 1)
+        object.__setattr__(self, "image", np.zeros((*sums, *self.shape)))
+        object.__setattr__(self, "histogram", np.zeros((*sums, self.bins[2] + 2)))
+
+    def exposed(self, start: int, end: int) -> Iterator[Traced]:
+        """Trace the rays from ``start`` to ``end``, add their light, and yield all other results.
+
+        Contributions are added in the order of the rays, in units of `UNIT`, so that the sums do
+        not depend on the number of threads.
+        """
+        image, histogram = self.image.reshape(-1), self.histogram.reshape(-1)
+        for found, (cells, slots, powers) in in_blocks(_imaged, self, start, end):
+            np.add.at(image, cells, powers)
+            np.add.at(histogram, slots, powers)
+            yield found
+
+
+def _imaged(film: Film, first: int, end: int) -> tuple[Traced, Landed]:
+    """Trace the rays ``first`` to ``end - 1`` and return their results and their detected light."""
+    block = ImagedRays(film, first, end - first)
+    found = follow(block)
+    none = np.zeros(0, dtype=np.int64)
+    cells, slots, powers, rays = (
+        np.concatenate(parts)
+        for parts in zip((none, none, np.zeros(0), none), *block.landed, strict=True)
+    )
+    order = np.argsort(rays // UNIT, kind="stable")
+    return found, (cells[order], slots[order], powers[order])
+
+
+class ImagedRays(Rays):
+    """Block of rays that sorts its detected light.
+
+    Parameters
+    ----------
+    film : Film
+        Pixels and bins.
+    first : int
+        Number of the first ray.
+    n : int
+        Number of rays.
+    """
+
+    def __init__(self, film: Film, first: int, n: int) -> None:
+        super().__init__(film.job, first, n)
+        self.watched = True
+        self.film = film
+        self.landed: list[tuple[*Landed, NDArray[np.int64]]] = []
+
+    def take_detected(
+        self, power: Array, length: Array, vertices: list[Array], ends: Array, bounce: int
+    ) -> None:
+        """Find pixel and bin of detected light; `Rays.take_detected` describes the arguments."""
+        super().take_detected(power, length, vertices, ends, bounce)
+        met = np.zeros(self.n, dtype=bool)
+        for vertex in vertices:
+            met |= vertex[:, kernels.MET] > 0.0
+        cells, slots, rays = np.empty((3, self.n), dtype=np.int64)
+        powers = np.empty(self.n)
+        # of one layout in memory, so that the kernel is compiled once
+        length, ends = np.ascontiguousarray(length), np.ascontiguousarray(ends)
+        count = image_kernels.sort_light(
+            self.around.world.camera,
+            self.first,
+            (np.where(met, bounce, 0), self.job.max_bounces + 1),
+            power,
+            length,
+            vertices[0][:, kernels.LENGTH],
+            vertices[-1],
+            ends,
+            self.film.shape,
+            self.film.bins,
+            cells,
+            slots,
+            powers,
+            rays,
+        )
+        self.landed.append((cells[:count], slots[:count], powers[:count], rays[:count]))

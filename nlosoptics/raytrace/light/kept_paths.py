@@ -1,0 +1,98 @@
+"""Single light paths in the form in which a trace keeps them."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._vectors import dot
+from ...kernels import brdf
+from ...kernels.codes import BECKMANN
+from ..fans.paths import NO_SURFACE, ON_OBJECT, ON_WALL
+from . import _light_kernels as kernels
+from . import _surround_kernels as surround
+
+Array = NDArray[np.float64]
+#: Angle to the direction of a mirror, rad, within which a smooth mirror must have reflected light.
+#: Rounding of points leaves less, and any other lobe reaches it once in 10^12 reflections.
+EXACT: Final = 1e-6
+#: Points (m), surfaces and lobes, then lengths (m), powers (W), reflections and status of paths.
+Kept = tuple[
+    Array,
+    NDArray[np.int8],
+    NDArray[np.int8],
+    Array,
+    Array,
+    NDArray[np.int32],
+    NDArray[np.int8],
+]
+
+
+def kept_paths(
+    world: surround.World,
+    most: int,
+    sources: Array,
+    vertices: list[Array],
+    ends: Array,
+) -> tuple[Array, NDArray[np.int8], NDArray[np.int8]]:
+    """Return points, surfaces and lobes of paths with the same number of reflections.
+
+    Parameters
+    ----------
+    world : World
+        Scene data with the lobes.
+    most : int
+        Largest number of reflections of any path; shorter paths repeat their last point.
+    sources, ends : ndarray, (n, 3)
+        First and last points, world, m.
+    vertices : list of ndarray, (n, VERTEX)
+        Reflecting vertices in the order of the light; point, normal and surface are read.
+
+    Returns
+    -------
+    points : ndarray, (n, most + 2, 3)
+        Points, world, m.
+    surfaces, lobes : ndarray of int8, (n, most + 2)
+        As ``RayPaths.surface`` and ``RayPaths.lobe``.
+    """
+    corners = [sources, *(vertex[:, kernels.P] for vertex in vertices), ends]
+    points = np.stack([*corners, *[ends] * (most + 2 - len(corners))], axis=1)
+    surfaces = np.full(points.shape[:2], NO_SURFACE, dtype=np.int8)
+    lobes = np.full_like(surfaces, -1)
+    for j, vertex in enumerate(vertices):
+        come, go = _units(corners[j] - corners[j + 1]), _units(corners[j + 2] - corners[j + 1])
+        for kind, surface, table in (
+            (surround.WALL, ON_WALL, world.wall),
+            (surround.OBJECT, ON_OBJECT, world.thing),
+        ):
+            rows = vertex[:, kernels.SURFACE] == kind
+            surfaces[rows, j + 1] = surface
+            lobes[rows, j + 1] = _strongest(table, come[rows], go[rows], vertex[rows, kernels.N])
+    return points, surfaces, lobes
+
+
+def _strongest(table: Array, come: Array, go: Array, normals: Array) -> NDArray[np.int8]:
+    """Return the row of a table of lobes that reflects most of the light of each path, (n,).
+
+    ``come`` and ``go`` (n, 3) are unit vectors to the previous and the next point.
+    """
+    evaluate: Any = brdf.evaluate  # untyped
+    cosines = dot(come, normals), dot(go, normals), dot(come, go)
+    off = go + come - 2.0 * cosines[0][:, None] * normals
+    mirrored = dot(off, off) < EXACT**2
+    values = np.empty((len(table), len(come)))
+    for j in range(len(table)):
+        smooth = table[j, 0] >= BECKMANN and table[j, 2] == 0.0
+        evaluate(table[j : j + 1], *cosines, values[j])
+        if smooth:
+            # a smooth mirror has no finite value; all light in its exact direction is its own
+            values[j, mirrored] = np.inf if table[j, 1] * table[j, 3] > 0.0 else 0.0
+    return np.asarray(values.argmax(axis=0), dtype=np.int8)
+
+
+def _units(vectors: Array) -> Array:
+    """Return vectors (n, 3) divided by their lengths; zero vectors stay zero."""
+    length = np.sqrt(dot(vectors, vectors))
+    return np.asarray(vectors / np.where(length > 0.0, length, 1.0)[:, None])

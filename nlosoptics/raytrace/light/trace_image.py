@@ -1,0 +1,343 @@
+"""Images of the detector, and histograms of path lengths, by Monte Carlo light transport."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..._checks import counted, fits_memory, positive, real, whole
+from ..._html import Figures, Shown
+from ..._nouns import Noun
+from ..._photons import photon_rate
+from ..._progress import Progress
+from ...errors import SceneError
+from ...kernels.codes import GROUPS
+from ...scene import Scene
+from ..fans.paths import RayPaths
+from .trace import job_of, mean_map, until_done
+
+Array = NDArray[np.float64]
+MOST_BINS = 1 << 20  # largest number of bins of a histogram
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PathHistogram(Noun):
+    """Detected power in bins of path length.
+
+    Parameters
+    ----------
+    t_start, delta_t : float
+        Start of bin 0 and width of a bin, m of optical path.
+    outer_legs : bool
+        Whether path lengths include the leg from the laser to the first reflection and the leg
+        from the last reflection to the lens.
+    power, power_error : ndarray, (n_bins,)
+        Power of light that met the hidden object, and its standard error, W. Values are integrals
+        over each bin.
+    by_bounce, by_bounce_error : ndarray, (max_bounces + 1, n_bins)
+        Contributions to ``power`` by number of reflections, and their standard errors, W.
+    stray, stray_error : ndarray, (n_bins,)
+        Power of light that never met the hidden object, and its standard error, W.
+    before, after : float
+        Power of light that met the hidden object on paths shorter and longer than the bins, W.
+
+    See Also
+    --------
+    trace_image : Image and histogram of a scene.
+    nlosoptics.transient.render : Intensity at the wall in bins of path length.
+    nlosoptics.views.path_lengths : Curves of a histogram.
+    """
+
+    t_start: float
+    delta_t: float
+    outer_legs: bool
+    power: Array
+    power_error: Array
+    by_bounce: Array
+    by_bounce_error: Array
+    stray: Array
+    stray_error: Array
+    before: float
+    after: float
+
+    def __post_init__(self) -> None:
+        for name in ("power", "by_bounce", "stray"):
+            getattr(self, name).flags.writeable = False
+            getattr(self, f"{name}_error").flags.writeable = False
+
+    @property
+    def edges(self) -> Array:
+        """Edges of the bins, (n_bins + 1,), m of optical path."""
+        return np.asarray(self.t_start + self.delta_t * np.arange(len(self.power) + 1))
+
+    @property
+    def times(self) -> Array:
+        """Centres of the bins, (n_bins,), m of optical path."""
+        return np.asarray(self.t_start + self.delta_t * (np.arange(len(self.power)) + 0.5))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TracedImage(Noun, Shown):
+    """Image of a scene by traced light, with the standard error of every pixel.
+
+    Rows run along the camera's e2 axis and columns along e1, as in `imaging.SpeckleImage`. Row 0 is
+    at the lowest y of the detector.
+
+    Parameters
+    ----------
+    expected, expected_error : ndarray, (ny, nx)
+        Mean electrons of each pixel in one exposure and their standard error. All detected light
+        and the dark current are included, glare is not.
+    power, power_error : ndarray, (ny, nx)
+        Power on each pixel of light that met the hidden object, and its standard error, W.
+    by_bounce, by_bounce_error : ndarray, (max_bounces + 1, ny, nx)
+        Contributions to ``power`` by number of reflections, and their standard errors, W.
+    stray, stray_error : ndarray, (ny, nx)
+        Power on each pixel of light that never met the hidden object, and its standard error, W.
+    pitch : float
+        Pitch of the image pixels, m.
+    exposure : float
+        Exposure time of ``expected``, s.
+    histogram : PathHistogram or None
+        Detected power by path length, if bins were given.
+    paths : RayPaths
+        Totals of the same rays: flux, power balance, number of rays. The sum of ``power`` is
+        ``paths.flux``.
+
+    See Also
+    --------
+    trace_image : Image and histogram of a scene.
+    nlosoptics.imaging.SpeckleImage : Image by waves, with the noise of the camera.
+    nlosoptics.views.traced_image : Image and its relative error.
+    """
+
+    expected: Array
+    expected_error: Array
+    power: Array
+    power_error: Array
+    by_bounce: Array
+    by_bounce_error: Array
+    stray: Array
+    stray_error: Array
+    pitch: float
+    exposure: float
+    histogram: PathHistogram | None
+    paths: RayPaths
+
+    def __post_init__(self) -> None:
+        for name in ("expected", "power", "by_bounce", "stray"):
+            getattr(self, name).flags.writeable = False
+            getattr(self, f"{name}_error").flags.writeable = False
+
+    def _figures(self) -> Figures:
+        ny, nx = self.expected.shape
+        paths = self.paths
+        figures = {
+            "electrons": f"{self.expected.max():.3g} at most, mean {self.expected.mean():.3g}",
+            "standard error": f"{self.expected_error.mean():.2g} electrons on average",
+            "of the object": f"{paths.flux:.3g} ± {paths.standard_error:.1g} W",
+            "stray light": f"{paths.stray:.3g} ± {paths.stray_error:.1g} W",
+            "rays": f"{paths.n_rays}, up to {counted(len(self.by_bounce) - 1, 'reflection')}",
+            "exposure": f"{1e3 * self.exposure:.3g} ms",
+            "image": f"{nx} x {ny} pixels of {1e6 * self.pitch:.3g} µm",
+        }
+        if self.histogram is not None:
+            edges = self.histogram.edges
+            figures["path lengths"] = (
+                f"{counted(len(edges) - 1, 'bin')} of {1e3 * self.histogram.delta_t:.4g} mm, "
+                f"{edges[0]:.4g} to {edges[-1]:.4g} m"
+            )
+        alt = f"Traced image, {nx} x {ny} pixels, brighter where there are more electrons"
+        return Figures("Traced image", figures, alt)
+
+
+def trace_image(
+    scene: Scene,
+    *,
+    n_rays: int | None = None,
+    tol: float | None = None,
+    max_seconds: float | None = None,
+    max_bounces: int = 5,
+    t_start: float | None = None,
+    delta_t: float | None = None,
+    n_bins: int | None = None,
+    outer_legs: bool = True,
+    exposure: float | None = None,
+    analog: bool = False,
+    sampler: Literal["sobol", "philox"] = "sobol",
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> TracedImage:
+    """Trace the laser's light to the pixels of the camera, and sort it by path length.
+
+    Parameters
+    ----------
+    scene : Scene
+        Scene to trace; its camera defines the pixels.
+    n_rays : int, optional
+        Number of rays; with ``tol`` or ``max_seconds`` the largest number, 2^36 by default. The
+        default without either is 65536.
+    tol : float, optional
+        Target for the relative standard error of the flux, that is of the sum over all pixels,
+        1e-6 to 1. Single pixels have larger errors.
+    max_seconds : float, optional
+        Time limit, s; the result of the rays traced by then is returned.
+    max_bounces : int, default 5
+        Largest number of reflections, 1 to 64. Three correspond to wall, object, wall.
+    t_start, delta_t : float, optional
+        Start of bin 0 and width of a bin of the histogram, m of optical path.
+    n_bins : int, optional
+        Number of bins, at most 2^20. Give all three of ``t_start``, ``delta_t`` and ``n_bins``, or
+        none for no histogram.
+    outer_legs : bool
+        Whether path lengths are those from the laser to the lens. If False, they are those from
+        the first to the last reflection, that is from wall to wall for three reflections.
+    exposure : float, optional
+        Exposure time, s; by default the camera's.
+    analog : bool
+        Trace rays as physical light propagates, without connections to object and lens and without
+        Russian roulette. This is slow, but independent of all these techniques.
+    sampler : {"sobol", "philox"}
+        Scrambled Sobol points in 32 independent groups, or independent random numbers.
+    seed : int
+        Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
+        for any number of threads.
+    progress : callable(str, float), optional
+        Called with ``"rays"`` and the completed fraction, 0 to 1.
+
+    Returns
+    -------
+    TracedImage
+        Electrons and power of every pixel with standard errors, the histogram, and the totals.
+
+    Raises
+    ------
+    SceneError
+        If an option is out of range, a part of the scene is behind the wall, only a part of the
+        bins is given, or ``tol`` is given and no light reaches the detector via the hidden object.
+    MemoryLimitError
+        If the sums of all pixels would not fit in memory. They take 304 bytes per pixel and number
+        of reflections, counting 0, and 304 more per pixel.
+
+    See Also
+    --------
+    trace : Power without an image, for the same rays.
+    trace_point : Light of a single object point, resolved by pixels.
+    nlosoptics.imaging.form_image : Image by waves, with the noise of the camera.
+    nlosoptics.transient.render : Intensity at the wall in bins of path length.
+
+    Notes
+    -----
+    The estimate is that of `trace`: for the same options, ``paths`` is its result, and the sums
+    over pixels and bins agree with it to rounding. A ray that enters the lens at any point of the
+    stop is imaged by an ideal thin lens: the point where it crosses the plane in focus is projected
+    through the centre of the lens onto the detector. Walls and objects out of focus are blurred
+    accordingly. Path lengths end at the point where the light enters the lens.
+
+    Standard errors come from 32 groups of rays. A pixel that bright light barely touches, such as
+    at the edge of a letter seen in a mirror, is hit by this light rarely. Its value and its error
+    are then too small until enough rays have found the light.
+
+    `imaging.form_image` computes the same image from point spreads. It takes the lens as small and
+    the laser spot as a point, includes diffraction and glare, and stops at three reflections. Rays
+    have none of these limits, but no diffraction.
+
+    Examples
+    --------
+    >>> from nlosoptics import Scene, raytrace
+    >>> scene = Scene.load("examples/scenes/letter_flat.toml").resized(16)
+    >>> bins = {"t_start": 3.0, "delta_t": 0.1, "n_bins": 40}
+    >>> image = raytrace.trace_image(scene, n_rays=4096, max_bounces=3, seed=0, **bins)
+    >>> image.expected.shape, image.by_bounce.shape, image.histogram.power.shape
+    ((16, 16), (4, 16, 16), (40,))
+    >>> abs(image.power.sum() / image.paths.flux - 1.0) < 1e-12
+    True
+    """
+    from .image_blocks import Film
+
+    job = job_of(scene, max_bounces, sampler, seed, analog=analog)
+    camera = job.scene.camera
+    exposure = positive("exposure", camera.exposure if exposure is None else exposure, unit="s")
+    bins = _bins(t_start, delta_t, n_bins)
+    (ny, nx), layers = camera.shape, max_bounces + 1
+    sizes = (layers + 1) * nx * ny + layers * bins[2]
+    fits_memory(
+        f"a traced image of {nx} x {ny} pixels (camera.pixels, camera.binning) with max_bounces = "
+        f"{max_bounces} and {counted(bins[2], 'bin')}",
+        8.0 * (GROUPS + 6) * sizes,
+        "bin more pixels, or lower max_bounces or n_bins",
+    )
+    film = Film(job, (ny, nx), (*bins, bool(outer_legs)))
+    paths = until_done(job, film.exposed, n_rays, tol, max_seconds, progress)
+    parts = _means(film.image, paths.n_rays)
+    everything, variance = mean_map(film.image.sum(axis=1), paths.n_rays)
+    gain = exposure * camera.quantum_efficiency * photon_rate(1.0, scene.laser.wavelength)
+    return TracedImage(
+        expected=gain * everything + camera.dark_current * exposure * camera.binning**2,
+        expected_error=gain * np.sqrt(variance),
+        **parts,
+        pitch=camera.image_pitch,
+        exposure=exposure,
+        histogram=None if n_bins is None else _histogram(film.histogram, paths.n_rays, film.bins),
+        paths=paths,
+    )
+
+
+def _bins(
+    t_start: float | None, delta_t: float | None, n_bins: int | None
+) -> tuple[float, float, int]:
+    """Return start and width, m, and number of the bins, checked; no bins if none is given."""
+    given = {"t_start": t_start, "delta_t": delta_t, "n_bins": n_bins}
+    missing = [name for name, value in given.items() if value is None]
+    if len(missing) == 3:
+        return 0.0, 1.0, 0
+    if missing:
+        present = next(name for name in given if name not in missing)
+        raise SceneError(
+            f"{' and '.join(missing)} missing for the histogram that {present} = "
+            f"{given[present]!r} asks for; give t_start, delta_t and n_bins, or none of them"
+        )
+    return (
+        real("t_start", t_start),
+        positive("delta_t", delta_t, unit="m"),
+        whole("n_bins", n_bins, 1, MOST_BINS),
+    )
+
+
+def _means(sums: Array, rays: int) -> dict[str, Array]:
+    """Return the means of `Film` sums (groups, layers, ...), W, with their errors, by field name.
+
+    ``rays`` is the number of all rays.
+    """
+    power, variance = mean_map(sums[:, 1:].sum(axis=1), rays)
+    layers = [mean_map(sums[:, k], rays) for k in range(sums.shape[1])]
+    stray, stray_variance = layers[0]
+    nothing = np.zeros_like(stray)  # no light is detected without a reflection
+    return {
+        "power": power,
+        "power_error": np.sqrt(variance),
+        "by_bounce": np.stack([nothing, *(mean for mean, _ in layers[1:])]),
+        "by_bounce_error": np.stack([nothing, *(np.sqrt(square) for _, square in layers[1:])]),
+        "stray": stray,
+        "stray_error": np.sqrt(stray_variance),
+    }
+
+
+def _histogram(sums: Array, rays: int, bins: tuple[float, float, int, bool]) -> PathHistogram:
+    """Return the histogram of `Film` sums (groups, layers, n_bins + 2); ``rays`` is their number.
+
+    ``bins`` are those of `Film`.
+    """
+    found = _means(sums, rays)
+    before, after = (float(found["power"][k]) for k in (0, -1))
+    return PathHistogram(
+        t_start=bins[0],
+        delta_t=bins[1],
+        outer_legs=bins[3],
+        before=before,
+        after=after,
+        **{name: values[..., 1:-1].copy() for name, values in found.items()},
+    )
