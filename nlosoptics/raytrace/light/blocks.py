@@ -303,7 +303,9 @@ class Rays:
             self._keep(rows, power, length, self.walked, ends, bounce, self.fates[rows])
         elif bounce > 0 and not self.job.analog:
             detected &= self.leave[:, kernels.MIRROR] >= 0.0
-            detected &= self.walked[-1][:, kernels.HISTORY] > 0.0
+            last = self.walked[-1]
+            detected &= last[:, kernels.HISTORY] > 0.0
+            power = power * (1.0 - last[:, kernels.LINKED])  # chains are traced separately
         if detected.any():
             self.take_detected(np.where(detected, power, 0.0), length, self.walked, ends, bounce)
 
