@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 import nlosoptics as nlos
 from nlosoptics import limits, views
 from nlosoptics.scene import Scene
-from nlosoptics.views.canvas import new_axes
-from nlosoptics.views.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, VERMILION
+from nlosoptics.views.canvas import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, VERMILION, new_axes
 
 ROOT = Path(__file__).parents[1]
 FLOOR = 1.35  # m from the wall, where the picture ends

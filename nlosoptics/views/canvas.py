@@ -1,10 +1,10 @@
-"""New figures, made without pyplot, and round lengths and ticks for their scales."""
+"""New figures, made without pyplot, their colours, and round lengths and ticks for their scales."""
 
 from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
@@ -14,6 +14,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+
+# Colours and markers: the Okabe-Ito palette, which is safe for colour blindness.
+BLUE: Final = "#0072B2"
+VERMILION: Final = "#D55E00"
+GREEN: Final = "#009E73"
+PURPLE: Final = "#CC79A7"
+ORANGE: Final = "#E69F00"
+SKY: Final = "#56B4E9"
+BLACK: Final = "#000000"
+BROWN: Final = "#7A3E00"  # not by Okabe and Ito; as distinct from their colours as those are
+PALE_GREEN: Final = "#8FCFBA"  # mirror images of what is GREEN
+PALE_SKY: Final = "#9FD3F5"  # glass
+TEAL: Final = "#26828E"  # middle of the viridis colour map, for legends
+INK: Final = "#222222"  # text in 3-D views
+GREY: Final = "#767676"  # secondary information; contrast 4.5:1 on white
+PALE_GREY: Final = "#A8A8A8"  # grid lines in 3-D views
+
+SERIES: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BROWN)
+MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*")
 
 DOTS_PER_INCH = 120
 CHARACTER = 0.7  # width of a digit or minus sign over the font size, with a little to spare

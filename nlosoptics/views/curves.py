@@ -12,8 +12,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
-from .canvas import new_axes, space_log_ticks, space_ticks
-from .palette import BLUE, GREY, MARKERS, ORANGE, SERIES, VERMILION
+from .canvas import (
+    BLUE,
+    GREY,
+    MARKERS,
+    ORANGE,
+    SERIES,
+    VERMILION,
+    new_axes,
+    space_log_ticks,
+    space_ticks,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 
 from .._checks import in_range, positive, whole
 from ..errors import SamplingError, SceneError
-from .canvas import new_axes, space_ticks
+from .canvas import BLUE, SKY, new_axes, space_ticks
 from .maps import colour_bar
-from .palette import BLUE, SKY
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._checks import counted
-from .canvas import new_axes, space_ticks
-from .palette import BLACK, BLUE, GREY, VERMILION
+from .canvas import BLACK, BLUE, GREY, VERMILION, new_axes, space_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .._checks import one_of, positive
-from .canvas import new_axes, round_step, set_title, space_ticks
-from .palette import SKY
+from .canvas import SKY, new_axes, round_step, set_title, space_ticks
 from .reliefs import relief, spread_norm
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from .._checks import counted, one_of, whole
 from ..errors import SceneError
 from ..raytrace.fans.paths import DETECTED
-from .palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from .canvas import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from .stages import pyvista
 
 if TYPE_CHECKING:

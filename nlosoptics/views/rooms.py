@@ -8,8 +8,7 @@ import numpy as np
 
 from ..scene import PlanarObject, Scene
 from . import room_parts as parts
-from .canvas import round_step
-from .palette import GREY, INK, PALE_GREY, PALE_SKY
+from .canvas import GREY, INK, PALE_GREY, PALE_SKY, round_step
 from .rays import COLOURS, chosen_paths, colour_style, path_lines
 from .sketch import CAMERA, LASER, OBJECT, OCCLUDER
 from .stages import add_legend, bar_style, finish_bar, look_at, new_plotter

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import SceneError
-from .canvas import new_axes, space_ticks
-from .palette import BLUE, GREY, VERMILION
+from .canvas import BLUE, GREY, VERMILION, new_axes, space_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

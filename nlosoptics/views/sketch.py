@@ -9,8 +9,18 @@ import numpy as np
 
 from ..errors import SceneError
 from ..scene import Occluder, PlanarObject, Scene
-from .canvas import new_axes, set_title, space_ticks
-from .palette import BLACK, BLUE, BROWN, GREEN, ORANGE, PALE_GREEN, VERMILION
+from .canvas import (
+    BLACK,
+    BLUE,
+    BROWN,
+    GREEN,
+    ORANGE,
+    PALE_GREEN,
+    VERMILION,
+    new_axes,
+    set_title,
+    space_ticks,
+)
 
 if TYPE_CHECKING:
     import trimesh

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import MissingExtraError
-from .palette import INK
+from .canvas import INK
 
 if TYPE_CHECKING:
     from pyvista import Plotter

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import SceneError
-from .canvas import new_axes, space_ticks
-from .palette import BLACK, BLUE, GREY, PALE_GREY, SERIES, VERMILION
+from .canvas import BLACK, BLUE, GREY, PALE_GREY, SERIES, VERMILION, new_axes, space_ticks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

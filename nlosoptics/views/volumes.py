@@ -8,9 +8,8 @@ import numpy as np
 
 from .._checks import in_range, one_of
 from ..errors import SamplingError
-from .canvas import new_axes, round_step, space_ticks
+from .canvas import GREY, INK, PALE_GREY, TEAL, new_axes, round_step, space_ticks
 from .maps import colour_bar
-from .palette import GREY, INK, PALE_GREY, TEAL
 from .rays import dark_viridis
 from .room_parts import floor_grid, triad
 from .stages import add_legend, bar_style, finish_bar, look_at, new_plotter, pyvista

@@ -16,7 +16,7 @@ from nlosoptics import limits, psf, views
 from nlosoptics.errors import SceneError
 from nlosoptics.psf import Comparison, ComparisonRow
 from nlosoptics.runs.plan import Plan, Stage
-from nlosoptics.views.palette import SERIES
+from nlosoptics.views.canvas import SERIES
 
 pytest.importorskip("matplotlib")
 
