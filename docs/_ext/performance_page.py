@@ -743,8 +743,8 @@ SECTIONS = (
     Section(
         "trace_coverage.jsonl",
         "Intervals of traced light",
-        "How often the flux of 300 traces with 1,024 rays lies within its intervals about that of a "
-        "trace with 262,144 rays, and how often a trace calls it uncertain; then the number of "
+        "How often the flux of 300 traces with 1,024 rays lies within its intervals about that of "
+        "a trace with 262,144 rays, and how often a trace calls it uncertain; then the number of "
         "reflections whose interval holds least. The standard error of a share is 1.3 % at 95 %.",
         f"{RUN}/trace_coverage.py --json benchmarks/results/trace_coverage.jsonl",
         coverage,
