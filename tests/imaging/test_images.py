@@ -300,7 +300,7 @@ def test_mesh_casts_a_shadow_on_itself(flat_scene):
         ({"seed": 10**23 - 1}, SceneError, f"seed = {'9' * 23} is out of range"),
         ({"seed": 1 << 20000}, SceneError, "seed = an int of 20001 bits is out of range"),
         ({"seed": True}, SceneError, "seed = True is not a whole number"),
-        ({"seed": "1"}, SceneError, "seed = '1' is not a number"),
+        ({"seed": "1"}, SceneError, "seed = '1' is not a whole number"),
         ({"picture": "abc"}, SceneError, r"object_image has shape \(\); give a greyscale image"),
         ({"picture": [[1.0], [1.0, 0.0]]}, SceneError, "object_image has rows of unequal length"),
         ({"picture": [[2.0]]}, SceneError, "object_image spans"),

@@ -157,6 +157,7 @@ MADE: Mapping[str, Any] = {
     "MeshObject": lambda: scene.MeshObject(mesh(), position=(0.3, 0.0, 2.0), scale=0.1),
     "MeshWall": lambda: scene.MeshWall(mesh()),
     "Occluder": lambda: scene.Occluder(mesh(), position=(0.3, 0.0, 2.0), pitch=1.0),
+    "NamedMaterial": lambda: scene.material_library()["whiteboard"],
     "OrenNayar": lambda: scene.OrenNayar(0.5, 0.3),
     "PlanarObject": lambda: scene.PlanarObject(RNG.random((5, 7)), 0.1, position=(0.3, 0.0, 1.0)),
     "Scene": lambda: room(occluders=(mesh().copy().apply_translation((0, 0, 5)),)),
@@ -198,6 +199,15 @@ MADE: Mapping[str, Any] = {
     "Plan": lambda: nlos.plan(room()),
     "Study": design_study,
     "Results": results,
+    "Optimum": lambda: study.Optimum(
+        results=results(),
+        labels=("strehl",),
+        goals=("maximise",),
+        objectives=RNG.random((2, 1)),
+        feasible=np.array([True, False]),
+        failed=np.array([False, True]),
+        front=(0,),
+    ),
     "Result": result,
 }
 #: What the fields of the other nouns are drawn as, by their annotations.

@@ -253,7 +253,7 @@ def trace_image(
     >>> image = raytrace.trace_image(scene, n_rays=4096, max_bounces=3, seed=0, **bins)
     >>> image.expected.shape, image.by_bounce.shape, image.histogram.power.shape
     ((16, 16), (4, 16, 16), (40,))
-    >>> abs(image.power.sum() / image.paths.flux - 1.0) < 1e-12
+    >>> bool(abs(image.power.sum() / image.paths.flux - 1.0) < 1e-12)
     True
     """
     from .image_blocks import Film

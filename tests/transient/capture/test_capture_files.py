@@ -291,7 +291,7 @@ NAN = np.where(np.arange(42).reshape(7, 3, 2) == 3, np.nan, 1.0)
         ({"t_accounts_first_and_last_bounces": np.nan}, SceneError, "= nan is neither 0 nor 1"),
         ({"t_accounts_first_and_last_bounces": np.ones(0)}, SceneError, "give outer_legs"),
         ({"H_format": np.nan}, SceneError, "H_format = nan is not finite"),
-        ({"H_format": "T_Si"}, SceneError, "H_format = .* is not a number"),
+        ({"H_format": "T_Si"}, SceneError, "H_format = .* is not a whole number"),
         ({"H": None}, SceneError, "no known layout; give a file of y-tal"),
     ],
 )
