@@ -119,9 +119,10 @@ def _slopes(scene: Scene) -> tuple[float, float]:
     """
     size = scene.wall.size or (2.0 * UNBOUNDED, 2.0 * UNBOUNDED)
     x, y = (np.linspace(-0.5 * s, 0.5 * s, GRID) for s in size)
-    # The values of a compiled wall are NaN beyond the rim of a sphere, where there is no wall.
+    # The values of a compiled wall are NaN beyond the rim of a sphere, and infinite on it.
     values = scene.wall.surface_values if scene.wall.is_compiled else scene.wall.derivatives
-    slopes = np.nan_to_num(values(*(a.ravel() for a in np.meshgrid(x, y)))[:, 1:3])
+    slopes = values(*(a.ravel() for a in np.meshgrid(x, y)))[:, 1:3]
+    slopes = np.where(np.isfinite(slopes), slopes, 0.0)
     norms = np.hypot(slopes[:, 0], slopes[:, 1])
     signs = np.sign(slopes.reshape(GRID, GRID, 2))
     turns = [float((np.abs(np.diff(signs[..., k], axis=1 - k)) == 2.0).mean()) for k in (0, 1)]
