@@ -105,7 +105,7 @@ def _set_facet(lobes, seed, ray, address, wider, slope):
     lobe's chance is part of the density; the slope of a smooth mirror is 0 with density 1.
     """
     bounce, m, first = address
-    narrow, some = 0, 0
+    some = 0
     for j in range(lobes.shape[0]):
         some += 1 if is_narrow(lobes, j) else 0
     if some == 0:
