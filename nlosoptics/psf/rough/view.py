@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ class RoughView:
     effective_distance : ndarray (2, 2) or None
         Matrix d_eff of `WallView`, m; not needed for the mean.
     """
+
+    #: Time of the transfer function at one separation, s, beyond that of its sum.
+    term_seconds: ClassVar[float] = 0.0
 
     roughness: Roughness
     footprint: Array

@@ -191,6 +191,7 @@ def _scattered_cost(
     seconds = costs.scattered(
         lattices, again, points, 0 if half is None else math.prod(window.shape)
     )
+    seconds += view.term_seconds * sum(nodes)
     n_bytes = max(CELL_BYTES * across**2, NODE_BYTES * nodes[1] + PIXEL_BYTES * points)
     if tol < TIGHT:
         seconds, n_bytes = AGAIN * seconds, AGAIN * n_bytes

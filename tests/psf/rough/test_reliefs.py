@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from nlosoptics import errors, psf
-from nlosoptics.psf.rough import _facet_kernels
 from nlosoptics.psf.rough.aberration import aberration_error, rough_wave
 from nlosoptics.psf.rough.relief import relief_screen
 from nlosoptics.psf.rough.source import rough_source
@@ -81,17 +80,34 @@ def test_core_and_halo_of_facets_share_the_energy():
     assert mean.enclosed_energy == pytest.approx(1.0, abs=0.02)  # the tail outside the window
 
 
-@pytest.mark.parametrize("s", [5.0, 10.0, 20.0])
-def test_mean_over_positions_has_converged(s):
+def nodes_under(a, b):
+    """Return lattice indices and weights of the three nodes under points (a, b)."""
+    i, j = np.floor(a), np.floor(b)
+    c, d = a - i, b - j
+    upper = c + d > 1
+    ends = [(i + upper, j + upper), (i + 1, j), (i, j + 1)]
+    return ends, np.where(upper, [c + d - 1, 1 - d, 1 - c], [1 - c - d, c, d])
+
+
+@pytest.mark.parametrize(("s", "farthest"), [(1.0, 3.0), (5.0, 0.6), (20.0, 0.15)])
+def test_pairs_of_facets_are_integrated_over_the_lattice(s, farthest):
+    """Against a plain mean over 500 x 500 positions in a lattice cell."""
     view = rough_source(wave_of(), facets(s, 1e-3), 0.5, 2.0).view
-    lags, turn = np.linspace(0, 3 / s, 31) * view.length, 0.3
-    found = view.on_wall(lags * np.cos(turn), lags * np.sin(turn)) + view.coherent_fraction
-    expected = np.empty(lags.size)
-    x, y = lags * np.cos(turn) / view.length, lags * np.sin(turn) / view.length
-    _facet_kernels.pair_terms(x, y, view.node_variance, 384, expected)
-    # pairs across creases are counted to the spacing of the positions, a seventh of the decay's
-    # length 1/s; 24 positions a side err by 1.2e-3, 2.2e-3 and 7e-3
-    assert np.abs(found - expected).max() < 1e-3
+    lags, turn = np.linspace(0, farthest, 8), 0.3 + np.arange(8)
+    x, y = lags * np.cos(turn), lags * np.sin(turn)
+    found = view.on_wall(x * view.length, y * view.length) + view.coherent_fraction
+    a, b = (np.indices((500, 500)) + 0.5) / 500
+    here, one = nodes_under(a, b)
+    for k in range(8):
+        row = y[k] / np.sqrt(0.75)
+        there, two = nodes_under(a + x[k] - row / 2, b + row)
+        square = (one**2).sum(axis=0) + (two**2).sum(axis=0)
+        for (i, j), v in zip(here, one, strict=True):
+            for (m, n), w in zip(there, two, strict=True):
+                square -= 2 * v * w * ((i == m) & (j == n))
+        expected = np.exp(-0.5 * view.node_variance * square).mean()
+        # positions h apart leave the order h^2 at creases; 1e-5 at s = 20, by halving h
+        assert found[k] == pytest.approx(expected, abs=3e-5)
 
 
 @pytest.mark.parametrize("relief", [facets(3.0, 1e-3, 4), bumps(3.0, 1e-3, 5)])
