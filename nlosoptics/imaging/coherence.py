@@ -28,7 +28,7 @@ def spot_coherence(
     Parameters
     ----------
     scene : Scene
-        Scene, for its laser and wall.
+        Scene that defines the laser and the wall.
     points : array_like, (..., 3)
         Points in the room, world frame, m.
     reference : array_like, (3,), optional

@@ -37,8 +37,9 @@ class ForwardModel(Noun):
     boundary : {"padded", "circular"}
         Surroundings of the object: dark (light that leaves the frame is lost), or periodic copies.
     at : (array_like, array_like), optional
-        For a field: picture coordinates (across, up) at which each pixel looks, each (H, W), -1 to
-        1 over the picture. By default the frame is the picture, row 0 at its lower edge.
+        For a field: coordinates (across, up) of the point of the hidden picture that each pixel
+        shows, each (H, W), -1 to 1 from edge to edge of the picture. By default the frame
+        coincides with the picture, with row 0 at its lower edge.
 
     Attributes
     ----------
@@ -71,10 +72,10 @@ class ForwardModel(Noun):
 
     Notes
     -----
-    A padded grid needs the frame plus only the kernel's longer arm, because light that wraps around
-    lands outside the frame and is cropped. Kernel samples farther from the centre than the frame is
-    wide are dropped. scipy's transforms run on one thread, so that results do not depend on the
-    number of threads.
+    A padded grid has the size of the frame plus the larger of the kernel's extents on either side
+    of its centre. Light that wraps around then falls outside the frame and is cropped. Kernel
+    samples farther from the centre than the frame is wide are dropped. scipy's transforms run on
+    one thread, so that results do not depend on the number of threads.
 
     Examples
     --------

@@ -38,7 +38,7 @@ def image_field(
     most_nodes: int = COUNTS[-1],
     progress: Progress | None = None,
 ) -> tuple[PointSpreadField, float]:
-    """Compute point spreads at as many points of the hidden picture as its image needs.
+    """Compute point spreads at as many points of the hidden picture as an accurate image needs.
 
     Parameters
     ----------
@@ -48,17 +48,19 @@ def image_field(
         Tolerance for the rms error of the picture's image relative to its rms, and for the error
         of each point spread, max |dI|/max I.
     most_nodes : int
-        Largest number of nodes along each side of the picture, at least 4.
+        Largest number of nodes, that is of points with a point spread, along each side of the
+        picture; at least 4.
     progress : callable(str, float), optional
         Called with "field" and the completed fraction of the nodes that may be needed.
 
     Returns
     -------
     field : PointSpreadField
-        Field on the finest grid of nodes that was computed. Grids are refined until the images of
-        three successive grids agree within ``tol``, or of two within a tenth of it.
+        Point spreads on the finest grid of nodes that was computed. Grids are refined until the
+        images of three successive grids agree within ``tol``, or of two within a tenth of it.
     error : float
-        Difference between these images, rms over rms. It estimates the error of the coarser grids.
+        Difference between these images, rms over rms. It estimates the error of the coarser grids,
+        and so exceeds that of ``field``.
 
     Raises
     ------

@@ -66,8 +66,9 @@ class SpeckleImage(Noun, Shown):
     Parameters
     ----------
     electrons : ndarray, (ny, nx)
-        Reading of each image pixel with all noise, electrons. The converter's offset is subtracted,
-        so that dark pixels can be negative; background and dark current are included.
+        Reading of each image pixel with all noise, electrons. The offset of the
+        analogue-to-digital converter is subtracted, so that dark pixels can be negative;
+        background and dark current are included.
     expected : ndarray, (ny, nx)
         ``signal + background``, electrons: the mean of many exposures if no pixel saturates.
     signal : ndarray, (ny, nx)
@@ -90,10 +91,10 @@ class SpeckleImage(Noun, Shown):
     seed : int
         Seed of the noise.
     ledger : mapping of str to float
-        Expected electrons summed over the detector. ``ideal`` is the sum of ``signal`` (on the
-        detector), ``beyond_window`` (outside the point spread's window) and ``beyond_detector``
-        (blurred past the edges). ``diffuse``, ``spot``, ``glare`` and ``dark`` form the
-        background.
+        Expected electrons summed over the detector, by contribution. ``ideal`` is the object's
+        image without blur. It is the sum of ``signal`` (on the detector), ``beyond_window``
+        (outside the point spread's window) and ``beyond_detector`` (blurred past the edges).
+        ``diffuse``, ``spot``, ``glare`` and ``dark`` form the background.
 
     See Also
     --------
@@ -245,7 +246,7 @@ def form_image(
         Point spread in energy per pixel (``"unit-sum"``), at the pitch of the camera's image
         pixels; a field gives it for every point of the picture.
     object_image : array_like, (rows, columns), optional
-        Reflectances 0 to 1 that replace the planar object's own picture, row 0 on top. The
+        Reflectances, 0 to 1, that replace the planar object's own picture, row 0 on top. The
         object's size is unchanged.
     exposure : float, optional
         Exposure time, s; by default the camera's.
@@ -345,8 +346,8 @@ def diffuse_background(
 ) -> Array:
     """Compute the expected electrons of the wall's diffuse light alone.
 
-    The shape of this light hardly depends on the picture. If the picture is unknown, the shape for
-    a white object is a good approximation.
+    The distribution of this light over the image hardly depends on the picture. If the picture is
+    unknown, the distribution for a white object is a good approximation.
 
     Parameters
     ----------

@@ -55,12 +55,14 @@ class Shadows(Noun):
     Parameters
     ----------
     image : ndarray, (ny, nx)
-        Unblocked fraction of the paths spot - object - wall - lens, over pixel area and lens.
+        Unblocked fraction of the paths from the laser spot via object and wall to the lens,
+        averaged over the pixel's area and the lens.
     view : ndarray, (ny, nx)
-        Unblocked fraction of the paths wall - lens, over pixel area and lens.
+        Unblocked fraction of the paths from the wall to the lens, averaged over the pixel's area
+        and the lens.
     veil : ndarray, (ny, nx)
-        Unblocked fraction of the light spot - object - wall point that the wall then scatters
-        diffusely to the lens, for the wall point seen by each pixel.
+        Unblocked fraction of the light that goes from the laser spot via the object to the wall
+        point seen by each pixel, where the wall scatters it diffusely.
     spot : float
         Fraction of the lens that receives direct light from the laser spot.
 
@@ -108,12 +110,12 @@ def cast_shadows(scene: Scene) -> Shadows:
     Notes
     -----
     ``image`` and ``view`` are fractions of 16 paths per pixel, each through its own point of the
-    pixel and of the lens, so that their error at shadow edges is some hundredths. A path through a
-    lens point crosses the wall's tangent plane on the way to the point in focus, and meets the
-    object where the chief ray does. ``veil`` is summed over 1024 object points at 65 x 65 pixels
-    and interpolated bilinearly. Its error is some thousandths, or some hundredths at the edge of a
-    shadow on the wall from an occluder close to it. The spot is treated as a point, and its image
-    is dimmed uniformly.
+    pixel and of the lens, so that their error at the edges of shadows is a few hundredths. A path
+    through a lens point crosses the wall's tangent plane on the way to the point in focus, and
+    meets the object where the chief ray does. ``veil`` is summed over 1024 object points at 65 x
+    65 pixels and interpolated bilinearly. Its error is a few thousandths, or a few hundredths at
+    the edge of a shadow that an occluder close to the wall casts on it. The spot is treated as a
+    point, and its image is dimmed uniformly.
     """
     ny, nx = scene.camera.shape
     fits_memory(

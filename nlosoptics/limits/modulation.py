@@ -153,8 +153,9 @@ def object_scale(scene: Scene) -> float:
     Parameters
     ----------
     scene : Scene
-        Scene. A mesh or a flat wall has the scale of a plane mirror; for a curved wall and a planar
-        object the scale is that of traced chief rays, the root of the ratio of areas.
+        Scene to evaluate. For a mesh as object or a flat wall, the scale is that of a plane
+        mirror. For a curved wall and a planar object it is found by tracing chief rays, as the
+        square root of the ratio of areas.
 
     Returns
     -------

@@ -125,7 +125,7 @@ def lobe_relay_transfer(frequency: ArrayLike, distance: float, slope_rms: float)
 
 
 def lambert_relay_limit(electrons: float, distance: float) -> float:
-    """Spatial frequency at which a matt wall passes a sinusoid with signal-to-noise ratio 1.
+    """Compute the spatial frequency up to which a matt wall passes detail above photon noise.
 
     Parameters
     ----------

@@ -49,16 +49,18 @@ class Feasibility(Noun, Shown):
     ----------
     recoverable : bool
         Whether a fit with known wall is expected to reach a correlation of at least 0.9 with the
-        true object, by the image or by the diffuse light.
+        true object, from the image or from the wall's diffuse light.
     verdict : str
         "recoverable", or "not recoverable: ..." with the changes that would help.
     score : float
-        Predicted correlation of a fit to the image with known point spread; 0 without an image.
+        Predicted correlation with the true object of a fit to the image with known point spread; 0
+        if the wall forms no image.
     score_spread : float
         Expected rms difference between the correlation that such a fit reaches and ``score``.
     relay_score : float
-        Predicted correlation of a linear fit to the diffuse light on cells of the object, 24 along
-        its longer side, if their response is known. Occluders' shadows are part of that response.
+        Predicted correlation with the true object of a linear fit to the diffuse light. The object
+        is divided into cells, 24 along its longer side, and the light that each cell causes is
+        taken as known, with the shadows of occluders.
     photons : float
         Photons of the object's image on the detector in one exposure.
     electrons : mapping of str to float
@@ -77,7 +79,8 @@ class Feasibility(Noun, Shown):
         Mean width of the object's bright parts, m.
     frequency : ndarray, (n,)
         Spatial frequencies on the object, increasing from 0 to the pixels' Nyquist frequency,
-        cycles/m: even steps, and octaves of the frequency that the strokes need, 1/(2 stroke).
+        cycles/m. They are evenly spaced, with added octaves of 1/(2 stroke), the frequency of
+        lines as wide as a stroke.
     modulation : ndarray, (n,)
         Modulation transfer through mirror-like lobes, lens and pixels; 0 without such a lobe.
     relay_modulation : ndarray, (n,)
@@ -88,13 +91,14 @@ class Feasibility(Noun, Shown):
     relay_signal_to_noise : ndarray, (n,)
         Signal-to-noise ratio of that sinusoid in the diffuse light, using all pixels.
     limit : float
-        Resolution: the frequency at which the larger of both ratios first falls below 1, cycles/m;
-        0 if it begins below 1.
+        Resolution limit: the frequency at which the larger of the two signal-to-noise ratios first
+        falls below 1, cycles/m; 0 if it is below 1 from the start.
     modes : int
-        Independent patterns, of contrast 0.3, that exceed the noise. They are counted on cells of
-        the object, 24 along its longer side.
+        Number of independent patterns of the object, of contrast 0.3, whose signal exceeds the
+        noise. The object is divided into cells, 24 along its longer side.
     diffuse_modes : int
-        Number of these modes that wide lobes alone would carry, including the shadows of occluders.
+        Number of such patterns in the light of wide (diffuse) lobes alone, including the shadows
+        of occluders.
     wave_bounds : mapping of int to float
         Cramer-Rao bounds for the wave's Zernike coefficients from one image of a known object:
         standard deviation in waves rms by Noll index; infinity without information. Empty if the
@@ -102,10 +106,11 @@ class Feasibility(Noun, Shown):
     two_frame_bounds : mapping of int to float
         Cramer-Rao bounds from two images, the second with a known defocus of half a wave rms.
     one_frame_fits, two_frame_fits : float
-        Share of tested blind fits, to one image or to two of known defocus, that found the object
-        behind walls of this strength; NaN where no such case was tested or no fit is needed.
+        Share of test fits, with wall and object unknown, that found the object for walls with an
+        aberration of this size; from one image, and from two of known defocus. NaN if no such case
+        was tested or no fit is needed.
     blind : str
-        Forecast of blind fits, which know neither object nor wall, with its reason.
+        Forecast for blind fits, in which neither object nor wall is known, with its reason.
 
     See Also
     --------
@@ -213,7 +218,7 @@ class Feasibility(Noun, Shown):
         return Figures("Feasibility", figures, alt)
 
     def figures(self) -> dict[str, Any]:
-        """Return all fields as a dictionary for JSON; infinity and NaN become None."""
+        """Return all fields as a dictionary for JSON, with None for infinity and NaN."""
 
         def plain(value: Any) -> Any:
             if isinstance(value, Mapping):
@@ -231,7 +236,7 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
     Parameters
     ----------
     scene : Scene
-        Scene. Its hidden object serves as an example of the objects to recover.
+        Scene to judge. Its hidden object serves as an example of the objects to recover.
     exposure : float, optional
         Exposure, s; by default the camera's.
 
@@ -254,17 +259,19 @@ def feasibility(scene: Scene, *, exposure: float | None = None) -> Feasibility:
 
     Notes
     -----
-    Signal and noise are those of `imaging.form_image`. Pixels are first joined to at most 64 along
-    the longer side, as far as strokes stay resolved. The modulation is the transfer function at the
-    object's reference point; that of lobes is a closed form. Modes are independent patterns of the
-    object, counted if their signal exceeds the noise. For wide lobes the modes are the singular
-    vectors of the wall's response on a grid of object cells, with the shadows of occluders. For
-    mirror-like lobes they are sine patterns on the same grid. The larger count is reported.
+    Signal and noise are those of `imaging.form_image`. Pixels are first binned to at most 64 along
+    the longer side, unless this would no longer resolve the strokes. The modulation is the
+    transfer function at the object's reference point; that of lobes is a closed form. Modes are
+    independent patterns of the object, counted if their signal exceeds the noise. For wide lobes
+    the modes are the singular vectors of the wall's response on a grid of object cells, with the
+    shadows of occluders. For mirror-like lobes they are sine patterns on the same grid. The larger
+    count is reported.
 
     The predicted correlation is that of `inverse.tv_deconvolve` with its default settings. It is a
     smooth function of signal and noise at every frequency, whose constants were fitted to such
     fits; ``score_spread`` is the scatter of other fits about it. The forecast does not include the
-    solver's test whether there is an object at all. See `benchmarks/inverse/feasibility.py`.
+    test by which the solver decides whether there is an object at all. See
+    `benchmarks/inverse/feasibility.py`.
 
     Examples
     --------

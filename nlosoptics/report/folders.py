@@ -104,7 +104,7 @@ class Record(_Model):
 
 @dataclass(frozen=True)
 class Folder:
-    """Folder of a run.
+    """Output folder of a run, as a report reads it.
 
     Parameters
     ----------

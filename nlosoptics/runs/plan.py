@@ -59,18 +59,19 @@ class Plan:
     skipped : tuple of Stage
         Stages that do not run, each with its reason.
     tol : float
-        Error tolerance of the point spreads, max |dI|/max I, and of the image that a field of
-        point spreads gives, rms over rms. The other stages state their own errors.
+        Error tolerance of the point spreads, max |dI|/max I. If the point spread varies over the
+        object, also of the image, rms error over rms. Other stages report their own errors.
     waves : float
         Peak-to-valley aberration at the object's centre with tilt removed, waves; NaN if the wave
         is undefined.
     exit_pupil : ExitPupil
         Exit pupil of the scene, reused by `simulate`.
     budget : Budget
-        Limits of memory and time for the run.
+        Limits of memory and time of the run.
     pattern_nodes : int
-        Object points along each side of the picture at which the speckle pattern of a rough wall is
-        computed for the image. 0 if the image needs no pattern, or uses the mean over walls.
+        Number of object points along each side of the picture for which the speckle pattern of a
+        rough wall is computed. 0 if the wall is smooth, or the image uses the mean over many rough
+        walls.
 
     See Also
     --------
@@ -149,8 +150,8 @@ def plan(
     scene : Scene
         Scene to simulate.
     tol : float, default 1e-3
-        Error tolerance of the point spreads, max |dI|/max I, and of the image that a field of
-        point spreads gives, rms over rms; 1e-12 to 0.1.
+        Error tolerance of the point spreads, max |dI|/max I, 1e-12 to 0.1. If the point spread
+        varies over the object, also of the image, rms error over rms.
     reconstruct : bool, default False
         Whether to include the reconstruction with known point spread.
     memory : float, optional

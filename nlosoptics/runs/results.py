@@ -81,8 +81,9 @@ class Result(Noun):
         """Save the result to a folder, from which `load_result` restores it bit for bit.
 
         The folder holds ``result.json`` (key figures and all values that are not arrays), one
-        ``.npz`` file per stage, and ``scene.toml`` with the files that it refers to. ``nlosoptics
-        run`` writes the same folder with pictures added. An error leaves no partial folder.
+        ``.npz`` file per stage, and ``scene.toml`` with the files that it refers to.
+        ``nlosoptics run`` writes the same folder and adds pictures. If an error occurs, no partial
+        folder remains.
 
         Parameters
         ----------

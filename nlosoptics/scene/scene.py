@@ -143,10 +143,10 @@ class Scene(Noun, Shown):
         path : str or Path
             Scene file. Its keys are described by the JSON schema from ``nlosoptics schema``.
         changes : mapping of str to value, optional
-            Values as the file would hold them, with units, by address: table and key, such as
-            ``wall.radius``, with indices from 0 for lists, such as ``wall.material[1].slope_rms``.
-            Keys that would contradict a new one are dropped: setting ``camera.f_number`` removes
-            ``camera.stop_diameter``.
+            Values written as in the file, with units, by address. An address is the table and the
+            key, such as ``wall.radius``, with indices from 0 for lists, such as
+            ``wall.material[1].slope_rms``. Keys that would contradict a new one are removed:
+            setting ``camera.f_number`` removes ``camera.stop_diameter``.
 
         Returns
         -------
@@ -238,15 +238,15 @@ class Scene(Noun, Shown):
         return replace(self, camera=self.camera.resized(size))
 
     def with_relief(self) -> Scene:
-        """Return the scene with its roughness as part of wall and material, as rays see it.
+        """Return the scene with its roughness included in wall and material, for ray tracing.
 
         Returns
         -------
         Scene
-            Without ``wall_roughness``. If its realisation is "pattern", the wall is the sum of mean
-            wall and heights, and its mirror-like lobes are smooth. If it is "mean", the wall is the
-            mean wall, and its mirror-like lobes have the slope rms of the roughness. A scene
-            without roughness is returned as it is.
+            Scene without ``wall_roughness``. If the roughness has the realisation "pattern", the
+            wall is the sum of mean wall and heights, and its mirror-like lobes are smooth. If it
+            is "mean", the wall is the mean wall, and its mirror-like lobes have the slope rms of
+            the roughness. A scene without roughness is returned as it is.
 
         Raises
         ------
@@ -268,7 +268,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Mirror-like lobes of the wall; roughness is included as a mean, by its slope rms."""
+        """Mirror-like lobes of the wall; those of a rough wall have its rms slope."""
         lobes = self.wall_material.mirror_lobes
         if self.wall_roughness is None:
             return lobes
@@ -276,7 +276,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_slopes(self) -> tuple[float, ...]:
-        """Slope rms of each mirror-like lobe, rad; a rough wall has that of its heights."""
+        """Slope rms per axis of each mirror-like lobe, rad, including `wall_roughness`."""
         return tuple(lobe.slope_rms for lobe in self.mirror_lobes)
 
     def check_in_front(self, *, meshes: bool = True) -> None:

@@ -30,12 +30,13 @@ class Sensitivity:
     case : str
         Address and value, such as "wall.radius = 4.9 m".
     value : float
-        Figure with this value; NaN if it failed.
+        Figure of merit with this value; NaN if its computation failed.
     change : float
-        Difference from the nominal scene.
+        Difference of the figure from that of the nominal scene.
     resolved : bool
-        Whether the difference exceeds the errors of both figures, added in quadrature. Without an
-        error, any change other than 0 is resolved; a failed case never is.
+        Whether the difference exceeds the errors of both figures, added in quadrature. If the
+        figures have no error, any change other than 0 is resolved; a failed case is never
+        resolved.
 
     See Also
     --------
@@ -51,16 +52,17 @@ class Sensitivity:
 def sensitivities(
     results: Results, figure: str, *, incomplete: bool = False
 ) -> tuple[Sensitivity, ...]:
-    """Return the change of a figure for each case of a one-at-a-time study, the largest first.
+    """Return the changes of a figure of merit in a one-at-a-time study, the largest first.
 
     Parameters
     ----------
     results : Results
         Results of a study with the table ``one_at_a_time`` and no other dimension.
     figure : str
-        Name of the figure.
+        Name of the figure of merit.
     incomplete : bool
-        Whether points may be pending; their value is NaN, like that of failed cases.
+        Whether to accept results in which points are still to be computed. Their value is NaN,
+        like that of failed cases.
 
     Returns
     -------
@@ -142,21 +144,21 @@ def fraction_within(
     confidence: float = 0.95,
     incomplete: bool = False,
 ) -> Fraction:
-    """Return the share of a study's draws whose figure lies within limits: the yield.
+    """Return the yield: the share of a study's draws whose figure of merit lies within limits.
 
     Parameters
     ----------
     results : Results
         Results of a study whose only dimension is ``draw``, by method random, latin or sobol.
     figure : str
-        Name of the figure.
+        Name of the figure of merit.
     at_least, at_most : float, optional
         Limits of the figure, in its unit; at least one of them.
     confidence : float
         Least probability that the interval contains the true share, for independent draws (method
         random). For the other methods the interval is usually wider than needed.
     incomplete : bool
-        Whether points may be pending. They are not counted.
+        Whether to accept results in which points are still to be computed. These are not counted.
 
     Returns
     -------
@@ -212,7 +214,7 @@ def yields(results: Results, figure: str) -> tuple[NDArray[np.float64], tuple[Fr
     results : Results
         Results of a study whose only dimension is ``draw``; see `fraction_within`.
     figure : str
-        Name of the figure.
+        Name of the figure of merit.
 
     Returns
     -------
@@ -239,14 +241,16 @@ def yields(results: Results, figure: str) -> tuple[NDArray[np.float64], tuple[Fr
 
 
 def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) -> xr.Dataset:
-    """Return first-order and total Sobol indices: shares of a figure's variance by address.
+    """Return first-order and total Sobol indices of a figure of merit.
+
+    They are the shares of its variance that each drawn value causes, alone and with interactions.
 
     Parameters
     ----------
     results : Results
         Complete results of a study whose only dimension is ``draw``, by method saltelli.
     figure : str
-        Name of the figure.
+        Name of the figure of merit.
     confidence : float
         Coverage of the bootstrap intervals.
 

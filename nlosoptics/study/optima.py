@@ -35,16 +35,17 @@ class Optimum(Noun):
     goals : tuple of str
         "minimise" or "maximise", for each objective.
     objectives : ndarray, (trials, objectives)
-        Objectives of all trials, each in its figure's unit; NaN where a figure failed. A figure
-        with limits gives the share of points within them.
+        Objectives of all trials, each in the unit of its figure of merit; NaN where that could not
+        be computed. For an objective with limits, the value is the share of points within them.
     feasible : ndarray of bool, (trials,)
-        Whether no figure failed and all constraints are met.
+        Whether all figures of merit could be computed and all constraints are met.
     failed : ndarray of bool, (trials,)
-        Whether a figure failed, for example because the scene was refused.
+        Whether a figure of merit could not be computed, for example because the scene is invalid.
     front : tuple of int
-        Numbers of the best trials, counted from 0: feasible ones to which no other is at least as
-        good in all objectives and better in one. They are in the order of the first objective, and
-        equal trials are named once. Empty if no trial is feasible.
+        Numbers of the best trials, counted from 0 (the Pareto front). A feasible trial belongs to
+        the front if no other one is at least as good in all objectives and better in one. They are
+        sorted by the first objective, and of equal trials only one is listed. Empty if no trial is
+        feasible.
 
     See Also
     --------
@@ -62,7 +63,7 @@ class Optimum(Noun):
 
     @property
     def best(self) -> int:
-        """Number of the best trial of the only objective.
+        """Number of the best trial, for a study with a single objective.
 
         Raises
         ------
@@ -79,7 +80,7 @@ class Optimum(Noun):
         return self.front[0]
 
     def values(self, trial: int | None = None) -> dict[str, Any]:
-        """Return the values of a trial by address, as a scene file holds them.
+        """Return the values of a trial by address, written as in a scene file.
 
         Parameters
         ----------
@@ -91,7 +92,7 @@ class Optimum(Noun):
         return dict(trials[chosen])
 
     def scene(self, trial: int | None = None) -> Scene:
-        """Return the scene of a trial, without the values that draws or axes change.
+        """Return the scene of a trial, in which values that draws or axes change are nominal.
 
         Parameters
         ----------
@@ -131,7 +132,8 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     results : Results
         Results of a study with the table ``optimise``.
     incomplete : bool
-        Whether the search may still run. Trials with pending points are left out of the front.
+        Whether to accept a search that has not ended. Trials with points still to be computed are
+        left out of the front.
 
     Returns
     -------
@@ -145,7 +147,7 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     See Also
     --------
     run_study : Compute the points of a study, or resume.
-    inverse_sensitivities : Change of each value that costs a stated loss.
+    inverse_sensitivities : Change of each value that causes a stated loss.
 
     Examples
     --------
@@ -229,20 +231,22 @@ def _label(objective: Objective, figure: Figure, several: bool) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Interval of a value within which a figure loses less than a stated amount.
+    """Interval of a value within which a figure of merit loses less than a stated amount.
 
     Parameters
     ----------
     address : str
-        Address of the value.
+        Address of the value: table and key of the scene file, such as "wall.radius".
     unit : str
-        SI unit, or empty.
+        SI unit of the values below; empty if they have none.
     nominal : float
-        Value of the scene.
+        Value in the base scene.
     low, high : float
-        Ends of the interval: the farthest values at which the figure was still kept.
+        Ends of the interval: the farthest values found at which the loss is still below the stated
+        amount.
     low_open, high_open : bool
-        Whether the loss is not reached at the limit of the study, so that the interval goes on.
+        True if the loss is still below the stated amount at the limit of the searched range, so
+        that the interval extends beyond it.
 
     See Also
     --------
@@ -267,7 +271,7 @@ class Allowance:
 
 
 def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
-    """Return how far each value may go, alone, until a figure has lost a stated amount.
+    """Return how far each value alone may change until a figure of merit has lost a given amount.
 
     Parameters
     ----------
@@ -277,7 +281,8 @@ def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
     Returns
     -------
     tuple of Allowance
-        The tightest first, as parts of the ranges that the study gives.
+        One interval per value, the narrowest first, measured as a fraction of the range that the
+        study states for the value.
 
     Raises
     ------
@@ -291,9 +296,10 @@ def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
 
     Notes
     -----
-    Each end is found by bisection between the scene's own value and the limit of the range, to the
-    table's ``precision`` as part of that interval. Where the figure is not monotonic, the end is
-    one of several at which the loss is reached.
+    Each end is found by bisection between the value in the base scene and the limit of the range.
+    The key ``precision`` of the table ``inverse_sensitivity`` is the accuracy, as a fraction of
+    that distance. Where the figure is not monotonic, the end is one of several at which the loss
+    is reached.
     """
     table = results.study.table.inverse_sensitivity
     if table is None:

@@ -32,20 +32,20 @@ class StudyPlan:
     Parameters
     ----------
     points : int
-        Points of the design.
+        Number of points of the design.
     figures : int
-        Figures of merit.
+        Number of figures of merit.
     point_spreads : int
-        Different point spreads; points that differ only in values that a point spread does not
-        depend on share one. 0 if no figure needs one.
+        Number of different point spreads to compute. Points that differ only in values that a
+        point spread does not depend on share one. 0 if no figure of merit needs a point spread.
     forecasts : int
-        Forecasts of the image; 0 if no figure needs one.
+        Number of forecasts by `limits.feasibility` to compute; 0 if no figure of merit needs one.
     seconds : float
         Predicted CPU time of all points after compilation, s; uncertain by a factor of about two.
     n_bytes : int
-        Largest size of the store, without the base scene's files.
+        Largest size of the results folder (the store), bytes, without the files of the base scene.
     block : int
-        Points that are computed and stored together.
+        Number of points that are computed and stored together.
 
     See Also
     --------
@@ -76,7 +76,7 @@ class StudyPlan:
 
 
 def plan_study(study: Study) -> StudyPlan:
-    """Predict points, shared stages, time and size of a study; no point is computed.
+    """Predict number of points, time and size of a study, without computing any point.
 
     Parameters
     ----------

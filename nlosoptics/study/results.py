@@ -40,17 +40,18 @@ class Results(Noun):
     Parameters
     ----------
     path : Path
-        Folder of the store.
+        Folder of the results, also called the store.
     study : Study
         Study that was run.
     dataset : xarray.Dataset
-        Each figure over the dimensions of the design (``study.shape``), with ``<figure>_error``
-        where it has one. ``status`` is the worst of a point's figures, in the order "done",
-        "failed" (an exception), "lost" (the worker process ended twice) and "pending".
-        ``message`` holds errors and warnings, ``seconds`` the computing time. Each coordinate has
-        the name of its address, such as ``wall.radius``, and holds numbers in SI units, or text.
-        The dimension ``case`` has text labels only. The trials of a search are the first
-        dimension, ``trial``, and the attribute ``search`` says why the search ended.
+        Figures of merit over the dimensions of the design (``study.shape``), with
+        ``<figure>_error`` for those that have an error. ``status`` is the worst status among the
+        figures of a point, in the order "done", "failed" (an exception), "lost" (the worker
+        process ended twice) and "pending". ``message`` holds errors and warnings, ``seconds`` the
+        computing time. Each coordinate has the name of its address, such as ``wall.radius``, and
+        holds numbers in SI units, or text. The dimension ``case`` has text labels only. The trials
+        of a search are the first dimension, ``trial``, and the attribute ``search`` says why the
+        search ended.
 
     See Also
     --------
@@ -66,12 +67,12 @@ class Results(Noun):
 
     @classmethod
     def load(cls, path: str | Path) -> Results:
-        """Read the store of a study; it may still be incomplete.
+        """Read the results of a study from its folder; they may still be incomplete.
 
         Parameters
         ----------
         path : str or Path
-            Folder of the store.
+            Folder of the results, also called the store.
 
         Raises
         ------
@@ -97,7 +98,7 @@ class Results(Noun):
         return self.study.scene(index)
 
     def point_spread(self, index: int) -> ScenePointSpread:
-        """Return wave and point spread of a point, computed again with the same bits.
+        """Return wave and point spread of a point, by computing them again, bit for bit the same.
 
         Parameters
         ----------
@@ -114,14 +115,19 @@ class Results(Noun):
         return scene_point_spread(self.scene(index), self.study.tol)
 
     def values(self, figure: str, *, incomplete: bool = False) -> NDArray[np.float64]:
-        """Return a figure of all points, flat; NaN where it failed.
+        """Return a figure of merit at all points, as a flat array.
 
         Parameters
         ----------
         figure : str
-            Name of the figure.
+            Name of the figure of merit.
         incomplete : bool
-            Whether points may be pending. They are NaN too.
+            Whether to accept results in which points are still to be computed.
+
+        Returns
+        -------
+        ndarray, (n_points,)
+            Values in C order of the dimensions; NaN where the computation failed or is pending.
 
         Raises
         ------
@@ -148,12 +154,12 @@ class Results(Noun):
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """Number of points by status."""
+        """Number of points with each status: "done", "failed", "lost" and "pending"."""
         found = self.dataset["status"].values
         return {status: int((found == status).sum()) for status in STATUSES}
 
     def failures(self) -> dict[str, int]:
-        """Return how many points have each message of a failure."""
+        """Return the messages of failed points, each with the number of points that have it."""
         status, told = (self.dataset[name].values.ravel() for name in ("status", "message"))
         found: dict[str, int] = {}
         for text in told[np.isin(status, ("failed", "lost"))]:

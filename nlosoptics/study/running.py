@@ -29,27 +29,31 @@ def run_study(
     progress: Progress | None = None,
     interrupted: Callable[[], bool] | None = None,
 ) -> Results:
-    """Compute all points that a store does not have yet, and return the results.
+    """Run a study: compute all points that its folder does not contain yet, and return all results.
 
-    A study with the table ``optimise`` or ``inverse_sensitivity`` chooses its points by the figures
-    of earlier ones. Each is kept, and the same seed makes the same choices, so that a resumed
-    search goes on where it was stopped.
+    A study with the table ``optimise`` or ``inverse_sensitivity`` is a search: it chooses each
+    point from the figures of merit of earlier points. All computed points are stored, and the same
+    seed leads to the same choices, so that a search that was stopped continues with the next
+    point.
 
     Parameters
     ----------
     study : Study
         Study to run.
     path : str or Path
-        Folder of the store. An existing store of this study is resumed. If the study has more
-        values, draws or figures than the store, the store is extended.
+        Folder for the results, also called the store. If it has results of this study, the run
+        continues from them. If the study has been given more values, draws or figures of merit,
+        only what is missing is computed.
     workers : int, optional
-        Processes on this machine, by default one for each core; 0 computes in this process. A
-        script that starts processes needs ``if __name__ == "__main__":``.
+        Number of processes on this machine, by default one for each core. With 0 no process is
+        started, and the calling process computes. A script that starts processes needs
+        ``if __name__ == "__main__":``.
     scheduler : str, optional
-        Address of a dask scheduler, such as "tcp://host:8786", whose workers replace ``workers``.
+        Address of a dask scheduler, such as "tcp://host:8786". Its workers then compute, and
+        ``workers`` is not used.
     again : bool, default False
-        Whether to compute blocks with failed or lost points again, for example after a function of
-        yours was corrected.
+        Whether to repeat points that failed or whose process ended, and the points stored with
+        them, for example after you corrected your own figure of merit.
     progress : callable(str, float), optional
         Called with a text and the completed fraction, 0 to 1.
     interrupted : callable, optional
@@ -59,7 +63,8 @@ def run_study(
     Returns
     -------
     Results
-        Results; incomplete if interrupted. Points that fail are part of it, with a message.
+        Results, incomplete if interrupted. Points whose computation failed are included, with a
+        message.
 
     Raises
     ------

@@ -220,8 +220,8 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
     -------
     Axes
         Axes with the displacement along the light's direction in mm. The metric is in um for "rms"
-        and "spot". The shaded planes are within the depth of focus about the best one,
-        ``2 lambda N^2`` to each side: a quarter of a wave of defocus at the pupil's rim.
+        and "spot". The shaded range is the depth of focus about the best plane, ``2 lambda N^2``
+        to each side: a quarter of a wave of defocus at the pupil's rim.
 
     See Also
     --------
@@ -277,7 +277,7 @@ def history(
     -------
     tuple of Axes
         Axes in the order of the history. A scale is logarithmic where the values are positive and
-        span more than a factor of ten. A dashed line marks a residual equal to the noise.
+        span more than a factor of ten. A dashed line marks the residual that equals the noise.
 
     Raises
     ------
@@ -385,9 +385,9 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
     Returns
     -------
     Axes
-        Axes in image coordinates, um, oriented as `image`: -y points up. The area of a dot is
-        proportional to the energy of its ray. The circle around the centroid is the first dark
-        ring of the Airy pattern.
+        Axes in image coordinates, um, with the orientation of `image`: -y points up. The area of a
+        dot is proportional to the energy of its ray. The circle around the centroid is the first
+        dark ring of the Airy pattern.
 
     See Also
     --------
@@ -537,7 +537,7 @@ def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:
     -------
     Axes
         Axes with the power per bin in W, on a logarithmic scale, against the path length in m. The
-        bands are one standard error. Numbers of reflections without light are left out.
+        bands are one standard error. Numbers of reflections that contribute no power are omitted.
 
     Raises
     ------

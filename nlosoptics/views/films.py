@@ -60,8 +60,8 @@ def transient(
         Optical paths of the frames, m. By default three, at which one, three and five sixths of
         the total signal have arrived. An empty sequence draws no frames.
     laser : int
-        Index of the laser point in C order, for captures that pair every laser point with every
-        sensor point.
+        Number of the laser point whose signal is drawn, in C order, for captures with
+        ``pairing="all"``.
     axes : sequence of matplotlib Axes, optional
         Axes to draw on, one for the streak image and one for each frame. A new figure by default.
 
@@ -70,10 +70,10 @@ def transient(
     tuple of Axes
         Axes of the streak image, then of the frames. The streak image shows the optical path, m,
         from the first to the last bin with signal, against x, m, along the middle row of sensor
-        points. It has the index of the sensor points instead of x where they form no grid, and is
-        a curve for a single sensor point. Frames show x and y, m, as seen from the room: x points
-        right. All have one colour scale, proportional to the square root of the signal. Negative
-        values are drawn as 0.
+        points. If the sensor points do not form a grid, their index replaces x. For a single
+        sensor point a curve is drawn instead. Frames show x and y, m, as seen from the room: x
+        points right and y up. All have the same colour scale, proportional to the square root of
+        the signal. Negative values are drawn as 0.
 
     Raises
     ------
@@ -156,22 +156,23 @@ def transient_film(
         Optical paths of the first and last frame, m; by default the first and last bin with
         signal.
     laser : int
-        Index of the laser point in C order, for captures that pair every laser point with every
-        sensor point.
+        Number of the laser point whose signal is drawn, in C order, for captures with
+        ``pairing="all"``.
     most : int
-        Largest number of frames. Where there are more bins, each frame is the sum of several.
+        Largest number of frames. If there are more bins, each frame is the sum of several bins.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     matplotlib FuncAnimation
-        Film of 20 frames per second. Its axes show x and y, m, as seen from the room.
+        Film of 20 frames per second. Its axes show x and y, m, as seen from the room: x points
+        right and y up.
 
     Raises
     ------
     SceneError
-        If an argument is out of range, or the sensor points form no grid.
+        If an argument is out of range, or the sensor points do not form a grid.
 
     See Also
     --------

@@ -35,7 +35,7 @@ def feasibility(found: Feasibility, *, axes: Axes | None = None) -> Axes:
         Axes with the modulation of the specular image and of the diffuse reflection. A dashed line
         of the same colour marks the modulation at which the signal-to-noise ratio is 1; only
         frequencies with a modulation above it are detectable. A grey line marks the frequency
-        whose period is two stroke widths of the object.
+        whose period is twice the width of the object's strokes.
 
     See Also
     --------

@@ -100,7 +100,7 @@ def pupil_field(
     quantity: Literal["phase", "amplitude"] = "phase",
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw phase or amplitude of a rough wall's light over the exit pupil.
+    """Draw the phase or amplitude of light from a rough wall over the exit pupil.
 
     Parameters
     ----------
@@ -175,8 +175,8 @@ def point_spread(
     Returns
     -------
     Axes
-        Axes in image coordinates, um, oriented as `image`: -y points up. On a surface y points
-        toward the viewer.
+        Axes in image coordinates, um, with the orientation of `image`: -y points up. On a surface
+        y points toward the viewer.
 
     Raises
     ------
@@ -246,8 +246,8 @@ def hybrid_parts(
     Returns
     -------
     tuple of three Axes
-        Coherent, halo and diffuse part, with axes in um. As in `image`, y increases downward, so
-        that the picture is upright.
+        Coherent, halo and diffuse part, with axes in um. As in `image`, -y points up, so that the
+        picture is upright.
 
     See Also
     --------
@@ -340,16 +340,17 @@ def traced_image(
     traced_image : TracedImage
         Image to draw.
     quantity : {"expected", "power", "stray"}
-        Expected electrons of all light, or the power of light that met the hidden object or that
-        never met it. The second helps if the laser spot outshines the object.
+        Expected electrons of all light, the power of light that met the hidden object, or the
+        power of light that never met it. Choose "power" if the laser spot is brighter than the
+        object.
     axes : sequence of two matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     tuple of two Axes
-        Values of the pixels, oriented as by `image`, and their standard errors in per cent. Pixels
-        without light are blank in the map of errors.
+        Values of the pixels, with the orientation of `image`, and their standard errors in per
+        cent. Pixels without light are blank in the map of errors.
 
     See Also
     --------

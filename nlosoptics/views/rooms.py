@@ -57,11 +57,11 @@ def scene_3d(scene: Scene, *, plotter: Plotter | None = None) -> Plotter:
     Notes
     -----
     Positions, the lens and the wall are to scale. The housings of laser and camera only mark
-    positions. Beam and optical axis have a minimum width, so that they stay visible. The shading
-    of the wall shows its slopes, normalised to the steepest, which the legend states. It has 768
-    samples along the wall's longer side. If the wall's finest period is at most three samples, the
-    shading shows no slopes, and the legend says so. Grain and highlight only distinguish
-    rough from specular materials; they are not a rendering of the material.
+    positions. Beam and optical axis are drawn with a minimum width, so that they are always
+    visible. The shading of the wall shows its slopes, normalised to the steepest, which the legend
+    states. It has 768 samples along the wall's longer side. If the wall's finest period is at most
+    three samples, the shading shows no slopes, and the legend says so. Grain and highlights only
+    distinguish rough from mirror-like materials; they do not render the material.
 
     Examples
     --------
@@ -141,8 +141,8 @@ def ray_paths(
         Whether to draw only paths that reach the detector through the pupil.
     most : int
         Largest number of paths drawn. Paths that the hidden object reflected come first, and stray
-        light is drawn only if they are fewer. Of each kind, a systematic sample in proportion to
-        power is drawn where there are more, so that the density of lines follows the power.
+        light is drawn only if they are fewer. If there are more paths, a systematic sample of them
+        is drawn, in proportion to power, so that the density of lines follows the power.
     plotter : pyvista Plotter, optional
         Plotter to draw on; a new one that renders off screen by default. A scene and paths that it
         already shows are replaced.

@@ -31,9 +31,9 @@ def overview(result: Result) -> tuple[Axes, ...]:
     Returns
     -------
     tuple of Axes
-        Two rows. The upper row shows the room from above, the wave aberration (of a rough wall the
-        phase in the pupil) and the point spread function. The lower row shows the camera image and,
-        where there is one, the reconstruction without and with the ground truth.
+        Two rows. The upper row shows the room from above, the wave aberration (for a rough wall,
+        the phase in the pupil) and the point spread function. The lower row shows the camera image
+        and, where there is one, the reconstruction without and with the ground truth.
 
     Raises
     ------
@@ -95,10 +95,10 @@ def study_gallery(
     Parameters
     ----------
     results : Results
-        Results of a study, complete or not. The three points are opened again by
-        `study.Results.point_spread`.
+        Results of a study, complete or not. The point spreads of the three points are computed
+        again by `study.Results.point_spread`.
     figure : str
-        Name of the figure of merit that ranks the points.
+        Name of the figure of merit by which the points are ranked.
     smallest_is_best : bool
         Whether the best point has the smallest figure, as for a spot radius.
     axes : sequence of 3 matplotlib Axes, optional
@@ -107,7 +107,8 @@ def study_gallery(
     Returns
     -------
     tuple of Axes
-        Three maps of one size in micrometres, with the figure and the values of their points.
+        Three maps of the same size, in micrometres. Their titles give the figure of merit and the
+        values of the points.
 
     Raises
     ------

@@ -28,8 +28,8 @@ def save(
     Parameters
     ----------
     picture : matplotlib Figure, Axes, iterable of Axes or FuncAnimation, or pyvista Plotter
-        Object to write. Axes stand for the whole figure to which they belong; several must belong
-        to the same one.
+        Object to write. For axes, the whole figure to which they belong is written; several axes
+        must belong to the same figure.
     path : str or Path
         File to write. Figures: ``.png``, ``.pdf`` or ``.svg``. Plotters: ``.png``, ``.html`` (the
         page of `html_page`) or ``.glb`` (glTF with surfaces, lines and camera, but no text).

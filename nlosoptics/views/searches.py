@@ -16,23 +16,24 @@ if TYPE_CHECKING:
 
 
 def pareto(found: Optimum, *, first: int = 0, second: int = 1, axes: Axes | None = None) -> Axes:
-    """Draw two objectives of an optimisation: all trials, and the front between them.
+    """Draw two objectives of an optimisation: all trials, and the Pareto front.
 
     Parameters
     ----------
     found : Optimum
         Result of `study.optimum`, with two objectives or more.
     first, second : int
-        Numbers of the objectives across and up, counted from 0. With more than two, the front is
-        that of all, and no line joins its points.
+        Numbers of the objectives on the horizontal and the vertical axis, counted from 0. If there
+        are more than two objectives, the front is that of all of them, and no line joins its
+        points.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with feasible trials as dots, those outside the constraints as crosses, and the front.
-        Trials that failed have no objectives; the legend counts them.
+        Axes with the trials that meet all constraints as dots, the others as crosses, and the
+        front. Trials that failed have no objectives, so that only the legend states their number.
 
     Raises
     ------
@@ -83,7 +84,7 @@ def search_history(found: Optimum, *, axes: Axes | None = None) -> Axes:
     Returns
     -------
     Axes
-        Axes with the trials in their order; those outside the constraints are crosses.
+        Axes with the trials in their order; those that violate a constraint are crosses.
 
     Raises
     ------

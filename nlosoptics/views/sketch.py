@@ -45,7 +45,7 @@ def scene_sketch(
         the chief path of the light from the laser via the object to the camera. The chief path is
         that of a flat wall.
     stacked : bool
-        Whether a new figure has one view above the other, which suits a phone.
+        Whether a new figure has one view above the other, for narrow screens.
     axes : sequence of two matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 

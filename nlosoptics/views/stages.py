@@ -59,7 +59,7 @@ def pyvista() -> Any:
 def rendering_works() -> None:
     """Check that this machine can render 3-D views.
 
-    The check runs in a separate process, which a missing OpenGL may crash, and only once.
+    The check runs in a separate process, because a missing OpenGL may crash it. It runs only once.
 
     Raises
     ------

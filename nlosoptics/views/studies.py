@@ -32,20 +32,20 @@ def study_map(
     contours: Sequence[float] | None = None,
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw a figure of merit over the last two dimensions of a study, or over its only one.
+    """Draw a figure of merit over the last two dimensions of a study, or over its only dimension.
 
     Parameters
     ----------
     results : Results
         Results of a study, complete or not.
     figure : str
-        Name of the figure.
+        Name of the figure of merit.
     at : mapping of str to int, optional
-        Step along each other dimension, counted from 0; by default the middle one. Dimensions of
-        one step need none.
+        Number of the step along each other dimension, counted from 0; by default the middle step.
+        Dimensions with a single step need no entry.
     boundary : float, optional
         Value of the figure at which to draw a line between cells, for example where a picture
-        becomes readable. Of a map, cells below it are hatched.
+        becomes readable. In a map, cells below this value are hatched.
     contours : sequence of float, optional
         Values of a map's contour lines, interpolated between the centres of its cells. They
         replace the values written into the cells.
@@ -102,16 +102,17 @@ def study_panels(
     results : Results
         Results of a study, complete or not.
     figure : str
-        Name of the figure.
+        Name of the figure of merit.
     at : mapping of str to int, optional
-        Step along each further dimension, counted from 0; by default the middle one.
+        Number of the step along each further dimension, counted from 0; by default the middle
+        step.
     boundary, contours : float and sequence of float, optional
         Lines in the maps; see `study_map`.
 
     Returns
     -------
     tuple of Axes
-        A map for each step of the first of the three dimensions, with one scale of colours.
+        One map for each step of the first of the three dimensions, all with the same colour scale.
 
     Raises
     ------
@@ -288,22 +289,22 @@ def _draw_curve(
 
 
 def tornado(bars: Sequence[Sensitivity], *, label: str = "", axes: Axes | None = None) -> Axes:
-    """Draw the changes of a figure of merit as bars, those of one address in one row.
+    """Draw the changes of a figure of merit as bars, with one row for each changed value.
 
     Parameters
     ----------
     bars : sequence of Sensitivity
         Result of `study.sensitivities`, the largest change first.
     label : str
-        Name of the figure, with its unit.
+        Name of the figure of merit, with its unit.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
     Returns
     -------
     Axes
-        Axes with the largest changes on top. Changes below their errors are pale, and rows of
-        values that failed say so.
+        Axes with the largest changes on top. Changes smaller than their errors are pale. If the
+        computation failed, the row says so.
 
     See Also
     --------
@@ -350,7 +351,7 @@ def yield_curve(
     label: str = "",
     axes: Axes | None = None,
 ) -> Axes:
-    """Draw the yield against the limit that a figure of merit has to meet, with its interval.
+    """Draw the yield against the limit on a figure of merit, with its confidence interval.
 
     Parameters
     ----------
@@ -359,7 +360,7 @@ def yield_curve(
     fractions : sequence of n Fraction
         Result of `study.fraction_within` for each limit.
     label : str
-        Name of the figure, with its unit.
+        Name of the figure of merit, with its unit.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 
@@ -408,10 +409,10 @@ def study_slices(
     results : Results
         Results of a study, complete or not.
     figure : str
-        Name of the figure.
+        Name of the figure of merit.
     at : mapping of str to int, optional
-        Step along each dimension, counted from 0, at which the curves along the others are taken;
-        by default the middle one.
+        Number of the step along each dimension, counted from 0, at which the curves along the
+        other dimensions are taken; by default the middle step.
     boundary : float, optional
         Value of the figure at which to draw a line.
     axes : sequence of matplotlib Axes, optional
@@ -420,9 +421,9 @@ def study_slices(
     Returns
     -------
     tuple of Axes
-        A panel for each dimension of more than one step, with the others held fixed. A study of
-        draws has a panel for each value, with a dot for each draw and a mark at the lower edge for
-        each one that failed. All panels have the same scale of the figure.
+        A panel for each dimension of more than one step, with the others held fixed. For a study
+        of draws there is a panel for each drawn value, with a dot for each draw and a mark at the
+        lower edge for each draw that failed. All panels have the same scale of the figure.
 
     Raises
     ------
@@ -510,7 +511,7 @@ def sobol_bars(indices: Any, *, label: str = "", axes: Axes | None = None) -> Ax
     indices : Dataset
         Result of `study.sobol_indices`.
     label : str
-        Name of the figure.
+        Name of the figure of merit.
     axes : matplotlib Axes, optional
         Axes to draw on; a new figure by default.
 

@@ -41,7 +41,8 @@ def pcin(
         defocus of half a wave to one wave rms, give a reliable answer. One image is in general not
         sufficient.
     pupil_psf : PupilPSF
-        Point spread with the unknown wave coefficients; their values are a start of the fit.
+        Point spread with the unknown wave coefficients. Their values are one of the starts of the
+        fit.
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms (Noll 4).
     recipe : {"evidence", "wu2024"}
@@ -50,7 +51,7 @@ def pcin(
     noise_sigma : float or array_like, optional
         Standard deviation of the noise, image units; None: estimated.
     max_iterations : int, optional
-        Maximum number of iterations; by default the recipe's own.
+        Maximum number of iterations; by default that of the recipe.
     seed : int
         Seed of the random numbers.
     start : mapping, optional

@@ -31,16 +31,18 @@ class Reconstruction(Noun, Shown):
         its dtype and device. Its maximum is 1 unless the gain was given.
     physical_parameters : mapping of str to float or ndarray
         ``gain`` (image units per object unit), ``background`` (mean of the fitted background,
-        without a known one, image units), ``noise_sigma`` (reference noise, image units), and
-        further parameters of the solver such as ``tv_weight``. If the wall was fitted too,
+        without a known one, image units), ``noise_sigma`` (rms noise, image units; for a noise
+        map, the value whose inverse square is the mean of the map's inverse squares), and further
+        parameters of the solver such as ``tv_weight``. If the wall was fitted too,
         ``coefficients`` is an array.
     status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
-        "converged": the solver's criterion was met, and with a known point spread no test found a
-        fault; see `inverse.data.status`. "unconverged": the criterion was not met, and the object
-        is not reliable. "trivial": the wall was fitted too, and the answer is the image itself
-        without blur. "too_few_photons": the noise hides most of the object's detail, and ``object``
-        is a rough estimate; it is zero if no object was detected. "does_not_fit": image and model
-        contradict each other, so the object is not to be trusted.
+        "converged": the solver met its stopping criterion and, with a known point spread, no test
+        found that image and model disagree; see `inverse.data.status`. "unconverged": the stopping
+        criterion was not met, and the object is not reliable. "trivial": the wall was fitted too,
+        and the answer is the image itself without blur. "too_few_photons": the noise hides most of
+        the object's detail, and ``object`` is a rough estimate; it is zero if no object was
+        detected. "does_not_fit": image and model contradict each other, so the object is not to be
+        trusted.
     score : float
         Weighted rms residual in units of the noise; 1 if only noise remains. For phase retrieval
         the correlation between two halves of the restarts; 1 is full agreement.
@@ -50,8 +52,8 @@ class Reconstruction(Noun, Shown):
     seconds : float
         Wall-clock time, s.
     reasons : tuple of str
-        What speaks against "converged", one sentence each, with values and limits. Empty for
-        "converged" and for solvers that do not test the model.
+        Reasons against the status "converged", one sentence each, with values and limits. Empty
+        for "converged" and for solvers that do not test the model.
 
     See Also
     --------

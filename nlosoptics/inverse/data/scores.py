@@ -37,14 +37,15 @@ def registered_correlation(
     truth : ndarray or Tensor
         True object, (H, W).
     upsampling : int
-        Steps of the shift per pixel; 1 for whole pixels.
+        Number of steps per pixel in which the shift is searched; 1 for whole pixels.
     flip : bool
         Whether to try a rotation by half a turn too, which an autocorrelation does not determine.
 
     Returns
     -------
     float
-        Largest correlation, 0 to 1, since its mean over all shifts is 0; 0 for a uniform image.
+        Largest correlation, 0 to 1; 0 for a uniform image. It cannot be negative, because the mean
+        over all shifts is 0.
 
     Raises
     ------
@@ -116,7 +117,8 @@ def registered_scores(
 ) -> RegisteredScores:
     """Correlation, PSNR and SSIM of a reconstruction after registration to the truth.
 
-    Registration shifts, scales and offsets the reconstruction for the best fit.
+    Registration shifts and scales the reconstruction and adds an offset, for the best fit to the
+    truth.
 
     Parameters
     ----------
@@ -125,7 +127,7 @@ def registered_scores(
     truth : ndarray or Tensor
         True object, (H, W).
     upsampling : int
-        Steps of the shift per pixel; 1 for whole pixels.
+        Number of steps per pixel in which the shift is searched; 1 for whole pixels.
     flip : bool
         Whether to try a rotation by half a turn too.
     data_range : float or None

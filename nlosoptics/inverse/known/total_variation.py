@@ -57,7 +57,7 @@ def tv_deconvolve(
     start: Any = None,
     progress: Progress | None = None,
 ) -> Reconstruction:
-    """Reconstruct the non-negative object of least total variation that fits an image to its noise.
+    """Reconstruct the non-negative object of least total variation that agrees with an image.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def tv_deconvolve(
         Maximum number of iterations.
     tolerance : float
         Stop when three values are below this: the object's relative change per iteration, the
-        relative distance between the object and its non-negative copy, and 0.05 times the
-        residual's distance from its target in units of the noise.
+        relative difference between the object and its non-negative copy in the algorithm, and 0.05
+        times the difference of the residual from its target, in units of the noise.
     start : array_like, mapping or None
         Initial object, (H, W) in image units, or a saved state, from which the fit resumes
         bit-identically; see `inverse.data.checkpoints`.
@@ -114,19 +114,20 @@ def tv_deconvolve(
     -----
     Minimises ``sum (g A x + b - y)^2 / (2 sigma_i^2) + tv_weight TV(g x)/sigma`` over the object x
     >= 0 in the frame and the background b. Here y is the image, A the image model, g the gain,
-    sigma_i the noise of a pixel and sigma the reference noise; TV is isotropic. The alternating
-    direction method of multipliers splits image, gradient and sign, so that one step is diagonal in
-    Fourier space and the frame is a mask [1]_. For a field of point spreads this step takes a few
-    conjugate gradients, preconditioned by the mean. The weight is adjusted in every data step, in
-    closed form for uniform noise [2]_.
+    sigma_i the noise of a pixel, and 1/sigma^2 the mean of 1/sigma_i^2; TV is isotropic. It is
+    solved by the alternating direction method of multipliers. This method treats the fit to the
+    image, the gradient and the sign constraint in separate steps, so that one of them is diagonal
+    in Fourier space and the frame is a mask [1]_. For a field of point spreads this step takes a
+    few conjugate gradients, preconditioned by the mean. The weight is adjusted in every data step,
+    in closed form for uniform noise [2]_.
 
-    The target of the discrepancy principle allows for noise that the fit absorbs: the expected
-    sum of squared residuals, one per pixel, is reduced by the number of pixels along the
-    frame's outline (rms 0.984 of the noise at 128 x 128), and by less in faint light, where the
-    fit absorbs less. Otherwise weak images would be over-smoothed, and faint ones grainy. The
-    computation uses float32 unless the noise is below 1e-4 of the image's range, on one thread, and
-    torch only for an image on a GPU. ``objective`` is evaluated at the final weight, so it may rise
-    while the weight is being adjusted.
+    The residual that the discrepancy principle aims at is slightly below the noise, because a fit
+    absorbs some of the noise. The expected sum of squared residuals, one per pixel, is reduced by
+    the number of pixels along the frame's outline (rms 0.984 of the noise at 128 x 128), and by
+    less for faint images, where the fit absorbs less noise. Otherwise weak images would be
+    over-smoothed, and faint ones grainy. The computation uses float32 unless the noise is below
+    1e-4 of the image's range, on one thread, and torch only for an image on a GPU. ``objective``
+    is evaluated at the final weight, so it may rise while the weight is being adjusted.
 
     References
     ----------

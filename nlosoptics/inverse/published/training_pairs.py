@@ -57,7 +57,7 @@ def training_pairs(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> TrainingPairs:
-    """Simulate images of random pictures via random walls, in the geometry and light of a scene.
+    """Simulate images of random pictures via random walls, with the other values of a scene.
 
     Parameters
     ----------

@@ -24,11 +24,11 @@ _DEFOCUS = 2.0 * math.sqrt(3.0)
 class FacetPSF(nn.Module):
     """Point spread of a round pupil of independent facets as a function of their exit angles.
 
-    Each facet sends its share of the light to one place of the image, ``tan(angle) *
-    image_distance`` from the centre, wherever the facet is in the pupil. The angle 0 is perfect
-    focus. Unlike in `PupilPSF`, the facets form no continuous wave and
-    do not interfere, so that angles and pixels may have any size. Use it for spots that are much
-    wider than lambda times the F-number. All methods accept batches of coefficients (..., g, g, 2).
+    Each facet sends its share of the light to one point of the image,
+    ``tan(angle) * image_distance`` from the centre, wherever the facet is in the pupil. The angle
+    0 is perfect focus. Unlike in `PupilPSF`, the facets form no continuous wave and do not
+    interfere, so that angles and pixels may have any size. Use it for spots that are much wider
+    than lambda times the F-number. All methods accept batches of coefficients (..., g, g, 2).
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ class FacetPSF(nn.Module):
     Attributes
     ----------
     coefficients : torch.nn.Parameter
-        Fit parameters (g, g, 2): where each facet's light lands in the image, x and y from the
-        centre, pixels. They start at ``tan(angles) * image_distance / pitch``.
+        Fit parameters (g, g, 2): coordinates x and y at which each facet's light arrives in the
+        image, from the centre, pixels. They start at ``tan(angles) * image_distance / pitch``.
 
     Raises
     ------
@@ -77,7 +77,7 @@ class FacetPSF(nn.Module):
     bilinear in the displacement and have a gradient. With a wavelength the transfer function is
     multiplied by that of a square aperture of side c, ``(1 - lambda d |f_x|/c)(1 - lambda d
     |f_y|/c)``, since patterns of independent facets add without interference. Facets that the
-    pupil's rim cuts count by their area and diffract like whole ones.
+    pupil's rim cuts are weighted by their area, but diffract like whole ones.
 
     Examples
     --------

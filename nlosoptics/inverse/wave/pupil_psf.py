@@ -39,8 +39,9 @@ class PupilPSF(nn.Module):
 
     Build it by `from_zernike`, `from_slopes`, `from_angles` or `from_scene`. All methods accept
     batches: coefficients of shape (..., M), or (..., g, g, 2) for slopes, give point spreads
-    (..., H, W). A warning is issued if the start values have slopes above lambda/(2 pupil cell);
-    `steepest` returns this figure for any coefficients.
+    (..., H, W). A warning is issued if W changes by more than half a wavelength between
+    neighbouring pupil samples for the start values; `steepest` returns this change for any
+    coefficients.
 
     Parameters
     ----------
@@ -55,8 +56,8 @@ class PupilPSF(nn.Module):
     ----------
     coefficients : torch.nn.Parameter
         Fit parameters, dimensionless, so that optimiser steps have a natural size: Zernike
-        coefficients in WAVES rms over the full disc, slopes in waves per pupil radius. All other
-        lengths are in m.
+        coefficients in waves (not metres) rms over the full disc, slopes in waves per pupil
+        radius. All other lengths are in m.
 
     See Also
     --------
@@ -378,7 +379,8 @@ class PupilPSF(nn.Module):
         -------
         Tensor
             Energy per pixel, (..., H, W), or (..., K, H, W) with ``defocus``, centred at
-            [H//2, W//2]. For "fft" it sums to 1; for "mdft" the whole image plane does.
+            [H//2, W//2]. For "fft" it sums to 1; for "mdft" the sum over the whole image plane is
+            1.
 
         Raises
         ------
@@ -395,8 +397,8 @@ class PupilPSF(nn.Module):
     ) -> Tensor:
         """Compute the transfer function, (..., H, W//2 + 1), complex.
 
-        It is the ``rfft2`` of the point spread with the centre at sample [0, 0]. The product with
-        ``torch.fft.rfft2`` of an object gives its image in a circular frame.
+        It is the ``rfft2`` of the point spread with the centre at sample [0, 0]. Multiplied by
+        ``torch.fft.rfft2`` of an object, it gives the spectrum of its image in a periodic frame.
         """
         return self.optics.transfer(self._turns(coefficients, defocus))
 
@@ -468,24 +470,25 @@ class PupilPSF(nn.Module):
         return seen
 
     def aberration(self, coefficients: Tensor | None = None) -> Tensor:
-        """Compute W on the pupil's cells, (..., n_v, n_u), m; 0 outside the pupil."""
+        """Compute W at the pupil's samples, (..., n_v, n_u), m; 0 outside the pupil."""
         if coefficients is None:
             coefficients = self.coefficients
         turns: Tensor = self.waves.unwrapped(self._checked(coefficients))
         return turns * self.wavelength
 
     def steepest(self, coefficients: Tensor | None = None) -> float:
-        """Return the largest difference of W between neighbouring pupil cells, wavelengths.
+        """Return the largest difference of W between neighbouring pupil samples, wavelengths.
 
-        Above 1/2, which is a slope of lambda/(2 cell), the cells undersample the wave.
+        Above 1/2 the samples are too coarse for the wave.
         """
         with torch.no_grad():
             return self.optics.steepest(self.aberration(coefficients) / self.wavelength)
 
     def curl_residual(self, coefficients: Tensor | None = None) -> float:
-        """Return the rms difference between given slopes and those of the fitted wave, rad.
+        """Return the rms difference between slopes given as coefficients and the wave's, rad.
 
-        It is 0 for Zernike modes. See `psf.wavefront_from_slopes`.
+        The wave is the least-squares fit to the slopes, see `psf.wavefront_from_slopes`. The
+        result is 0 for Zernike modes.
         """
         if not isinstance(self.waves, SlopeWaves):
             return 0.0
@@ -539,12 +542,12 @@ class PupilPSF(nn.Module):
         return turns.unsqueeze(-3) + self.defocus_turns(extra)
 
     def defocus_turns(self, extra: Tensor) -> Tensor:
-        """Return the aberration of known defoci on the pupil's cells, wavelengths.
+        """Return the aberration W that known defoci add at the pupil's samples, in wavelengths.
 
         Parameters
         ----------
         extra : Tensor, (K,)
-            Defocus of each frame, m rms over the pupil.
+            Defocus of each image, m rms over the pupil.
 
         Returns
         -------

@@ -84,7 +84,8 @@ class SceneLeaves(nn.Module):
     s multiplies the transfer function at frequency f by
     ``exp(-2 pi^2 |s (cos_i + cos_o) d_i M f|^2)``, the rough limit of `psf.mean_point_spread`,
     with the angles of incidence and exit, the image distance d_i and the footprint M of
-    `psf.wall_view`. Rays are aimed on the CPU; the transform runs on ``device``.
+    `psf.wall_view`. The rays to the pupil points are found on the CPU; the transform runs on
+    ``device``.
     """
 
     _frequencies: Tensor
@@ -163,7 +164,10 @@ class SceneLeaves(nn.Module):
         return self._blurred(turns) if self._blurs else self.optics.transfer(turns)
 
     def aberration(self, field: ArrayLike | None = None) -> Tensor:
-        """Compute W on the pupil's cells, (n_v, n_u) or (K, n_v, n_u), m; 0 outside the pupil."""
+        """Compute the aberration W at the pupil's samples, m; 0 outside the pupil.
+
+        The shape is (n_v, n_u), or (K, n_v, n_u) for K object points.
+        """
         if field is None:
             return self._path(self._value("object_position"))
         try:

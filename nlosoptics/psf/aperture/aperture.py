@@ -81,10 +81,10 @@ class Aperture(Noun):
     Notes
     -----
     Patches cover every cell. A patch has two opposite sides A and B and the map
-    ``(1 - s) A(t) + s B(t)``, 0 <= s, t <= 1. A side may shrink to a point, for example at the
-    centre of a fan. Quadrature uses Gauss-Legendre nodes in s and t, with the Jacobian of the map
-    in the weights. It converges spectrally for waves that are smooth over a cell, and is exact for
-    polynomials where the sides are straight.
+    ``(1 - s) A(t) + s B(t)``, 0 <= s, t <= 1. A side may be a single point, such as the centre of
+    a circular sector. Quadrature uses Gauss-Legendre nodes in s and t, with the Jacobian of the
+    map in the weights. It converges spectrally for waves that are smooth over a cell, and is exact
+    for polynomials where the sides are straight.
 
     Examples
     --------
@@ -383,7 +383,7 @@ class Aperture(Noun):
 
     @cached_property
     def rims(self) -> Curve:
-        """All curves of the outlines, stacked as one `Curve` of shape (n,)."""
+        """All line segments and arcs of the outlines, stacked as one `Curve` of shape (n,)."""
         return Curve.stack([curve for cell in self.cells for curve in cell.outline])
 
     @cached_property
@@ -409,7 +409,7 @@ class Aperture(Noun):
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Index of the cell that each patch belongs to, (n_patches,)."""
+        """Index of the cell to which each patch belongs, (n_patches,)."""
         return np.repeat(np.arange(len(self.cells)), [len(cell.sides) for cell in self.cells])
 
     @cached_property
@@ -425,7 +425,7 @@ class Aperture(Noun):
 
     @cached_property
     def patch_size(self) -> tuple[float, float]:
-        """Longest coordinate line along s, and along t, of any patch, m."""
+        """Length of the longest coordinate line along s, and along t, over all patches, m."""
         a, b = self.patches
         t = np.linspace(0.0, 1.0, 17)
         across = np.hypot(*np.moveaxis(b.at(t) - a.at(t), -1, 0))
@@ -433,7 +433,7 @@ class Aperture(Noun):
         return float(across.max()), float(max(r.max() for r in along))
 
     def map(self, s: Array, t: Array) -> tuple[Array, Array, Array]:
-        """Return points (u, v) of each patch, m, and their derivatives by s and by t, m.
+        """Return points (u, v) of each patch, m, and their derivatives with respect to s and t, m.
 
         ``s`` (n_s,) and ``t`` (n_t,) are coordinates within a patch, 0 to 1. Each of the three
         arrays is (n_patches, n_s, n_t, 2).
@@ -550,7 +550,7 @@ class Aperture(Noun):
         return np.minimum(total, 1.0), most, owners
 
     def contains(self, u: ArrayLike, v: ArrayLike) -> Bools:
-        """Return whether points (u, v), m, lie inside the pupil, in their broadcast shape."""
+        """Return whether points (u, v), m, lie inside the pupil, in the broadcast shape."""
         x, y = np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64)
         inside = np.zeros(np.broadcast(x, y).shape, dtype=bool)
         for cell in self.cells:

@@ -142,8 +142,8 @@ def grid_nodes(radius: float, samples: int, obscuration: float = 0.0) -> tuple[A
     -------
     u, v : ndarray
         Coordinates ``(arange(n) - n//2) * pitch`` of the cells' centres, (samples, samples), rows
-        are v, m. The pupil just fits: pitch is ``2 radius/n`` for odd n, ``2 radius/(n - 1)`` for
-        even n.
+        are v, m. The grid just encloses the pupil: pitch is ``2 radius/n`` for odd n,
+        ``2 radius/(n - 1)`` for even n.
     weights : ndarray
         Area of each cell inside the pupil, (samples, samples), m^2.
 

@@ -71,7 +71,8 @@ def write_zernikes(
     Parameters
     ----------
     path : str or Path
-        File to write. An existing file is replaced, but only by a complete new one.
+        File to write. An existing file is replaced only after the new one has been written
+        completely.
     coefficients : mapping of int to float
         Index to coefficient, m, positive for a longer path, as returned by `fit_zernike`.
     ordering : {"noll", "osa", "fringe"}

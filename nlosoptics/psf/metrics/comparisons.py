@@ -57,11 +57,11 @@ class Comparison:
         One row per method.
     best : str
         Method with the smallest error estimate; empty if none ran. It is ``huygens`` only if no
-        other method ran, since its model is not paraxial.
+        other method ran, since ``huygens`` uses another model, which is not paraxial.
     pitch : float
         Image sampling or pixel side, m.
     shape : (int, int)
-        (ny, nx).
+        Samples or pixels (ny, nx).
 
     See Also
     --------
@@ -108,19 +108,20 @@ def compare(
     wavefront : Wavefront
         Wave in the exit pupil.
     tol : float
-        Error that methods aim at, max |dI|/max I; see `point_spread`.
+        Error that the methods should reach, max |dI|/max I; see `point_spread`.
     pitch, shape, pixel_integrated
         Options of `point_spread`, the same for all methods. Defaults are those of ``fft``.
     repeats : int
-        Runs of each method; the shortest time counts. The first run may include compilation.
+        Number of runs of each method, of which the shortest time is reported. The first run may
+        include compilation.
     longest : float
         Predicted seconds beyond which ``huygens`` is skipped.
 
     Returns
     -------
     Comparison
-        One row per method: run time, error estimate, and difference from the method of the
-        smallest estimate.
+        One row per method: run time, error estimate, and difference from the method with the
+        smallest error estimate.
 
     Raises
     ------

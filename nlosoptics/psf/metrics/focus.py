@@ -49,7 +49,7 @@ class ThroughFocus(Noun, Shown):
     criterion : str
         Name of the metric.
     wavelength : float
-        In vacuum, m.
+        Vacuum wavelength, m.
     f_number : float
         Working F-number at shift 0.
 
@@ -68,7 +68,7 @@ class ThroughFocus(Noun, Shown):
 
     @property
     def best(self) -> int:
-        """Index of the best plane: the least "rms" or "spot", the largest of other metrics."""
+        """Index of the best plane: least "rms" or "spot", or largest value of any other metric."""
         return int(np.argmin(self.values) if self.criterion in LEAST else np.argmax(self.values))
 
     def _figures(self) -> Figures:
@@ -88,15 +88,15 @@ def focus_shifted(wavefront: Wavefront, shift: float) -> Wavefront:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout and outline.
+        Wave with any ``layout`` of its nodes and any outline of its pupil.
     shift : float
         Displacement of the image plane along the light's direction, m; positive away from the lens.
 
     Returns
     -------
     Wavefront
-        With ``image_distance + shift``. Its aberration refers to the sphere about the new
-        reference point on the axis.
+        Wave with the image distance ``image_distance + shift``. Its aberration refers to the
+        sphere about the new reference point on the axis.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def through_focus(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout and outline.
+        Wave with any ``layout`` of its nodes and any outline of its pupil.
     shifts : array_like, (n,)
         Displacements of the image plane along the light's direction, m, see `focus_shifted`.
     criterion : {"strehl", "rms", "spot", "mtf"} or callable
@@ -232,7 +232,7 @@ def best_focus(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout and outline.
+        Wave with any ``layout`` of its nodes and any outline of its pupil.
     criterion : {"strehl", "rms", "spot", "mtf"} or callable
         Metric, see `through_focus`. ``rms`` and ``spot`` are minimised, all others maximised.
     frequency, azimuth : float
@@ -245,7 +245,7 @@ def best_focus(
     -------
     float
         Shift of the image plane along the light's direction, m: the argument of `focus_shifted`.
-        The search ends within ``1e-6 * 8 N^2 lambda``.
+        It is accurate to ``1e-6 * 8 N^2 lambda``.
 
     Raises
     ------
@@ -253,8 +253,8 @@ def best_focus(
         If an option is unknown, missing or out of range, or the wave has no focus on the image's
         side of the pupil.
     SamplingError
-        If the criterion is flat, has two equally good maxima or rises up to the edge of the
-        search, if the search would be too long, or if the nodes are too few for it.
+        If the criterion is constant, has two equally good maxima, or has its maximum at an end of
+        the search range, if the search would be too long, or if the nodes are too few for it.
 
     See Also
     --------
@@ -265,17 +265,18 @@ def best_focus(
     The variable is the defocus ``t = (1/d' - 1/d) R^2/2`` at the rim of the pupil, with R the
     pupil's radius, d the image distance and d' the shifted one, m. The search is centred on the
     least rms aberration. Its half width is R times the largest slope of W without piston, tilt and
-    defocus, plus two wavelengths. This is at least twice the defocus that brings the steepest rim
-    ray to the axis. Image distances are limited to 1/8 to 8 times that of the least rms.
+    defocus, plus two wavelengths. This is at least twice the defocus that makes the steepest ray
+    from the rim cross the axis in the image plane. Image distances are limited to 1/8 to 8 times
+    that of the least rms.
 
     The Strehl ratio and the square of the MTF are band-limited in t, with periods of at least
-    ``lambda`` and ``lambda/(8 x (1 - x))`` for the fraction x of the cutoff frequency. The scan
-    takes four samples per period; for a function, per wavelength. By Bernstein's inequality the
-    sample nearest to a maximum then reaches 85 % of it, so all local maxima within 20 % of the
-    range below the best sample are refined, by Brent's method [1]_.
+    ``lambda`` and ``lambda/(8 x (1 - x))`` for the fraction x of the cutoff frequency. The search
+    takes four samples per period, or four per wavelength of t for a criterion given as a function.
+    By Bernstein's inequality the sample nearest to a maximum then reaches 85 % of it, so all local
+    maxima within 20 % of the range below the best sample are refined, by Brent's method [1]_.
 
     The Strehl ratio is relative to a wave without aberration in the same plane. It therefore
-    does not contain the shift of the brightest plane toward the pupil at Fresnel numbers of a few.
+    ignores that, at Fresnel numbers of a few, the brightest plane is shifted toward the pupil.
 
     References
     ----------

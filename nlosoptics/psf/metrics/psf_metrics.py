@@ -29,13 +29,15 @@ TERMS = ("piston", "tilt", "defocus")
 
 
 def strehl(wavefront: Wavefront, *, remove: Iterable[str] = ("piston",)) -> float:
-    """Compute the Strehl ratio: intensity at the reference point over that without aberration.
+    """Compute the Strehl ratio at the reference point.
+
+    It is the intensity there divided by the intensity without aberration.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout. Polar nodes and cells are refined until the sum has converged; a grid
-        or scattered nodes are used as given.
+        Wave with any ``layout`` of its nodes. The layouts "polar" and "cells" are refined until
+        the sum has converged; nodes of other layouts are used as given.
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are fitted by least squares, weighted by amplitude, and removed first. They are
         fitted jointly, and always with a piston. Defocus is u^2 + v^2. Tilt that is not removed
@@ -87,7 +89,7 @@ def rms_aberration(wavefront: Wavefront, *, remove: Iterable[str] = ("piston", "
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout; the mean is taken over its nodes.
+        Wave with any ``layout`` of its nodes; the mean is taken over the nodes.
     remove : iterable of {"piston", "tilt", "defocus"}
         Terms that are fitted jointly by least squares, weighted by amplitude, and removed first;
         always with the piston, so that the result is a standard deviation. Empty: the root mean
@@ -130,7 +132,8 @@ def fit_zernike(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout. An obscured pupil is fitted with the polynomials of the full disc.
+        Wave with any ``layout`` of its nodes. An obscured pupil is fitted with the polynomials of
+        the full disc.
     n_terms : int
         Number of terms: the first ``n_terms`` indices of the ordering.
     ordering : {"noll", "osa", "fringe"}
@@ -188,10 +191,10 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     ----------
     source : Wavefront or PointSpread
         For a polar wavefront the result is accurate to rounding: ``2 pi sum_m int |U_m|^2 r dr``
-        over the angular orders of the image field. For a wavefront on cells the error is below
-        1e-9: the finely sampled image is multiplied by a disc and summed. The disc is smoothed only
-        at spatial frequencies that the image does not contain, which leaves the sum unchanged. For
-        a point spread the result is a sum over pixels, weighted by their area within the circle.
+        over the angular orders of the image field. For the layout "cells" the error is below 1e-9:
+        the finely sampled image is multiplied by a disc and summed. The disc is smoothed only at
+        spatial frequencies that the image does not contain, which leaves the sum unchanged. For a
+        point spread the result is a sum over pixels, weighted by their area within the circle.
     radius : array_like
         Radii, m, of any shape.
 
@@ -263,10 +266,11 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     Parameters
     ----------
     source : Wavefront or PointSpread
-        For a wavefront on polar nodes or on cells the result is the pupil's autocorrelation, by
-        quadrature, with an error below 1e-9 for a wave that its nodes resolve. For a point spread
-        it is the modulus of its spectrum relative to frequency 0. It then lacks energy outside
-        the window and includes the pixel's sinc factor if the values are integrated over pixels.
+        For a wavefront of the layout "polar" or "cells", the result is the pupil's
+        autocorrelation, computed by quadrature. The error is below 1e-9 if the nodes resolve the
+        wave. For a point spread it is the modulus of its spectrum relative to frequency 0. It then
+        does not include energy outside the window. If the values are integrated over pixels, it
+        includes the pixel's sinc factor.
     frequency : array_like
         Cycles per m in the image, of any shape. For a wavefront on a round pupil the result is 0
         beyond 1/(lambda N). For a point spread, frequencies above 1/(2 pitch) are aliased.

@@ -27,12 +27,12 @@ DARK_RING: Final = 1.2196698912665045
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SpotDiagram(Noun):
-    """Landing points of a wave's rays in the image plane, without diffraction.
+    """Points at which the rays of a wave meet the image plane, without diffraction.
 
     Parameters
     ----------
     x, y : ndarray
-        (n,), read-only, m from the reference point.
+        Coordinates (n,) of the points relative to the reference point, m; read-only.
     energy : ndarray
         (n,), read-only: fraction of the energy carried by each ray, above 0; sum 1.
     centroid : (float, float)
@@ -58,12 +58,14 @@ class SpotDiagram(Noun):
 
 
 def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
-    """Compute the landing points of a wave's rays: image distance times gradient of aberration.
+    """Compute where the rays of a wave meet the image plane.
+
+    The position is the image distance times the gradient of the aberration.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout. One ray starts at each node of non-zero amplitude.
+        Wave with any ``layout`` of its nodes. One ray starts at each node of non-zero amplitude.
     rings : int
         For a polar wavefront: least number of rings of rays. Each ring has at least twice as many
         rays as there are rings.
@@ -152,7 +154,7 @@ def spot_radius(wavefront: Wavefront) -> float:
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout.
+        Wave with any ``layout`` of its nodes.
 
     Returns
     -------
@@ -259,15 +261,18 @@ def ptf(
 
 
 def peak_strehl(wavefront: Wavefront) -> float:
-    """Compute the peak intensity anywhere in the image plane over that without aberration.
+    """Compute the Strehl ratio at the brightest point of the image, wherever that is.
 
-    The peak is found to about 1e-12 by Newton steps from the brightest sample at lambda N/3.
+    It is the peak intensity divided by the peak intensity of the same pupil without aberration.
+
+    The image is sampled in steps of lambda N/3, with N the F-number. Newton's method then finds
+    the peak near the brightest sample, with a relative error of about 1e-12.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout. Polar nodes and cells are refined as needed; other nodes are used as
-        given.
+        Wave with any ``layout`` of its nodes. The layouts "polar" and "cells" are refined as
+        needed; nodes of other layouts are used as given.
 
     Returns
     -------

@@ -80,27 +80,30 @@ def propagate(
     field : ScalarField
         Field on the plane ``field.z``. Zero outside its samples, unless it is periodic.
     distance : float
-        Distance to the new plane along +z, m. If negative, the wave is traced back to where it
-        came from.
+        Distance to the new plane along +z, m. If negative, the wave is propagated back toward its
+        source.
     method : str
         ``auto`` takes the method with the fewest operations of those whose estimated numerical
         and model errors add up to at most ``tol``.
 
         - ``angular_spectrum`` multiplies the spectrum by the exact transfer function of the
-          Helmholtz equation. Near or far, to any pitch; the cost grows with the output window.
+          Helmholtz equation. It is valid at any distance and for any output pitch; the cost grows
+          with the output window.
         - ``fresnel_transfer`` uses the paraxial transfer function.
-        - ``fresnel_chirp_z`` sums the Fresnel integral over the samples, to any pitch. It needs
-          a distance at which the diffraction orders of the sampling lattice miss the output.
+        - ``fresnel_chirp_z`` sums the Fresnel integral over the samples, for any output pitch. The
+          distance must be large enough for the diffraction orders of the sampling lattice to fall
+          outside the output window.
         - ``fresnel_one_step`` computes the Fresnel integral by a single FFT, with the output pitch
           ``wavelength |distance|/(n field.pitch)`` and a square shape ``(n, n)``.
     pitch : float, optional
-        Output pitch, m. By default that of the field; ``fresnel_one_step`` always has its own.
+        Output pitch, m. By default that of the field. Omit it for ``fresnel_one_step``, whose
+        output pitch is fixed as stated above.
     shape : int or (int, int), optional
-        Output samples (ny, nx). Default that of the field. For ``fresnel_one_step``, n is the
-        larger of the two, and at least that of the field.
+        Output samples (ny, nx). Default the shape of the field. For ``fresnel_one_step``, n is the
+        larger of ny and nx, and at least the size of the field.
     tol : float
         Largest relative rms error. A method requested by name must keep its numerical error
-        within ``tol``; its model error is reported only.
+        within ``tol``; its model error is reported, but not limited.
 
     Returns
     -------
@@ -125,9 +128,9 @@ def propagate(
     -----
     ``U(x, y, z) = sum F exp(2 pi i (fx x + fy y)) H`` with
     ``H = exp(ikz sqrt(1 - (lambda f)^2))`` [1]_, and in the Fresnel approximation
-    ``H = exp(ikz) exp(-i pi lambda z f^2)``. Frequencies whose rays never reach the output are
-    removed, since their transfer function is undersampled [2]_; here by a soft limit, so that no
-    ripples appear. Chirp-z transforms take the spectrum at as many frequencies as the window
+    ``H = exp(ikz) exp(-i pi lambda z f^2)``. Frequencies whose rays never reach the output window
+    are removed, since their transfer function is undersampled [2]_. The limit is soft, so that it
+    causes no ripples. Chirp-z transforms take the spectrum at as many frequencies as the window
     needs and to any output pitch. Evanescent waves are removed, and counted in the error, unless
     the distance is far below the width of the window. The common phase kz is known to 1e-16 kz.
 

@@ -148,11 +148,11 @@ class ScalarField(Noun):
     def sampling_error(self) -> float:
         """Estimated relative rms difference between a continuous wave and these samples.
 
-        It covers aliasing (spatial frequencies above 1/(2 pitch)) and, unless periodic, the part
-        of the wave outside the window. Each lost energy is taken as ten times the energy in the
-        outer tenth of the band or of the window, which holds for densities that fall as 1/f^2 or
-        faster, such as the spectrum of a hard edge. Aliased energy counts twice, since it is
-        also added at wrong frequencies.
+        It covers aliasing (spatial frequencies above 1/(2 pitch)) and, unless the field is
+        periodic, the part of the wave outside the window. Each of these energies is estimated as
+        ten times the energy in the outer tenth of the frequency band or of the window. This is an
+        upper estimate for densities that fall as 1/f^2 or faster, such as the spectrum of a hard
+        edge. Aliased energy counts twice, since it is also added at wrong frequencies.
         """
         lost = 20 * _outer(np.abs(np.fft.fftshift(np.fft.fft2(self.samples))) ** 2)
         if not self.periodic:
@@ -172,8 +172,8 @@ def _outer(energy: Array) -> float:
 class PropagatedField(ScalarField):
     """Scalar field after propagation, with the method that computed it and its errors.
 
-    Both errors are those of this step, relative to the field in the output window, and rms:
-    ``sqrt(sum |dU|^2/sum |U|^2)``.
+    Both errors refer to this propagation only. They are relative rms errors over the output
+    window, ``sqrt(sum |dU|^2/sum |U|^2)``.
 
     Parameters
     ----------
@@ -184,11 +184,11 @@ class PropagatedField(ScalarField):
     error_estimate : float
         Bound of the numerical error: aliasing, wrap-around and truncation. The reference is the
         exact propagation, by the kernel of the method, of the band-limited wave that the input
-        samples define. `ScalarField.sampling_error` tells how well they define it.
+        samples define. `ScalarField.sampling_error` states how well they define it.
     model_error : float
         Bound of the error of the Fresnel approximation; 0 for the angular spectrum.
     reason : str
-        One line: why this method was used, and why others were not.
+        One line that says why this method was used, and why others were not.
 
     See Also
     --------

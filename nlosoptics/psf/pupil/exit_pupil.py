@@ -23,21 +23,22 @@ class ExitPupil(Noun):
     Parameters
     ----------
     centre : ndarray, (3,)
-        Centre, world, m; it lies behind the lens if the wall is the stop.
+        Centre of the pupil, world frame, m; it lies behind the lens if the wall is the stop.
     radius : float
-        Radius, m; that of the inscribed circle if the rectangular wall is the stop.
+        Radius of the pupil, m; that of the inscribed circle if the rectangular wall is the stop.
     image_distance : float
         Signed distance from pupil to detector, m; negative if the pupil lies beyond the detector.
     f_number : float
         Working F-number ``|image_distance|/(2 radius) = 1/(2 sin(alpha))``, with alpha the cone's
         half angle at the detector, for a lens that satisfies the sine condition.
     stop : {"lens", "wall"}
-        Element that limits the cone.
+        Element that limits the cone of light.
     entrance_radius : float
-        Radius of the cone on the lens, m.
+        Radius of the cone of light on the lens, m.
     vignetting : float
-        Fraction, 0 to 1, of the rays between that disc on the lens and the object's reference
-        point that miss the wall, computed for a flat wall of the same size.
+        Fraction, 0 to 1, of the rays from the object's reference point to the disc of
+        ``entrance_radius`` on the lens that miss the wall, computed for a flat wall of the same
+        size.
 
     See Also
     --------
@@ -55,7 +56,7 @@ class ExitPupil(Noun):
 
     @property
     def layout(self) -> Literal["polar", "grid"]:
-        """Layout of pupil nodes that can follow the rim of the lit pupil.
+        """Layout of the pupil nodes, see `Wavefront`, that follows the rim of the lit pupil.
 
         It is "polar" if that rim is the circle of the lens stop, and "grid" if the wall's edge is
         the stop or vignettes a part of the cone.
@@ -93,9 +94,9 @@ def exit_pupil(scene: Scene) -> ExitPupil:
     -----
     The lens is thin, with focal length f. The wall is at the distance d2 from it and the in-focus
     plane at d1 + d2. The lens is the stop unless the distance a of the wall's edge from the axis
-    is below ``r_lens d1/(d1 + d2)``. In that case the wall's image lies ``d2 f/(d2 - f)`` behind
-    the lens, magnified by ``f/(d2 - f)``. Its inscribed circle is reported here, while `wavefront`
-    follows the wall's true outline.
+    is below ``r_lens d1/(d1 + d2)``. If the wall is the stop, its image lies ``d2 f/(d2 - f)``
+    behind the lens, magnified by ``f/(d2 - f)``. This function reports the circle inscribed in
+    that image, while `wavefront` follows the wall's true outline.
 
     Examples
     --------

@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 
 def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: ArrayLike) -> Array:
-    """Return the wave slopes that the tilts of wall facets cause at fixed pupil points.
+    """Return the slopes of the wave that tilted wall facets cause at given pupil points.
 
     Parameters
     ----------
@@ -54,8 +54,8 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
     M p. The legs from the wall to the object (i) and to the lens (o) have the lengths d1 and d2 and
     the cosines cos_i and cos_o to the wall's normal. For each leg, ``P = 1 - s s^T``, with s the
     component of the leg's unit vector in the wall's tangent plane. K is the Hessian of the mean
-    wall (positive if concave to the room). E projects the pupil's axes across the ray into the
-    tangent plane.
+    wall (positive if concave to the room). E projects the pupil's axes, perpendicular to the ray,
+    onto the tangent plane.
     """
     table, x, y = _lattice(slopes, positions)
     points = np.asarray(nodes, dtype=np.float64)

@@ -30,7 +30,7 @@ HOLE: Final = 10.0
 
 
 def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: float) -> Wavefront:
-    """Return the wave of rays from one object point by one wall reflection to the lens.
+    """Return the wave that rays from one object point form after one reflection at the wall.
 
     Parameters
     ----------
@@ -46,12 +46,12 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
     Returns
     -------
     Wavefront
-        Layout "scattered", with one node for each detected ray, in their order. ``aberration`` is
-        the path length minus the distance from the mirrored object point. The chief ray's piston
-        and tilt are subtracted and reported in ``removed``. Defocus of the camera is not included.
-        ``amplitude`` is the square root of power per area, 1 at the pupil's centre. ``weights``
-        are the areas of the rays' Voronoi cells inside the pupil; their sum is its area. Sums over
-        rays must be weighted by amplitude times area.
+        Wave of the layout "scattered", with one node for each detected ray, in their order.
+        ``aberration`` is the path length minus the distance from the mirrored object point. The
+        chief ray's piston and tilt are subtracted and reported in ``removed``. Defocus because the
+        camera is focused elsewhere is not included. ``amplitude`` is the square root of power per
+        area, 1 at the pupil's centre. ``weights`` are the areas of the rays' Voronoi cells inside
+        the pupil; their sum is its area. Sums over rays must be weighted by amplitude times area.
 
     Raises
     ------
@@ -71,7 +71,8 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
     Notes
     -----
     A ray's direction is the gradient of the path length, so every ray gives W and its slopes. A
-    polynomial of degree 5, fitted to both near the pupil's centre, gives W and its slopes there.
+    polynomial of degree 5 is fitted to both near the pupil's centre. It gives W and its slopes
+    there, which define piston and tilt.
     """
     positive("wavelength", wavelength, unit="m")
     start, bounce, ends, share, n_inside = _checked(paths, exit_pupil)

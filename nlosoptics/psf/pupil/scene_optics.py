@@ -98,7 +98,7 @@ class PointOptics:
 
 
 class SceneOptics:
-    """Exit pupil and waves of a scene, shared by several calls and computed at most once.
+    """Store of a scene's exit pupil and waves, so that several calls compute them only once.
 
     Parameters
     ----------
@@ -153,14 +153,14 @@ class SceneOptics:
         Parameters
         ----------
         object_point : array_like, (3,), optional
-            Object point, world, m; by default the hidden object's reference point. Only the optics
-            of the reference point are stored.
+            Object point, world frame, m; by default the hidden object's reference point. Only the
+            optics of the reference point are stored.
 
         Returns
         -------
         PointOptics
-            Optics of the point; ``first.wave`` is its `Wavefront` at the nodes that
-            ``nodes="auto"`` of `wavefront` selects.
+            Optics of the point. Its ``first.wave`` is the `Wavefront` that `wavefront` returns for
+            this point with ``nodes="auto"``.
         """
         if object_point is None:
             return self.reference

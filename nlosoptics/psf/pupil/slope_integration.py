@@ -35,8 +35,8 @@ def wavefront_from_slopes(
     Parameters
     ----------
     slopes : array_like, (n, n, 2)
-        dW/du and dW/dv, rad; rows along v, node [n//2, n//2] on the axis. Values outside the mask
-        are ignored.
+        Slopes dW/du and dW/dv at the nodes, rad; rows along v, node [n//2, n//2] on the axis.
+        Values outside the mask are ignored.
     pitch : float
         Distance between nodes, m.
     mask : array_like of bool, (n, n)
@@ -49,9 +49,9 @@ def wavefront_from_slopes(
     Returns
     -------
     wavefront : Wavefront
-        Layout "grid", amplitude 1 on the mask and 0 elsewhere; the weight of each node is the area
-        of its whole cell. The mean aberration of every piece of the mask is 0, since slopes do not
-        determine pistons.
+        Wave of the layout "grid", with amplitude 1 on the mask and 0 elsewhere; the weight of each
+        node is the area of its whole cell. The mean aberration of every piece of the mask is 0,
+        since slopes do not determine pistons.
     curl_residual_rms : float
         Rms difference between the given slopes and those of the wavefront, over all pairs of
         neighbours, rad. It is 0 to rounding error if the slopes are the gradient of a quadratic.
@@ -73,7 +73,7 @@ def wavefront_from_slopes(
     -----
     The method is described in `integrated_slopes`. Slopes of independently drawn facets are not a
     gradient, but those of every wavefront are (theorem of Malus and Dupin). The residual measures
-    the part that no wavefront can have.
+    the part of the slopes that no wavefront can have.
 
     Examples
     --------
@@ -178,7 +178,7 @@ def integrated_slopes(slopes: ArrayLike, pitch: float, mask: ArrayLike) -> tuple
     residual : float
         Rms difference between the given slopes and those of the surface, over all pairs of
         neighbours in the mask. It is 0 for the slopes of a quadratic surface, and if there is no
-        pair; otherwise it contains curl and the discretisation error.
+        pair; otherwise it is caused by the curl of the slopes and by the discretisation.
 
     Raises
     ------

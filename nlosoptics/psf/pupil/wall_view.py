@@ -18,13 +18,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class WallView(Noun):
-    """First-order map from the exit pupil to the wall about the chief ray.
+    """Linear map from points of the exit pupil to the wall points that they see.
+
+    It is an expansion about the chief ray.
 
     Parameters
     ----------
     footprint : ndarray, (2, 2)
-        Matrix M from a step (du, dv) in the exit pupil to the step, in the wall's tangent plane, of
-        the wall point that it sees.
+        Matrix M. A step (du, dv) in the exit pupil moves the wall point that is seen there by the
+        step M (du, dv) in the wall's tangent plane.
     cos_sum : float
         Sum of the cosines of incidence and exitance.
     effective_distance : ndarray, (2, 2)
@@ -75,7 +77,9 @@ class _Chief:
 
 
 def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
-    """Return the first-order map from a scene's exit pupil to the wall about the chief ray.
+    """Return the linear map from points of a scene's exit pupil to the wall points they see.
+
+    It is an expansion about the chief ray.
 
     Parameters
     ----------
@@ -101,7 +105,8 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
 
     Notes
     -----
-    M is the matrix given in `pupil_slopes`, divided by the ratio of exit pupil to lens.
+    M is the matrix given in `pupil_slopes`, divided by the ratio of the radii of exit pupil and
+    lens.
     """
     o = None if object_point is None else np.array(vector("object_point", object_point))
     return _view_of(_optics(scene, np.zeros((1, 2)), o), _zoom(scene))

@@ -48,15 +48,18 @@ def wall_aberration(
     pupil_aim: ArrayLike,
     nodes: ArrayLike,
 ) -> Array:
-    """Return the wave aberration of a wall used as a mirror, relative to the mirrored object point.
+    """Return the wave aberration of a wall that acts as a mirror.
+
+    The reference is the spherical wave from the mirror image of the object point.
 
     Parameters
     ----------
     wall : Wall
         Relay wall.
     object_point, pupil_centre, pupil_aim : array_like, (3,)
-        World, m. The object point and the pupil's centre are in front of the wall. The pupil plane
-        passes through ``pupil_centre``; its normal n points to ``pupil_aim``.
+        Points in the world frame, m. The object point and the pupil's centre are in front of the
+        wall. The pupil plane passes through ``pupil_centre``; its normal n points to
+        ``pupil_aim``.
     nodes : array_like, (n, 2)
         Pupil coordinates (u, v), m, along ``e1 = unit(Y x n)`` and ``e2 = n x e1``, with
         Y = (0, 1, 0), or X if n is parallel to Y.
@@ -126,8 +129,8 @@ def path_difference(
     wall : Wall
         Relay wall.
     source, target : array_like, (3,)
-        Ends of the path, world, m. A target behind the wall is a virtual image; the leg to it
-        counts negative.
+        Ends of the path, world frame, m. A target behind the wall is a virtual image; the length
+        to it is taken as negative.
     reference : float
         Signed reference length, m.
     wall_point : array_like, (2,), optional
@@ -136,7 +139,7 @@ def path_difference(
     Returns
     -------
     float
-        Path difference, m, computed in twice the working precision and rounded once.
+        Path difference, m, computed with twice the digits of float64 and then rounded.
 
     Raises
     ------
@@ -192,13 +195,14 @@ def wavefront(
     scene : Scene
         Scene with the wall, the camera and the hidden object.
     object_point : array_like, (3,), optional
-        Object point, world, m; by default the hidden object's reference point.
+        Object point, world frame, m; by default the hidden object's reference point.
     nodes : {"auto", "polar", "cells", "grid"} or array_like (n, 2)
-        Layout of the pupil nodes, or coordinates (u, v) in the exit pupil, m. "polar" follows the
-        round rim of the lens. "cells" also follows the edge of a flat wall that cuts the cone of
-        light, "grid" that of any wall. "auto" selects polar nodes, or a grid if the wall's edge
-        cuts the cone or is the stop. Nodes given as coordinates are "scattered": each represents
-        an equal part of the pupil's area, or none if it lies outside the pupil radius.
+        Layout of the pupil nodes, see `Wavefront`, or coordinates (u, v) in the exit pupil, m.
+        "polar" follows the round rim of the lens. "cells" also follows the edge of a flat wall
+        that cuts off part of the cone of light, "grid" that of any wall. "auto" selects polar
+        nodes, or a grid if the wall's edge cuts the cone or is the stop. Nodes given as
+        coordinates are "scattered": each represents an equal part of the pupil's area, or no area
+        if it lies outside the pupil radius.
     samples : int or (int, int), optional
         Polar: radii, with four times as many angles, or (radii, angles); default (24, 96). Cells:
         nodes per patch along its two sides; default (24, 24). Grid: cells per side; default 256,
@@ -232,9 +236,9 @@ def wavefront(
 
     Notes
     -----
-    The amplitude follows the spreading of ray tubes, 1/sqrt(J), from the van Vleck determinant of
-    the path. A camera that is not focused on the mirrored object adds defocus. Grid cells that the
-    wall's edge cuts are weighted by the part inside.
+    The amplitude is 1/sqrt(J), with J the factor by which a tube of rays spreads, from the van
+    Vleck determinant of the path. A camera that is not focused on the mirrored object adds
+    defocus. Grid cells that the wall's edge crosses are weighted by the fraction inside.
 
     Examples
     --------

@@ -45,8 +45,8 @@ class RoughPointSpread(PointSpread):
     Parameters
     ----------
     coherent : ndarray, (ny, nx)
-        Read-only: the coherent part of ``intensity``. In a mean it has the shape of the smooth
-        wall's point spread. The rest is `diffuse`.
+        Coherent part of ``intensity``, read-only. In a mean over many walls it has the shape of
+        the smooth wall's point spread. The rest is `diffuse`.
     rayleigh_parameter : float
         ``s = k (cos_i + cos_o) height_rms``, rad: rms phase due to the heights.
     coherent_fraction : float, optional
@@ -100,11 +100,11 @@ def mean_point_spread(
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
-        sampled as finely as ``tol`` requires.
+        Wave that the wall without roughness would give, or a scene whose wall is the mean surface.
+        The pupil of a scene is sampled as finely as ``tol`` requires.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
         Statistics of the wall's heights. For a `FacetWall` or `GaussianWall` the mean is over all
-        seeds. A height map stands for Gaussian heights of its rms height and slope.
+        seeds. A height map is replaced by Gaussian heights with the same rms height and rms slope.
     footprint : float or array_like (2, 2), optional
         Matrix M from a step in the exit pupil to the corresponding step on the wall;
         ``d1/(d1 + d2)`` at normal incidence. Required with a wavefront; a scene defines it
@@ -117,9 +117,11 @@ def mean_point_spread(
     pitch : float, optional
         Image sampling or pixel side, m. Default lambda N/4.
     shape : int or (int, int), optional
-        (ny, nx). Default at least 256 per side, with all rays, their tails and the halo inside.
+        Samples or pixels (ny, nx). Default at least 256 per side, so that the window contains all
+        rays, their diffraction tails and the halo.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        Meaning of 1, see `point_spread`. The whole plane has the energy of the smooth wall.
+        Quantity that has the value 1, see `point_spread`. The energy in the whole plane equals
+        that of the smooth wall.
     pixel_integrated : bool
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
 
@@ -148,10 +150,11 @@ def mean_point_spread(
     [1]_, with OTF_0 the transfer function of the smooth wall, s the rms phase
     (`RoughPointSpread.rayleigh_parameter`), C the autocorrelation of the heights and M the
     footprint. This is exact, to first order in the heights, for a thin screen of Gaussian heights
-    that is large compared with the footprint. It neglects shadowing and multiple scattering and
-    does therefore not hold for white foam. The plateau ``exp(-s^2)`` yields the smooth wall's point
-    spread. The rest is summed over separations at nodes of its own, which resolve a C that is
-    narrow compared with the pupil; the sum is accurate in a window of any size.
+    that is large compared with the footprint. It neglects shadowing and multiple scattering, and
+    therefore does not hold for materials such as white foam. At large separations the factor tends
+    to ``exp(-s^2)``; this part yields the smooth wall's point spread. The rest is summed over
+    separations d on a separate, finer set of nodes, which resolves a C that is narrow compared
+    with the pupil. The sum is accurate in a window of any size.
 
     References
     ----------

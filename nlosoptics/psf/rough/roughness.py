@@ -31,8 +31,8 @@ class Roughness(Noun):
     height_rms : float
         Root mean square height, m.
     correlation_length : float
-        l, m: lag at which the autocorrelation C has fallen to 1/e. For a callable or measured C,
-        the approximate scale of its decay.
+        Lag l, m, at which the autocorrelation C has fallen to 1/e. For a callable or measured C,
+        the approximate lag over which it decays.
     autocorrelation : {"gaussian", "exponential"}, callable or array_like (2, n)
         Autocorrelation C of the heights, 1 at lag 0:
 
@@ -90,7 +90,7 @@ class Roughness(Noun):
 
     @property
     def slope_rms(self) -> float:
-        """Return the rms slope per axis, rad, ``sqrt(2) height_rms/l``, of a Gaussian C.
+        """Return the rms slope per axis, rad; for a Gaussian C, ``sqrt(2) height_rms/l``.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class Roughness(Noun):
         return found
 
     def structure(self, lags: ArrayLike) -> Array:
-        """Return ``1 - C`` at lags of any shape, m; without cancellation for a named C."""
+        """Return ``1 - C`` at lags of any shape, m; exact at short lags for a C given by name."""
         r = np.asarray(lags, dtype=np.float64)
         if isinstance(self.autocorrelation, str):
             scaled = r / self.correlation_length
@@ -145,8 +145,8 @@ class Roughness(Noun):
             Parts whose variances and autocovariances add up to those of the whole. A cutoff of 0
             or infinity leaves one part with zero height. For a Gaussian C the long waves are
             Gaussian, of correlation length ``sqrt(l^2 + cutoff^2)`` and variance
-            ``h^2 l^2/(l^2 + cutoff^2)``. All other parts have a callable autocorrelation, and as
-            correlation length the lag of 1/e.
+            ``h^2 l^2/(l^2 + cutoff^2)``. All other parts have a callable autocorrelation. Their
+            correlation length is the lag at which it has fallen to 1/e.
 
         Raises
         ------

@@ -62,20 +62,20 @@ def sample_point_spread(
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
-        sampled as finely as the random heights and their halo require.
+        Wave that the wall without roughness would give, or a scene whose wall is the mean surface.
+        The pupil of a scene is sampled as finely as the random heights and their halo require.
     roughness : Roughness, FacetWall, GaussianWall or HeightMapWall
-        Statistics of the heights of a random wall, or one wall of given heights over its mean
-        surface, which is the same for every object point, pupil and sampling.
+        Statistics of the heights, from which a random wall is drawn, or one wall of given heights.
+        The latter is the same wall for every object point, pupil and sampling.
     seed : int, optional
         Random seed: required with a `Roughness`, and not allowed with given heights. The same seed
         and sampling yield the same wall.
     independent_patterns : int
         Number of walls whose patterns are averaged. The first pattern is that of
-        ``independent_patterns=1``, the only value allowed with given heights. More also model an
-        average over time or wavelengths: one pattern per correlation length by which a wall moves
-        during the exposure, or per wavelength step lambda/s, with s the rms phase in rad.
-        Developed speckle has the contrast ``1/sqrt(independent_patterns)``.
+        ``independent_patterns=1``, the only value allowed with given heights. Several patterns
+        also model an average over time or wavelengths: one pattern for each correlation length by
+        which the wall moves during the exposure, or for each wavelength step lambda/s, with s the
+        rms phase in rad. Developed speckle has the contrast ``1/sqrt(independent_patterns)``.
     footprint : float or array_like (2, 2), optional
         Matrix M of `mean_point_spread`. Required with a wavefront; a scene defines it.
     cos_sum : float, optional
@@ -84,11 +84,11 @@ def sample_point_spread(
         ``d1 d2/(d1 + d2)`` at normal incidence, m, see `WallView`. Required with a wavefront.
     propagation : {"fresnel", "geometric"}
         Propagation of the phase from the wall to the pupil: by a Fresnel integral, or unchanged
-        along rays, so that the aberration is ``-(cos_i + cos_o) h``. The latter is refused where
-        they differ.
+        along rays, so that the aberration is ``-(cos_i + cos_o) h``. ``geometric`` is refused
+        where the two results would differ.
     pitch, shape, normalisation, pixel_integrated
-        Options of `mean_point_spread`. 1 refers to the energy of the smooth wall; that of a single
-        random wall can differ.
+        Options of `mean_point_spread`. The normalisation refers to the energy of the smooth wall;
+        the energy of a single random wall can differ.
 
     Returns
     -------

@@ -49,12 +49,14 @@ FINENESS: Final = 0.3
 
 
 def split_scale(wavelength: float, effective_distance: ArrayLike, turn: float = 0.1) -> float:
-    """Return the ripple period above which a wall's heights act on the pupil as geometry.
+    """Return the ripple period above which rays describe the effect of a wall's heights.
+
+    Shorter ripples are changed by diffraction on the way from the wall to the pupil.
 
     Parameters
     ----------
     wavelength : float
-        In vacuum, m.
+        Vacuum wavelength, m.
     effective_distance : float or array_like (2, 2)
         Effective distance d_eff of `WallView`, m; for a matrix its norm is used.
     turn : float
@@ -113,13 +115,13 @@ def two_scale_point_spread(
     normalisation: Normalisation = "unit-sum",
     pixel_integrated: bool = False,
 ) -> RoughPointSpread:
-    """Compute the point spread of a rough wall with random long waves, averaged over short waves.
+    """Compute the point spread of a rough wall, random in its long waves, averaged over short ones.
 
     Parameters
     ----------
     source : Wavefront, Scene or SceneOptics
-        Wave of the smooth wall, or a scene whose wall is the mean surface. The pupil of a scene is
-        sampled as finely as the long waves, the halo and ``tol`` require.
+        Wave that the wall without roughness would give, or a scene whose wall is the mean surface.
+        The pupil of a scene is sampled as finely as the long waves, the halo and ``tol`` require.
     roughness : Roughness
         Statistics of the wall's heights.
     seed : int
@@ -165,7 +167,8 @@ def two_scale_point_spread(
     displacement of the long waves' field by scattering at short waves. That displacement is 0 for
     geometric propagation, and small compared with the long waves if the cutoff is at least
     `split_scale`. The mean over walls is exact for any cutoff, since both parts are independent
-    and stationary. As in `mean_point_spread`, a halo much wider than the window keeps its energy.
+    and stationary. As in `mean_point_spread`, energy of the halo that falls outside the window is
+    not added inside it.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("propagation", propagation, ("fresnel", "geometric"))

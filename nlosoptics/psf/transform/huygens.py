@@ -37,16 +37,17 @@ class SurfacePointSpread(Noun):
     Parameters
     ----------
     points : ndarray
-        Read-only, of shape (..., 3), m, in the pupil's frame: origin at the pupil's centre, x and
-        y along u and v, the image plane at z = ``image_distance``.
+        Points, of shape (..., 3), m, read-only, in the pupil's frame: origin at the pupil's
+        centre, x and y along u and v, the image plane at z = ``image_distance``.
     intensity : ndarray
-        Read-only, of the shape of the points without their last axis.
+        Intensity (...), read-only, with the shape of the points without their last axis.
     normalisation : {"ideal-peak", "irradiance"}
-        Meaning of 1: the peak without aberration, or the energy transmitted by the pupil, per m^2.
+        Quantity that has the value 1: the peak without aberration, or an irradiance of the energy
+        that the pupil transmits, per m^2.
     error_estimate : float
         Bound of max |dI|/max I due to the number of pupil nodes.
     wavelength : float
-        In vacuum, m.
+        Vacuum wavelength, m.
     f_number : float
         Working F-number, image distance over pupil diameter.
 
@@ -115,12 +116,13 @@ def huygens_point_spread(
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout. Polar nodes and cells are refined as the points require. Terms listed
-        in ``removed`` are not added back.
+        Wave with any ``layout`` of its nodes. The layouts "polar" and "cells" are refined as the
+        points require. Terms listed in ``removed`` are not added back.
     points : array_like, (..., 3)
-        m, in the frame of `SurfacePointSpread`, on the image's side of the pupil.
+        Points in the frame of `SurfacePointSpread`, m, on the image's side of the pupil.
     normalisation : {"ideal-peak", "irradiance"}
-        Meaning of 1: the peak without aberration, or the energy transmitted by the pupil, per m^2.
+        Quantity that has the value 1: the peak without aberration, or an irradiance of the energy
+        that the pupil transmits, per m^2.
     pupil : {"plane", "sphere"}
         Surface on which the nodes (u, v) lie: the sphere about the reference point through the
         pupil's centre, as for a lens that satisfies the sine condition and in `point_spread`, or

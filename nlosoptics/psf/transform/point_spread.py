@@ -44,37 +44,39 @@ class PointSpread(Noun, Shown):
     Parameters
     ----------
     intensity : ndarray
-        (ny, nx), read-only, row 0 at the lowest y; the reference point is at [ny//2, nx//2].
+        Intensity (ny, nx), read-only, row 0 at the lowest y; the reference point is at [ny//2,
+        nx//2].
     pitch : float
         Distance between samples, or pixel side, m.
     method : str
-        Transform that computed it.
+        Method that computed the intensity, see `point_spread`.
     error_estimate : float
-        Bound of max |dI|/max I against the wave that the nodes sample. A pixel map
-        (`Wavefront.from_map`) defines that wave itself; detail lost in its pixels is not included.
+        Bound of max |dI|/max I, compared with the exact image of the given wave. A wave from pixel
+        maps (`Wavefront.from_map`) is taken as it is: detail that its pixels do not resolve is not
+        part of the error.
     normalisation : {"unit-sum", "ideal-peak", "flux"}
-        Meaning of 1: the energy in the whole image plane, the peak without aberration, or the
-        energy that a clear disc of the pupil's radius transmits.
+        Quantity that has the value 1: the energy in the whole image plane, the peak without
+        aberration, or the energy that a clear disc of the pupil's radius transmits.
     wavelength : float
-        In vacuum, m.
+        Vacuum wavelength, m.
     f_number : float
         Working F-number ``N = |d|/(2 a) = 1/(2 sin(alpha))``: image distance over pupil diameter,
         with alpha the half angle of the cone of light. See `point_spread`.
     pixel_integrated : bool
         Whether values are integrals over pixels rather than point samples times pixel area.
     enclosed_energy : float
-        Fraction of the transmitted energy inside the window, from the sum of all values. Their
-        errors accumulate to as much as hundreds of times ``error_estimate``, about 1e-3 at the
-        default ``tol``; use a smaller ``tol`` for more digits.
+        Fraction of the transmitted energy inside the window, from the sum of all values. The
+        errors of the values add up, to as much as hundreds of times ``error_estimate``. At the
+        default ``tol`` this is about 1e-3; use a smaller ``tol`` for more digits.
     regime : Regime
-        Figures that classify the wave, such as its aberration in waves.
+        Numbers on which the choice of the method was based, such as the aberration in waves.
     reason : str
         One line: why this method was used, and why each other one was not.
     model : {"scalar", "high-aperture"}
         Model of diffraction; see `point_spread`.
     model_error : float
         Bound of max |dI|/max I of the scalar model against the vector diffraction of an
-        unpolarised wave. 0 for the high-aperture model, infinite if no bound is known.
+        unpolarised wave. It is 0 for the high-aperture model, and infinite if no bound is known.
 
     See Also
     --------
@@ -113,12 +115,12 @@ class PointSpread(Noun, Shown):
 
     @property
     def x(self) -> Array:
-        """Coordinates along a row, m."""
+        """Coordinates of the columns, (nx,), m."""
         return Window.centred(self.pitch, self.shape).x
 
     @property
     def y(self) -> Array:
-        """Coordinates along a column, m."""
+        """Coordinates of the rows, (ny,), m."""
         return Window.centred(self.pitch, self.shape).y
 
     def _figures(self) -> Figures:
@@ -169,21 +171,23 @@ def point_spread(
     method : str
         ``auto`` selects the cheapest method whose estimated error is at most ``tol``.
 
-        - ``quadrature`` sums over nodes in the pupil, polar or of cells (layout "cells"). The
-          window determines their number.
+        - ``quadrature`` sums over nodes in the pupil, for wavefronts of the layout "polar" or
+          "cells". The number of nodes depends on the window.
         - ``fft`` transforms a zero-padded grid; ``mdft`` transforms a grid to any pitch. Both
           resample a polar wave to a grid. If its aberration and amplitude are polynomials, the
-          grid is as fine as ``tol`` requires. For layout "cells" they spread as many nodes as
-          ``tol`` requires onto an antialiased grid. A grid is never resampled to polar nodes.
+          grid is as fine as ``tol`` requires. For the layout "cells", as many nodes as ``tol``
+          requires are spread onto an antialiased grid. A wave on a grid is never resampled to
+          polar nodes.
         - ``nufft`` sums over the given nodes of any layout, such as traced rays.
         - ``airy`` is the closed form of a wave without aberration.
         - ``geometric`` is the density of rays in the image, without diffraction; ``auto`` tries it
-          above 20 waves with ``pixel_integrated``.
+          for more than 20 waves of aberration with ``pixel_integrated``.
         - ``huygens`` sums spherical waves on ``image_surface``. It is slow, and ``auto`` does not
           use it. See `huygens_point_spread`.
     tol : float
         Largest error that ``auto`` accepts: the largest difference of intensities, relative to the
-        peak. A method given by name may sample more coarsely as long as its error stays below it.
+        peak. A method given by name may sample more coarsely as long as its error stays below
+        ``tol``.
     pitch : float, optional
         Image sampling or pixel side, m. Default lambda N/4 with the F-number N; for ``fft`` of a
         grid wavefront, the pitch just below lambda N/2 whose transform size is fast.
@@ -194,8 +198,9 @@ def point_spread(
         - with ``pixel_integrated``, that of `window_shape`,
         - for ``fft`` of a grid wavefront without a pitch, the full period.
 
-        All rays must land inside the window, except for methods that sum the field at given points,
-        if they are named: ``quadrature``, ``nufft``, ``huygens``, and ``mdft`` of cells and grids.
+        All rays must land inside the window, with one exception: methods given by name that sum
+        the field at given points accept any window. These are ``quadrature``, ``nufft``,
+        ``huygens``, and ``mdft`` for the layouts "cells" and "grid".
     normalisation : {"unit-sum", "ideal-peak", "flux"}
         Energy per pixel, whose sum over the whole plane is 1 (``unit-sum``) or `Wavefront.flux`,
         relative to a clear disc (``flux``); or intensity relative to the peak of the same pupil
@@ -204,8 +209,8 @@ def point_spread(
         Integrate over square pixels of side ``pitch`` instead of sampling at their centres.
     image_surface : callable, optional
         Function of arrays x and y, m, that returns the height of the image surface above the image
-        plane along the direction of the light, m. For ``huygens`` only, and with a ``shape``. The
-        intensity is per area of the image plane.
+        plane along the direction of the light, m. Only for ``huygens``, which then also needs a
+        ``shape``. The intensity is per area of the image plane.
     max_seconds : float, optional
         Limit of the predicted run time on one core: ``auto`` skips a method beyond it. A method
         given by name always runs. Default 60 s, or the time left to the run of `simulate` that
@@ -217,8 +222,8 @@ def point_spread(
         model for a method given by name. With ``method="auto"`` it takes the high-aperture model
         if the scalar model's error exceeds ``tol``, or if the wave is polarised.
     polarisation : {"unpolarised", "x", "y"} or float
-        Polarisation of the light before the lens: none, linear along x or y, or linear at an
-        angle from x toward y, rad. For the high-aperture model.
+        Polarisation of the light before the lens: none, linear along x or y, or linear at an angle
+        from x toward y, rad. Only the high-aperture model depends on it.
 
     Returns
     -------
@@ -248,7 +253,8 @@ def point_spread(
 
         U(x) = sum A w exp(ikW) exp(-2 pi i x.p/(lambda d))
 
-    A tilt W = a u moves the spot to x = a d. Piston is dropped; tilt is applied as an exact shift.
+    A tilt W = a u moves the spot to x = a d. Piston has no effect and is omitted; tilt is applied
+    as an exact shift.
 
     Pupil coordinates (u, v) are heights on the wave's reference sphere, of radius ``|d|`` about the
     image point. A lens that satisfies the sine condition maps its entrance pupil onto it. Hence
@@ -256,12 +262,12 @@ def point_spread(
 
     The high-aperture model sums plane waves from these directions, with the amplitude
     ``A cos(theta)^(1/2)`` of the sine condition and the field turned with the rays [2]_ [3]_. Its
-    intensity is the squared electric field. The unpolarised one is the mean over two perpendicular
-    polarisations. The model neglects the finite distance of the pupil (Debye's approximation) and
-    the polarisation by surfaces of the lens.
+    intensity is the squared electric field. For unpolarised light it is the mean over two
+    perpendicular polarisations. The model neglects the finite distance of the pupil (Debye's
+    approximation) and the polarisation by surfaces of the lens.
 
     The error of scattered nodes is estimated by interpolating the wave to polar nodes of the round
-    or annular pupil of ``pupil_radius`` and ``obscuration``. For nodes of any other outline the
+    or annular pupil of ``pupil_radius`` and ``obscuration``. For a pupil of any other outline the
     estimate is therefore large.
 
     References

@@ -33,7 +33,9 @@ WORTH = 0.5
 def wide_point_spread(
     wave: Wavefront, *, pitch: float, shape: int | tuple[int, int], tol: float
 ) -> PointSpread:
-    """Compute a point spread function on wide pixels, finely sampled only where the rays land.
+    """Compute a point spread function on wide pixels, quickly.
+
+    The image is sampled finely only in the area that the rays of geometrical optics reach.
 
     Parameters
     ----------
@@ -42,23 +44,24 @@ def wide_point_spread(
     pitch : float
         Pixel side, m.
     shape : int or (int, int)
-        (ny, nx).
+        Number of pixels (ny, nx).
     tol : float
         Permitted error of any pixel relative to the brightest pixel, above 0 and at most 1.
 
     Returns
     -------
     PointSpread
-        Of normalisation ``"unit-sum"`` and integrated over pixels. For polar nodes and pixels of at
-        least 8 lambda N, with N the F-number, diffraction is computed only in a square around the
-        landing points of the rays, if this reaches ``tol`` and saves time. The energy outside it is
-        distributed as ``1/r^3``. Otherwise the result is that of `point_spread` with
-        ``pixel_integrated=True`` and ``model="scalar"``.
+        Point spread integrated over pixels, with the normalisation ``"unit-sum"``. If the wave has
+        the layout "polar" and the pixels are at least 8 lambda N wide, with N the F-number,
+        diffraction is computed only in a square around the points at which the rays arrive,
+        provided that this reaches ``tol`` and saves time. The energy outside this square is
+        distributed as ``1/r^3``, with r the distance from the centre. Otherwise the result is that
+        of `point_spread` with ``pixel_integrated=True`` and ``model="scalar"``.
 
     Raises
     ------
     NlosError
-        If `point_spread` raises it for the fine samples.
+        If `point_spread` fails, which computes the fine samples.
 
     See Also
     --------

@@ -28,7 +28,7 @@ def widened(
     Parameters
     ----------
     point_spreads : PointSpread or PointSpreadField
-        Energy per pixel, ``"unit-sum"``.
+        Point spreads with the normalisation ``"unit-sum"``, that is energy per pixel.
     tol : float
         Fraction of the energy that may lie outside the window, above 0 to 1.
     shape : (int, int)
@@ -38,8 +38,9 @@ def widened(
     Returns
     -------
     PointSpread or PointSpreadField
-        In a square window. Outside the old window, the energy that is missing from 1 falls as
-        ``1/r^3``. The input is returned if its window suffices.
+        Point spreads in a square window. The energy that the old window lacks is distributed
+        outside it as ``1/r^3``, with r the distance from the centre. The input is returned if its
+        window suffices.
 
     Raises
     ------

@@ -39,9 +39,9 @@ class PointSpreadField(Noun):
         Chebyshev nodes over the object, -1 to 1, from its left to its right edge and from its
         lower to its upper edge.
     pitch : float
-        Image pixel, m.
+        Side of an image pixel, m.
     truncation_error : float
-        Largest max |dI|/max I at the nodes due to the omitted modes.
+        Largest error max |dI|/max I at the nodes that is due to the omitted modes.
     error_estimate : float
         Largest max |dI|/max I at random points between the nodes, where the point spread is
         computed directly, plus the largest error estimate of the transforms.
@@ -136,7 +136,8 @@ def point_spread_field(
     scene : Scene or SceneOptics
         Scene with a `PlanarObject`.
     grid : int or (int, int)
-        Nodes over the object, (ny, nx), each 1 to 64; one number stands for both.
+        Number of object points (ny, nx) at which point spreads are computed, each 1 to 64; one
+        number is used for both.
     tol : float
         Wanted error of each point spread, max |dI|/max I, 1e-9 to 0.1: half for the transforms,
         half for the omitted modes. The error of interpolation between nodes depends on ``grid``.

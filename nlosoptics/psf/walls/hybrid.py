@@ -264,13 +264,15 @@ class HybridPointSpread(PointSpread):
     Parameters
     ----------
     coherent : ndarray, (ny, nx)
-        Read-only: part of the smooth mirror, by waves.
+        Part reflected as by a smooth mirror, computed by waves; read-only.
     halo : ndarray, (ny, nx)
-        Read-only: part scattered by the roughness of mirror-like lobes, averaged over walls.
+        Part scattered by the roughness of mirror-like lobes, averaged over all walls of this
+        roughness; read-only.
     diffuse : ndarray, (ny, nx)
-        Read-only: all other paths, by ray tracing; diffuse lobes and multiple reflections.
+        All other light, from diffuse lobes or after several reflections, computed by ray tracing;
+        read-only.
     standard_error : ndarray, (ny, nx)
-        Read-only: standard error of ``diffuse``.
+        Standard error of ``diffuse``, read-only.
     coherent_flux, halo_flux, diffuse_flux : float
         Energy of each part in the whole image plane, in the unit of ``normalisation``.
     diffuse_flux_error : float
@@ -330,7 +332,7 @@ def hybrid_point_spread(
     scene : Scene
         Scene with the wall's material.
     object_point : array_like, (3,), optional
-        World, m; by default the hidden object's reference point.
+        Object point, world frame, m; by default the hidden object's reference point.
     roughness : Roughness, optional
         Height statistics that replace the slopes of all mirror-like lobes. By default a lobe
         without slope is smooth, and a lobe with a slope is treated as in `lobe_point_spread`.
@@ -346,17 +348,18 @@ def hybrid_point_spread(
     shape : int or (int, int), optional
         Pixels (ny, nx); by default the camera's.
     normalisation : {"unit-sum", "flux"}
-        Meaning of 1: all energy that passes the lens, wherever it lands; or the energy that a
-        smooth wall of reflectance 1 would send through the lens.
+        Quantity that has the value 1: all energy that passes the lens, inside and outside the
+        window; or the energy that a smooth wall of reflectance 1 would send through the lens.
     check : bool
-        Whether to trace all lobes in addition, for ``traced_flux``.
+        Whether to trace the light of all lobes as a check, which gives ``traced_flux``.
     progress : callable(str, float), optional
         Called with the stage and the completed fraction.
 
     Returns
     -------
     HybridPointSpread
-        Integrated over pixels; the chief ray's image is the centre of pixel [ny//2, nx//2].
+        Parts and their sum, integrated over pixels; the chief ray meets the centre of pixel
+        [ny//2, nx//2].
 
     Raises
     ------

@@ -227,7 +227,7 @@ def lobe_point_spread(
         Scene with the wall's material. A wall without mirror-like lobes is treated as a smooth
         mirror.
     wave : Wavefront
-        Wave of the smooth wall, from `wavefront`.
+        Wave of the wall without roughness, from `wavefront`.
     object_point : array_like, (3,), optional
         Object point of the wave, world, m; by default the hidden object's reference point.
     tol : float
@@ -240,7 +240,8 @@ def lobe_point_spread(
     Returns
     -------
     PointSpread
-        Of normalisation ``"unit-sum"``; the lobes are weighted by their reflectances.
+        Point spread with the normalisation ``"unit-sum"``; the lobes are weighted by their
+        reflectances.
 
     Raises
     ------
@@ -253,9 +254,10 @@ def lobe_point_spread(
 
     Notes
     -----
-    Microfacet lobes describe geometric optics: heights of many wavelengths. A lobe with a slope is
-    therefore the limit of `mean_point_spread` for large heights, in which the wave's point spread
-    is blurred by the facets' slopes. A lobe without slope yields the wave's point spread itself.
+    Microfacet lobes belong to geometrical optics: they describe heights of many wavelengths. A
+    lobe with a slope is therefore the limit of `mean_point_spread` for large heights, in which the
+    wave's point spread is blurred by the facets' slopes. A lobe without slope yields the wave's
+    point spread itself.
     """
     pitch = scene.camera.image_pitch if pitch is None else positive("pitch", pitch, unit="m")
     in_range("tol", tol, 0.0, 1.0, open_low=True)

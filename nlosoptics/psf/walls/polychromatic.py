@@ -90,7 +90,7 @@ def band_point_spread(
     weights : array_like, (n,), optional
         Energy at each wavelength, of any sum; equal by default.
     tol : float
-        Largest max |dI|/max I of each wavelength, see `point_spread`.
+        Largest error max |dI|/max I at each wavelength, see `point_spread`.
     pitch, shape, normalisation, pixel_integrated, model
         Options of `point_spread`. By default the pitch is lambda N/4 of the shortest wavelength,
         and the window is that of the widest spot.
@@ -98,8 +98,8 @@ def band_point_spread(
     Returns
     -------
     PointSpread
-        ``wavelength`` is the weighted mean, errors are the largest; ``regime`` and
-        ``reason`` are those of the first wavelength.
+        Sum of the intensities. Its ``wavelength`` is the weighted mean, and its errors are the
+        largest of all wavelengths; ``regime`` and ``reason`` are those of the first one.
 
     Raises
     ------

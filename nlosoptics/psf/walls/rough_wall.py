@@ -60,8 +60,9 @@ class PupilField(Noun, Shown):
     ----------
     values : ndarray, (n, n)
         Read-only, complex: the pupil function ``A exp(ikW)``. W is relative to the reference
-        sphere, so that a perfect image has a constant phase. Piston and tilt of the same wall
-        without roughness are removed. Rows are v. A smooth wall has the amplitude 1 inside the rim.
+        sphere, so that a perfect image has a constant phase. The piston and tilt that the same
+        wall without roughness would cause are removed. Rows run along v. A smooth wall has the
+        amplitude 1 inside the rim of the pupil.
     pitch : float
         Spacing of the samples in the exit pupil, m; sample [n//2, n//2] is on the axis.
 

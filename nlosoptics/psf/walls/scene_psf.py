@@ -30,13 +30,16 @@ class ScenePointSpread(Noun):
     exit_pupil : ExitPupil
         Exit pupil of lens and wall.
     wavefront : Wavefront
-        Wave of the smooth wall in the exit pupil.
+        Wave in the exit pupil. It includes a roughness of the wall only if rays computed it, see
+        ``pupil_field``.
     point_spread : PointSpread
         Point spread of that wave, blurred by the slopes of the wall's mirror-like lobes; energy
-        per pixel. With a roughness it is that of this wall, or the mean over all such walls.
+        per pixel. If the scene has a roughness, it is the point spread of this rough wall, or the
+        mean over all walls of this roughness.
     pupil_field : PupilField or None
-        Pupil function of a rough wall, if its field was propagated from the wall. If rays give the
-        wave aberration of the roughness, ``wavefront`` contains it.
+        Pupil function of a rough wall, if the field was propagated from the wall to the pupil. If
+        rays gave the aberration of the rough wall instead, ``wavefront`` includes it, and this is
+        None.
 
     See Also
     --------
@@ -66,12 +69,12 @@ def scene_point_spread(
     Parameters
     ----------
     scene : Scene or SceneOptics
-        Scene to image, or its optics. A wall without mirror-like lobes is treated as a smooth
-        mirror.
+        Scene to image, or a `SceneOptics` made from it. A wall without mirror-like lobes is
+        treated as a smooth mirror.
     tol : float
         Wanted error of the point spread, max |dI|/max I, 1e-12 to 1.
     object_point : array_like, (3,), optional
-        World, m; by default the hidden object's reference point.
+        Object point, world frame, m; by default the hidden object's reference point.
     pitch : float, optional
         Pixel side, 1e-15 to 1e3 m; by default the camera's image pixel. Values are integrals over
         pixels.
@@ -80,22 +83,23 @@ def scene_point_spread(
         ``tol`` of its peak.
     model : {"scalar", "auto", "high-aperture"}
         ``scalar`` is the small-angle model. ``high-aperture`` is the vector diffraction of
-        unpolarised light (`point_spread`), for walls without roughness and lobes without slope; it
-        takes longer. ``auto`` takes it for such walls if ``model_error`` exceeds ``tol``.
+        unpolarised light (`point_spread`), for walls without roughness and with mirror-like lobes
+        of slope zero; it takes longer. ``auto`` uses it for such walls if ``model_error`` exceeds
+        ``tol``.
     progress : callable(str, float), optional
         Called with "wave aberration" and "point spread" at the start of each stage.
 
     Returns
     -------
     ScenePointSpread
-        Exit pupil, wave of the smooth wall, and point spread (ny, nx) in energy per pixel.
+        Exit pupil, wave in it, and point spread (ny, nx) in energy per pixel.
 
     Raises
     ------
     CausticError, NotWaveGradeError
         If the wave is undefined, or the wall's surface is not known accurately enough.
     SamplingError
-        If no transform reaches ``tol``, or none within a minute.
+        If no transform reaches ``tol`` within a minute.
     MemoryLimitError
         If the point spread's window would not fit into memory.
     SceneError
@@ -114,12 +118,16 @@ def scene_point_spread(
     refined until a transform reaches ``tol``. `simulate` uses the scalar model; `plan` says where
     its error exceeds ``tol``.
 
-    A wall with `Scene.wall_roughness` is treated in one of four regimes, which
-    ``point_spread.reason`` names. If the scene asks for the mean, it is computed in closed form.
-    Otherwise rays on the roughness give the wave aberration, where diffraction between wall and
-    pupil changes the result by less than ``tol``. Else the wall's field is propagated to the pupil.
-    If its phase screen does not fit into memory or would take more than a minute, the point spread
-    is computed by rays alone, without diffraction.
+    For a wall with `Scene.wall_roughness` one of four methods is used. ``point_spread.reason``
+    names it.
+
+    1. If the roughness has the realisation "mean", the mean over all walls of this roughness is
+       computed in closed form.
+    2. Otherwise, if diffraction between wall and pupil changes the result by less than ``tol``,
+       rays reflected by the rough surface give the wave aberration.
+    3. Otherwise the field on the wall is propagated to the pupil.
+    4. If the samples of this field do not fit into memory, or would take more than a minute, the
+       point spread is computed by rays alone, without diffraction.
 
     Examples
     --------

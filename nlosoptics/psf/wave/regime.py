@@ -36,7 +36,8 @@ class Regime:
     slope : float
         Largest gradient of the residual aberration, rad.
     reach : float
-        Largest distance along x or y at which rays of the residual land, Airy units (lambda N).
+        Largest distance from the centre, along x or y, at which rays meet the image plane once
+        piston and tilt are removed; Airy units (lambda N).
     slope_per_sample : float or None
         Largest change of the residual between neighbouring samples of the pupil, waves; for
         samples at irregular points, over their mean spacing. None for the layouts "polar" and

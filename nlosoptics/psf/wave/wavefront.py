@@ -53,7 +53,7 @@ LAYOUTS = ("polar", "cells", "grid", "scattered")
 class Wavefront(Noun, Shown):
     """Wave in the exit pupil: sampled aberration and amplitude, wavelength and pupil geometry.
 
-    Arrays are copied, float64 and read-only; all have the shape of the layout.
+    Arrays are copied, float64 and read-only. All have the same shape, which depends on ``layout``.
 
     Parameters
     ----------
@@ -67,7 +67,8 @@ class Wavefront(Noun, Shown):
     amplitude : ndarray
         Relative amplitude in the shape of u; 1 for a clear pupil.
     weights : ndarray
-        Pupil area of each node, m^2, in the shape of u; of edge cells only the part inside.
+        Pupil area that each node represents, m^2, in the shape of u. Grid cells at the pupil's
+        edge count only with the part inside.
     wavelength : float
         Vacuum wavelength, m.
     image_distance : float
@@ -77,7 +78,9 @@ class Wavefront(Noun, Shown):
     obscuration : float
         Inner radius of an annular pupil as a fraction of the outer.
     layout : {"polar", "cells", "grid", "scattered"}
-        Arrangement of the nodes.
+        Arrangement of the nodes, that is of the pupil points at which the wave is sampled: rings
+        ("polar"), patches of an `Aperture` ("cells"), a square grid ("grid") or arbitrary points
+        ("scattered").
     removed : Removed
         Terms that were subtracted from ``aberration``.
     aperture : Aperture, optional
@@ -294,8 +297,8 @@ class Wavefront(Noun, Shown):
         nodes : {"polar", "cells", "grid"}, optional
             Layout, as in `from_zernike`.
         samples : int or (int, int), optional
-            As in `from_zernike`. By default polar and cells nodes increase until they resolve the
-            functions or reach a limit; error estimates of PSFs include any truncation left.
+            As in `from_zernike`. By default, "polar" and "cells" nodes are added until they resolve
+            the functions or reach a limit. Error estimates of PSFs include what is unresolved.
         obscuration : float
             Inner radius of a ring as a fraction of the outer.
 
@@ -417,12 +420,12 @@ class Wavefront(Noun, Shown):
 
     @property
     def f_number(self) -> float:
-        """Working F-number ``|image_distance|/(2 pupil_radius)``, 1/(2 sin) of the half angle."""
+        """Working F-number, ``|image_distance|/(2 pupil_radius)``."""
         return abs(self.image_distance) / (2 * self.pupil_radius)
 
     @property
     def pupil_pitch(self) -> float:
-        """Spacing of the samples, m; for the grid layout only."""
+        """Spacing of the samples, m, for the layout "grid" only."""
         if self.layout != "grid":
             raise SamplingError(
                 f"a {self.layout} wavefront has no pupil pitch; sample it on a grid"
@@ -433,7 +436,7 @@ class Wavefront(Noun, Shown):
 
     @property
     def flux(self) -> float:
-        """Energy through the pupil relative to a clear disc of ``pupil_radius``."""
+        """Energy through the pupil, relative to that through a clear disc of ``pupil_radius``."""
         disc = np.pi * self.pupil_radius**2
         return float(np.sum(self.amplitude**2 * self.weights) / disc)
 
@@ -444,11 +447,11 @@ class Wavefront(Noun, Shown):
 
     @property
     def is_spectral(self) -> bool:
-        """Whether the nodes define a spectral series (polar and cells), so they can be refined."""
+        """Whether the nodes define a polynomial series, and so can be refined (polar, cells)."""
         return self.layout in ("polar", "cells")
 
     def nodes(self, *counts: int) -> tuple[Array, Array, Array]:
-        """Return the given number of nodes on the same pupil; for polar and cells layouts.
+        """Return a given number of nodes on the same pupil, for the layouts "polar" and "cells".
 
         Parameters
         ----------
@@ -467,14 +470,14 @@ class Wavefront(Noun, Shown):
         return polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
 
     def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
-        """Return the spectral series through values at the nodes; for polar and cells layouts."""
+        """Return the polynomial series through values at the nodes, for "polar" and "cells"."""
         self._require_spectral("have a series")
         if self.aperture is not None:
             return CellSpectrum(values, self.aperture)
         return PolarSpectrum(values, self.pupil_radius, self.obscuration)
 
     def resampled(self, *counts: int) -> Wavefront:
-        """Return the wave interpolated to more nodes by its series; for polar and cells layouts.
+        """Return the wave interpolated to more nodes, for the layouts "polar" and "cells".
 
         Parameters
         ----------
@@ -508,9 +511,10 @@ class Wavefront(Noun, Shown):
         )
 
     def truncation(self) -> tuple[float, float]:
-        """Estimate the truncation error of aberration, m, and amplitude, for polar and cells.
+        """Estimate how much of the aberration, m, and of the amplitude the nodes do not resolve.
 
-        The estimate is the sum (polar) or four times the rms (cells) of the highest series terms.
+        Only the layouts "polar" and "cells" have this estimate. It is the sum (polar) or four times
+        the rms (cells) of the highest terms of the polynomial series that the nodes define.
         """
         return (
             self.series(self.aberration).truncation(),

@@ -144,16 +144,17 @@ def _lost_rays(residual: Residual, pitch: float, shape: tuple[int, int]) -> floa
 
 
 def window_shape(wavefront: Wavefront, *, pitch: float, tol: float = 1e-3) -> int:
-    """Return the side of a window outside which the point spread stays below ``tol`` of its peak.
+    """Return the size of a window outside which the point spread stays below ``tol`` of its peak.
 
-    The window holds all rays. Beyond the outermost ray it extends until the diffraction tail in a
-    pixel falls below ``tol``. The tail of a round pupil is at most 2 lambda N/(pi^3 r^3) per area;
-    straight edges of an aperture make spikes.
+    The window contains all points at which rays arrive. Beyond the outermost ray it extends until
+    the diffraction tail in a pixel falls below ``tol``. The tail of a round pupil is at most 2
+    lambda N/(pi^3 r^3) per area; straight edges of an aperture cause spikes, which the window
+    contains too.
 
     Parameters
     ----------
     wavefront : Wavefront
-        Wave of any layout.
+        Wave with any ``layout`` of its nodes.
     pitch : float
         Pixel side, m.
     tol : float

@@ -40,13 +40,13 @@ def _nothing() -> Mapping[str, float]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RayPaths(Noun):
-    """Light paths through a scene, and the power balance of the light.
+    """Light paths through a scene, and the balance of the light's power.
 
     Parameters
     ----------
     points : ndarray, (n, k, 3)
-        Vertices of each path, world, m: the source, ``n_bounces`` reflections, the end. Shorter
-        paths repeat their end. Empty if paths were not kept.
+        Vertices of each path, world frame, m: the source, ``n_bounces`` reflections, the end.
+        Paths with fewer vertices than k repeat their end. Empty if paths were not kept.
     path_length : ndarray, (n,)
         Length from source to end, m; equal to the optical path in air.
     weight : ndarray, (n,)
@@ -54,7 +54,7 @@ class RayPaths(Noun):
     n_bounces : ndarray of int32, (n,)
         Number of reflections.
     status : ndarray of int8, (n,)
-        0: detected. 1: escaped from the scene. 2: absorbed, or not resolved. 3: left over when
+        0: detected. 1: escaped from the scene. 2: absorbed, or not resolved. 3: not finished when
         ``max_bounces`` was reached. 4: blocked at the lens, by missing the detector, by the field
         stop or by the lens's transmission.
     surface : ndarray of int8, (n, k)
@@ -62,12 +62,12 @@ class RayPaths(Noun):
         for the source, the end and repeated ends. Empty if unknown.
     lobe : ndarray of int8, (n, k)
         Lobe that reflects most of the path's light at each point, counted from 0 in the order of
-        the surface's material; -1 without a surface. Reflections in the exact direction of a
-        smooth mirror have its lobe. Empty if unknown.
+        the surface's material; -1 without a surface. A reflection in exactly the mirror direction
+        is assigned to the lobe of the smooth mirror. Empty if unknown.
     ledger : mapping of str to float
-        Power by fate, W: "detected", "escaped", "left" and "blocked" as in ``status``; "absorbed by
-        wall", "absorbed by object" and "absorbed by occluders"; and "unresolved", the power of rays
-        whose hit could not be resolved in float64.
+        Power by what happened to it, W: "detected", "escaped", "left" (status 3) and "blocked" as
+        in ``status``; "absorbed by wall", "absorbed by object" and "absorbed by occluders"; and
+        "unresolved", the power of rays whose hit could not be resolved in float64.
     ledger_error : mapping of str to float
         Standard errors of the ledger, W.
     flux : float
@@ -89,11 +89,12 @@ class RayPaths(Noun):
     stopped : {"rays", "tol", "time"}
         Limit that ended the tracing.
     uncertain : tuple of str
-        Values whose error is dominated by rare paths: ``"flux"``, ``"stray"`` or ``"bounce 4"``.
-        Their errors are widened, but may still be too small; trace more rays.
+        Names of values whose error is dominated by rare paths: ``"flux"``, ``"stray"`` or, for
+        four reflections, ``"bounce 4"``. Their errors are increased, but may still be too small;
+        trace more rays.
     unreached : tuple of str
-        Paths that rays find by chance only. The values may miss their light without showing it in
-        their errors.
+        Kinds of paths that rays find only by chance. The values may miss light on these paths, and
+        the errors may not show it.
     seconds : float
         Wall-clock time.
     queries : mapping of str to int

@@ -31,8 +31,9 @@ def pupil_rays(
     Parameters
     ----------
     scene : Scene
-        Its wall, smooth or a height map, reflects as a mirror of its exact shape. The material and
-        ``wall_roughness`` are ignored; `Scene.with_relief` adds the roughness to the wall.
+        Scene with a smooth wall or a height map, which reflects as a mirror of exactly this shape.
+        The material and ``wall_roughness`` are ignored; `Scene.with_relief` adds the roughness to
+        the wall.
     object_point : array_like, (3,), optional
         Object point, world, m; by default the hidden object's reference point.
     n_rays : int
@@ -44,10 +45,11 @@ def pupil_rays(
     -------
     RayPaths
         ``points`` (n_rays, 3, 3): object point, wall point, point in the plane of the lens. Rays
-        that miss the wall, or leave it away from the lens, repeat their last vertex.
+        that miss the wall, or are not reflected toward the lens, repeat their last vertex.
         ``status``: 0 for rays through the lens, 3 for rays that would meet the wall again, 1 for
         all others. ``weight``: power in W for a point source of 1 W/sr, without losses at wall and
-        lens. ``standard_error``: that of independent rays, which overestimates the error here.
+        lens. ``standard_error`` is the value for independent rays, which overestimates the error
+        of this regular fan.
 
     Raises
     ------

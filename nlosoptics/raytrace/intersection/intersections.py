@@ -40,9 +40,9 @@ class Hits(Noun):
         Unit normals toward the room, world; NaN without a hit.
     status : ndarray of int8, shape (...)
         0 (`HIT`): hit. 1 (`MISS`): no hit, the ray does not travel toward the mean plane.
-        2 (`OUTSIDE`): it does, but passes outside the wall's edges. 3 (`UNRESOLVED`): it touches
-        or grazes the wall, so that the hit is not resolved. 4 (`BEHIND`): it starts behind the
-        wall or arrives from its back.
+        2 (`OUTSIDE`): the ray travels toward that plane, but passes outside the wall's edges. 3
+        (`UNRESOLVED`): the ray touches or grazes the wall, so that the hit is not resolved. 4
+        (`BEHIND`): the ray starts behind the wall or arrives from behind.
 
     See Also
     --------
@@ -73,7 +73,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     wall : Wall
         Relay wall.
     origins : array_like, (..., 3)
-        Starts of the rays, world, m.
+        Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
         Directions, world, of any length but zero; shapes broadcast.
 
@@ -97,9 +97,11 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     Planes, spheres and cylinders have closed forms. On other walls the ray is marched. With f the
     height of the ray above the wall and M a bound on its second derivative along the ray, each
     step is the root s of f + f' s - M s^2/2. Such a step never passes a crossing, and near a
-    crossing it converges like Newton's method. On a wall of facets no step leaves its facet.
+    crossing it converges like Newton's method. On a wall of facets each step ends within its
+    facet.
 
-    A sum of walls without a size that has a curved term is searched up to 0.999 of its radius.
+    A `SumWall` without a size that contains a sphere or cylinder is searched up to 0.999 of its
+    radius.
 
     Examples
     --------

@@ -40,7 +40,8 @@ class MeshHits(Hits):
     points : ndarray, shape (..., 3)
         Hit points, world, m; NaN without a hit.
     normals : ndarray, shape (..., 3)
-        Unit normals of the triangles, on the side of the ray, world; NaN without a hit.
+        Unit normals of the triangles, on the side from which the ray comes, world frame; NaN
+        without a hit.
     status : ndarray of int8, shape (...)
         0 (`HIT`) or 1 (`MISS`).
     triangle : ndarray of int32, shape (...)
@@ -73,17 +74,17 @@ def intersect_mesh(
     mesh : trimesh.Trimesh
         Triangle mesh, world, m. Its search structures are cached until it changes or is deleted.
     origins : array_like, (..., 3)
-        Starts of the rays, world, m.
+        Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
         Directions, world, of any length but zero; shapes broadcast.
     min_distance : float
-        Hits nearer than this are ignored, m; for rays that start on the mesh.
+        Hits at a smaller distance are ignored, m; useful for rays that start on the mesh.
 
     Returns
     -------
     MeshHits
-        First hits, in the planes of the triangles to float64 rounding. Edges and vertices belong
-        to their triangles.
+        First hits. They lie in the planes of the triangles to float64 rounding. A ray through an
+        edge or a vertex hits one of the adjacent triangles.
 
     Raises
     ------
@@ -92,13 +93,13 @@ def intersect_mesh(
 
     Notes
     -----
-    In meshes of more than 256 triangles, a ray may be given the wrong triangle, or none, where
-    distances are below 1e-6 of the mesh's extent: between two sheets that are this close, and where
-    the ray passes this close to the outline of a part, its sharp corners included. Smaller meshes
-    have no such cases.
+    In meshes of more than 256 triangles, a ray may be assigned the wrong triangle, or none, where
+    distances are below 1e-6 of the mesh's extent. This concerns two sheets that are so close to
+    each other, and rays that pass so close to the outline of a part or to its sharp corners.
+    Smaller meshes have no such cases.
 
-    A ray that starts on a triangle may miss it, or hit it at a distance of rounding size. Give
-    ``min_distance`` to ignore such hits. Other triangles are not affected.
+    A ray that starts on a triangle may miss it, or hit it at a distance of the order of rounding
+    errors. Give ``min_distance`` to ignore such hits. Other triangles are not affected.
 
     See Also
     --------
@@ -183,7 +184,7 @@ def all_hits(
     mesh : trimesh.Trimesh
         Triangle mesh, world, m. Its search structures are cached until it changes or is deleted.
     origins : array_like, (..., 3)
-        Starts of the rays, world, m.
+        Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
         Directions, world, of any length but zero; shapes broadcast.
     min_distance : float
@@ -207,9 +208,9 @@ def all_hits(
     Notes
     -----
     Hits from the same side at the same distance, to rounding, count once. This applies to a ray
-    through a shared edge or vertex and to coincident sheets. A ray that only touches an outline
-    enters and leaves there, which counts twice. A ray from outside a closed mesh therefore has an
-    even number of hits. A triangle whose plane contains the ray is not hit.
+    through a shared edge or vertex and to coincident sheets. Where a ray only touches an outline,
+    it enters and leaves the mesh there, which counts as two hits. A ray from outside a closed mesh
+    therefore has an even number of hits. A triangle whose plane contains the ray is not hit.
     """
     nearest = in_range("min_distance", min_distance, 0.0, unit="m")
     o, d, _ = flat_rays(origins, directions)
@@ -233,8 +234,8 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
         Triangle mesh, world, m.
     origins, targets : array_like, (..., 3)
         Ends of the lines, world, m; shapes broadcast. Both may lie on the mesh: intersections
-        within 1e-9 of half the mesh's extent of an end, or within the rounding of its coordinates,
-        are ignored.
+        closer to an end than 1e-9 of half the mesh's extent, or than the rounding of the
+        coordinates, are ignored.
 
     Returns
     -------

@@ -32,12 +32,13 @@ AIMED: Final = ((0.75, 0.75), (0.5, 0.25))
 
 @dataclass(frozen=True, kw_only=True)
 class RayPlan:
-    """Steps needed to trace a scene, known before tracing; ``str(plan)`` gives the reasons.
+    """Intersection tests and strategies needed to trace a scene; ``str(plan)`` gives the reasons.
 
     Parameters
     ----------
     wall_hits : {"closed form", "march", "python"}
-        Method to intersect rays with the wall.
+        Method to intersect rays with the wall: in closed form, by marching along the ray in
+        compiled code, or by marching in Python (`CallableWall`).
     embree : bool
         Whether the scene has triangles: a mesh as hidden object, or occluders.
     wall_to_wall : bool
@@ -49,11 +50,12 @@ class RayPlan:
         Whether wall or object has a microfacet or Ward lobe. Such a lobe requires three sampling
         strategies instead of one.
     chains : bool
-        Whether light that mirror-like lobes of wall and object reflect in a row is traced by
-        solving for its reflection points.
+        Whether light that mirror-like lobes of wall and object reflect one after the other is
+        traced by solving for its reflection points.
     unreached : tuple of str
-        Paths that only rays find which happen to meet the lens, and the reasons. `trace` refuses
-        ``tol`` if there are any, because its error may not contain them.
+        Kinds of paths that rays find only if they happen to meet the lens, and the reasons. If
+        there are any, `trace` does not accept ``tol``, because its error estimate may not include
+        their light.
 
     See Also
     --------
@@ -133,9 +135,10 @@ def ray_plan(scene: Scene) -> RayPlan:
 
     Notes
     -----
-    A flat or convex wall cannot illuminate itself. A concave sphere or cylinder can. The room
-    inside it is convex, so that it does not block lines between points there. Its rim may block
-    lines to points outside that room. Walls of other shapes can do both.
+    A flat or convex wall cannot illuminate itself. A concave sphere or cylinder can. The space
+    inside it is convex, so that it does not block lines between points in this space. Its rim may
+    block lines to points outside. Walls of other shapes can both illuminate themselves and block
+    lines.
 
     Examples
     --------

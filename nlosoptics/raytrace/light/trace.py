@@ -55,7 +55,7 @@ def trace(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> RayPaths:
-    """Trace the laser's light by Monte Carlo until it is detected, absorbed or has escaped.
+    """Trace the laser's light by Monte Carlo until it is detected, absorbed or leaves the scene.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def trace(
     keep_paths : bool
         Keep vertices, lobes, lengths and powers of single paths, for example to plot them: all
         paths with ``analog``, else the detected ones. Otherwise memory does not grow with the
-        number of rays. With ``tol`` or ``max_seconds``, also give an ``n_rays`` whose paths fit
-        into memory.
+        number of rays. With ``tol`` or ``max_seconds``, also give ``n_rays``, so small that the
+        paths fit into memory.
     analog : bool
         Trace rays as physical light propagates, without connections to object and lens and without
         Russian roulette. This is slow, but `RayPaths.ledger` then adds up to the laser's power
@@ -112,16 +112,17 @@ def trace(
     errors are those of the mean over the 32 groups, times ``sqrt(31/29)`` for the variance of
     Student's distribution. They are infinite for fewer than 4 rays.
 
-    Mirror-like lobes of wall and object can reflect light in a row, which connections cannot find
-    if the lobes are narrow. Such chains are traced by solving for their reflection points: Newton
-    steps lead from a vertex to a point of the lens, and the Jacobian gives the power (Hanika et
-    al., Manifold next event estimation, 2015). On walls that may have several solutions, starts
-    are random and weighted without bias (Zeltner et al., Specular manifold sampling, 2020). Each
-    path is split by the lobes that reflect it, so that no light is counted twice. `ray_plan` lists
-    the paths that remain to chance; with ``tol`` they are refused.
+    Mirror-like lobes of wall and object can reflect light one after the other. Connections cannot
+    find such paths if the lobes are narrow. Such chains are traced by solving for their reflection
+    points: Newton steps lead from a vertex to a point of the lens, and the Jacobian gives the
+    power (Hanika et al., Manifold next event estimation, 2015). On walls that may have several
+    solutions, the starting points are random, and the weights keep the estimate unbiased (Zeltner
+    et al., Specular manifold sampling, 2020). Each path is split by the lobes that reflect it, so
+    that no light is counted twice. `ray_plan` lists the kinds of paths that rays still find only
+    by chance; ``tol`` is refused for scenes that have any.
 
-    Errors are widened where the groups are skewed, because rare paths then dominate them; the
-    result's ``uncertain`` names these values.
+    If the distribution over the groups is skewed, rare paths dominate the error, and it is
+    increased; ``uncertain`` names these values.
 
     See Also
     --------

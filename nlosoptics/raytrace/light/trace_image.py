@@ -199,7 +199,8 @@ def trace_image(
         Exposure time, s; by default the camera's.
     analog : bool
         Trace rays as physical light propagates, without connections to object and lens and without
-        Russian roulette. This is slow, but independent of all these techniques.
+        Russian roulette. This is slow, but serves as a check that does not depend on these
+        techniques.
     sampler : {"sobol", "philox"}
         Scrambled Sobol points in 32 independent groups, or independent random numbers.
     seed : int
@@ -231,19 +232,19 @@ def trace_image(
 
     Notes
     -----
-    The estimate is that of `trace`: for the same options, ``paths`` is its result, and the sums
-    over pixels and bins agree with it to rounding. A ray that enters the lens at any point of the
-    stop is imaged by an ideal thin lens: the point where it crosses the plane in focus is projected
-    through the centre of the lens onto the detector. Walls and objects out of focus are blurred
-    accordingly. Path lengths end at the point where the light enters the lens.
+    The estimate is that of `trace`. For the same options, ``paths`` is the result of `trace`, and
+    the sums over pixels and bins agree with it to rounding. A ray that enters the lens at any
+    point of the stop is imaged by an ideal thin lens: the point where it crosses the plane in
+    focus is projected through the centre of the lens onto the detector. Walls and objects out of
+    focus are blurred accordingly. Path lengths end at the point where the light enters the lens.
 
-    Standard errors come from 32 groups of rays. A pixel that bright light barely touches, such as
-    at the edge of a letter seen in a mirror, is hit by this light rarely. Its value and its error
-    are then too small until enough rays have found the light.
+    Standard errors come from 32 groups of rays. Only few rays carry bright light to a pixel at the
+    edge of a bright area, such as a letter seen in a mirror. Its value and its error are then too
+    small until enough rays have hit it.
 
     `imaging.form_image` computes the same image from point spreads. It takes the lens as small and
-    the laser spot as a point, includes diffraction and glare, and stops at three reflections. Rays
-    have none of these limits, but no diffraction.
+    the laser spot as a point, includes diffraction and glare, and stops at three reflections. The
+    ray trace has none of these limits, but no diffraction.
 
     Examples
     --------

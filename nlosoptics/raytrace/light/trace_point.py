@@ -126,8 +126,8 @@ def trace_point(
         hidden image (-z for a mesh), or equal in all directions.
     mirror_image : bool
         Whether to include light that reaches the lens by one reflection at the wall's mirror-like
-        lobes. It forms the mirror image of the point. `psf.hybrid_point_spread` excludes it here
-        and computes it from waves.
+        lobes. It forms the mirror image of the point. `psf.hybrid_point_spread` sets this to False
+        and computes that light from waves instead.
     pitch : float, optional
         Side of a pixel, m; by default that of the camera's image pixels.
     shape : (int, int), optional
@@ -139,8 +139,8 @@ def trace_point(
         Number of rays for the flux, and again for all pixels together; each pixel gets at least
         16 and at most 65536.
     max_bounces : int
-        Largest number of reflections at the wall, 1 to 64. More than one occur only on walls that
-        see themselves.
+        Largest number of reflections at the wall, 1 to 64. More than one occurs only on walls that
+        can illuminate themselves.
     seed : int
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bitwise identical results
         for any number of threads.
@@ -168,20 +168,21 @@ def trace_point(
     -----
     Flux: light vertices are spread uniformly over the wall (on a wide wall, in proportion to the
     point's emission) and connected to points of the lens. With a glossy lobe, half of the rays are
-    aimed at the part of the wall in which the lens sees the point mirrored. The balance heuristic
-    then weights the connections and the rays that reach the lens by scattering (Veach 1997, ch. 9).
-    Smooth mirrors get additional rays, aimed at their mirror image.
+    aimed at the part of the wall in which the mirror image of the point is seen from the lens. The
+    balance heuristic then weights the connections and the rays that reach the lens by scattering
+    (Veach 1997, ch. 9). Smooth mirrors get additional rays, aimed at their mirror image.
 
-    Pixels: light of one reflection at mirror-like lobes is taken from the rays of the flux. For all
-    other light, each pixel has its own rays from the lens into its field of view. They are
-    connected to the point and to vertices of its light. A wall out of focus is blurred: the point
-    where a ray meets the plane in focus is projected through the centre of the lens.
+    Pixels: light of one reflection at mirror-like lobes is taken from the rays of the flux. For
+    all other light, separate rays are traced from the lens into the field of view of each pixel.
+    They are connected to the point and to vertices of its light. A wall out of focus is blurred:
+    the point where a ray meets the plane in focus is projected through the centre of the lens.
 
-    Limits: the hidden object does not block light. On walls that see themselves, paths over two or
-    more mirror-like reflections are found by chance; if one of the lobes is glossy rather than
-    smooth, single pixels are far noisier than the others. If the point is much closer to the wall
-    than the width of a pixel there, the rays of a pixel may miss its light and report no error. The
-    sum of ``energy`` and ``missed`` is then far below ``flux``.
+    Limits: the hidden object does not block light. On walls that can illuminate themselves, paths
+    with two or more mirror-like reflections are found only by chance; if one of the lobes is
+    glossy rather than smooth, single pixels are far noisier than the others. If the point is much
+    closer to the wall than the width of a pixel there, the rays of a pixel may miss the light of
+    the point, and the error does not show it. The sum of ``energy`` and ``missed`` is then far
+    below ``flux``.
 
     Examples
     --------

@@ -33,14 +33,14 @@ class Material:
         -------
         ndarray, (n, 4)
             One row per lobe: its kind, from `LAMBERT` to `WARD_BOUNDED` of `kernels.codes`; its
-            strength, an albedo or reflectance; its slope rms or alpha, rad; and a factor of the
-            whole lobe, 1 unless the lobe is normalised.
+            albedo or reflectance; its slope rms or alpha, rad; and a factor on the whole lobe,
+            which is 1 unless the lobe is normalised.
         """
         raise NotImplementedError
 
     @property
     def specular_reflectance(self) -> float:
-        """Share of the incident power that mirror-like lobes reflect, 0 to 1.
+        """Fraction of the incident power that mirror-like lobes reflect, 0 to 1.
 
         A lobe is mirror-like up to a slope rms of 0.1 rad, which spreads the reflected light by
         11 deg. Rougher lobes form no useful image and count as diffuse.
@@ -98,9 +98,9 @@ class Material:
         Returns
         -------
         ndarray, (...)
-            Density per solid angle. It integrates over the whole sphere to 1 minus the share of
-            lobes of zero slope, since facets can reflect a sample below the surface. Zero where
-            the incident direction is below the surface.
+            Density per solid angle. Its integral over the whole sphere, not the hemisphere, is 1
+            minus the share of lobes of zero slope, since facets can reflect a sample below the
+            surface. Zero where the incident direction is below the surface.
 
         Raises
         ------
@@ -165,7 +165,7 @@ class Material:
         return exitant.reshape(shape), weight.reshape(shape[:-1])
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the directional albedo: the reflected share of light incident at ``theta``.
+        """Return the directional albedo: the fraction reflected of the power incident at ``theta``.
 
         Parameters
         ----------
@@ -175,9 +175,9 @@ class Material:
         Returns
         -------
         ndarray, (...)
-            Reflected share, in the shape of ``theta``: in closed form where one exists, otherwise
-            by quadrature with an error of about 1e-9, or 1e-16/(s cos theta)^2 if larger, for a
-            mirror-like lobe of slope rms s.
+            Reflected fraction, in the shape of ``theta``: in closed form where one exists,
+            otherwise by quadrature with an error of about 1e-9, or 1e-16/(s cos theta)^2 if
+            larger, for a mirror-like lobe of slope rms s.
 
         Raises
         ------
@@ -210,7 +210,10 @@ class MirrorLobe(Material):
 
     @property
     def diffuse(self) -> Material | None:
-        """Diffuse part of the material: the lobe itself, or None if the lobe is mirror-like."""
+        """Diffuse part of the material: the lobe itself if it counts as diffuse, otherwise None.
+
+        A lobe counts as diffuse if its slope rms exceeds 0.1 rad.
+        """
         return None if self.slope_rms <= MIRROR_SLOPE else self
 
 

@@ -25,12 +25,13 @@ class Camera:
     focal_length : float
         Focal length of the thin lens, m.
     stop_diameter : float
-        Clear diameter of the lens, that of its entrance pupil, m. See the Notes for the F-number.
+        Clear diameter of the lens, which is the diameter of its entrance pupil, m. The Notes
+        relate it to the F-number.
     pixel_pitch : float
         Side of a native pixel, m, 1e-12 to 1.
     pixels : (int, int)
-        Native pixels read out in x and y: the whole sensor, or a region of interest centred on the
-        optical axis.
+        Number of native pixels that are read out in x and y: the whole sensor, or a region of
+        interest centred on the optical axis.
     binning : int, default 8
         Native pixels summed along each side of an image pixel. With the default, 512 x 512 native
         pixels give an image of 64 x 64; 1 keeps every native pixel.
@@ -52,7 +53,7 @@ class Camera:
         Axial distance from the lens to the plane in focus, m; None focuses on the mirror image of
         the hidden object.
     glare_fraction : float
-        Share of the laser spot's light through the lens that spreads evenly over the sensor.
+        Fraction of the laser spot's light in the lens that is scattered evenly over the sensor.
     field_stop : float or None
         Full angle, rad, of a round baffle in front of the lens. Light from outside this cone, for
         example from the laser spot, causes neither signal nor glare. None for no baffle.

@@ -35,15 +35,17 @@ class MaterialValue:
     Parameters
     ----------
     address : str
-        Address below the material, such as "[1].slope_rms".
+        Address of the value within the material, such as "[1].slope_rms" for the slope of its
+        second lobe.
     value : float
         Value, in rad for a slope.
     low, high : float
-        Ends of the spread: what a sample of this name may have.
+        Smallest and largest value to expect for a real surface of this name.
     basis : str
         "published", "fitted", "computed" or "estimate".
     source : str
-        Publication with table and kind of light, or how the value was estimated.
+        Publication, with the table in it and the kind of light used, or how the value was
+        estimated.
 
     See Also
     --------
@@ -59,7 +61,7 @@ class MaterialValue:
 
     @property
     def key(self) -> str:
-        """Key of the value in its lobe's table, such as "slope_rms"."""
+        """Key of the value in the table of its lobe in a scene file, such as "slope_rms"."""
         return self.address.partition(".")[2]
 
     @property
@@ -79,11 +81,11 @@ class NamedMaterial:
     what : str
         Surface that it describes.
     note : str
-        Restrictions; may be empty.
+        Restrictions on the use of the material; may be empty.
     material : Material
         Its lobes.
     values : tuple of MaterialValue
-        Each value with spread and source.
+        Values of all lobes, each with its spread and source.
 
     See Also
     --------
@@ -98,7 +100,7 @@ class NamedMaterial:
 
     @property
     def is_estimate(self) -> bool:
-        """Whether no value of the material is published, fitted or computed."""
+        """Whether all values of the material are estimates."""
         return all(value.basis == "estimate" for value in self.values)
 
     def __str__(self) -> str:
@@ -136,7 +138,7 @@ def material_library() -> Mapping[str, NamedMaterial]:
 
 
 def named_material(name: str) -> Material:
-    """Return the material of a name such as "whiteboard", with published or estimated values.
+    """Return the library's material with the given name, such as "whiteboard".
 
     Parameters
     ----------

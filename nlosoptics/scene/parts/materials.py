@@ -79,7 +79,10 @@ class Lambert(Material):
         return np.array([[LAMBERT, self.rho, 0.0, 1.0]])
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the share of power that is reflected, here the same for each ``theta``, rad."""
+        """Return the fraction of the incident power that is reflected.
+
+        It is ``rho`` for every angle of incidence ``theta`` (...), rad, in the shape of ``theta``.
+        """
         return np.full(check_angle(theta).shape, self.rho)
 
 
@@ -145,10 +148,9 @@ class OrenNayar(Material):
         return max(1.0, _largest_albedo(self.rho, self.slope_rms, self.model))
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the share of the power incident at ``theta``, rad, that is reflected.
+        """Return the reflected fraction of power incident at ``theta``; see `Material.albedo`.
 
-        `Material.albedo` describes the parameters. The model ``"fit"`` has a closed form; the
-        model ``"full"`` is integrated numerically.
+        The model ``"fit"`` has a closed form; the model ``"full"`` is integrated numerically.
         """
         t = check_angle(theta)
         if self.model == "full":
@@ -221,7 +223,7 @@ class SpecularMicrofacet(MirrorLobe):
         return self.reflectance if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the share of the power incident at ``theta``, rad, that is reflected."""
+        """Return the reflected fraction of power incident at ``theta``; see `Material.albedo`."""
         t = check_angle(theta)
         if self.slope_rms == 0.0:
             return np.full(t.shape, self.reflectance)
@@ -268,9 +270,9 @@ class Ward(MirrorLobe):
     bounded 0.368 0.840 0.990
     ======= ===== ===== =====
 
-    Toward grazing incidence the albedo of the first two grows without limit. Where it exceeds 1
-    depends on alpha: at the earliest at about 82 deg for "duer", and at 89.7 deg for "1992". Only
-    "bounded" conserves energy.
+    Toward grazing incidence the albedo of the first two grows without limit. The angle beyond
+    which it exceeds 1 depends on alpha; it is at least about 82 deg for "duer", and 89.7 deg for
+    "1992". Only "bounded" conserves energy.
 
     References
     ----------
@@ -310,7 +312,7 @@ class Ward(MirrorLobe):
         return self.rho if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the share of the power incident at ``theta``, rad, that is reflected."""
+        """Return the reflected fraction of power incident at ``theta``; see `Material.albedo`."""
         t = check_angle(theta)
         return directional_albedo(t, lambda a: over_slopes(self, a, self.slope_rms, smooth=False))
 
@@ -386,5 +388,5 @@ class SumMaterial(Material):
         return SumMaterial(*parts) if parts else None
 
     def albedo(self, theta: ArrayLike) -> Array:
-        """Return the share of the power incident at ``theta``, rad, that all summands reflect."""
+        """Return the sum of the reflected fractions of all summands; see `Material.albedo`."""
         return np.asarray(sum(part.albedo(theta) for part in self.parts))

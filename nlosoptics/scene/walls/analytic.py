@@ -146,7 +146,7 @@ class Wall(Noun):
         return out.reshape(*x.shape, 6)
 
     def surface_values(self, x: Array, y: Array) -> Array:
-        """Return `derivatives` at points (n,), (n, 6), with NaN where the wall has no height.
+        """Return `derivatives`, (n, 6), at n points, with NaN where the wall has no height.
 
         Parameters
         ----------
@@ -207,7 +207,8 @@ class Wall(Noun):
         -----
         The cell side c follows from the bound b on the second derivatives: every point of half a
         cell is within c / sqrt(2) of the midpoint of its longest side, so that the distance to the
-        surface is at most b c^2 / 4. Facets of gradients up to g add at most g c / sqrt(2).
+        surface is at most b c^2 / 4. On a wall of plane facets with slopes up to g, the error is
+        larger by at most g c / sqrt(2).
         """
         import trimesh
 
@@ -475,7 +476,7 @@ class SumWall(Wall):
     Raises
     ------
     SceneError
-        If a summand is no wall, or is a `CallableWall`.
+        If a summand is not a wall, or is a `CallableWall`.
 
     See Also
     --------

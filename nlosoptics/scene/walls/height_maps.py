@@ -120,8 +120,8 @@ class HeightMapWall(Wall):
         Parameters
         ----------
         height_rms : float
-            Height rms of the ensemble, m. The rms of a single wall deviates from it by about
-            ``correlation_length / size``, relative.
+            Height rms of the ensemble, m. The rms of a single wall deviates from it by a fraction
+            of about ``correlation_length / size``.
         correlation_length : float
             Lag l at which the autocorrelation has fallen to 1/e, m; at least two pitches.
         size : float or (float, float)
@@ -245,7 +245,7 @@ class HeightMapWall(Wall):
 
     @property
     def finest_period(self) -> float:
-        """Shortest period that the grid is taken to resolve: four pitches, m."""
+        """Shortest period that the grid is assumed to resolve: four pitches, m."""
         return 4 * self.pitch
 
     @property
@@ -315,7 +315,7 @@ class CallableWall(Wall):
     hessian : callable, optional
         ``hessian(x, y)`` returns (d2h/dx2, d2h/dxdy, d2h/dy2), 1/m. By default it is computed by
         central differences of the gradient with a step of 1e-5 of the finest period, or 1e-5 m if
-        that is infinite.
+        the finest period is infinite.
     size : float or (float, float), optional
         Full extent in x and y, m; None for an unbounded wall.
     max_height : float

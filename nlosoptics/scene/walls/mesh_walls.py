@@ -145,7 +145,7 @@ class MeshWall(Wall):
             )
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the fitted bicubic surface as a row and a table; see `Wall.compiled`."""
+        """Return the fitted surface as the arrays described in `Wall.compiled`."""
         return self._fit[0], self._fit[1]
 
     @property
@@ -162,9 +162,9 @@ class MeshWall(Wall):
     def mesh_error(self) -> float:
         """Mean distance in z between the triangles and the fitted surface, m.
 
-        It is the height error of a ray's hit on a triangle; the path of a reflected ray errs by
-        twice as much. For a square grid of pitch h and a radius of curvature R it is h^2/(6R), the
-        mean sag of a paraboloid over a right triangle.
+        This is the height error if rays are intersected with the triangles; the error of a
+        reflected ray's path length is twice as large. For a square grid of pitch h and a radius of
+        curvature R it is h^2/(6R), the mean sag of a paraboloid over a right triangle.
         """
         corners = np.asarray(self.triangles.triangles, dtype=np.float64)
         first, second = (corners[:, i, :2] - corners[:, 0, :2] for i in (1, 2))
@@ -201,7 +201,7 @@ class MeshWall(Wall):
 
     @property
     def finest_period(self) -> float:
-        """Shortest period that the surface is taken to resolve: eight of its cells, m."""
+        """Shortest period that the surface is assumed to resolve: eight of its cells, m."""
         return 8 * float(max(self._fit[0][0, 3], self._fit[0][0, 4]))
 
 

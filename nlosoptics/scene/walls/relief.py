@@ -98,7 +98,7 @@ class _Relief(Wall):
 
 @dataclass(frozen=True)
 class FacetWall(_Relief):
-    """Wall of plane random facets: the triangles of an equilateral lattice with random nodes.
+    """Wall of plane random facets: equilateral triangles whose corners have random heights.
 
     Parameters
     ----------
@@ -127,9 +127,9 @@ class FacetWall(_Relief):
     -----
     Node heights are independent Gaussian draws of rms s_n. On triangles of side c the slopes per
     axis have the rms ``sqrt(2) s_n / c``, and heights the rms s_n at a node, s_n/sqrt(3) in the
-    middle of a facet and s_n/sqrt(2) over the area. The draw of a node depends only on the seed and
-    its indices, and the position of the lattice only on the seed; it is uniform, so that the
-    ensemble of all seeds is stationary.
+    middle of a facet and s_n/sqrt(2) over the area. The height of a node depends only on the seed
+    and the node's indices, and the position of the lattice only on the seed. Positions are
+    uniformly distributed, so that the ensemble of all seeds is stationary.
 
     See Also
     --------
@@ -221,10 +221,10 @@ class GaussianWall(_Relief):
     Notes
     -----
     Independent normal draws on a square lattice of pitch l/2 are convolved with the kernel
-    ``exp(-2 r^2/l^2)``. The draw of a node depends only on the seed and its indices, and the
-    position of the lattice only on the seed. For one position the variance ripples by 2e-4,
-    relative, with the period of the lattice. Positions are uniform, so that the ensemble of all
-    seeds is stationary and has the stated autocorrelation exactly.
+    ``exp(-2 r^2/l^2)``. The draw at a node depends only on the seed and the node's indices, and
+    the position of the lattice only on the seed. For one position, the variance varies by 2e-4 of
+    its value with the period of the lattice. Positions are uniformly distributed, so that the
+    ensemble of all seeds is stationary and has the stated autocorrelation exactly.
 
     See Also
     --------

@@ -25,7 +25,8 @@ SAME = 1e-9  # relative difference of slopes that count as equal
 class WallRoughness(Noun):
     """Roughness of the relay wall: heights that are added to the mean wall.
 
-    The roughness carries the slope of the wall's mirror-like lobes, so that none is counted twice.
+    The roughness replaces the slopes of the wall's mirror-like lobes, so that no slope is counted
+    twice.
 
     Parameters
     ----------
@@ -33,8 +34,9 @@ class WallRoughness(Noun):
         Heights relative to the mean wall, without a size of their own. A height map must cover the
         wall.
     realisation : {"pattern", "mean"}
-        One surface, that of the seed or height map, or the mean over all surfaces of this
-        roughness. For rays the mean is a microfacet lobe of the same slope rms on the mean wall.
+        "pattern" is one surface, that of the seed or height map. "mean" is the mean over all
+        surfaces of this roughness; for rays it is a microfacet lobe of the same slope rms on the
+        mean wall.
 
     Raises
     ------
@@ -47,8 +49,9 @@ class WallRoughness(Noun):
 
     Notes
     -----
-    The lobe has Gaussian slopes and is the limit of short waves: it holds where the heights exceed
-    the wavelength. For the mean of a height map its slopes are taken as Gaussian.
+    The microfacet lobe has Gaussian slopes and belongs to geometrical optics: it is valid if the
+    heights exceed the wavelength. A height map with the realisation "mean" is treated as if its
+    slopes were Gaussian.
 
     Examples
     --------
@@ -130,7 +133,7 @@ class WallRoughness(Noun):
                 )
 
     def check_wall(self, wall: Wall) -> None:
-        """Check that the heights can be added to the mean wall; for the mean, nothing is added.
+        """Check that the heights can be added to the mean wall; with "mean", nothing is added.
 
         Parameters
         ----------
@@ -174,10 +177,10 @@ class WallRoughness(Noun):
         Returns
         -------
         wall : Wall
-            For a pattern, the sum of mean wall and heights; otherwise the mean wall.
+            For "pattern", the sum of mean wall and heights; for "mean", the mean wall.
         material : Material
-            Material whose mirror-like lobes have slope zero for a pattern, and otherwise the slope
-            rms of the roughness.
+            Material whose mirror-like lobes have slope zero for "pattern", and the slope rms of
+            the roughness for "mean".
         """
         self.check_wall(wall)
         if self.realisation == "mean":

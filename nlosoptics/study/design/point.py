@@ -81,7 +81,8 @@ class StudyPoint:
     base : Base
         Base scene of the study.
     delta : mapping of str to value
-        Values of this point by address.
+        Values of the scene that this point changes, by address (table and key of the scene file,
+        such as "wall.radius").
     seed : int
         Seed of this point, which depends on its values only.
     tol : float
@@ -94,7 +95,7 @@ class StudyPoint:
     seed : int
         Seed for random numbers of a figure of merit.
     tol : float
-        Error tolerance of point spreads.
+        Error tolerance of point spreads, max |dI|/max I.
     base : Base
         Base scene of the study.
 
@@ -118,15 +119,18 @@ class StudyPoint:
         self.warnings: dict[str, None] = {}
 
     def value(self, address: str) -> Any:
-        """Return the value at an address, as a scene file holds it; None if there is none."""
+        """Return the value at an address, written as in a scene file; None if there is none."""
         return value_at(changed(self.base.tables, self._delta), address)
 
     def changed(self, delta: Mapping[str, Any]) -> StudyPoint:
-        """Return the point with other values at some addresses, and with the same seed."""
+        """Return a copy of the point with other values at some addresses and the same seed."""
         return StudyPoint(self.base, {**self._delta, **delta}, self.seed, self.tol, self._caches)
 
     def adjusted(self, key: str, make: Callable[[], StudyPoint]) -> StudyPoint:
-        """Return the point after a compensation, which ``make`` computes once for each key."""
+        """Return the point with its compensators adjusted.
+
+        ``make`` computes it at the first call with ``key``; later calls return the same point.
+        """
         if key not in self._adjusted:
             self._adjusted[key] = make()
         return self._adjusted[key]
@@ -139,7 +143,10 @@ class StudyPoint:
 
     @property
     def point_spread(self) -> ScenePointSpread:
-        """Wave and point spread at the object's reference point, shared where nothing differs."""
+        """Wave and point spread at the object's reference point.
+
+        Points that differ only in values that a point spread does not depend on share it.
+        """
         from ... import psf
 
         key = point_spread_key(self._delta)

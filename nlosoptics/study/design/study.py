@@ -93,20 +93,22 @@ def _with_unit(one: Figure, base: Base, units: Mapping[str, str]) -> Figure:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Study(Noun):
-    """Figures of merit over the points of a design.
+    """Design study: figures of merit, to be computed at every point of a design.
 
-    Use `load` or `from_tables`.
+    Make one with `load` or `from_tables`.
 
     Parameters
     ----------
     definition : dict
         Tables of the study file.
     folder : Path
-        Folder of the study file, in which the user's own functions are looked for.
+        Folder of the study file, which is searched for figures of merit that are functions of the
+        user.
     base : Base
         Base scene with the changes of the table ``set``.
     dimensions : tuple of Dimension
-        Dimensions of the design; the points are their product, the last one running fastest.
+        Dimensions of the design. The points are all combinations of their steps, in C order: the
+        last dimension changes fastest.
     figures : tuple of Figure
         Figures of merit.
     tol : float
@@ -114,8 +116,9 @@ class Study(Noun):
     seed : int
         Seed of the draws, the points and a search.
     variables : tuple of Variable
-        Values that a search may change; empty without one. Its points so far are the first
-        dimension, "trial".
+        Values that a search (table ``optimise`` or ``inverse_sensitivity``) may change; empty
+        without a search. The points that the search has chosen so far are the first dimension,
+        "trial".
 
     See Also
     --------
@@ -213,12 +216,12 @@ class Study(Noun):
 
     @cached_property
     def table(self) -> StudyTable:
-        """Checked tables of the study file."""
+        """Tables of the study file, after checks and with defaults filled in."""
         found: StudyTable = validated(StudyTable, self.definition)
         return found
 
     def with_trials(self, deltas: Iterable[Delta]) -> Study:
-        """Return the study with other points of its search."""
+        """Return a copy of the study with the given points as the trials of its search."""
         first, *others = self.dimensions
         return replace(self, dimensions=(replace(first, deltas=tuple(deltas)), *others))
 
@@ -232,9 +235,9 @@ class Study(Noun):
         return int(np.prod(self.shape))
 
     def delta(self, index: int) -> dict[str, Any]:
-        """Return the values of a point by address.
+        """Return the values of the scene that a point changes, by address.
 
-        Points are counted from 0; the last dimension runs fastest.
+        Points are counted from 0 in C order: the last dimension changes fastest.
         """
         index = whole("index", index, 0, len(self) - 1)
         steps = np.unravel_index(index, self.shape)
@@ -244,7 +247,7 @@ class Study(Noun):
         return found
 
     def scene(self, index: int) -> Scene:
-        """Return the scene of a point, counted from 0 in the product's order.
+        """Return the scene of a point. Points are counted from 0 in C order of the dimensions.
 
         Parameters
         ----------
@@ -254,7 +257,7 @@ class Study(Noun):
         return self.base.scene(self.delta(index))
 
     def figure(self, name: str) -> Figure:
-        """Return the figure of merit of a name."""
+        """Return the figure of merit with the given name."""
         for one in self.figures:
             if one.name == name:
                 return one
@@ -263,7 +266,10 @@ class Study(Noun):
 
     @cached_property
     def ids(self) -> tuple[str, ...]:
-        """Name of each point: a hash of its values and of the study's seed, in no order."""
+        """Name of each point: a hash of its values and the study's seed.
+
+        The values enter sorted by address, so that their order does not matter.
+        """
         return tuple(point_id(self.seed, self.delta(index)) for index in range(len(self)))
 
 

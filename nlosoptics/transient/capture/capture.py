@@ -26,7 +26,7 @@ QUANTITIES = ("irradiance", "radiance", "radiosity", "counts", "unknown")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TransientCapture(Noun, Shown):
-    """Intensity at points of the relay wall, in bins of optical path.
+    """Time-resolved intensity at points of the relay wall, in bins of optical path.
 
     The wall is the plane z = 0 with normal +z, unless other normals are given. Grids of points are
     ordered [y, x], with row 0 at the lowest y.
@@ -50,7 +50,7 @@ class TransientCapture(Noun, Shown):
     quantity : {"irradiance", "radiance", "radiosity", "counts", "unknown"}
         Physical quantity of ``H``; `render` states the units.
     outer_legs : bool
-        Whether times include the paths from laser to wall and from wall to sensor.
+        Whether times include the outer legs: the paths from laser to wall and from wall to sensor.
     laser_origin, sensor_origin : array_like of 3 floats, optional
         Positions of laser and sensor, world, m. Required to subtract the outer legs.
     laser_normals, sensor_normals : array_like, optional
@@ -241,10 +241,10 @@ class TransientCapture(Noun, Shown):
         Spatial axes are [x, y] in the file. y-tal supports grids and lists of points; points of
         any other shape are written as lists. Data that y-tal's layout lacks are stored where y-tal
         ignores them: ``by_bounce``, ``standard_error`` and array-valued ``details`` as attributes
-        of ``H``, everything else as JSON in ``scene_info``. ``details`` without a JSON form become
-        lists or text. An unknown origin of laser or sensor is written as zeros, which y-tal needs
-        but does not use, and is marked in ``scene_info``, so that `load` returns None again. If the
-        times include the outer legs, the origin is left empty, and y-tal refuses the file.
+        of ``H``, everything else as JSON in ``scene_info``. ``details`` that JSON cannot express
+        become lists or text. An unknown origin of laser or sensor is written as zeros, which y-tal
+        needs but does not use, and is marked in ``scene_info``, so that `load` returns None again.
+        If the times include the outer legs, the origin is left empty, and y-tal refuses the file.
 
         Examples
         --------
@@ -281,8 +281,8 @@ class TransientCapture(Noun, Shown):
     ) -> TransientCapture:
         """Read a capture from a file of this or another program.
 
-        The layout is recognised from the names of the variables in the file. If the layout leaves
-        a value open, an error names the argument that supplies it. Arguments override the file.
+        The layout is recognised from the names of the variables in the file. If the file does not
+        state a value, an error names the argument that supplies it. Arguments override the file.
 
         Parameters
         ----------
@@ -290,8 +290,9 @@ class TransientCapture(Noun, Shown):
             HDF5 file of y-tal, Z-NLOS or NLOS-DIRAC, or ``.mat`` file (v5 or v7.3) of the phasor
             field (2019, 2020) or the LCT (2018).
         format : {"tal", "znlos", "dirac", "phasor_field_2019", "phasor_field_2020", "lct"}
-            Confirms conventions that the file itself does not prove. For "lct": pairs are confocal
-            and ``width`` is half the side. For "phasor_field_2020": ``SPAD_index`` counts from 0.
+            Format of the file. Naming it confirms conventions that the file itself does not state.
+            For "lct": pairs are confocal and ``width`` is half the side. For "phasor_field_2020":
+            ``SPAD_index`` counts from 0.
         bin_width : float
             Width of a bin, m of optical path; 4 ps are 1.2e-3 m.
         t_start : float
@@ -299,11 +300,12 @@ class TransientCapture(Noun, Shown):
         side : float
             Full side of the square wall, m. The scanned points are the centres of its cells.
         pairing : {"all", "confocal"}
-            How laser and sensor points are paired, see `TransientCapture`.
+            Pairing of laser and sensor points, see `TransientCapture`.
         laser_point : array_like of 3 floats
             Position of the only laser point, world, m.
         outer_legs : bool
-            Whether times include the paths from laser to wall and from wall to sensor.
+            Whether times include the outer legs: the paths from laser to wall and from wall to
+            sensor.
         quantity : str
             Physical quantity of the bins; "unknown" if neither file nor argument states it.
         gate_start : float

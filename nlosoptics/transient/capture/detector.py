@@ -41,16 +41,16 @@ class Detector:
     jitter : float
         Standard deviation of the Gaussian time-stamp error, m of optical path.
     tail : float
-        Mean delay of the exponential diffusion tail, m of optical path. Counts in the tail have
-        the Gaussian error in addition.
+        Mean delay of the exponential diffusion tail, m of optical path. Time stamps in the tail
+        also have the Gaussian error.
     tail_share : float
         Fraction of the counts that lie in the tail, 0 to 1.
     dark_counts : float
         Expected dark counts per bin and point while the gate is open; ``efficiency`` does not
         apply to them.
     gate : (float, float), optional
-        Opening and closing of the gate, m of optical path. It acts on arrival times, so recorded
-        time stamps may lie outside. None: always open.
+        Opening and closing time of the gate, m of optical path. It applies to arrival times, so
+        that recorded time stamps, which have an error, may lie outside. None: always open.
 
     Raises
     ------
@@ -133,8 +133,8 @@ class Detector:
         Parameters
         ----------
         capture : TransientCapture
-            Capture with values of at least 0. Within a bin the arrival is taken as uniform, and
-            the gate may cut a part of it.
+            Capture with values of at least 0. Arrival times are taken as uniformly distributed
+            within each bin; the gate may open or close inside a bin.
 
         Returns
         -------

@@ -26,8 +26,8 @@ def gated(
     capture : TransientCapture
         Capture to crop.
     start, stop : float, optional
-        Range to keep, m of optical path; None keeps that end. Bins that the range covers only in
-        part are removed.
+        Start and end of the range to keep, m of optical path; None keeps everything on that side.
+        Bins that the range covers only in part are removed.
 
     Returns
     -------
@@ -79,8 +79,8 @@ def downsampled(capture: TransientCapture, *, bins: int = 1, grid: int = 1) -> T
     bins : int
         Number of bins that are summed to one.
     grid : int
-        Number of points along each axis that are averaged to one: position, normal and intensity.
-        Axes with a single point are unchanged.
+        Number of points along each axis that are averaged to one, in position, normal and
+        intensity. Axes with a single point are unchanged.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def smoothed(
 ) -> TransientCapture:
     """Blur a capture by a Gaussian to reduce noise.
 
-    A blur as long as the detector's response suppresses noise at little loss of signal.
+    A blur as wide as the detector's time response suppresses noise with little loss of signal.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ def distance_weighted(capture: TransientCapture, power: float) -> TransientCaptu
     Parameters
     ----------
     capture : TransientCapture
-        Capture without outer legs.
+        Capture whose times do not include the outer legs, see `TransientCapture`.
     power : float
         Exponent of half the path in m: 4 for diffuse targets, 2 for retro-reflective ones.
 
@@ -240,8 +240,9 @@ def without_outer_legs(capture: TransientCapture) -> TransientCapture:
     -------
     TransientCapture
         Capture without the legs: those of each pair of points are subtracted from its times, with
-        linear interpolation between bins. The new bins are those that all pairs cover. They begin
-        at the old ``t_start`` minus the smallest sum of legs of any pair, and are fewer.
+        linear interpolation between bins. Only bins that all pairs cover are kept, so that their
+        number decreases. The first one begins at the old ``t_start`` minus the smallest sum of
+        legs of any pair.
 
     Raises
     ------

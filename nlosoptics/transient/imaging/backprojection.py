@@ -39,14 +39,15 @@ def backprojection(
     Parameters
     ----------
     capture : TransientCapture
-        Capture of any pairing and grid, with or without outer legs, without direct light.
+        Capture of any pairing and grid, without direct light. Its times may include the outer legs
+        (see `TransientCapture`) or not.
     volume : Volume, optional
         Voxels in front of the wall. None: one voxel column in front of each sensor point, at the
         depths of the bins, up to the farthest plane that the time window covers completely. This
-        requires an even grid of sensor points [y, x] and no outer legs.
+        requires an evenly spaced grid of sensor points [y, x] and times without outer legs.
     filter : {"none", "second_derivative", "laplacian"}
-        Filter of the sums, after a Gaussian blur: ``-d^2/dz^2``, or minus the Laplacian over all
-        axes with at least 3 voxels.
+        Filter that is applied to the sums after a Gaussian blur: none, ``-d^2/dz^2``, or minus the
+        Laplacian over all axes with at least 3 voxels.
     width : float, optional
         Standard deviation of the Gaussian, m; only with a filter. None: pitch of the voxels along
         z.
@@ -55,7 +56,7 @@ def backprojection(
         for "matched", which makes the sum the adjoint of the intensity from points; ``(r1 r2)^2``
         and ``r1 r2`` undo the falloff of diffuse and retro-reflective targets.
     progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
+        Called with a line of text and the completed fraction.
 
     Returns
     -------
@@ -81,8 +82,9 @@ def backprojection(
     Notes
     -----
     Each voxel sums the values at the path ``r1 + r2`` over all pairs [1]_, interpolated linearly
-    between bin centres. Values outside the bins are 0. Values are float32, sums float64. Unfiltered
-    images are blurred about as 1/distance; the filters sharpen them [2]_.
+    between bin centres. Values outside the bins are 0. Values are float32, sums float64. The image
+    of a point without filter decreases only about as 1/distance from it; the filters make it
+    sharper [2]_.
 
     References
     ----------

@@ -67,8 +67,8 @@ class DepthError(Noun):
     coverage : float
         Fraction of the true map's cells that have a depth at this threshold.
     missed, false : float
-        Fraction of the true cells without a reconstructed depth, and of the reconstructed cells
-        without a true depth.
+        Fraction of the cells with a true depth that have no reconstructed depth, and fraction of
+        the cells with a reconstructed depth that have no true depth.
     median : float
         Median of reconstructed minus true depth, m.
     curve : ndarray
@@ -99,7 +99,7 @@ def depth_map(
         Image of the hidden scene.
     threshold : float, optional
         Columns with a peak below this fraction of the brightest voxel have no depth. None: only
-        columns that are 0 have none.
+        columns whose voxels are all 0 have no depth.
     interpolate : bool
         Whether to interpolate between planes, see `VolumeImage.peak_depth`. The depth then differs
         by up to half a voxel from that of the brightest voxel.

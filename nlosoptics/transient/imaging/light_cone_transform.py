@@ -45,7 +45,8 @@ def lct(
     Parameters
     ----------
     capture : TransientCapture
-        Confocal capture on an even grid [y, x] in z = 0, without outer legs and direct light.
+        Confocal capture on an evenly spaced grid [y, x] in z = 0, without direct light. Its times
+        must not include the outer legs, see `without_outer_legs`.
     volume : Volume, optional
         Voxels within the depths that the time window covers. None: the grid's points at the depths
         of the bins.
@@ -61,7 +62,7 @@ def lct(
     dtype : {"float32", "float64"}
         Precision of the waves; the error of float32 is about 1e-6 of the brightest voxel.
     progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
+        Called with a line of text and the completed fraction.
 
     Returns
     -------

@@ -62,8 +62,8 @@ def phasor_image(
 
     - "confocal_time_gated": ``sum_ls (H_ls * K)(|x-l| + |x-s| + t)``. Pulse and camera are focused
       on x, where the pulse arrives at t = 0.
-    - "direct_light": as "confocal_time_gated" at t = 0 only, so that light reflected once by the
-      hidden scene, at x, is in focus.
+    - "direct_light": as "confocal_time_gated", but only at t = 0, so that light that the hidden
+      scene reflects once, at x, is in focus.
     - "transient": ``sum_s (H_ls * K)(|x-s| + t)`` for one laser point l. A camera focused on x
       films a pulse that leaves l at t = 0.
     - "projector_camera": ``sum_ls (H_ls * K)(|p-l| + |x-s| + t)``. The pulse is focused on p, where
@@ -72,8 +72,8 @@ def phasor_image(
     Parameters
     ----------
     capture : TransientCapture
-        Capture of the relay wall. Outer legs included in its times are subtracted, which requires
-        its origins.
+        Capture of the relay wall. If its times include the outer legs (see `TransientCapture`),
+        these are subtracted, which requires ``laser_origin`` and ``sensor_origin``.
     volume : Volume
         Voxels to image, z > 0.
     camera : {"confocal_time_gated", "transient", "direct_light", "projector_camera"}
@@ -93,9 +93,10 @@ def phasor_image(
         Side of a square about the centre of the wall points, m, or a mask in the shape of the
         points. None: all points. A single laser or sensor point is always used.
     aperture_of : {"both", "laser", "sensor"}
-        Points to which ``aperture`` applies.
+        Wall points to which ``aperture`` applies.
     weight : {"unit", "inverse"}
-        Weight of paths: 1, or 1/r for each leg as in the Rayleigh-Sommerfeld integral.
+        Weight of each path: 1, or a factor 1/r for each of its legs, of length r, as in the
+        Rayleigh-Sommerfeld integral.
     tol : float
         Largest error of K as a sum of plane waves, relative to its peak, 1e-14 to 0.1. The number
         of waves grows at most as log(1/tol).
@@ -108,7 +109,7 @@ def phasor_image(
     device : str, optional
         torch device, such as "cuda" or "cpu". None: numba and FFT on the CPU.
     progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
+        Called with a line of text and the completed fraction.
 
     Returns
     -------

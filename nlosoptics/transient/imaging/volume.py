@@ -115,12 +115,13 @@ class Volume(Noun):
 
     @classmethod
     def facing(cls, points: ArrayLike, planes: tuple[float, float, float]) -> Volume:
-        """Return a volume with one voxel column in front of each of a grid of wall points.
+        """Return a volume with one voxel column in front of each point of a grid on the wall.
 
         Parameters
         ----------
         points : array_like
-            (ny, nx, 3): wall points, m, increasing along x and y, and even to 1/1000 of the pitch.
+            (ny, nx, 3): wall points, m, increasing along x and y, and evenly spaced to 1/1000 of
+            the pitch.
         planes : (float, float, float)
             Nearest and farthest distance from the wall and the step, m. The first plane is at the
             nearest distance; the last one does not exceed the farthest.
@@ -329,7 +330,7 @@ class PhasorImage(VolumeImage):
     aperture : float or ndarray of bool, optional
         Used part of the wall: side of a square, m, or a mask shaped like the points. None: all.
     notes : tuple of str
-        Limits of the sampling that the image exceeds, as given in warnings.
+        Limits of the sampling that the image exceeds, with the text of the warnings.
 
     See Also
     --------

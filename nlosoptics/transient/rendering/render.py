@@ -124,11 +124,12 @@ def render(
         pulse energy): irradiance E in W/m^2, radiance ``wall_albedo E/pi`` in W/(m^2 sr), or
         radiosity ``wall_albedo E`` in W/m^2.
     keep_laser_cosine : bool
-        Whether the source is a point at ``laser_origin`` of 1 W/sr that illuminates 1 m^2 of the
-        wall. All values are then multiplied by cos/d^2 of the leg from laser to wall, 1/m^2.
+        Whether the source is a point at ``laser_origin`` that emits 1 W/sr and illuminates 1 m^2
+        of the wall. All values are then multiplied by cos/d^2 of the leg from laser to wall,
+        1/m^2.
     outer_legs : bool
-        Whether times include the legs from ``laser_origin`` to the wall and from the wall to
-        ``sensor_origin``.
+        Whether times include the outer legs: the paths from ``laser_origin`` to the wall and from
+        the wall to ``sensor_origin``.
     laser_origin, sensor_origin : (float, float, float), optional
         Positions of laser and sensor, world, m; required by the two options above.
     tol, tol_multiple : float
@@ -144,7 +145,7 @@ def render(
         Seed of the random paths, 0 to 2^64 - 1. Results are identical for any number of threads.
         Three bounces use no random numbers.
     progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
+        Called with a line of text and the completed fraction.
 
     Returns
     -------
@@ -152,10 +153,11 @@ def render(
         Capture with ``by_bounce`` and ``standard_error`` (0 for three bounces). For three bounces,
         ``details`` has arrays shaped like the pairs: ``"error_estimate"`` (difference of the last
         two passes, summed over bins), ``"before"`` and ``"after"`` (intensity outside the bins) and
-        ``"parts"`` (parts of the surface), and the flag ``"shadows"`` (whether shadows were
-        searched). For more bounces, ``"multiple_bounces"`` has the number of paths, the errors
-        reached and the reason to stop: "tol"; "paths" if the paths were used up first; or "dark" if
-        some number of bounces contributes nothing to the bins.
+        ``"parts"`` (number of parts into which the surface was divided), and the flag
+        ``"shadows"`` (whether the meshes were searched for shadows). For more bounces,
+        ``"multiple_bounces"`` has the number of paths, the errors reached and the reason to stop:
+        "tol" if ``tol_multiple`` was reached; "paths" if ``n_rays`` was reached first; or "dark"
+        if some number of bounces contributes nothing to the bins.
 
     Raises
     ------

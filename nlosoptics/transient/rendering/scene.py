@@ -35,11 +35,12 @@ def render_scene(
 ) -> TransientCapture:
     """Render the time-resolved capture of a scene.
 
-    The laser spot is a point with 1 W (or a pulse of 1 J) on the wall. Laser and camera positions
-    are the ends of the outer legs. With five or more bounces, the whole wall also reflects between
-    hidden surfaces. A hidden image is converted to a mesh of its white area, on at most 64 cells
-    across, that scatters on both sides. Occluders are black surfaces. Roughness must have the
-    realisation ``"mean"``, which leaves a Lambertian wall as it is.
+    The laser spot is a point with 1 W (or a pulse of 1 J) on the wall. The outer legs begin at the
+    laser's position and end at the camera's position. With five or more bounces, the whole wall
+    also reflects between hidden surfaces. A hidden image is converted to a mesh of its white area,
+    on at most 64 cells across, that scatters on both sides. Occluders are black surfaces.
+    If the wall has a roughness, its realisation must be ``"mean"``; the Lambertian wall then
+    remains unchanged.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def render_scene(
     seed : int
         Seed of the random paths with more than three bounces, 0 to 2^64 - 1.
     progress : callable(str, float), optional
-        Called with a line of text and the fraction done.
+        Called with a line of text and the completed fraction.
     **options
         Options of `render`: ``quantity``, ``keep_laser_cosine``, ``outer_legs``, ``tol_multiple``,
         ``min_bounces``, ``n_rays``. All others follow from the scene.
