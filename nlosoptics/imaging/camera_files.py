@@ -187,7 +187,7 @@ def camera_image(
     See Also
     --------
     read_camera_file : Read one camera file.
-    nlosoptics.inverse.tv_deconvolve : Non-negative, with total variation.
+    nlosoptics.inverse.tv_deconvolve : Non-negative deconvolution with total variation.
 
     Examples
     --------

@@ -49,7 +49,7 @@ def spot_coherence(
 
     See Also
     --------
-    form_image : Draws speckle; its patterns are `scene.Laser.independent_patterns`.
+    form_image : Image with speckle.
 
     Notes
     -----

@@ -273,18 +273,17 @@ def form_image(
     See Also
     --------
     nlosoptics.psf.scene_point_spread : Compute the point spread.
-    cast_shadows : Compute the effect of occluders.
+    cast_shadows : Effect of occluders.
 
     Notes
     -----
     Each pixel receives the mean of the picture over its footprint, found by chief rays via the
     wall. It is multiplied by the radiance of a white object at the pixel's centre and by the
     reflectance of the wall's mirror-like lobes. The point spread sums to the energy inside its
-    window; the energy outside is lost and listed in ``SpeckleImage.ledger``. Light that blur brings
-    in from parts of the object outside the field of view is neglected. A perfectly smooth lobe
-    also reflects the laser beam into the room, which is neglected.
-    Occluders dim the light by the fractions in `Shadows`; the point spread remains that of an
-    unobstructed pupil.
+    window; the energy outside is lost and listed in ``SpeckleImage.ledger``. Two effects are
+    neglected: blurred light from parts of the object outside the field of view, and the laser beam
+    that a perfectly smooth lobe reflects into the room. Occluders dim the light by the fractions
+    in `Shadows`; the point spread remains that of an unobstructed pupil.
 
     Examples
     --------

@@ -109,13 +109,13 @@ def cast_shadows(scene: Scene) -> Shadows:
 
     Notes
     -----
-    ``image`` and ``view`` are fractions of 16 paths per pixel, each through its own point of the
-    pixel and of the lens, so that their error at the edges of shadows is a few hundredths. A path
-    through a lens point crosses the wall's tangent plane on the way to the point in focus, and
-    meets the object where the chief ray does. ``veil`` is summed over 1024 object points at 65 x
-    65 pixels and interpolated bilinearly. Its error is a few thousandths, or a few hundredths at
-    the edge of a shadow that an occluder close to the wall casts on it. The spot is treated as a
-    point, and its image is dimmed uniformly.
+    ``image`` and ``view`` are fractions of 16 paths per pixel, which pass through different points
+    of the pixel and of the lens, so that their error at the edges of shadows is a few hundredths.
+    Two approximations are made for them: the wall near the chief ray is replaced by its tangent
+    plane, and all paths of a pixel meet the object where its chief ray does. ``veil`` is summed
+    over 1024 object points at 65 x 65 pixels and interpolated bilinearly. Its error is a few
+    thousandths, or a few hundredths at the edge of a shadow that an occluder close to the wall
+    casts on it. The spot is treated as a point, and its image is dimmed uniformly.
     """
     ny, nx = scene.camera.shape
     fits_memory(

@@ -73,13 +73,13 @@ def sensitivities(
     Raises
     ------
     SceneError
-        If the study has other dimensions, the nominal scene failed, or points are pending and
-        ``incomplete`` is False.
+        If the study has other dimensions, the nominal scene failed, or points are not computed yet
+        and ``incomplete`` is False.
 
     See Also
     --------
     Sensitivity : One case.
-    nlosoptics.views.tornado : Bars of the changes.
+    nlosoptics.views.tornado : Bars of the changes, sorted by size.
     """
     names = [d.name for d in results.study.dimensions]
     if names != ["case"]:
@@ -168,7 +168,7 @@ def fraction_within(
     Raises
     ------
     SceneError
-        If the study has other dimensions, no limit is given, or points are pending and
+        If the study has other dimensions, no limit is given, or points are not computed yet and
         ``incomplete`` is False.
 
     See Also
@@ -263,7 +263,8 @@ def sobol_indices(results: Results, figure: str, *, confidence: float = 0.95) ->
     Raises
     ------
     SceneError
-        If the study has another design or pending points, or the figure failed anywhere.
+        If the study has another design or pending points, or the figure of merit could not be
+        computed at some point.
 
     See Also
     --------

@@ -146,7 +146,7 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
 
     See Also
     --------
-    run_study : Compute the points of a study, or resume.
+    run_study : Run a study, or continue it.
     inverse_sensitivities : Change of each value that causes a stated loss.
 
     Examples
@@ -291,7 +291,7 @@ def inverse_sensitivities(results: Results) -> tuple[Allowance, ...]:
 
     See Also
     --------
-    sensitivities : Change of a figure with each value.
+    sensitivities : Change of a figure of merit with each value.
     optimum : Best points of an optimisation.
 
     Notes

@@ -49,7 +49,7 @@ class StudyPlan:
 
     See Also
     --------
-    plan_study : Predict points, shared stages, time and size.
+    plan_study : Predict number of points, time and size.
     """
 
     points: int
@@ -90,7 +90,7 @@ def plan_study(study: Study) -> StudyPlan:
 
     See Also
     --------
-    run_study : Compute the points of a study, or resume.
+    run_study : Run a study, or continue it.
     """
     if study.variables:
         return _plan_search(study)

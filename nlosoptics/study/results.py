@@ -56,7 +56,7 @@ class Results(Noun):
     See Also
     --------
     Study : Figures of merit over the points of a design.
-    sensitivities : Change of a figure with each value.
+    sensitivities : Change of a figure of merit with each value.
     fraction_within : Share of points that meet a specification.
     nlosoptics.views.study_map : Figure of merit over two dimensions.
     """
@@ -132,7 +132,8 @@ class Results(Noun):
         Raises
         ------
         SceneError
-            If the study has no such figure, or points are pending and ``incomplete`` is False.
+            If the study has no such figure of merit, or points are not computed yet and
+            ``incomplete`` is False.
         """
         name = self.study.figure(figure).name
         pending = self.counts["pending"]

@@ -73,7 +73,7 @@ def run_study(
 
     See Also
     --------
-    plan_study : Predict points, shared stages, time and size.
+    plan_study : Predict number of points, time and size.
     Results : Results of a study.
 
     Examples

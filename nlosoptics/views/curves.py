@@ -225,7 +225,7 @@ def through_focus(found: ThroughFocus, *, axes: Axes | None = None) -> Axes:
 
     See Also
     --------
-    nlosoptics.psf.through_focus : Metric in several planes.
+    nlosoptics.psf.through_focus : Metric in several image planes.
     nlosoptics.psf.best_focus : Displacement of best focus.
 
     Examples
@@ -391,7 +391,7 @@ def spot_diagram(spots: SpotDiagram, *, most: int = 20_000, axes: Axes | None = 
 
     See Also
     --------
-    nlosoptics.psf.spot_diagram : Landing points of rays.
+    nlosoptics.psf.spot_diagram : Points at which rays meet the image plane.
     point_spread : Map of a PSF.
     """
     whole("most", most)
@@ -458,7 +458,7 @@ def compare_methods(
 
     See Also
     --------
-    nlosoptics.psf.compare : All transforms for one wave.
+    nlosoptics.psf.compare : Run all transforms on one wave.
     """
     ran = [row for row in comparison.rows if row.seconds is not None]
     if not ran:
@@ -546,7 +546,7 @@ def path_lengths(histogram: PathHistogram, *, axes: Axes | None = None) -> Axes:
 
     See Also
     --------
-    nlosoptics.raytrace.trace_image : Image and histogram of a scene.
+    nlosoptics.raytrace.trace_image : Image and histogram of path lengths.
     transient : Streak image of a capture.
 
     Examples

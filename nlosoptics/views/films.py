@@ -79,7 +79,7 @@ def transient(
     ------
     SceneError
         If ``at`` or ``laser`` is out of the range of the capture, if frames are requested and the
-        sensor points form no grid, or if the number of axes is wrong.
+        sensor points do not form a grid, or if the number of axes is wrong.
     SamplingError
         If the sensor points are neither a list nor a grid.
 

@@ -187,7 +187,7 @@ def point_spread(
     See Also
     --------
     nlosoptics.psf.point_spread : PSF of a given wave.
-    spot_diagram : Landing points of rays.
+    spot_diagram : Points at which rays meet the image plane.
     encircled_energy : Curve of the encircled energy.
 
     Examples
@@ -354,7 +354,7 @@ def traced_image(
 
     See Also
     --------
-    nlosoptics.raytrace.trace_image : Image and histogram of a scene.
+    nlosoptics.raytrace.trace_image : Image and histogram of path lengths.
     path_lengths : Curves of the histogram.
     image : Image by waves, with the noise of the camera.
 

@@ -113,7 +113,7 @@ def study_gallery(
     Raises
     ------
     SceneError
-        If the study has no such figure, or it is known at no point.
+        If the study has no such figure of merit, or no point has a value of it.
 
     See Also
     --------

@@ -61,7 +61,7 @@ def study_map(
     Raises
     ------
     SceneError
-        If the study has no such figure, dimension or step.
+        If the study has no such figure of merit, dimension or step.
 
     See Also
     --------
@@ -117,8 +117,8 @@ def study_panels(
     Raises
     ------
     SceneError
-        If the study has no such figure or step, fewer than three dimensions of several steps, or
-        more than 6 panels.
+        If the study has no such figure of merit or step, fewer than three dimensions of several
+        steps, or more than 6 panels.
 
     See Also
     --------
@@ -308,7 +308,7 @@ def tornado(bars: Sequence[Sensitivity], *, label: str = "", axes: Axes | None =
 
     See Also
     --------
-    nlosoptics.study.sensitivities : Change of a figure with each value.
+    nlosoptics.study.sensitivities : Change of a figure of merit with each value.
     study_map : Figure of merit over two dimensions.
     """
     rows: dict[str, list[Sensitivity]] = {}
@@ -428,8 +428,8 @@ def study_slices(
     Raises
     ------
     SceneError
-        If the study has no such figure, dimension or step, is one of single changes, or mixes draws
-        with other dimensions.
+        If the study has no such figure of merit, dimension or step, has the table
+        ``one_at_a_time``, or mixes draws with other dimensions.
 
     See Also
     --------
@@ -524,7 +524,7 @@ def sobol_bars(indices: Any, *, label: str = "", axes: Axes | None = None) -> Ax
 
     See Also
     --------
-    nlosoptics.study.sobol_indices : Shares of a figure's variance.
+    nlosoptics.study.sobol_indices : Shares of the variance of a figure of merit.
     tornado : Bars of one-at-a-time changes.
     """
     order = np.argsort(-indices["total"].values, kind="stable")

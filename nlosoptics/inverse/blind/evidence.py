@@ -65,10 +65,12 @@ def evidence_fit(
 ) -> Reconstruction:
     """Fit object and wall to images from random starts, by maximising the evidence.
 
-    Use two frames, one with a known additional defocus of half a wave rms (one wave for walls of
-    one wave rms). A wave without blur then cannot explain both, and most random starts end at the
-    truth. With one frame a trained network proposes further starts, the search takes many times
-    longer, and the answer is reliable only if ``status`` is "converged".
+    Give two images if possible, one of them with a known additional defocus of half a wave rms
+    (one wave rms if the wall's aberration is about one wave rms). The trivial answer, a wave
+    without blur and the image itself as the object, then cannot explain both images, and most
+    random starts lead to the true object. With one image a trained network proposes further
+    starts, the search takes many times longer, and the answer is reliable only if ``status`` is
+    "converged".
 
     Parameters
     ----------
@@ -77,8 +79,8 @@ def evidence_fit(
         via several walls. The object must lie inside the frame.
     pupil_psf : PupilPSF
         Point spread with Zernike coefficients, (M,) or (n_walls, M). Coefficients other than 0 are
-        a start of the fit, and a known wave or transmission is part of the model. It has the
-        images' shape or a larger one.
+        an additional start of the fit. A known wave or transmission in it is kept fixed. Its shape
+        is that of the images or larger.
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms (Noll 4).
     walls : array_like of int, optional
@@ -87,7 +89,7 @@ def evidence_fit(
         Expected rms error of the whole wave that ``pupil_psf`` has at the start, waves, at most
         0.25. Each of the M coefficients then has a Gaussian prior of standard deviation
         ``start_error/sqrt(M)``, and one image can be sufficient. Overestimate it if in doubt. By
-        default the coefficients are only one more start.
+        default there is no prior, and the coefficients are only an additional start.
     known_object : array_like, optional
         Known object, (H, W); only its brightness and the walls are fitted then.
     support : array_like, optional
@@ -112,10 +114,10 @@ def evidence_fit(
     strength : float or None
         Rms of the wall's wave, waves. None: unknown; several values are tried.
     max_iterations : int, optional
-        Maximum number of search rounds. The default is 2 if the images or a known object exclude a
-        wave without blur, as a defocused frame does, otherwise 4. A round optimises 32 random
-        walls, or about 400 walls and variations of the best for one frame. If the network is sure
-        of its proposals, a search from these alone comes first.
+        Maximum number of search rounds. The default is 2 if a known object or a defocused image
+        excludes the answer without blur, otherwise 4. A round optimises 32 random walls. For a
+        single image it optimises about 400 walls, including variations of the best. If the network
+        is confident of its proposals, a search from these alone comes first.
     max_seconds : float, optional
         Time after which the search starts no further step, s; it first completes one answer. The
         result then depends on the speed of the machine.
@@ -140,8 +142,8 @@ def evidence_fit(
         - ``free_energy`` of the answer,
         - ``margin``: free energy minus that of fits started without blur; negative values favour
           the answer; NaN if the images exclude a wave without blur,
-        - ``sharp_margin``: free energy minus that of a fit that takes the image for the object;
-          NaN also with ``start_error``,
+        - ``sharp_margin``: free energy minus that of a fit in which the image itself is the
+          object; NaN also with ``start_error``,
         - ``model_error``: rms of the residual in excess of the noise, over the images' range.
 
         ``background`` is (K,) for several images. The history has one entry per wall that
@@ -163,26 +165,29 @@ def evidence_fit(
     Notes
     -----
     The answer is the wall with the least variational free energy of the images, in which the object
-    is integrated out. Squared residuals would prefer no blur to the truth for one frame.
+    is integrated out. A criterion of squared residuals would, for one image, prefer the answer
+    without blur to the truth.
 
     For one image without ``start_error``, a network proposes walls of the Noll modes 4 to 21 if the
     pixels are no wider than Nyquist's, the frame has 24 to 96 of Nyquist's pixels along each side,
-    and the pupil has no known wave or transmission. Only the free energy judges them.
+    and the pupil has no known wave or transmission. They are accepted or rejected by the free
+    energy, as all other starts.
 
     The answer must explain the images to be "converged": ``model_error`` is at most 0.004, plus
     0.003 times the wall's rms in waves (0.01 times with one image), counted up to one wave. Three
     standard errors of the mean squared residual are added to the square of this limit. Images of
     one wall whose defoci differ by less than 0.1 waves are judged like one image. If the residual
     exceeds the noise significantly, modes up to radial orders 5, 7 and 8 are added to fits
-    of several images, as long as they lower the free energy by more than their number explains.
+    of several images, as long as they lower the free energy by more than the additional parameters
+    alone would.
 
     One image must also exclude a wave without blur. Without ``start_error``, ``margin`` must be
     below -70, or ``sharp_margin`` below -0.092 per pixel (-0.146 at 0.3 % noise), because fits
     without blur can also find a weak wall. With ``start_error``, ``margin`` must be below -50; or
     at most 100 (at 1 % noise; 20 at 5 %) if the prior of the coefficients puts the no-blur fit at
-    least 100 above the answer, and the residual is at least 0.93 of the noise, because wrong
-    answers fit noise. The status is "trivial" if the answer has almost no blur, or is the one that
-    starting without blur leads to.
+    least 100 above the answer, and the residual is at least 0.93 of the noise, because a smaller
+    residual shows that noise was fitted. The status is "trivial" if the answer has almost no blur,
+    or equals the answer of a fit that starts without blur.
     """
     started = time.perf_counter()
     checked_seed(seed)

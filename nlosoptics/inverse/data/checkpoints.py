@@ -32,7 +32,7 @@ class Stop(Exception):
     See Also
     --------
     Reconstruction : Result of every solver.
-    tv_deconvolve : Non-negative, with total variation.
+    tv_deconvolve : Non-negative deconvolution with total variation.
     """
 
     def __init__(self) -> None:

@@ -377,7 +377,7 @@ def estimate_noise(image: ArrayLike | Values, model: AnyModel | None = None) -> 
 
     See Also
     --------
-    tv_deconvolve : Non-negative, with total variation.
+    tv_deconvolve : Non-negative deconvolution with total variation.
     nlosoptics.imaging.CameraImage : Corrected camera image with its noise.
 
     Notes

@@ -57,7 +57,7 @@ class Reconstruction(Noun, Shown):
 
     See Also
     --------
-    tv_deconvolve : Non-negative, with total variation.
+    tv_deconvolve : Non-negative deconvolution with total variation.
     pcin : Entry point of the blind solvers.
     registered_scores : Correlation, PSNR and SSIM with the truth.
     nlosoptics.views.reconstruction : Object next to the truth.

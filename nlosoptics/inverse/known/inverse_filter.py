@@ -79,7 +79,7 @@ def inverse_filter(
     See Also
     --------
     wiener : Linear filter that weighs the noise.
-    tv_deconvolve : Non-negative, with total variation.
+    tv_deconvolve : Non-negative deconvolution with total variation.
 
     Notes
     -----

@@ -65,7 +65,8 @@ def richardson_lucy(
         Stop also when the relative change of the object per iteration is below this value.
     start : array_like, mapping or None
         Initial object, (H, W) in image units, or a saved state, from which the fit resumes
-        bit-identically; see `inverse.data.checkpoints`. Where an object is dark it stays dark.
+        bit-identically; see `inverse.data.checkpoints`. Pixels that are 0 in the initial object
+        remain 0.
     progress : callable or None
         Called repeatedly with a text and the completed fraction; may raise `Stop`.
 
@@ -86,7 +87,7 @@ def richardson_lucy(
     See Also
     --------
     wiener : Linear filter that weighs the noise.
-    tv_deconvolve : Non-negative, with total variation.
+    tv_deconvolve : Non-negative deconvolution with total variation.
 
     Notes
     -----
@@ -94,12 +95,12 @@ def richardson_lucy(
     ``x <- x A'(w y/(A x + b))/A'w`` [1]_ [2]_. It conserves flux and sign; w are the pixel weights
     of a noise map. ``A'w`` accounts for light lost at the frame, so that padded edges do not ring.
     The background's strength is updated by the same step and starts from its estimate with the
-    Wiener filter; a remote start would need thousands of iterations. Noise can make dark pixels
-    negative, which the method does not allow. Instead of clipping, a pedestal that lifts every
-    pixel to at least one noise sigma is added to image and model [3]_. Early stopping is the
-    regularisation; further iterations would fit the noise. The acceleration follows Biggs and
-    Andrews [4]_. ``objective`` is the weighted divergence between model and image, in units of the
-    image's range.
+    Wiener filter; a start far from the solution would need thousands of iterations. Noise can make
+    dark pixels negative, which the method does not allow. Instead of clipping, a pedestal that
+    lifts every pixel to at least one noise sigma is added to image and model [3]_. Early stopping
+    is the regularisation; further iterations would fit the noise. The acceleration follows Biggs
+    and Andrews [4]_. ``objective`` is the weighted divergence between model and image, in units of
+    the image's range.
 
     References
     ----------

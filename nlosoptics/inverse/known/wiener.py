@@ -85,7 +85,7 @@ def wiener(
     See Also
     --------
     inverse_filter : Division by the transfer function.
-    tv_deconvolve : Non-negative, with total variation.
+    tv_deconvolve : Non-negative deconvolution with total variation.
 
     Notes
     -----

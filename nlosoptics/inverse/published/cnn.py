@@ -225,7 +225,7 @@ class CnnBaseline(nn.Module):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Training(Noun):
-    """Result of a training.
+    """Trained network, with the history of its training.
 
     Parameters
     ----------

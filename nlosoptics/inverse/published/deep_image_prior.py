@@ -90,7 +90,7 @@ def deep_image_prior(
         Number of times the resolution is halved, see `UNet`.
     learning_rate : float or None
         Initial learning rate of Adam; it decreases along a cosine to a twentieth. None: 0.03, or
-        0.01 for noise, where larger steps ended at an empty picture.
+        0.01 for noise, where larger steps converged to an empty image.
     background : float or array_like
         Known background, one number or (H, W), image units.
     fit_background : bool
@@ -126,7 +126,7 @@ def deep_image_prior(
 
     See Also
     --------
-    tv_deconvolve : Non-negative, with total variation.
+    tv_deconvolve : Non-negative deconvolution with total variation.
     wiener : Linear filter that weighs the noise.
     UNet : Small U-net.
 

@@ -175,10 +175,11 @@ def wu2024_fit(
     sigmoid as last layer, least-squares brightness and background in every step, and moments of
     Adam that persist through the alternation. The frame is circular, as equation 8 implies.
 
-    From random angles and one image it was never observed to find object and wall. It ends at the
-    image itself, or at another object that fits the image to its noise or better
-    (`benchmarks/inverse/wu2024.py`). Started at the true wall it drifts away. A residual at the
-    noise level is therefore no sign of success, and the status is never "converged".
+    In tests with random angles and one image, this method never found the true object and wall. It
+    converged to the image itself, or to another object that agrees with the image within the noise
+    (`benchmarks/inverse/wu2024.py`). When started at the true wall, it moved away from it. A
+    residual at the noise level is therefore no sign of success, and the status is never
+    "converged".
 
     References
     ----------

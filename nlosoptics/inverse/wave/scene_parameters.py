@@ -67,7 +67,8 @@ class SceneLeaves(nn.Module):
     ------
     SceneError
         If a parameter is unknown, repeated or absent from the scene, the wall's edge is the
-        aperture stop, or the scene has ``wall_roughness`` or several sloped mirror lobes.
+        aperture stop, or the scene has ``wall_roughness`` or several mirror-like lobes with a
+        slope.
     CausticError, NotWaveGradeError, SamplingError
         If the wave is undefined or not resolved, at the start or later; see `psf.wavefront`.
 

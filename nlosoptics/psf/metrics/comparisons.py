@@ -37,7 +37,7 @@ class ComparisonRow:
     See Also
     --------
     Comparison : Times and differences of the transforms.
-    compare : All transforms for one wave.
+    compare : Run all transforms on one wave.
     """
 
     method: str
@@ -65,7 +65,7 @@ class Comparison:
 
     See Also
     --------
-    compare : All transforms for one wave.
+    compare : Run all transforms on one wave.
     nlosoptics.views.compare_methods : Time and error of transforms.
     """
 

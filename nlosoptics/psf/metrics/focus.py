@@ -55,7 +55,7 @@ class ThroughFocus(Noun, Shown):
 
     See Also
     --------
-    through_focus : A criterion in several planes.
+    through_focus : Metric in several image planes.
     best_focus : Displacement of best focus.
     nlosoptics.views.through_focus : Curve of the metric.
     """
@@ -258,7 +258,7 @@ def best_focus(
 
     See Also
     --------
-    through_focus : The criterion in given planes.
+    through_focus : Metric in several image planes.
 
     Notes
     -----

@@ -208,8 +208,8 @@ def encircled_energy(source: Wavefront | PointSpread, radius: ArrayLike) -> Arra
     SceneError
         If a radius is negative or not finite.
     SamplingError
-        If the wavefront is neither polar nor on cells, or a circle extends beyond the window of the
-        point spread.
+        If the wavefront's layout is neither "polar" nor "cells", or a circle extends beyond the
+        window of the point spread.
     MemoryLimitError
         If the image of a wave on cells would not fit into memory.
 
@@ -287,7 +287,8 @@ def mtf(source: Wavefront | PointSpread, frequency: ArrayLike, *, azimuth: float
     SceneError
         If a frequency or the azimuth is not finite.
     SamplingError
-        If the wavefront is neither polar nor on cells, or the overlap has not converged.
+        If the wavefront's layout is neither "polar" nor "cells", or the autocorrelation has not
+        converged.
 
     See Also
     --------

@@ -44,9 +44,9 @@ class SpotDiagram(Noun):
 
     See Also
     --------
-    spot_diagram : Landing points of rays.
+    spot_diagram : Points at which rays meet the image plane.
     spot_radius : Rms radius of a spot.
-    nlosoptics.views.spot_diagram : Landing points of rays.
+    nlosoptics.views.spot_diagram : Points at which rays meet the image plane.
     """
 
     x: Array
@@ -84,7 +84,7 @@ def spot_diagram(wavefront: Wavefront, *, rings: int = 24) -> SpotDiagram:
     --------
     spot_radius : Rms radius of a spot.
     point_spread : PSF of a given wave.
-    nlosoptics.views.spot_diagram : Landing points of rays.
+    nlosoptics.views.spot_diagram : Points at which rays meet the image plane.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def centroid(source: Wavefront | PointSpread) -> tuple[float, float]:
 
     See Also
     --------
-    spot_diagram : Landing points of rays.
+    spot_diagram : Points at which rays meet the image plane.
     encircled_energy : Energy within circles.
     """
     if isinstance(source, PointSpread):
@@ -163,7 +163,7 @@ def spot_radius(wavefront: Wavefront) -> float:
 
     See Also
     --------
-    spot_diagram : Landing points of rays.
+    spot_diagram : Points at which rays meet the image plane.
     encircled_energy : Energy within circles.
     """
     rays = split(wavefront).rays
@@ -245,7 +245,8 @@ def ptf(
     SceneError
         If a frequency or the azimuth is not finite.
     SamplingError
-        If a wavefront is neither polar nor on cells, or the overlap has not converged.
+        If a wavefront's layout is neither "polar" nor "cells", or the autocorrelation has not
+        converged.
 
     See Also
     --------

@@ -144,11 +144,11 @@ class SceneOptics:
 
     @cached_property
     def reference(self) -> PointOptics:
-        """Optics of the hidden object's reference point."""
+        """Pupil and waves for the hidden object's reference point, as returned by `at`."""
         return PointOptics(self.scene, self.exit_pupil, self.scene.object_point)
 
     def at(self, object_point: ArrayLike | None = None) -> PointOptics:
-        """Return the optics of an object point.
+        """Return pupil and waves for an object point.
 
         Parameters
         ----------

@@ -41,7 +41,7 @@ class WallView(Noun):
 
     See Also
     --------
-    wall_view : Geometry in which the pupil sees the wall.
+    wall_view : Map from pupil points to the wall points they see.
     """
 
     footprint: Array

@@ -98,7 +98,8 @@ def sample_point_spread(
     Raises
     ------
     SceneError
-        If geometry is missing, or given with a scene; or if no surface has the autocorrelation.
+        If ``footprint``, ``cos_sum`` or ``effective_distance`` is missing with a wavefront or
+        given with a scene; or if no surface can have the autocorrelation.
     SamplingError
         If a grid wavefront is too coarse for the heights or the halo, or geometric propagation
         does not hold.

@@ -150,7 +150,8 @@ def two_scale_point_spread(
     Raises
     ------
     SceneError
-        If geometry is missing or given with a scene, or the roughness cannot be split.
+        If ``footprint``, ``cos_sum`` or ``effective_distance`` is missing with a wavefront or
+        given with a scene, or if the roughness cannot be split.
     SamplingError
         If the long waves cannot be sampled, or the short waves do not reach ``tol``.
     MemoryLimitError

@@ -55,7 +55,7 @@ class Regime:
     See Also
     --------
     point_spread : PSF of a given wave.
-    compare : All transforms for one wave.
+    compare : Run all transforms on one wave.
     """
 
     peak_to_valley: float

@@ -62,7 +62,7 @@ def pupil_rays(
     --------
     trace_point : Light of one object point to the detector.
     nlosoptics.psf.wavefront_from_rays : Wave from traced ray paths.
-    nlosoptics.psf.spot_diagram : Landing points of rays.
+    nlosoptics.psf.spot_diagram : Points at which rays meet the image plane.
 
     Notes
     -----

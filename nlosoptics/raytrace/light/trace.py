@@ -95,8 +95,9 @@ def trace(
     Raises
     ------
     SceneError
-        If an option is out of range, a part of the scene is behind the wall, or ``tol`` is given
-        and no light reaches the detector via the hidden object or some is found by chance only.
+        If an option is out of range, a part of the scene is behind the wall, or if ``tol`` is
+        given and no light reaches the detector via the hidden object, or some of it is found only
+        by chance (`RayPlan.unreached`).
     MemoryLimitError
         If the paths to keep would not fit in memory.
 

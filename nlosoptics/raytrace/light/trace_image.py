@@ -46,7 +46,7 @@ class PathHistogram(Noun):
 
     See Also
     --------
-    trace_image : Image and histogram of a scene.
+    trace_image : Image and histogram of path lengths.
     nlosoptics.transient.render : Intensity at the wall in bins of path length.
     nlosoptics.views.path_lengths : Curves of a histogram.
     """
@@ -109,7 +109,7 @@ class TracedImage(Noun, Shown):
 
     See Also
     --------
-    trace_image : Image and histogram of a scene.
+    trace_image : Image and histogram of path lengths.
     nlosoptics.imaging.SpeckleImage : Image by waves, with the noise of the camera.
     nlosoptics.views.traced_image : Image and its relative error.
     """

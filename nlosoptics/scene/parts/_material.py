@@ -42,19 +42,19 @@ class Material:
     def specular_reflectance(self) -> float:
         """Fraction of the incident power that mirror-like lobes reflect, 0 to 1.
 
-        A lobe is mirror-like up to a slope rms of 0.1 rad, which spreads the reflected light by
-        11 deg. Rougher lobes form no useful image and count as diffuse.
+        A lobe counts as mirror-like if its slope rms is at most 0.1 rad, which spreads the
+        reflected light by 11 deg. Rougher lobes do not form a useful image and count as diffuse.
         """
         return 0.0
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Mirror-like lobes with a reflectance above zero."""
+        """Mirror-like lobes (slope rms up to 0.1 rad) with a reflectance above zero."""
         return ()
 
     @property
     def diffuse(self) -> Material | None:
-        """Material without its mirror-like lobes; None if no lobe is left."""
+        """Material without its mirror-like lobes (see `mirror_lobes`); None if none is left."""
         return self
 
     def evaluate(self, incident: ArrayLike, exitant: ArrayLike, normal: ArrayLike) -> Array:
@@ -188,7 +188,9 @@ class Material:
 
 
 class MirrorLobe(Material):
-    """Base class of lobes about the mirror direction; mirror-like up to a slope rms of 0.1 rad.
+    """Base class of lobes about the mirror direction.
+
+    A lobe counts as mirror-like if its slope rms is at most 0.1 rad, otherwise as diffuse.
 
     Attributes
     ----------
@@ -205,7 +207,7 @@ class MirrorLobe(Material):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Tuple of this lobe if it is mirror-like and reflects light, otherwise empty."""
+        """Tuple with this lobe if it is mirror-like and reflects light, otherwise empty."""
         return (self,) if self.specular_reflectance > 0.0 else ()
 
     @property

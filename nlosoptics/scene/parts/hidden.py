@@ -42,8 +42,8 @@ def _check_hidden(hidden: PlanarObject | MeshObject) -> None:
 class PlanarObject(Posed):
     """Greyscale image on a plane, such as a hidden letter.
 
-    Without rotation it faces the wall with its top toward +y. It reads correctly from the wall:
-    the right side of the image points to -x and its normal to -z.
+    Without rotation it faces the wall with its top toward +y. Seen from the wall, it is not
+    mirrored: the right side of the image points to -x and its normal to -z.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class PlanarObject(Posed):
     Raises
     ------
     SceneError
-        If the file is missing or no image, a value is out of range, or a part of the image lies
+        If the file is missing or not an image, a value is out of range, or a part of the image lies
         behind the wall.
 
     See Also

@@ -125,7 +125,7 @@ def material_library() -> Mapping[str, NamedMaterial]:
 
     See Also
     --------
-    named_material : One of them, for a scene.
+    named_material : Material with a given name.
 
     Examples
     --------

@@ -56,7 +56,7 @@ class Lambert(Material):
     Parameters
     ----------
     albedo : float
-        Reflected share of the incident power, 0 to 1; stored as ``rho``.
+        Reflected fraction of the incident power, 0 to 1; stored as ``rho``.
 
     Raises
     ------
@@ -75,7 +75,7 @@ class Lambert(Material):
         object.__setattr__(self, "rho", in_range("albedo", albedo, 0.0, 1.0))
 
     def lobe_table(self) -> Array:
-        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
+        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
         return np.array([[LAMBERT, self.rho, 0.0, 1.0]])
 
     def albedo(self, theta: ArrayLike) -> Array:
@@ -137,7 +137,7 @@ class OrenNayar(Material):
         object.__setattr__(self, "normalised", bool(normalised))
 
     def lobe_table(self) -> Array:
-        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
+        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
         kind = OREN_NAYAR if self.model == "fit" else OREN_NAYAR_FULL
         return np.array([[kind, self.rho, self.slope_rms, 1.0 / self._excess()]])
 
@@ -176,7 +176,7 @@ class SpecularMicrofacet(MirrorLobe):
     slope_rms : float
         Standard deviation of the facet slope per axis, rad, 1e-6 to 0.7, or 0 for a smooth mirror.
         alpha = sqrt(2) slope_rms, also for GGX, although the GGX slope distribution has no finite
-        rms. Up to 0.1 rad the lobe is mirror-like; above that it counts as diffuse.
+        rms. Up to 0.1 rad the lobe counts as mirror-like, above that as diffuse.
     distribution : {"beckmann", "ggx"}
         Distribution of the facet normals: Gaussian slopes, or GGX with longer tails.
 
@@ -213,7 +213,7 @@ class SpecularMicrofacet(MirrorLobe):
         one_of("distribution", self.distribution, _DISTRIBUTIONS)
 
     def lobe_table(self) -> Array:
-        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
+        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
         kind = _DISTRIBUTIONS[self.distribution]
         return np.array([[kind, self.reflectance, self.slope_rms, 1.0]])
 
@@ -243,7 +243,8 @@ class Ward(MirrorLobe):
         see Notes.
     alpha : float
         Slope width of the lobe, 1e-6 to 1; equal to Beckmann's alpha, sqrt(2) times the slope rms
-        per axis. Up to a slope rms of 0.1 the lobe is mirror-like; above that it counts as diffuse.
+        per axis. Up to a slope rms of 0.1 rad the lobe counts as mirror-like, above that as
+        diffuse.
     variant : {"1992", "duer", "bounded"}
         Denominator of the lobe: sqrt(cos_i cos_o) [1]_, cos_i cos_o [2]_, or the one with a
         bounded albedo [3]_.
@@ -303,7 +304,7 @@ class Ward(MirrorLobe):
         return self.alpha / math.sqrt(2.0)
 
     def lobe_table(self) -> Array:
-        """Return the lobe as a table of one row, (1, 4); see `Material.lobe_table`."""
+        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
         return np.array([[_WARDS[self.variant], self.rho, self.alpha, 1.0]])
 
     @property
@@ -330,7 +331,7 @@ class SumMaterial(Material):
     Raises
     ------
     SceneError
-        If a summand is no material or the albedos add up to more than 1.
+        If a summand is not a material, or the albedos add up to more than 1.
 
     See Also
     --------
@@ -368,7 +369,7 @@ class SumMaterial(Material):
             )
 
     def lobe_table(self) -> Array:
-        """Return the lobes of all summands, (n, 4); see `Material.lobe_table`."""
+        """Return the parameters of all lobes as an array, (n, 4); see `Material.lobe_table`."""
         return np.concatenate([part.lobe_table() for part in self.parts])
 
     @property
@@ -378,7 +379,7 @@ class SumMaterial(Material):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Mirror-like lobes of all summands."""
+        """Mirror-like lobes (slope rms up to 0.1 rad) of all summands."""
         return tuple(lobe for part in self.parts for lobe in part.mirror_lobes)
 
     @property

@@ -60,14 +60,15 @@ class Wall(Noun):
     is_compiled = True
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the height function as arrays for compiled kernels.
+        """Return the height function as arrays, the form in which compiled code needs it.
 
         Returns
         -------
         terms : ndarray, (n, 8)
             One row per summand: its kind, from `PLANE` to `GRID`, then its parameters in SI units.
         tables : ndarray, (m,)
-            Samples of gridded summands; the rows of these hold an offset into this array.
+            Samples of summands that are given on a grid; their rows of ``terms`` hold an offset
+            into this array.
 
         Raises
         ------
@@ -269,7 +270,7 @@ class FlatWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the plane as one row of parameters; see `Wall.compiled`."""
+        """Return the plane as the arrays described in `Wall.compiled`."""
         return _term(PLANE), np.zeros(1)
 
     @property
@@ -441,7 +442,7 @@ class WavyWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the wave as one row of parameters; see `Wall.compiled`."""
+        """Return the parameters of the wave as the arrays described in `Wall.compiled`."""
         k = 2 * math.pi / self.period
         kx, ky = k * math.cos(self.direction), k * math.sin(self.direction)
         return _term(WAVE, self.amplitude, kx, ky, self.phase), np.zeros(1)
@@ -510,7 +511,7 @@ class SumWall(Wall):
         self._check_size()
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the height terms of all summands, with their tables concatenated."""
+        """Return the arrays of all summands, concatenated; see `Wall.compiled`."""
         rows, tables, offset = [], [np.zeros(1)], 1
         for term in self.terms:
             row, table = term.compiled()

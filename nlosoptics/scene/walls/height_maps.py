@@ -220,7 +220,7 @@ class HeightMapWall(Wall):
         return term, np.concatenate([self._samples.ravel(), *slopes])
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the bicubic surface as a row of parameters and a table; see `Wall.compiled`."""
+        """Return the bicubic surface as the arrays described in `Wall.compiled`."""
         return self._fit
 
     @cached_property

@@ -133,7 +133,7 @@ class FacetWall(_Relief):
 
     See Also
     --------
-    GaussianWall : smooth relief with a Gaussian autocorrelation.
+    GaussianWall : Smooth relief with a Gaussian autocorrelation.
 
     Examples
     --------
@@ -172,7 +172,7 @@ class FacetWall(_Relief):
         return self.node_rms / math.sqrt(2.0)
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the facets as one row of parameters; see `Wall.compiled`."""
+        """Return the parameters of the facets as the arrays described in `Wall.compiled`."""
         a, b = self._offset()
         offset = (self.cell * (a + 0.5 * b), self.cell * math.sqrt(0.75) * b)
         return self._row(FACETS, self.cell, self.node_rms, offset), np.zeros(1)
@@ -228,8 +228,8 @@ class GaussianWall(_Relief):
 
     See Also
     --------
-    FacetWall : relief of plane facets.
-    HeightMapWall.random : stored heights on a grid, also with other autocorrelations.
+    FacetWall : Relief of plane facets.
+    HeightMapWall.random : Stored heights on a grid, with other autocorrelations too.
 
     Examples
     --------
@@ -267,7 +267,7 @@ class GaussianWall(_Relief):
         return math.sqrt(2.0) * self.height_rms / self.correlation_length
 
     def compiled(self) -> tuple[Array, Array]:
-        """Return the bumps as one row of parameters; see `Wall.compiled`."""
+        """Return the parameters of the relief as the arrays described in `Wall.compiled`."""
         length = self.correlation_length
         a, b = self._offset()
         offset = (0.5 * length * a, 0.5 * length * b)

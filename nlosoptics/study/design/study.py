@@ -122,8 +122,8 @@ class Study(Noun):
 
     See Also
     --------
-    plan_study : Predict points, shared stages, time and size.
-    run_study : Compute the points of a study, or resume.
+    plan_study : Predict number of points, time and size.
+    run_study : Run a study, or continue it.
     optimum : Best points of an optimisation.
 
     Examples
@@ -161,7 +161,7 @@ class Study(Noun):
         Raises
         ------
         SceneError
-            If a key, value, address or figure is wrong. The message names file and key.
+            If a key, value, address or figure of merit is wrong. The message names file and key.
         """
         path = path_of("path", path)
         try:
@@ -188,7 +188,7 @@ class Study(Noun):
         Raises
         ------
         SceneError
-            If a key, value, address or figure is wrong.
+            If a key, value, address or figure of merit is wrong.
         """
         folder = path_of("folder", folder).absolute()
         definition = json.loads(json.dumps(dict(tables), default=str))

@@ -55,7 +55,7 @@ class Detector:
     Raises
     ------
     SceneError
-        If a value is out of range, or a length is so short that it must be in seconds.
+        If a value is out of range, or a length is so short that it was probably given in seconds.
 
     See Also
     --------

@@ -73,7 +73,8 @@ def lct(
     Raises
     ------
     SamplingError
-        If the capture is not confocal on an even grid, or the volume exceeds the covered range.
+        If the capture is not confocal on an evenly spaced grid, or the volume exceeds the covered
+        range.
     SceneError
         If the capture has direct light, outer legs or negative values.
     MemoryLimitError

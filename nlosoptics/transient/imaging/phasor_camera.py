@@ -132,7 +132,7 @@ def phasor_image(
         ``notes``.
     PerformanceWarning
         If a large volume is summed directly, often a hundred times slower than by transforms,
-        because its voxels lie off the wall's grid.
+        because its voxels do not lie on the grid of the wall points.
 
     See Also
     --------

@@ -134,7 +134,7 @@ class Volume(Noun):
         Raises
         ------
         SamplingError
-            If the points are not an even grid.
+            If the points are not an evenly spaced grid.
         SceneError
             If ``planes`` is not an increasing range above 0.
         """
