@@ -212,9 +212,9 @@ def wall_samples(
     Yields
     ------
     on_wall : ndarray, (m, 3)
-        Wall points, world, m; NaN where a path misses the wall.
+        Wall points, world frame, m; NaN where a path misses the wall.
     lens : ndarray, (3,)
-        Point on the lens from which the light of these paths enters, world, m.
+        Point on the lens from which the light of these paths enters, world frame, m.
     """
     for rays, lens in _sample_rays(scene, centres, pitch):
         yield _on_wall(scene, rays, use, lens), lens

@@ -60,7 +60,7 @@ class Scene(Noun, Shown):
         Time-resolved capture and the volume that is reconstructed from it.
     wall_roughness : WallRoughness, optional
         Relief that is added to ``wall``, which is then the mean surface. The relief determines the
-        slopes of the mirror-like lobes: each such lobe of ``wall_material`` must have the slope rms
+        slopes of the mirror-like lobes: each such lobe of ``wall_material`` must have the rms slope
         of the relief or zero.
 
     Raises
@@ -245,7 +245,7 @@ class Scene(Noun, Shown):
         Scene
             Scene without ``wall_roughness``. If the roughness has the realisation "pattern", the
             wall is the sum of mean wall and heights, and its mirror-like lobes are smooth. If it
-            is "mean", the wall is the mean wall, and its mirror-like lobes have the slope rms of
+            is "mean", the wall is the mean wall, and its mirror-like lobes have the rms slope of
             the roughness. A scene without roughness is returned as it is.
 
         Raises
@@ -276,7 +276,7 @@ class Scene(Noun, Shown):
 
     @property
     def mirror_slopes(self) -> tuple[float, ...]:
-        """Slope rms per axis of each mirror-like lobe, rad, including `wall_roughness`."""
+        """Rms slope per axis of each mirror-like lobe, rad, including `wall_roughness`."""
         return tuple(lobe.slope_rms for lobe in self.mirror_lobes)
 
     def check_in_front(self, *, meshes: bool = True) -> None:
@@ -315,14 +315,14 @@ class Scene(Noun, Shown):
 
     @property
     def object_point(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Reference point of the hidden object, (3,), world, m: image centre or mesh centroid."""
+        """Reference point of the object: image centre or mesh centroid, (3,), world frame, m."""
         if isinstance(self.hidden, MeshObject):
             return np.asarray(self.hidden.surface.centroid)
         return np.array(self.hidden.position)
 
     @property
     def mirrored_object_point(self) -> np.ndarray[Any, np.dtype[np.float64]]:
-        """Mirror image of `object_point` in the plane z = 0, (3,), world, m."""
+        """Mirror image of `object_point` in the plane z = 0, (3,), world frame, m."""
         return self.object_point * (1.0, 1.0, -1.0)
 
     @property

@@ -119,8 +119,8 @@ class Fraction:
         Ends of the Clopper-Pearson interval of this share, at the confidence given to
         `fraction_within`, by default 0.95.
     met, points, failed : int
-        Numbers of points that meet the specification, of all finished points, and of finished
-        points whose figure is not finite. The latter do not meet the specification.
+        Number of points that meet the specification, of all finished points, and of finished
+        points whose figure of merit is not finite. The latter do not meet the specification.
 
     See Also
     --------

@@ -80,7 +80,10 @@ class Optimum(Noun):
         return self.front[0]
 
     def values(self, trial: int | None = None) -> dict[str, Any]:
-        """Return the values of a trial by address, written as in a scene file.
+        """Return the values that the method chose for a trial.
+
+        A trial is one set of values of the variables. The keys are their addresses, such as
+        "camera.f_number"; the values are written as in a scene file.
 
         Parameters
         ----------

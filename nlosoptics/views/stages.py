@@ -215,7 +215,7 @@ def look_at(plotter: Plotter, corners: Array, balls: Sequence[tuple[Any, float]]
     plotter : Plotter
         Plotter whose camera is set.
     corners : ndarray, (n, 3)
-        Points that must be within the view, world, m.
+        Points that must be within the view, world frame, m.
     balls : sequence of (point, radius)
         Centres, world, and radii, m, of the parts that should be visible separately.
 

@@ -356,7 +356,7 @@ def yield_curve(
     Parameters
     ----------
     limits : array_like, (n,)
-        Limits of the figure.
+        Limits on the figure of merit, in its unit.
     fractions : sequence of n Fraction
         Result of `study.fraction_within` for each limit.
     label : str
@@ -367,7 +367,8 @@ def yield_curve(
     Returns
     -------
     Axes
-        Axes with the yield in percent and a band between the ends of its interval.
+        Axes with the yield in percent, that is the share of points that meet the limit, and a band
+        for its confidence interval.
 
     See Also
     --------

@@ -22,9 +22,9 @@ class WallPaths(torch.autograd.Function):
     """Path lengths object - wall - pupil minus the distance from the mirrored object point.
 
     ``apply(radius, object_point, points, axis, wall)`` takes float64 tensors of shape (), (3,),
-    `(n, 3)` and (3,), world, m; ``axis`` is the pupil plane's normal. It returns the excess (n,),
-    m, as in `psf.wall_aberration`, and the wall points (n, 3), m. Wall points and axis have no
-    gradient. The radius replaces that of a `ConcaveWall` or `ConvexWall`; other walls are
+    `(n, 3)` and (3,), world frame, m; ``axis`` is the pupil plane's normal. It returns the excess
+    (n,), m, as in `psf.wall_aberration`, and the wall points (n, 3), m. Wall points and axis have
+    no gradient. The radius replaces that of a `ConcaveWall` or `ConvexWall`; other walls are
     unchanged.
 
     Notes

@@ -25,7 +25,7 @@ class AimedRays:
     Parameters
     ----------
     points : ndarray, (n, 3)
-        Points at which the paths meet the wall, world, m.
+        Points at which the paths meet the wall, world frame, m.
     excess : ndarray, (n,)
         Path length minus the distance from the mirrored object point, m.
     spreading : ndarray, (n,)
@@ -45,9 +45,9 @@ def aim(wall: Wall, object_point: ArrayLike, nodes: Array, axis: Array) -> Aimed
     wall : Wall
         Relay wall, used as a mirror.
     object_point : array_like, (3,)
-        Object point in front of the wall, world, m.
+        Object point in front of the wall, world frame, m.
     nodes : ndarray, (n, 3)
-        Pupil points in front of the wall, world, m.
+        Pupil points in front of the wall, world frame, m.
     axis : ndarray, (3,)
         Unit normal of the pupil plane, world.
 

@@ -25,9 +25,9 @@ def stationary_points(
     wall : Wall
         Wall that evaluates its height and derivatives in Python.
     o : ndarray, (3,)
-        Object point, world, m.
+        Object point, world frame, m.
     nodes : ndarray, (n, 3)
-        Ends of the paths, world, m.
+        Ends of the paths, world frame, m.
     starts : ndarray, (n, 2)
         First guesses (x, y) of the wall points, m.
     side : float

@@ -26,7 +26,7 @@ def check_cone(scene: Scene, object_point: Array | None = None) -> bool:
     scene : Scene
         Scene with wall, camera and occluders.
     object_point : ndarray, (3,), optional
-        Object point, world, m; by default the object's reference point.
+        Object point, world frame, m; by default the object's reference point.
 
     Raises
     ------
@@ -52,10 +52,10 @@ def hides(scene: Scene, object_point: Array, on_wall: Array, on_lens: Array) -> 
     scene : Scene
         Scene with wall and occluders.
     object_point : ndarray, (3,)
-        Object point, world, m.
+        Object point, world frame, m.
     on_wall, on_lens : ndarray, (n, 3)
-        Points at which the paths meet the wall and the lens, world, m. Paths that miss the wall
-        are ignored.
+        Points at which the paths meet the wall and the lens, world frame, m. Paths that miss the
+        wall are ignored.
 
     Raises
     ------

@@ -22,7 +22,7 @@ def wave_bends(scene: Scene, points: Array) -> Array:
     scene : Scene
         Scene with the camera and the wall.
     points : ndarray, (n, 3)
-        Object points, world, m.
+        Object points, world frame, m.
 
     Returns
     -------

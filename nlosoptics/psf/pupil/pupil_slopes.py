@@ -24,7 +24,7 @@ def pupil_slopes(scene: Scene, slopes: ArrayLike, positions: ArrayLike, nodes: A
         ``n - s1 t1 - s2 t2``, with n the normal of the mean wall, t1 its tangent along x and
         t2 = n x t1.
     positions : array_like, (ny, nx, 3)
-        Centres of the facets' cells, a square lattice with rows along y, world, m.
+        Centres of the facets' cells, a square lattice with rows along y, world frame, m.
     nodes : array_like, (n, 2)
         Points (u, v) of the exit pupil, m.
 

@@ -34,7 +34,7 @@ class PointOptics:
     pupil : ExitPupil
         Exit pupil of the scene.
     object_point : ndarray, (3,)
-        Object point, world, m.
+        Object point, world frame, m.
 
     Attributes
     ----------

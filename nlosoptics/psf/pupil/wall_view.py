@@ -34,7 +34,7 @@ class WallView(Noun):
         For a flat wall at normal incidence it is ``d1 d2/(d1 + d2)`` times the unit matrix, with
         d1 and d2 the distances from the wall to object and lens.
     point : ndarray, (3,)
-        Point at which the chief ray meets the wall, world, m.
+        Point at which the chief ray meets the wall, world frame, m.
     tangents : ndarray, (2, 3)
         Unit vectors of the wall's tangent plane at that point, world, in which steps on the wall
         are given.
@@ -58,7 +58,7 @@ class _Chief:
     Parameters
     ----------
     points : ndarray, (n, 3)
-        Wall points, world, m.
+        Wall points, world frame, m.
     cosines : ndarray, (n,)
         Sum of the cosines of incidence and exitance.
     bend : ndarray, (n, 2, 2)
@@ -86,7 +86,7 @@ def wall_view(scene: Scene, object_point: ArrayLike | None = None) -> WallView:
     scene : Scene
         Scene with the camera, the object and the wall.
     object_point : array_like, (3,), optional
-        Start of the chief ray, world, m; by default the hidden object's reference point.
+        Start of the chief ray, world frame, m; by default the hidden object's reference point.
 
     Returns
     -------
@@ -122,9 +122,9 @@ def view_along(scene: Scene, zoom: float, object_point: Array, hit: Array) -> Wa
     zoom : float
         Ratio of the exit pupil's size to that of the lens.
     object_point : ndarray, (3,)
-        Start of the chief ray, world, m.
+        Start of the chief ray, world frame, m.
     hit : ndarray, (3,)
-        Point at which the chief ray meets the wall, world, m.
+        Point at which the chief ray meets the wall, world frame, m.
 
     Returns
     -------
@@ -161,7 +161,7 @@ def _optics(
     """First-order optics of the mean wall for points ``on_lens`` (n, 2), m.
 
     ``o`` (3,) is the object point, by default the reference point. ``points`` (n, 3) are the wall
-    points of its rays, world, m; they are found by aiming if omitted.
+    points of its rays, world frame, m; they are found by aiming if omitted.
     """
     o, axes = scene.object_point if o is None else o, scene.camera.frame
     ends = pupil_points(scene.camera.position, axes[2], on_lens)

@@ -269,7 +269,7 @@ class AimedWave:
     rays : AimedRays
         The chief ray, followed by one ray for each node inside the lens.
     on_lens : ndarray, (1 + n, 3)
-        Points at which these rays meet the lens, world, m.
+        Points at which these rays meet the lens, world frame, m.
     in_lens : ndarray of bool
         Whether each node of the wave lies inside the lens, in the shape of the nodes.
     hidden : bool
@@ -308,7 +308,7 @@ def aimed_wave(
     pupil : ExitPupil
         Exit pupil of the scene.
     o : ndarray, (3,)
-        Object point, world, m.
+        Object point, world frame, m.
     nodes, samples
         Pupil nodes, as in `wavefront`.
 

@@ -229,7 +229,7 @@ def lobe_point_spread(
     wave : Wavefront
         Wave of the wall without roughness, from `wavefront`.
     object_point : array_like, (3,), optional
-        Object point of the wave, world, m; by default the hidden object's reference point.
+        Object point of the wave, world frame, m; by default the hidden object's reference point.
     tol : float
         Wanted error, max |dI|/max I.
     pitch : float, optional

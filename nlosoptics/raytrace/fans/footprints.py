@@ -30,7 +30,8 @@ class Footprint:
     low, high : ndarray, (2,)
         Corners of the rectangle with the lowest and highest x and y, m.
     points : ndarray, (n, 3)
-        Wall points, world, m, whose reflected light passes through the lens or close to its edge.
+        Wall points, world frame, m, whose reflected light passes through the lens or close to its
+        edge.
     """
 
     low: Array
@@ -46,7 +47,7 @@ def lens_footprint(wall: Wall, object_point: Array, camera: Camera) -> Footprint
     wall : Wall
         Relay wall, used as a mirror of its exact shape.
     object_point : ndarray, (3,)
-        Object point in front of the wall, world, m.
+        Object point in front of the wall, world frame, m.
     camera : Camera
         Camera with the lens.
 
@@ -177,14 +178,14 @@ def _landings(wall: Wall, o: Array, camera: Camera, places: Array) -> tuple[Arra
     Parameters
     ----------
     o : ndarray, (3,)
-        Object point, world, m.
+        Object point, world frame, m.
     places : ndarray, (..., 2)
         Coordinates x and y on the wall, m.
 
     Returns
     -------
     points : ndarray, (..., 3)
-        Wall points, world, m.
+        Wall points, world frame, m.
     landed : ndarray, (..., 2)
         Coordinates u and v in the lens plane about the centre of the lens, m; NaN for light that
         does not reach this plane.
@@ -235,14 +236,14 @@ def lens_plane(points: Array, directions: Array, camera: Camera) -> tuple[Array,
     Parameters
     ----------
     points, directions : ndarray, (..., 3)
-        Starts, world, m, and unit directions of the rays.
+        Starts, world frame, m, and unit directions of the rays.
     camera : Camera
         Camera with the lens.
 
     Returns
     -------
     ends : ndarray, (..., 3)
-        Intersections, world, m; NaN for rays that do not approach the plane from the front.
+        Intersections, world frame, m; NaN for rays that do not approach the plane from the front.
     length : ndarray, (...)
         Distances from the starts, m; NaN for the same rays.
     """

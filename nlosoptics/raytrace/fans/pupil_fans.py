@@ -35,7 +35,7 @@ def pupil_rays(
         The material and ``wall_roughness`` are ignored; `Scene.with_relief` adds the roughness to
         the wall.
     object_point : array_like, (3,), optional
-        Object point, world, m; by default the hidden object's reference point.
+        Object point, world frame, m; by default the hidden object's reference point.
     n_rays : int
         Number of rays, at least 16.
     seed : int

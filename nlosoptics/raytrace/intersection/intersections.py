@@ -35,7 +35,7 @@ class Hits(Noun):
     distance : ndarray, shape (...)
         Distance from the origin along the unit direction, m; NaN without a hit.
     points : ndarray, shape (..., 3)
-        Hit points, world, m; NaN without a hit.
+        Hit points, world frame, m; NaN without a hit.
     normals : ndarray, shape (..., 3)
         Unit normals toward the room, world; NaN without a hit.
     status : ndarray of int8, shape (...)

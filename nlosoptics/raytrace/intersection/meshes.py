@@ -38,7 +38,7 @@ class MeshHits(Hits):
     distance : ndarray, shape (...)
         Distance from the origin along the unit direction, m; NaN without a hit.
     points : ndarray, shape (..., 3)
-        Hit points, world, m; NaN without a hit.
+        Hit points, world frame, m; NaN without a hit.
     normals : ndarray, shape (..., 3)
         Unit normals of the triangles, on the side from which the ray comes, world frame; NaN
         without a hit.
@@ -72,7 +72,8 @@ def intersect_mesh(
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangle mesh, world, m. Its search structures are cached until it changes or is deleted.
+        Triangle mesh, world frame, m. Its search structures are cached until it changes or is
+        deleted.
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
@@ -151,7 +152,7 @@ class AllHits(Noun):
     distance : ndarray, (h,)
         Distance from the origin along the unit direction, m.
     points : ndarray, (h, 3)
-        Hit points, world, m.
+        Hit points, world frame, m.
     triangle : ndarray of int32, (h,)
         Index into ``mesh.faces``.
 
@@ -182,7 +183,8 @@ def all_hits(
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangle mesh, world, m. Its search structures are cached until it changes or is deleted.
+        Triangle mesh, world frame, m. Its search structures are cached until it changes or is
+        deleted.
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
@@ -231,11 +233,11 @@ def occluded(mesh: trimesh.Trimesh, origins: ArrayLike, targets: ArrayLike) -> N
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        Triangle mesh, world, m.
+        Triangle mesh, world frame, m.
     origins, targets : array_like, (..., 3)
-        Ends of the lines, world, m; shapes broadcast. Both may lie on the mesh: intersections
-        closer to an end than 1e-9 of half the mesh's extent, or than the rounding of the
-        coordinates, are ignored.
+        Ends of the lines, world frame, m; shapes broadcast. Both may lie on the mesh:
+        intersections closer to an end than 1e-9 of half the mesh's extent, or than the rounding of
+        the coordinates, are ignored.
 
     Returns
     -------

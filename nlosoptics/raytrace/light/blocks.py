@@ -323,7 +323,7 @@ class Rays:
         vertices : list of ndarray, (n, VERTEX)
             Reflecting vertices in the order of the light, with point, normal, SURFACE and MET.
         ends : ndarray, (n, 3)
-            Points of the lens, world, m.
+            Points of the lens, world frame, m.
         bounce : int
             Number of reflections.
         """

@@ -29,7 +29,7 @@ class WallIrradiance(Noun):
     Parameters
     ----------
     x, y : ndarray, (nx,) and (ny,)
-        Centres of the cells, world, m.
+        Centres of the cells, world frame, m.
     irradiance : ndarray, (ny, nx)
         Power incident on a cell divided by the wall's area there, W/m^2; row 0 at the lowest y.
     standard_error : ndarray, (ny, nx)

@@ -46,14 +46,14 @@ def kept_paths(
     most : int
         Largest number of reflections of any path; shorter paths repeat their last point.
     sources, ends : ndarray, (n, 3)
-        First and last points, world, m.
+        First and last points, world frame, m.
     vertices : list of ndarray, (n, VERTEX)
         Reflecting vertices in the order of the light; point, normal and surface are read.
 
     Returns
     -------
     points : ndarray, (n, most + 2, 3)
-        Points, world, m.
+        Points, world frame, m.
     surfaces, lobes : ndarray of int8, (n, most + 2)
         As ``RayPaths.surface`` and ``RayPaths.lobe``.
     """

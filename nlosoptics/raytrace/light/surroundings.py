@@ -232,7 +232,7 @@ class Surroundings:
         Parameters
         ----------
         origins, directions : ndarray, (n, 3)
-            Starts, world, m, and unit directions.
+            Starts, world frame, m, and unit directions.
         live : ndarray of bool, (n,)
             Rays to trace; the others get no hit.
         on_wall : ndarray of bool, (n,)
@@ -336,7 +336,7 @@ class Surroundings:
         Parameters
         ----------
         starts, ends : ndarray, (n, 3)
-            Ends of the connecting lines, world, m.
+            Ends of the connecting lines, world frame, m.
         on_wall : ndarray of bool, (n,)
             Whether the start is on the wall.
         value : ndarray, (n,)

@@ -120,7 +120,7 @@ def trace_point(
     scene : Scene
         Scene to trace; its laser is not used.
     object_point : array_like, (3,), optional
-        Emitting point, world, m; by default the hidden object's reference point.
+        Emitting point, world frame, m; by default the hidden object's reference point.
     emission : {"lambertian", "isotropic"}
         Angular distribution of the 1 W that the point emits: Lambertian about the normal of the
         hidden image (-z for a mesh), or equal in all directions.
@@ -253,7 +253,7 @@ def point_scene(scene: Scene, object_point: ArrayLike | None) -> Scene:
     scene : Scene
         Scene with any hidden object.
     object_point : array_like, (3,), or None
-        Object point, world, m; None for the hidden object's reference point.
+        Object point, world frame, m; None for the hidden object's reference point.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def over_slopes(material: Material, theta: float, scale: float, *, smooth: bool 
     theta : float
         Angle of incidence, rad.
     scale : float
-        Slope rms of the lobe.
+        Rms slope of the lobe.
     smooth : bool
         True for a lobe with Gaussian tails whose integrand is smooth at the horizon.
     """

@@ -12,7 +12,7 @@ from ..._vectors import dot
 from ...errors import SceneError
 
 Array = NDArray[np.float64]
-#: Largest slope rms, rad, of a lobe that counts as mirror-like and forms an image.
+#: Largest rms slope, rad, of a lobe that counts as mirror-like and forms an image.
 MIRROR_SLOPE = 0.1
 
 
@@ -33,7 +33,7 @@ class Material:
         -------
         ndarray, (n, 4)
             One row per lobe: its kind, from `LAMBERT` to `WARD_BOUNDED` of `kernels.codes`; its
-            albedo or reflectance; its slope rms or alpha, rad; and a factor on the whole lobe,
+            albedo or reflectance; its rms slope or alpha, rad; and a factor on the whole lobe,
             which is 1 unless the lobe is normalised.
         """
         raise NotImplementedError
@@ -42,14 +42,14 @@ class Material:
     def specular_reflectance(self) -> float:
         """Fraction of the incident power that mirror-like lobes reflect, 0 to 1.
 
-        A lobe counts as mirror-like if its slope rms is at most 0.1 rad, which spreads the
+        A lobe counts as mirror-like if its rms slope is at most 0.1 rad, which spreads the
         reflected light by 11 deg. Rougher lobes do not form a useful image and count as diffuse.
         """
         return 0.0
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Mirror-like lobes (slope rms up to 0.1 rad) with a reflectance above zero."""
+        """Mirror-like lobes (rms slope up to 0.1 rad) with a reflectance above zero."""
         return ()
 
     @property
@@ -177,7 +177,7 @@ class Material:
         ndarray, (...)
             Reflected fraction, in the shape of ``theta``: in closed form where one exists,
             otherwise by quadrature with an error of about 1e-9, or 1e-16/(s cos theta)^2 if
-            larger, for a mirror-like lobe of slope rms s.
+            larger, for a mirror-like lobe of rms slope s.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class Material:
 class MirrorLobe(Material):
     """Base class of lobes about the mirror direction.
 
-    A lobe counts as mirror-like if its slope rms is at most 0.1 rad, otherwise as diffuse.
+    A lobe counts as mirror-like if its rms slope is at most 0.1 rad, otherwise as diffuse.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ class MirrorLobe(Material):
     def diffuse(self) -> Material | None:
         """Diffuse part of the material: the lobe itself if it counts as diffuse, otherwise None.
 
-        A lobe counts as diffuse if its slope rms exceeds 0.1 rad.
+        A lobe counts as diffuse if its rms slope exceeds 0.1 rad.
         """
         return None if self.slope_rms <= MIRROR_SLOPE else self
 

@@ -55,7 +55,7 @@ class PlanarObject(Posed):
         Width and height, m. A single number is the width; the height follows from the image's
         shape.
     position : (float, float, float)
-        Centre of the image, world, m.
+        Centre of the image, world frame, m.
     yaw, pitch, roll : float
         Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
     material : Material
@@ -145,7 +145,10 @@ class PlanarObject(Posed):
 
     @property
     def corners(self) -> Array:
-        """Corners of the image, (4, 3), world, m."""
+        """Corners of the image, (4, 3), world frame, m.
+
+        Their order is top right, bottom right, bottom left, top left, in the image's own sense.
+        """
         right, up, _ = self.axes
         sides = np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)]) / 2 * self.size
         return np.asarray(self.position + sides[:, :1] * right + sides[:, 1:] * up)
@@ -239,7 +242,7 @@ class MeshObject(PosedMesh):
     scale : float
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
-        Position of the mesh's origin, world, m.
+        Position of the mesh's origin, world frame, m.
     yaw, pitch, roll : float
         Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
     material : Material

@@ -21,9 +21,9 @@ class Laser:
     beam_diameter : float
         Diameter of the beam, m; the irradiance is uniform across it.
     position : (float, float, float)
-        Start of the beam, world, m.
+        Start of the beam, world frame, m.
     aim : (float, float, float)
-        Point of the mean wall plane z = 0 that the beam is aimed at, world, m.
+        Point of the mean wall plane z = 0 that the beam is aimed at, world frame, m.
     independent_patterns : int or None
         Number of independent speckle patterns averaged in one exposure. None for spatially
         incoherent light (a fast diffuser in the beam), which shows no speckle.

@@ -219,7 +219,7 @@ class SpecularMicrofacet(MirrorLobe):
 
     @property
     def specular_reflectance(self) -> float:
-        """The reflectance if the slope rms is at most 0.1 rad, else 0."""
+        """The reflectance if the rms slope is at most 0.1 rad, else 0."""
         return self.reflectance if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     def albedo(self, theta: ArrayLike) -> Array:
@@ -242,8 +242,8 @@ class Ward(MirrorLobe):
         is close to it only for small alpha and, except for "bounded", away from grazing incidence;
         see Notes.
     alpha : float
-        Slope width of the lobe, 1e-6 to 1; equal to Beckmann's alpha, sqrt(2) times the slope rms
-        per axis. Up to a slope rms of 0.1 rad the lobe counts as mirror-like, above that as
+        Slope width of the lobe, 1e-6 to 1; equal to Beckmann's alpha, sqrt(2) times the rms slope
+        per axis. Up to a rms slope of 0.1 rad the lobe counts as mirror-like, above that as
         diffuse.
     variant : {"1992", "duer", "bounded"}
         Denominator of the lobe: sqrt(cos_i cos_o) [1]_, cos_i cos_o [2]_, or the one with a
@@ -309,7 +309,7 @@ class Ward(MirrorLobe):
 
     @property
     def specular_reflectance(self) -> float:
-        """The specular albedo ``rho`` if the slope rms is at most 0.1 rad, else 0."""
+        """The specular albedo ``rho`` if the rms slope is at most 0.1 rad, else 0."""
         return self.rho if self.slope_rms <= MIRROR_SLOPE else 0.0
 
     def albedo(self, theta: ArrayLike) -> Array:
@@ -379,7 +379,7 @@ class SumMaterial(Material):
 
     @property
     def mirror_lobes(self) -> tuple[MirrorLobe, ...]:
-        """Mirror-like lobes (slope rms up to 0.1 rad) of all summands."""
+        """Mirror-like lobes (rms slope up to 0.1 rad) of all summands."""
         return tuple(lobe for part in self.parts for lobe in part.mirror_lobes)
 
     @property

@@ -33,7 +33,7 @@ class Occluder(PosedMesh):
     scale : float
         Factor applied to the mesh's coordinates, for example 1e-3 for a file in millimetres.
     position : (float, float, float)
-        Position of the mesh's origin, world, m.
+        Position of the mesh's origin, world frame, m.
     yaw, pitch, roll : float
         Rotation angles about the world axes y, x and z, rad; applied in the order roll, pitch, yaw.
 

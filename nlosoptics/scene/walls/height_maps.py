@@ -120,7 +120,7 @@ class HeightMapWall(Wall):
         Parameters
         ----------
         height_rms : float
-            Height rms of the ensemble, m. The rms of a single wall deviates from it by a fraction
+            Rms height of the ensemble, m. The rms of a single wall deviates from it by a fraction
             of about ``correlation_length / size``.
         correlation_length : float
             Lag l at which the autocorrelation has fallen to 1/e, m; at least two pitches.
@@ -129,7 +129,7 @@ class HeightMapWall(Wall):
         pitch : float
             Distance between neighbouring heights, m.
         autocorrelation : {"gaussian", "exponential"}
-            ``C(r) = exp(-r^2/l^2)`` or ``C(r) = exp(-r/l)``. The slope rms of the second grows
+            ``C(r) = exp(-r^2/l^2)`` or ``C(r) = exp(-r/l)``. The rms slope of the second grows
             without limit as the pitch decreases, so that it depends on the pitch.
         seed : int
             Seed of the random generator, 0 to 2^64 - 1. The same seed and grid give the same wall

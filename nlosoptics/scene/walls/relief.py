@@ -105,7 +105,7 @@ class FacetWall(_Relief):
     cell : float
         Side of a triangle, m.
     slope_rms : float
-        Slope rms per axis, rad, 0 to 1. The slopes of a facet are Gaussian and isotropic.
+        Rms slope per axis, rad, 0 to 1. The slopes of a facet are Gaussian and isotropic.
     seed : int
         Seed of the random generator, 0 to 2^64 - 1.
     size : float or (float, float), optional
@@ -114,9 +114,9 @@ class FacetWall(_Relief):
     Attributes
     ----------
     node_rms : float
-        Height rms of the lattice nodes, m.
+        Rms height of the lattice nodes, m.
     height_rms : float
-        Height rms over the area, m.
+        Rms height over the area, m.
 
     Raises
     ------
@@ -163,12 +163,12 @@ class FacetWall(_Relief):
 
     @property
     def node_rms(self) -> float:
-        """Height rms of the lattice nodes, m."""
+        """Rms height of the lattice nodes, m."""
         return self.cell * self.slope_rms / math.sqrt(2.0)
 
     @property
     def height_rms(self) -> float:
-        """Height rms over the area, m."""
+        """Rms height over the area, m."""
         return self.node_rms / math.sqrt(2.0)
 
     def compiled(self) -> tuple[Array, Array]:
@@ -189,7 +189,7 @@ class FacetWall(_Relief):
 
     @property
     def is_flat(self) -> bool:
-        """Whether the slope rms is zero, so that every height is zero."""
+        """Whether the rms slope is zero, so that every height is zero."""
         return self.slope_rms == 0.0
 
 
@@ -200,7 +200,7 @@ class GaussianWall(_Relief):
     Parameters
     ----------
     height_rms : float
-        Height rms, m.
+        Rms height, m.
     correlation_length : float
         Lag l at which the autocorrelation has fallen to 1/e, m.
     seed : int
@@ -211,12 +211,12 @@ class GaussianWall(_Relief):
     Attributes
     ----------
     slope_rms : float
-        Slope rms per axis, ``sqrt(2) height_rms / l``, rad.
+        Rms slope per axis, ``sqrt(2) height_rms / l``, rad.
 
     Raises
     ------
     SceneError
-        If a value is out of range, or the slope rms exceeds 1.
+        If a value is out of range, or the rms slope exceeds 1.
 
     Notes
     -----
@@ -263,7 +263,7 @@ class GaussianWall(_Relief):
 
     @property
     def slope_rms(self) -> float:
-        """Slope rms per axis, rad."""
+        """Rms slope per axis, rad."""
         return math.sqrt(2.0) * self.height_rms / self.correlation_length
 
     def compiled(self) -> tuple[Array, Array]:

@@ -35,7 +35,7 @@ class WallRoughness(Noun):
         wall.
     realisation : {"pattern", "mean"}
         "pattern" is one surface, that of the seed or height map. "mean" is the mean over all
-        surfaces of this roughness; for rays it is a microfacet lobe of the same slope rms on the
+        surfaces of this roughness; for rays it is a microfacet lobe of the same rms slope on the
         mean wall.
 
     Raises
@@ -91,7 +91,7 @@ class WallRoughness(Noun):
 
     @property
     def slope_rms(self) -> float:
-        """Slope rms per axis, rad; for a height map the rms over its nodes."""
+        """Rms slope per axis, rad; for a height map the rms over its nodes."""
         return self.heights.slope_rms
 
     @property
@@ -179,7 +179,7 @@ class WallRoughness(Noun):
         wall : Wall
             For "pattern", the sum of mean wall and heights; for "mean", the mean wall.
         material : Material
-            Material whose mirror-like lobes have slope zero for "pattern", and the slope rms of
+            Material whose mirror-like lobes have slope zero for "pattern", and the rms slope of
             the roughness for "mean".
         """
         self.check_wall(wall)
@@ -188,7 +188,7 @@ class WallRoughness(Noun):
         return SumWall(wall, self.heights, size=wall.size), self._relobed(material, 0.0)
 
     def mean_lobe(self, lobe: MirrorLobe) -> MirrorLobe:
-        """Return a mirror-like lobe of the same slope rms: the mean over many such walls."""
+        """Return a mirror-like lobe of the same rms slope: the mean over many such walls."""
         found = self._relobed(lobe, self.slope_rms)
         assert isinstance(found, MirrorLobe)
         return found

@@ -38,8 +38,8 @@ class TransientCapture(Noun, Shown):
         ``"confocal"``. Values are integrals over each bin, not densities, in the unit of
         ``quantity``. Single precision is kept.
     laser_points, sensor_points : array_like
-        (*laser_shape, 3) and (*sensor_shape, 3), world, m. A single point may have shape (3,); it
-        adds no axis to ``H``.
+        (*laser_shape, 3) and (*sensor_shape, 3), world frame, m. A single point may have shape
+        (3,); it adds no axis to ``H``.
     delta_t : float
         Width of a bin, m of optical path.
     t_start : float
@@ -52,7 +52,7 @@ class TransientCapture(Noun, Shown):
     outer_legs : bool
         Whether times include the outer legs: the paths from laser to wall and from wall to sensor.
     laser_origin, sensor_origin : array_like of 3 floats, optional
-        Positions of laser and sensor, world, m. Required to subtract the outer legs.
+        Positions of laser and sensor, world frame, m. Required to subtract the outer legs.
     laser_normals, sensor_normals : array_like, optional
         Unit normals of the wall, shaped like the points; None means +z.
     by_bounce : mapping of int to array_like
@@ -302,7 +302,7 @@ class TransientCapture(Noun, Shown):
         pairing : {"all", "confocal"}
             Pairing of laser and sensor points, see `TransientCapture`.
         laser_point : array_like of 3 floats
-            Position of the only laser point, world, m.
+            Position of the only laser point, world frame, m.
         outer_legs : bool
             Whether times include the outer legs: the paths from laser to wall and from wall to
             sensor.

@@ -32,7 +32,7 @@ def wall_grid(side: float, count: int, *, centre: tuple[float, float] = (0.0, 0.
     Returns
     -------
     ndarray
-        (count, count, 3), ordered [y, x], world, m.
+        (count, count, 3), ordered [y, x], world frame, m.
 
     Raises
     ------

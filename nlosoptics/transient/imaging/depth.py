@@ -32,7 +32,7 @@ class DepthMap(Noun):
     confidence : ndarray
         (ny, nx): intensity at that depth relative to the brightest voxel, 0 to 1.
     x, y : ndarray
-        (nx,) and (ny,): cell centres, world, m.
+        (nx,) and (ny,): cell centres, world frame, m.
     threshold : float
         Confidence below which cells have no surface.
 
@@ -259,7 +259,7 @@ def true_depths(
     Parameters
     ----------
     meshes : trimesh.Trimesh or iterable of them
-        Surfaces, world, m.
+        Surfaces, world frame, m.
     grid : Volume or (array_like, array_like)
         Cells: a volume, or its axes x (nx,) and y (ny,), m. The depths of a volume are ignored.
 
@@ -300,7 +300,7 @@ def voxelised(
     Parameters
     ----------
     meshes : trimesh.Trimesh or iterable of them
-        Surfaces, world, m.
+        Surfaces, world frame, m.
     volume : Volume
         Volume with at least two voxels along z.
 

@@ -88,7 +88,7 @@ def phasor_image(
     laser : int or tuple of int, optional
         Index of the laser point l of "transient"; required if there are several.
     projector_focus : array_like of 3 floats, optional
-        Focus p of "projector_camera", world, m.
+        Focus p of "projector_camera", world frame, m.
     aperture : float or array_like of bool, optional
         Side of a square about the centre of the wall points, m, or a mask in the shape of the
         points. None: all points. A single laser or sensor point is always used.

@@ -66,7 +66,7 @@ class Volume(Noun):
         Parameters
         ----------
         centre : array_like of 3 floats
-            Centre of the box, world, m.
+            Centre of the box, world frame, m.
         size : array_like of 3 floats
             Extents of the box along x, y and z, m. Each is rounded to a whole number of voxels, at
             least one.
@@ -165,7 +165,7 @@ class Volume(Noun):
 
     @property
     def points(self) -> Array:
-        """Centres of the voxels, (nz, ny, nx, 3), world, m."""
+        """Centres of the voxels, (nz, ny, nx, 3), world frame, m."""
         z, y, x = np.meshgrid(self.z, self.y, self.x, indexing="ij")
         return np.stack([x, y, z], axis=-1)
 

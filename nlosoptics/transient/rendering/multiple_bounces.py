@@ -72,7 +72,7 @@ def multiple_bounces(
     Parameters
     ----------
     surfaces : HiddenSurfaces
-        Hidden triangles in front of the wall z = 0, world, m.
+        Hidden triangles in front of the wall z = 0, world frame, m.
     laser_points, sensor_points : array_like
         (*laser_shape, 3) and (*sensor_shape, 3): points on the wall, m.
     pairing : {"all", "confocal"}

@@ -101,7 +101,7 @@ def render(
     Parameters
     ----------
     surfaces : iterable of (trimesh.Trimesh, Material)
-        Hidden meshes, world, m, and their materials. Both sides of a triangle scatter alike.
+        Hidden meshes, world frame, m, and their materials. Both sides of a triangle scatter alike.
         Meshes lie in front of the wall z = 0 and may touch it.
     laser_points, sensor_points : array_like
         (*laser_shape, 3) and (*sensor_shape, 3): points on the wall z = 0, m. A single point may
@@ -131,7 +131,7 @@ def render(
         Whether times include the outer legs: the paths from ``laser_origin`` to the wall and from
         the wall to ``sensor_origin``.
     laser_origin, sensor_origin : (float, float, float), optional
-        Positions of laser and sensor, world, m; required by the two options above.
+        Positions of laser and sensor, world frame, m; required by the two options above.
     tol, tol_multiple : float
         Relative L1 error over the bins of each pair of points: ``tol`` for three bounces,
         ``tol_multiple`` (expected error) for each higher number of bounces.

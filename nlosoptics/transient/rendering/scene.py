@@ -174,7 +174,7 @@ def _hidden_mesh(hidden: MeshObject | PlanarObject) -> trimesh.Trimesh:
 
 
 def cut_out(picture: PlanarObject) -> trimesh.Trimesh:
-    """Return a mesh of the white area of a hidden image, world, m.
+    """Return a mesh of the white area of a hidden image, world frame, m.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def bounce_surfaces(
     Parameters
     ----------
     surfaces : HiddenSurfaces
-        Hidden triangles, world, m.
+        Hidden triangles, world frame, m.
     wall_points : ndarray
         (n, 3): sensor points on the wall, from which paths start, m.
     wall_albedo : float
@@ -190,7 +190,7 @@ class HiddenSurfaces:
     Parameters
     ----------
     mesh : trimesh.Trimesh
-        All triangles, world, m, in the order of the meshes.
+        All triangles, world frame, m, in the order of the meshes.
     lobes : ndarray
         (k, 4): lobes of all materials.
     spans : ndarray of int64
@@ -216,7 +216,8 @@ def hidden_surfaces(surfaces: Iterable[tuple[trimesh.Trimesh, Material]]) -> Hid
     Parameters
     ----------
     surfaces : iterable of (trimesh.Trimesh, Material)
-        Meshes, world, m, with their materials, in front of the relay wall z = 0. They may touch it.
+        Meshes, world frame, m, with their materials, in front of the relay wall z = 0. They may
+        touch it.
 
     Returns
     -------

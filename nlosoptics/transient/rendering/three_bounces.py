@@ -71,7 +71,7 @@ def three_bounces(
     Parameters
     ----------
     surfaces : HiddenSurfaces
-        Hidden triangles in front of the wall, world, m.
+        Hidden triangles in front of the wall, world frame, m.
     lasers, sensors : ndarray
         (pairs, 3): points on the wall, m, z = 0.
     starts : ndarray
