@@ -78,10 +78,11 @@ def metric_estimate(
     -----
     ``s^2 = (n - 1)/n sum_i (t_i - mean t)^2``, where t_i is the metric of the mean of all patterns
     except the i-th [1]_. For metrics that are smooth functions of the image, (value - truth)/s
-    follows Student's t distribution of n - 1 degrees of freedom. A metric that jumps needs many
-    patterns, such as the width through the brightest pixel, which moves from speckle to speckle.
-    The standard error does not include errors common to all patterns, such as energy outside the
-    window. A modulus such as `mtf` is biased upward where it is not larger than its error.
+    follows Student's t distribution of n - 1 degrees of freedom. A discontinuous metric needs many
+    patterns. An example is the width through the brightest pixel, which may change from one
+    speckle to another. The standard error does not include errors common to all patterns, such as
+    energy outside the window. A modulus such as `mtf` is biased upward where it is not larger than
+    its error.
 
     References
     ----------

@@ -175,8 +175,9 @@ class SpecularMicrofacet(MirrorLobe):
         Fresnel reflectance of a facet, taken as independent of the angle, 0 to 1.
     slope_rms : float
         Standard deviation of the facet slope per axis, rad, 1e-6 to 0.7, or 0 for a smooth mirror.
-        alpha = sqrt(2) slope_rms, also for GGX, although the GGX slope distribution has no finite
-        rms. Up to 0.1 rad the lobe counts as mirror-like, above that as diffuse.
+        The width parameter alpha of the model [1]_ is sqrt(2) times this value. This also holds
+        for GGX, although its slope distribution has no finite rms. Up to 0.1 rad the lobe counts
+        as mirror-like, above that as diffuse.
     distribution : {"beckmann", "ggx"}
         Distribution of the facet normals: Gaussian slopes, or GGX with longer tails.
 

@@ -184,7 +184,7 @@ class FacetWall(_Relief):
 
     @property
     def finest_period(self) -> float:
-        """Shortest period of the node heights, sqrt(3) cells, m; infinite without slopes."""
+        """Shortest period of the node heights, m: sqrt(3) times ``cell``, or infinite if flat."""
         return math.sqrt(3.0) * self.cell if self.slope_rms else math.inf
 
     @property
