@@ -56,8 +56,9 @@ def image_field(
     Returns
     -------
     field : PointSpreadField
-        Point spreads on the finest grid of nodes that was computed. Grids are refined until the
-        images of three successive grids agree within ``tol``, or of two within a tenth of it.
+        Point spreads on the finest grid of nodes that was computed. The grid is refined until the
+        camera images computed with three successive grids agree within ``tol``, or those of two
+        grids within a tenth of it.
     error : float
         Difference between these images, rms over rms. It estimates the error of the coarser grids,
         and so exceeds that of ``field``.

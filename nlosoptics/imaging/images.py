@@ -277,8 +277,8 @@ def form_image(
 
     Notes
     -----
-    Each pixel receives the mean of the picture over its footprint, found by chief rays via the
-    wall. It is multiplied by the radiance of a white object at the pixel's centre and by the
+    Each pixel receives the mean of the picture over the area that it sees, found by chief rays via
+    the wall. It is multiplied by the radiance of a white object at the pixel's centre and by the
     reflectance of the wall's mirror-like lobes. The point spread sums to the energy inside its
     window; the energy outside is lost and listed in ``SpeckleImage.ledger``. Two effects are
     neglected: blurred light from parts of the object outside the field of view, and the laser beam

@@ -60,7 +60,8 @@ class Plan:
         Stages that do not run, each with its reason.
     tol : float
         Error tolerance of the point spreads, max |dI|/max I. If the point spread varies over the
-        object, also of the image, rms error over rms. Other stages report their own errors.
+        object, ``tol`` also limits the error of the image, rms error over rms. Other stages report
+        their own errors.
     waves : float
         Peak-to-valley aberration at the object's centre with tilt removed, waves; NaN if the wave
         is undefined.
@@ -151,7 +152,7 @@ def plan(
         Scene to simulate.
     tol : float, default 1e-3
         Error tolerance of the point spreads, max |dI|/max I, 1e-12 to 0.1. If the point spread
-        varies over the object, also of the image, rms error over rms.
+        varies over the object, ``tol`` also limits the error of the image, rms error over rms.
     reconstruct : bool, default False
         Whether to include the reconstruction with known point spread.
     memory : float, optional

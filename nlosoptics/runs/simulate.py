@@ -47,7 +47,7 @@ def simulate(
         Scene to simulate.
     tol : float, default 1e-3
         Error tolerance of the point spreads, max |dI|/max I, 1e-12 to 0.1. If the point spread
-        varies over the object, also of the image, rms error over rms.
+        varies over the object, ``tol`` also limits the error of the image, rms error over rms.
     seed : int, default 0
         Seed of the random numbers, 0 to 2^64 - 1. The same seed gives bit-identical results.
     reconstruct : bool, default False

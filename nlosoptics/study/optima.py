@@ -43,9 +43,9 @@ class Optimum(Noun):
         Whether a figure of merit could not be computed, for example because the scene is invalid.
     front : tuple of int
         Numbers of the best trials, counted from 0 (the Pareto front). A feasible trial belongs to
-        the front if no other one is at least as good in all objectives and better in one. They are
-        sorted by the first objective, and of equal trials only one is listed. Empty if no trial is
-        feasible.
+        the front if no other one is at least as good in all objectives and better in one. The
+        trials are sorted by the first objective, and of equal trials only one is listed. Empty if
+        no trial is feasible.
 
     See Also
     --------

@@ -46,7 +46,7 @@ def pcin(
     defocus : array_like, optional
         Known additional defocus of each image, (K,), m rms (Noll 4).
     recipe : {"evidence", "wu2024"}
-        - ``evidence``: searches from random starts by the free energy; see `evidence_fit`.
+        - ``evidence``: minimises the free energy from random starts; see `evidence_fit`.
         - ``wu2024``: alternates between a U-net and the angles, as published; see `wu2024_fit`.
     noise_sigma : float or array_like, optional
         Standard deviation of the noise, image units; None: estimated.

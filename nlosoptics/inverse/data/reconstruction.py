@@ -31,9 +31,9 @@ class Reconstruction(Noun, Shown):
         its dtype and device. Its maximum is 1 unless the gain was given.
     physical_parameters : mapping of str to float or ndarray
         ``gain`` (image units per object unit), ``background`` (mean of the fitted background,
-        without a known one, image units), ``noise_sigma`` (rms noise, image units; for a noise
-        map, the value whose inverse square is the mean of the map's inverse squares), and further
-        parameters of the solver such as ``tv_weight``. If the wall was fitted too,
+        image units; a known background is not counted), ``noise_sigma`` (rms noise, image units;
+        for a noise map, the value whose inverse square is the mean of the map's inverse squares),
+        and further parameters of the solver such as ``tv_weight``. If the wall was fitted too,
         ``coefficients`` is an array.
     status : {"converged", "trivial", "unconverged", "too_few_photons", "does_not_fit"}
         "converged": the solver met its stopping criterion and, with a known point spread, no test

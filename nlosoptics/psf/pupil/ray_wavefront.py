@@ -48,10 +48,11 @@ def wavefront_from_rays(paths: RayPaths, exit_pupil: ExitPupil, wavelength: floa
     Wavefront
         Wave of the layout "scattered", with one node for each detected ray, in their order.
         ``aberration`` is the path length minus the distance from the mirrored object point. The
-        chief ray's piston and tilt are subtracted and reported in ``removed``. Defocus because the
-        camera is focused elsewhere is not included. ``amplitude`` is the square root of power per
-        area, 1 at the pupil's centre. ``weights`` are the areas of the rays' Voronoi cells inside
-        the pupil; their sum is its area. Sums over rays must be weighted by amplitude times area.
+        chief ray's piston and tilt are subtracted and reported in ``removed``. If the camera is
+        focused on another plane than the mirrored object, the resulting defocus is not included.
+        ``amplitude`` is the square root of power per area, 1 at the pupil's centre. ``weights``
+        are the areas of the rays' Voronoi cells inside the pupil; their sum is its area. Sums over
+        rays must be weighted by amplitude times area.
 
     Raises
     ------

@@ -36,8 +36,8 @@ class WallView(Noun):
     point : ndarray, (3,)
         Point at which the chief ray meets the wall, world frame, m.
     tangents : ndarray, (2, 3)
-        Unit vectors of the wall's tangent plane at that point, world, in which steps on the wall
-        are given.
+        Unit vectors of the wall's tangent plane at that point, world frame. Steps on the wall are
+        given along them.
 
     See Also
     --------

@@ -75,7 +75,7 @@ def intersect(wall: Wall, origins: ArrayLike, directions: ArrayLike) -> Hits:
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
-        Directions, world, of any length but zero; shapes broadcast.
+        Direction vectors in the world frame, of any length but zero; shapes broadcast.
 
     Returns
     -------

@@ -77,7 +77,7 @@ def intersect_mesh(
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
-        Directions, world, of any length but zero; shapes broadcast.
+        Direction vectors in the world frame, of any length but zero; shapes broadcast.
     min_distance : float
         Hits at a smaller distance are ignored, m; useful for rays that start on the mesh.
 
@@ -188,7 +188,7 @@ def all_hits(
     origins : array_like, (..., 3)
         Starting points of the rays, world frame, m.
     directions : array_like, (..., 3)
-        Directions, world, of any length but zero; shapes broadcast.
+        Direction vectors in the world frame, of any length but zero; shapes broadcast.
     min_distance : float
         Hits nearer than this are ignored, m.
 
