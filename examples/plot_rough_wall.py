@@ -4,8 +4,8 @@ From rough facets to the point spread function
 
 A rough wall is a mirror with aberrations. This page follows the light of one object point: from the
 facets of the wall to the wave in the exit pupil, by an FFT to the point spread function (PSF), and
-to the mean over many walls. All steps are one call of `psf.scene_point_spread`, which chooses among
-four regimes and says which one it took.
+to the mean over many walls. A single call of `psf.scene_point_spread` does all steps. It chooses
+among four methods and states which one it used.
 """
 
 # %%

@@ -1,8 +1,8 @@
 """Design studies: figures of merit over any values of a scene file, on all cores or a cluster.
 
-`Study.load` reads a study file, `run_study` computes its points into a store that a later run
-resumes or extends, and `Results` reads the store. `sensitivities`, `inverse_sensitivities`,
-`sobol_indices`, `fraction_within` and `optimum` answer the designer's questions.
+`Study.load` reads a study file. `run_study` computes its points and keeps them in a folder, the
+store, which a later run completes or extends. `Results` reads the store. `sensitivities`,
+`inverse_sensitivities`, `sobol_indices`, `fraction_within` and `optimum` evaluate the results.
 """
 
 import lazy_loader as _lazy
