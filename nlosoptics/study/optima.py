@@ -141,6 +141,7 @@ def optimum(results: Results, *, incomplete: bool = False) -> Optimum:
     Returns
     -------
     Optimum
+        All trials with their objectives, and the numbers of the best ones.
 
     Raises
     ------

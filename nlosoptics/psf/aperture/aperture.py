@@ -241,6 +241,7 @@ class Aperture(Noun):
         Returns
         -------
         Aperture
+            One cell; it has a hole if ``obscuration`` is above 0.
 
         Raises
         ------

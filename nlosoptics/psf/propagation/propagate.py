@@ -130,9 +130,10 @@ def propagate(
     ``H = exp(ikz sqrt(1 - (lambda f)^2))`` [1]_, and in the Fresnel approximation
     ``H = exp(ikz) exp(-i pi lambda z f^2)``. Frequencies whose rays never reach the output window
     are removed, since their transfer function is undersampled [2]_. The limit is soft, so that it
-    causes no ripples. Chirp-z transforms take the spectrum at as many frequencies as the window
-    needs and to any output pitch. Evanescent waves are removed, and counted in the error, unless
-    the distance is far below the width of the window. The common phase kz is known to 1e-16 kz.
+    causes no ripples. Chirp-z transforms compute the spectrum at as many frequencies as the window
+    needs, and the output at any pitch. Evanescent waves are removed, and counted in the error,
+    unless the distance is far below the width of the window. The common phase kz is known to 1e-16
+    kz.
 
     The sum is exact for a periodic field, and energy is conserved to rounding.
 

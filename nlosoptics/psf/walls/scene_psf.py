@@ -118,8 +118,8 @@ def scene_point_spread(
     refined until a transform reaches ``tol``. `simulate` uses the scalar model; `plan` says where
     its error exceeds ``tol``.
 
-    For a wall with `Scene.wall_roughness` one of four methods is used. ``point_spread.reason``
-    names it.
+    For a wall with `Scene.wall_roughness` one of four methods is used, and ``point_spread.reason``
+    states which.
 
     1. If the roughness has the realisation "mean", the mean over all walls of this roughness is
        computed in closed form.
