@@ -61,7 +61,7 @@ def image_field(
         grids within a tenth of it.
     error : float
         Difference between these images, rms over rms. It estimates the error of the coarser grids,
-        and so exceeds that of ``field``.
+        which usually exceeds that of ``field``.
 
     Raises
     ------

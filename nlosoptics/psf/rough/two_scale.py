@@ -168,8 +168,8 @@ def two_scale_point_spread(
     displacement of the long waves' field by scattering at short waves. That displacement is 0 for
     geometric propagation, and small compared with the long waves if the cutoff is at least
     `split_scale`. The mean over walls is exact for any cutoff, since both parts are independent
-    and stationary. As in `mean_point_spread`, energy of the halo that falls outside the window is
-    not added inside it.
+    and stationary. As in `mean_point_spread`, the values remain correct if the halo is much wider
+    than the window.
     """
     one_of("normalisation", normalisation, NORMALISATIONS)
     one_of("propagation", propagation, ("fresnel", "geometric"))
