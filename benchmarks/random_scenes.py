@@ -1,6 +1,7 @@
 """Whether plans keep their word: random scenes planned and, where the plan accepts, simulated.
 
 python benchmarks/random_scenes.py FILE [--first N] [--count N] [--most-seconds S] [--memory GIB]
+    [--rough]
 
 Writes one JSON line a scene: even numbers at ordinary scales, odd ones wild. Scenes that FILE
 holds are not run again. Every scene runs in a worker process of bounded memory, so that a crash
@@ -64,7 +65,7 @@ def told(error, stage):
     }
 
 
-def run(number, most_seconds, memory):
+def run(number, most_seconds, memory, rough):
     """One scene's row."""
     from random_scenes import random_case
 
@@ -73,7 +74,7 @@ def run(number, most_seconds, memory):
 
     row = {"number": number}
     try:
-        case = random_case(number, wild=number % 2 == 1)
+        case = random_case(number, wild=number % 2 == 1, rough=rough)
     except Exception as error:
         return row | told(error, "drawing")
     row |= case.drawn | {"tol": case.tol, "shape": list(case.scene.camera.shape)}
@@ -121,12 +122,12 @@ def run(number, most_seconds, memory):
     return row | {"outcome": "NaN in " + ", ".join(bad) if bad else "done"}
 
 
-def worker(most_seconds, memory):
+def worker(most_seconds, memory, rough):
     """Rows of the numbers that come by the standard input."""
     limit = int(memory + 6 * 2**30)
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     for line in sys.stdin:
-        print(json.dumps(run(int(line), most_seconds, memory)), flush=True)
+        print(json.dumps(run(int(line), most_seconds, memory, rough)), flush=True)
 
 
 class Worker:
@@ -198,15 +199,17 @@ def main():
     parser.add_argument("--count", type=int, default=2000)
     parser.add_argument("--most-seconds", type=float, default=20.0)
     parser.add_argument("--memory", type=float, default=3.0, help="GiB")
+    parser.add_argument("--rough", action="store_true", help="walls with a roughness of their own")
     parser.add_argument("--worker", action="store_true")
     parser.add_argument("--summary", action="store_true")
     args = parser.parse_args()
     if args.worker:
-        return worker(args.most_seconds, args.memory * 2**30)
+        return worker(args.most_seconds, args.memory * 2**30, args.rough)
     done = rows_of(args.file)
     if args.summary:
         return summary(list(done.values()))
     options = ["--most-seconds", str(args.most_seconds), "--memory", str(args.memory)]
+    options += ["--rough"] * args.rough
     one = Worker(options)
     with args.file.open("a") as out:
         for number in range(args.first, args.first + args.count):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from ..psf import PointSpread, PointSpreadField, SceneOptics
 
 Array = NDArray[np.float64]
+
+#: Energy of a point spread that may lie outside its window, relative to the tolerance.
+OUTSIDE: Final = 0.25
 
 
 def simulate(
@@ -145,7 +148,7 @@ def _stages(todo: Plan, optics: SceneOptics, seed: int, progress: Progress | Non
         begin("shadow rays")
         shadows = imaging.cast_shadows(scene)
     begin("image")
-    wide = psf.widened(spreads, tol=tol / 4, shape=scene.camera.shape)
+    wide = psf.widened(spreads, tol=tol * OUTSIDE, shape=scene.camera.shape)
     image = imaging.form_image(scene, wide, seed=seed, shadows=shadows)
     reconstruction = None
     if todo.runs("reconstruction"):
@@ -216,7 +219,14 @@ def image_spreads(
         optics, spread = mean_optics(optics), None
         begin(MEAN)
     if not todo.runs(FIELD):
-        return spread or psf.scene_point_spread(optics, todo.tol).point_spread, {}
+        one = spread or psf.scene_point_spread(optics, todo.tol).point_spread
+        scattered = isinstance(one, psf.RoughPointSpread | psf.HybridPointSpread)
+        if scattered and 1.0 - float(one.intensity.sum()) > todo.tol * OUTSIDE:
+            # scattered light has no diffraction tail; it is computed as far as the image reaches
+            wide = 2 * max(optics.scene.camera.shape) - 1
+            if wide > max(one.shape):
+                one = psf.scene_point_spread(optics, todo.tol, shape=wide).point_spread
+        return one, {}
     begin(FIELD)
     field, error = imaging.image_field(
         optics,

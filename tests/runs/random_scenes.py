@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,9 @@ from nlosoptics.scene import (
     Camera,
     ConcaveWall,
     ConvexWall,
+    FacetWall,
     FlatWall,
+    GaussianWall,
     HeightMapWall,
     Lambert,
     Laser,
@@ -30,6 +32,7 @@ from nlosoptics.scene import (
     SumMaterial,
     SumWall,
     Wall,
+    WallRoughness,
     Ward,
     WavyWall,
 )
@@ -74,12 +77,15 @@ class _Draw:
         return self.log(*(wild if self.wild and self.chance(few) else ordinary))
 
 
-def random_case(seed: int, *, wild: bool = False) -> Case:
-    """Scene and tolerance of a number; at ordinary scales, or with some figures far off them."""
+def random_case(seed: int, *, wild: bool = False, rough: bool = False) -> Case:
+    """Scene and tolerance of a number; at ordinary scales, or with some figures far off them.
+
+    With ``rough``, the scene's wall has a roughness of its own.
+    """
     for attempt in range(200):
         draw = _Draw(seed, attempt, wild)
         try:
-            return _case(draw)
+            return _roughened(draw, _case(draw)) if rough else _case(draw)
         except NlosError:  # what no scene can be: a corner behind the wall, a stop without a focus
             continue
     raise AssertionError(f"number {seed} gives no scene")
@@ -143,6 +149,24 @@ def _case(draw: _Draw) -> Case:
     scene = Scene(laser, wall, hidden, camera, occluders, wall_material=_material(draw, paint))
     drawn = {"wall": kind, "material": paint, "hidden": type(hidden).__name__}
     return Case(scene, tol, drawn)
+
+
+def _roughened(draw: _Draw, case: Case) -> Case:
+    """The same scene with random heights that carry the slope of the gloss."""
+    length = draw.scale((2e-4, 5e-3), (2e-5, 2e-2))
+    slope = draw.scale((1e-5, 5e-3), (1e-7, 0.1))
+    seed = int(draw.random.integers(1000))
+    kind = draw.one(("facets", "gaussian"))
+    heights: FacetWall | GaussianWall = FacetWall(length, slope, seed=seed)
+    if kind == "gaussian":
+        heights = GaussianWall(length * slope / math.sqrt(2), length, seed=seed)
+    realisation = draw.one(("pattern", "mean"))
+    changed = replace(
+        case.scene,
+        wall_material=_material(draw, "smooth"),
+        wall_roughness=WallRoughness(heights, realisation),
+    )
+    return Case(changed, case.tol, case.drawn | {"material": f"{kind} {realisation}"})
 
 
 def _wall(
