@@ -279,6 +279,18 @@ def studies(found: Sequence[Row]) -> str:
     )
 
 
+def whole_runs(found: Sequence[Row]) -> str:
+    """Return wall and processor time, memory and the longest stages of whole commands."""
+    lines = []
+    for row in found:
+        stages = {k: v for k, v in row.get("stages", {}).items() if k not in ("total", "outside")}
+        longest = sorted(stages, key=lambda name: -stages[name])[:3]
+        told = ", ".join(f"{name} {stages[name]:.2g} s" for name in longest)
+        memory = f"{row['peak_mib']:.0f} MiB" if "peak_mib" in row else ""
+        lines.append([row["case"], seconds(row["wall"]), seconds(row["cpu"]), memory, told])
+    return table(["command", "wall time", "processor time", "memory", "longest stages"], lines)
+
+
 def growth(found: Sequence[Row]) -> str:
     """Return one row for each stage: its range, its times and memory, and their exponents."""
     head = ["stage", "number n", "seconds", "grow as", "memory", "grows as"]
@@ -748,6 +760,15 @@ SECTIONS = (
         "reflections whose interval holds least. The standard error of a share is 1.3 % at 95 %.",
         f"{RUN}/trace_coverage.py --json benchmarks/results/trace_coverage.jsonl",
         coverage,
+    ),
+    Section(
+        "whole_run.json",
+        "Whole commands",
+        "Commands from start to exit, on two idle cores. The first case starts with an empty cache "
+        "of compiled kernels; the others find it filled. The last case is one call in a process "
+        "that is already running.",
+        f"{RUN}/whole_run.py --repeats 5 --json benchmarks/results/whole_run.json",
+        whole_runs,
     ),
     Section(
         "tolerances.json",
