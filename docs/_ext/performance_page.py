@@ -799,9 +799,9 @@ SECTIONS = (
     Section(
         "rough_facets.json",
         "Walls of facets: the mean against drawn walls",
-        "Closed-form mean and the average of 200 drawn walls in 8 rings of equal width. The last "
+        "Closed-form mean and the average of 1,000 drawn walls in 8 rings of equal width. The last "
         "columns are the largest standard error of a ring and the largest deviation in standard "
-        "errors. By chance the largest of all 64 exceeds 2.5 in half of such runs, and 3.3 in 6 %.",
+        "errors. By chance the largest of all 64 exceeds 2.5 in half of such runs.",
         f"{RUN}/rough_facets.py --json benchmarks/results/rough_facets.json",
         rough_facets,
     ),
