@@ -47,7 +47,8 @@ def pcin(
         Known additional defocus of each image, (K,), m rms (Noll 4).
     recipe : {"evidence", "wu2024"}
         - ``evidence``: minimises the free energy from random starts; see `evidence_fit`.
-        - ``wu2024``: alternates between a U-net and the angles, as published; see `wu2024_fit`.
+        - ``wu2024``: for one image; alternates between the weights of a U-net and the wave
+          coefficients. The published method, for comparison; see `wu2024_fit`.
     noise_sigma : float or array_like, optional
         Standard deviation of the noise, image units; None: estimated.
     max_iterations : int, optional

@@ -371,7 +371,7 @@ class PupilPSF(nn.Module):
         Parameters
         ----------
         coefficients : Tensor, optional
-            Coefficients (..., M), waves rms; by default the module's own.
+            Coefficients, (..., M) or (..., g, g, 2), as in the class; by default the module's own.
         defocus : Tensor or sequence of float, optional
             Known additional defoci, (K,), m rms (Noll 4).
 
@@ -420,7 +420,7 @@ class PupilPSF(nn.Module):
             Object, (..., h, w), on the image's pixels. Its shape must be the point spread's if
             ``boundary`` is "circular". Batch dimensions broadcast with those of the coefficients.
         coefficients : Tensor, optional
-            Coefficients (..., M), waves rms; by default the module's own.
+            Coefficients, (..., M) or (..., g, g, 2), as in the class; by default the module's own.
         defocus : Tensor or sequence of float, optional
             Known additional defoci, (K,), m rms (Noll 4).
         gain, background : float or Tensor
@@ -470,7 +470,18 @@ class PupilPSF(nn.Module):
         return seen
 
     def aberration(self, coefficients: Tensor | None = None) -> Tensor:
-        """Compute W at the pupil's samples, (..., n_v, n_u), m; 0 outside the pupil."""
+        """Compute the wave aberration W at the pupil's samples; 0 outside the pupil.
+
+        Parameters
+        ----------
+        coefficients : Tensor, optional
+            Coefficients, as in the class; by default the module's own.
+
+        Returns
+        -------
+        Tensor
+            W, (..., n_v, n_u), m, on the grid of ``optics.v`` and ``optics.u``, m.
+        """
         if coefficients is None:
             coefficients = self.coefficients
         turns: Tensor = self.waves.unwrapped(self._checked(coefficients))

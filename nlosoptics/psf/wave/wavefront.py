@@ -456,18 +456,19 @@ class Wavefront(Noun, Shown):
         Parameters
         ----------
         *counts : int
-            Shape: n_r, n_theta of a polar wavefront, or n_patches, n_s, n_t of cells.
+            Radii and angles n_r, n_theta of a polar wavefront; n_patches, n_s, n_t of cells.
 
         Returns
         -------
         u, v, weights : ndarray
-            Coordinates, m, and areas, m^2, in this shape.
+            Coordinates, m, and areas, m^2, each of the shape ``counts``.
         """
         self._require_spectral("have more nodes")
         if self.aperture is not None:
-            return shared_cell_nodes(self.aperture, *counts[1:])
-        n_r, n_theta = counts
-        return polar_nodes(self.pupil_radius, n_r, n_theta, self.obscuration)
+            n_patches, n_s, n_t = counts
+            whole("the number of patches", n_patches, len(self.u), len(self.u))
+            return shared_cell_nodes(self.aperture, n_s, n_t)
+        return polar_nodes(self.pupil_radius, counts[0], counts[1], self.obscuration)
 
     def series(self, values: Array) -> PolarSpectrum | CellSpectrum:
         """Return the polynomial series through values at the nodes, for "polar" and "cells"."""

@@ -75,7 +75,7 @@ class Lambert(Material):
         object.__setattr__(self, "rho", in_range("albedo", albedo, 0.0, 1.0))
 
     def lobe_table(self) -> Array:
-        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
+        """Return (kind, albedo, rms slope, factor), (1, 4); see `Material.lobe_table`."""
         return np.array([[LAMBERT, self.rho, 0.0, 1.0]])
 
     def albedo(self, theta: ArrayLike) -> Array:
@@ -137,7 +137,7 @@ class OrenNayar(Material):
         object.__setattr__(self, "normalised", bool(normalised))
 
     def lobe_table(self) -> Array:
-        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
+        """Return (kind, albedo, rms slope, factor), (1, 4); see `Material.lobe_table`."""
         kind = OREN_NAYAR if self.model == "fit" else OREN_NAYAR_FULL
         return np.array([[kind, self.rho, self.slope_rms, 1.0 / self._excess()]])
 
@@ -214,7 +214,7 @@ class SpecularMicrofacet(MirrorLobe):
         one_of("distribution", self.distribution, _DISTRIBUTIONS)
 
     def lobe_table(self) -> Array:
-        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
+        """Return (kind, albedo, rms slope, factor), (1, 4); see `Material.lobe_table`."""
         kind = _DISTRIBUTIONS[self.distribution]
         return np.array([[kind, self.reflectance, self.slope_rms, 1.0]])
 
@@ -305,7 +305,7 @@ class Ward(MirrorLobe):
         return self.alpha / math.sqrt(2.0)
 
     def lobe_table(self) -> Array:
-        """Return the lobe's parameters as an array, (1, 4); see `Material.lobe_table`."""
+        """Return (kind, albedo, rms slope, factor), (1, 4); see `Material.lobe_table`."""
         return np.array([[_WARDS[self.variant], self.rho, self.alpha, 1.0]])
 
     @property

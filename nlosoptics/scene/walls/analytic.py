@@ -147,7 +147,9 @@ class Wall(Noun):
         return out.reshape(*x.shape, 6)
 
     def surface_values(self, x: Array, y: Array) -> Array:
-        """Return `derivatives`, (n, 6), at n points, with NaN where the wall has no height.
+        """Return h, hx, hy, hxx, hxy, hyy, (n, 6), at n points; NaN where the wall has no height.
+
+        Unlike `derivatives`, it raises no error at such points.
 
         Parameters
         ----------
