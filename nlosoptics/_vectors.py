@@ -45,9 +45,7 @@ def product(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np
     return np.concatenate([left[..., a:b, :] @ right for a, b in blocks], axis=-2)
 
 
-def product_into(
-    left: NDArray[np.float64], right: NDArray[np.float64], out: NDArray[np.float64]
-) -> None:
+def product_into(left: NDArray[Any], right: NDArray[Any], out: NDArray[Any]) -> None:
     """Fill ``out`` with ``left @ right`` by blocks that are nearly square.
 
     Leading axes broadcast, and the bits are the same for any number of threads. The last axis of

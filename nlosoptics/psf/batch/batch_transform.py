@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +57,8 @@ class BatchTransform:
         Average over pixels; None for point samples.
     scale : float
         Intensity without aberration at the ideal peak.
+    single : bool
+        Whether pupils and fields are in single precision.
     """
 
     basis: PolarBasis
@@ -65,6 +68,12 @@ class BatchTransform:
     window: Window
     rule: PixelRule | None
     scale: float
+    single: bool
+
+    @property
+    def kind(self) -> np.dtype[Any]:
+        """Data type of pupils and fields."""
+        return np.dtype("f4" if self.single else "f8")
 
     @cached_property
     def terms(self) -> list[Array]:
@@ -80,13 +89,13 @@ class BatchTransform:
         return np.stack([rates[0] * self.nodes.u, rates[1] * self.nodes.heights])
 
     @cached_property
-    def columns(self) -> list[Array]:
+    def columns(self) -> list[NDArray[Any]]:
         """Cosines and sines (2, nodes, points) of each chord for half of the columns."""
         waves = self._waves(self.nodes.u, self.window.shape[1])
         return [waves[:, a:b] for a, b in pairwise(self.nodes.starts)]
 
     @cached_property
-    def rows(self) -> Array:
+    def rows(self) -> NDArray[Any]:
         """Cosines and sines (2, points, chords) for half of the rows."""
         waves = self._waves(self.nodes.v, self.window.shape[0])
         return np.ascontiguousarray(waves.transpose(0, 2, 1))
@@ -99,14 +108,14 @@ class BatchTransform:
         along_y, along_x = map(self.rule.matrix, self.window.shape)
         return along_y, np.ascontiguousarray(along_x.T)
 
-    def _waves(self, places: Array, count: int) -> Array:
+    def _waves(self, places: Array, count: int) -> NDArray[Any]:
         """Return cosines and sines of places, in radii, for half of the points of an axis."""
         half = (count + 1) // 2
         step = 2j * math.pi * self.radius * self.window.pitch * places[:, None]
         coarse = np.exp(step * RUN * np.arange(-(-half // RUN)))
         fine = np.exp(step * (np.arange(RUN) + (0.0 if count % 2 else 0.5)))
         phases = (coarse[:, :, None] * fine[:, None, :]).reshape(len(places), -1)[:, :half]
-        return np.stack([phases.real, phases.imag])
+        return np.stack([phases.real, phases.imag]).astype(self.kind, copy=False)
 
     def intensities(self, series: list[Array], out: Array, helpers: int | None = None) -> Array:
         """Fill ``out`` (waves, ny, nx) and return the peak of each wave over `scale`, (waves,).
@@ -131,9 +140,13 @@ class BatchTransform:
         return peaks
 
     def gradients(
-        self, series: list[Array], gradient: Array, whole: PolarBasis, helpers: int | None = None
+        self,
+        series: list[Array],
+        gradient: Array,
+        modes: list[Array],
+        helpers: int | None = None,
     ) -> list[Array]:
-        """Return the gradient of a function of the intensities with respect to a series.
+        """Return the gradient of a function of the intensities with respect to modes, in turns.
 
         Parameters
         ----------
@@ -141,20 +154,17 @@ class BatchTransform:
             As for `intensities`.
         gradient : ndarray, (waves, ny, nx)
             Gradient with respect to the intensities.
-        whole : PolarBasis
-            Basis of the series to whose coefficients the result refers. It may have more terms than
-            `basis`, whose further coefficients are zero.
+        modes : list of ndarray
+            Values (modes, n) at the nodes, of modes of each parity.
         helpers : int, optional
             As for `intensities`.
 
         Returns
         -------
         list of ndarray
-            Each part (waves, n_k, orders).
+            Derivatives (waves, modes) with respect to the coefficients of each parity.
         """
-        terms = whole.at(self.nodes.u, self.nodes.heights)
-        shapes = [(len(gradient), whole.n_k, len(orders)) for orders in whole.orders]
-        found = [np.empty(shape) for shape in shapes]
+        found = [np.empty((len(gradient), len(part))) for part in modes]
 
         def run(work: _Workspace, first: int, last: int) -> None:
             work.spread(series, first, last)
@@ -165,7 +175,7 @@ class BatchTransform:
                     product_into(work.half, self.means[1].T, work.fine)
                     given = work.fine
                 work.pull_back(b, given)
-            work.gather(terms, found, first, last)
+            work.gather(modes, found, first, last)
 
         self._on_threads(run, len(gradient), helpers)
         return found
@@ -223,20 +233,20 @@ class _Workspace:
         x, y = (nx + 1) // 2, (ny + 1) // 2
         self.plan = plan
         self.values = np.zeros((4, BLOCK, n))
-        self.parts = np.empty((2, 2, 2, BLOCK, n))
-        self.halves = np.empty((2, 2, 2, BLOCK, chords, x))
-        self.fields = np.empty((2, 2, 2, y, x))
+        self.parts = np.empty((2, 2, 2, BLOCK, n), plan.kind)
+        self.halves = np.empty((2, 2, 2, BLOCK, chords, x), plan.kind)
+        self.fields = np.empty((2, 2, 2, y, x), plan.kind)
         if plan.means is not None:
             self.fine = np.empty((ny, nx))
             self.half = np.empty((ny, plan.means[1].shape[1]))
 
     @cached_property
-    def slopes(self) -> Array:
+    def slopes(self) -> NDArray[Any]:
         """Gradient with respect to `halves`."""
         return np.zeros_like(self.halves)
 
     @cached_property
-    def field_slopes(self) -> Array:
+    def field_slopes(self) -> NDArray[Any]:
         """Gradient with respect to `fields`."""
         return np.empty_like(self.fields)
 
@@ -250,7 +260,9 @@ class _Workspace:
         for i, (along, halves) in enumerate(self._chords(self.parts, self.halves)):
             product_into(along, plan.columns[i], halves)
 
-    def _chords(self, parts: Array, halves: Array) -> list[tuple[Array, Array]]:
+    def _chords(
+        self, parts: NDArray[Any], halves: NDArray[Any]
+    ) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         """Return each chord's nodes (2, rows, nodes) and columns (2, rows, points)."""
         flat, wide = (
             parts.reshape(2, 4 * BLOCK, -1),
@@ -271,13 +283,12 @@ class _Workspace:
         back = self.plan.rows.transpose(0, 2, 1)[None, :, None]
         product_into(back, self.field_slopes, self.slopes[:, :, :, b])
 
-    def gather(self, terms: list[Array], found: list[Array], first: int, last: int) -> None:
-        """Store the gradient with respect to the coefficients of ``terms``, for some waves."""
+    def gather(self, modes: list[Array], found: list[Array], first: int, last: int) -> None:
+        """Store the gradients of waves ``first`` to ``last``, see `BatchTransform.gradients`."""
         plan = self.plan
         own = np.empty_like(self.values)
         for i, (along, slopes) in enumerate(self._chords(self.parts, self.slopes)):
             product_into(slopes, plan.columns[i].transpose(0, 2, 1), along)
         self.kernels.phase_gradients(self.values, plan.ramps, plan.sizes, self.parts, own)
-        for part, table, slopes in zip(found, terms, own, strict=True):
-            target = part[first:last].reshape(last - first, -1)
-            product_into(slopes[: last - first], table.T, target)
+        for out, table, slopes in zip(found, modes, own, strict=True):
+            product_into(slopes[: last - first], table.T, out[first:last])

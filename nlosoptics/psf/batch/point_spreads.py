@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..._checks import fits_memory, in_range, one_of, positive
+from ..._checks import fits_memory, in_range, one_of, positive, whole
 from ..._nouns import Noun
 from ..._vectors import product
 from ...errors import SamplingError, SceneError
 from ...raytrace.intersection.meshes import threads
+from ..transform.antialiased_fft import SINGLE_ERROR
 from ..transform.high_aperture import check_cone
 from ..transform.point_spread import NORMALISATIONS, Normalisation, check_nyquist
 from ..wave.detilted import Residual, split
@@ -23,7 +24,7 @@ from ..window.pixels import pixel_rule
 from ..window.window import Window, shape_of, square_shape
 from .batch_transform import BatchTransform
 from .chord_nodes import Need, chord_nodes
-from .polar_basis import PolarBasis, magnitudes
+from .polar_basis import PolarBasis, SmoothModes, magnitudes
 
 Array = NDArray[np.float64]
 
@@ -89,7 +90,7 @@ class PointSpreads(Noun):
         """Return the number of waves."""
         return len(self.intensity)
 
-    def aberration_gradient(self, intensity_gradient: ArrayLike) -> Array:
+    def aberration_gradient(self, intensity_gradient: ArrayLike, *, degree: int = 12) -> Array:
         """Return the gradient of a function of the intensities with respect to the aberrations.
 
         Parameters
@@ -97,25 +98,37 @@ class PointSpreads(Noun):
         intensity_gradient : array_like
             (waves, ny, nx), derivative of the function with respect to each value of
             ``intensity``.
+        degree : int
+            Highest degree in u and v of the changes of an aberration to which the gradient
+            refers: all polynomials up to this degree.
 
         Returns
         -------
         ndarray
-            (waves, n_r, n_theta), derivative with respect to each value of ``aberration``, 1/m. For
+            (waves, n_r, n_theta), 1/m. The sum of its products with a change of ``aberration`` is
+            the change of the function, for every change that is a polynomial of the degree. For
             aberrations that are sums of modes, the gradient with respect to their coefficients is
             ``einsum("wrt,krt->wk", gradient, modes)``.
 
         Raises
         ------
+        SceneError
+            If ``degree`` is below 1.
         SamplingError
-            If the gradient has another shape or is not finite.
+            If the gradient has another shape or is not finite, or if the wave has too few nodes for
+            polynomials of the degree.
         MemoryLimitError
             If the arrays do not fit into memory.
 
         Notes
         -----
-        It is the adjoint of the transform, exact to rounding error. It takes about twice as long as
-        the point spreads, whose fields are computed again.
+        It is the adjoint of the transform, exact to rounding error, in the precision in which the
+        intensities were computed. It takes two to three times as long as the point spreads, whose
+        fields are computed again.
+
+        The gradient refers to polynomials because a change of a single node is no smooth function
+        of u and v. As a density, ``gradient/wavefront.weights``, it is a polynomial itself: a step
+        along this density leaves a wave smooth.
 
         Examples
         --------
@@ -136,19 +149,37 @@ class PointSpreads(Noun):
         >>> print(f"peak {spreads.intensity.max():.4f}, slope {1e-9 * slope:.6f} per nm")
         peak 0.9384, slope -0.006004 per nm
         """
+        degree = whole("degree", degree)
+        n_r, n_theta = self.wavefront.u.shape
+        most = min(2 * n_r - 2, (n_theta - 1) // 2)
+        if degree > most:
+            raise SamplingError(
+                f"degree = {degree}, limit {most} for {n_r} x {n_theta} pupil nodes; give a lower "
+                "degree, or waves on more nodes"
+            )
         given = _finite("intensity_gradient", intensity_gradient)
         if given.shape != self.intensity.shape:
             raise SamplingError(
                 f"intensity_gradient has shape {given.shape}; give {self.intensity.shape}, that of "
                 "the intensities"
             )
-        shape = given.shape[1], given.shape[2]
         batch = _Batch(self.wavefront, self.aberration, self.tol)
-        plan = batch.plan(self.pitch, shape, self.normalisation, self.pixel_integrated)
-        whole = 8.0 * len(plan.nodes.u) * sum(batch.basis.sizes) + 3.0 * self.aberration.nbytes
-        fits_memory(_told(given.shape), whole + threads() * plan.workspace_bytes, FEWER)
-        series = plan.gradients(batch.series_of(plan.basis), given, batch.basis)
-        return batch.basis.adjoint(series) / self.wavefront.wavelength
+        plan = batch.plan(
+            self.pitch,
+            (given.shape[1], given.shape[2]),
+            self.normalisation,
+            self.pixel_integrated,
+            further=degree,
+        )
+        fits_memory(
+            _told(given.shape),
+            2.0 * self.aberration.nbytes + threads() * plan.workspace_bytes,
+            FEWER,
+        )
+        modes = SmoothModes(degree)
+        at_nodes = modes.at(plan.nodes.u, plan.nodes.heights)
+        parts = plan.gradients(batch.series_of(plan.basis), given, at_nodes)
+        return modes.on_nodes(parts, self.wavefront) / self.wavefront.wavelength
 
 
 def point_spreads(
@@ -214,8 +245,8 @@ def point_spreads(
     The model is that of ``point_spread(model="scalar")``. The sum over the pupil runs over
     Gauss nodes on parallel chords, so that it separates into products of matrices, first along the
     chords and then across them. Both have mirror symmetry, which saves three quarters of the
-    operations. The waves are shared among all cores. The values do not depend on the number of
-    threads.
+    operations. Where ``tol`` allows it, the products are in single precision. The waves are shared
+    among all cores. The values do not depend on the number of threads.
 
     A batch pays for its steepest wave: all waves have the nodes that this one needs. Sort very
     different waves into several batches.
@@ -338,6 +369,9 @@ class _Batch:
         reach = np.abs(wave.image_distance) * self.rays.spread / self.residual.airy_unit
         peak = float(np.min(4 / math.pi / (2 * reach + 2) ** 2))
         self.core = max(AIM * tol * math.sqrt(peak), 10.0**-MOST_DIGITS)
+        self.single = self.core >= SINGLE_ERROR
+        if self.single:
+            self.lost += SINGLE_ERROR
         small = _degrees(largest, self.core**0.25)
         self.resolved = max(2 * small[0] + 1, small[1])
         if not self.residual.is_uniform:
@@ -362,10 +396,13 @@ class _Batch:
         shape: tuple[int, int],
         normalisation: str,
         pixel_integrated: bool,
+        *,
+        further: int = 0,
     ) -> BatchTransform:
         """Return the transform of the terms that matter to a window.
 
-        It has as many nodes as the steepest wave needs at the farthest image point.
+        It has as many nodes as the steepest wave needs at the farthest image point, for factors of
+        the pupil function up to a ``further`` degree.
         """
         wave, residual = self.wave, self.residual
         basis = PolarBasis(*self.counts, wave.obscuration, self.degree, self.order)
@@ -378,7 +415,7 @@ class _Batch:
         far = math.hypot(x, y) / abs(wave.image_distance) + self.rays.slope
         along = x / abs(wave.image_distance) + self.rays.slope
         digits = -math.log10(self.core)
-        need = Need(per_slope * along, per_slope * far, self.resolved, digits)
+        need = Need(per_slope * along, per_slope * far, self.resolved + further, digits)
         nodes = chord_nodes(wave.obscuration, need)
         sizes = np.tile(nodes.weights, (4, 1))
         if not residual.is_uniform:
@@ -398,7 +435,8 @@ class _Batch:
         if normalisation != "ideal-peak":
             scale = residual.pixel_share(pitch) * (wave.flux if normalisation == "flux" else 1.0)
         turns = wave.pupil_radius / (wave.wavelength * wave.image_distance)
-        return BatchTransform(basis, nodes, sizes / sizes.sum(), turns, window, rule, scale)
+        sizes /= sizes.sum()
+        return BatchTransform(basis, nodes, sizes, turns, window, rule, scale, self.single)
 
     def errors(self, peaks: Array, pitch: float, pixel_integrated: bool) -> Array:
         """Bound max |dI|/max I of each wave from its peak, 1 at the ideal one."""

@@ -8,13 +8,17 @@ both axes take a quarter of the operations.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..._vectors import product
-from ..aperture.quadrature_nodes import gauss_legendre
+from ..aperture.quadrature_nodes import frozen, gauss_legendre, shared_polar_nodes
+from ..wave.fits import projection
 from ..wave.polar_series import analysis, legendre_tables
+from ..wave.wavefront import Wavefront
+from ..wave.zernikes import kept_zernikes, zernike, zernike_order
 
 Array = NDArray[np.float64]
 #: Whether the parts even in both, odd in u, odd in v and odd in both hold sines, and odd orders.
@@ -72,17 +76,6 @@ class PolarBasis:
         parts = np.split(found, ends, axis=2)
         return [product(one, part) for one, part in zip(self._radial, parts, strict=True)]
 
-    def adjoint(self, parts: list[Array]) -> Array:
-        """Return the gradient with respect to the values, (waves, n_r, n_theta).
-
-        ``parts`` (waves, n_k, orders) is the gradient with respect to the result of `analysed`.
-        """
-        rings = [product(one.T, part) for one, part in zip(self._radial, parts, strict=True)]
-        rows = np.concatenate(rings, axis=2)
-        table = np.concatenate(self._angular, axis=1).T
-        flat = product(rows.reshape(-1, rows.shape[2]), table)
-        return flat.reshape(*rows.shape[:2], -1)
-
     def at(self, u: Array, v: Array) -> list[Array]:
         """Return the terms of each part, (terms, n), at points u, v relative to the radius."""
         rho, angle = np.hypot(u, v), np.arctan2(v, u)
@@ -122,6 +115,48 @@ class PolarBasis:
         """Return the Legendre coordinate at r/radius."""
         inner = self.obscuration**2
         return np.asarray((rho**2 - inner) / (1 - inner))
+
+
+class SmoothModes:
+    """Zernike polynomials up to a degree, by parity.
+
+    Parameters
+    ----------
+    degree : int
+        Highest degree in u and v.
+    """
+
+    def __init__(self, degree: int) -> None:
+        found: list[list[int]] = [[], [], [], []]
+        for index in range(1, (degree + 1) * (degree + 2) // 2 + 1):
+            m = zernike_order(index)[1]
+            found[PARTS.index((m < 0, m % 2 == 1))].append(index)
+        self.indices = found
+
+    def at(self, u: Array, v: Array) -> list[Array]:
+        """Return the modes of each parity, (modes, n), at points u, v relative to the radius."""
+        rho, angle = np.hypot(u, v), np.arctan2(v, u)
+        shape = -1, u.size  # of no modes too
+        return [
+            np.array([zernike(j, rho, angle) for j in part]).reshape(shape) for part in self.indices
+        ]
+
+    def on_nodes(self, parts: list[Array], wave: Wavefront) -> Array:
+        """Return the gradient at polar nodes, (waves, n_r, n_theta), from that of all modes.
+
+        Its product with any sum of the modes is the sum of their derivatives, ``parts`` (waves,
+        modes). As a density over the pupil it is such a sum itself.
+        """
+        order = tuple(j for part in self.indices for j in part)
+        table = _kept_projection(order, *wave.u.shape, wave.obscuration)
+        return product(np.concatenate(parts, axis=1), table).reshape(-1, *wave.u.shape)
+
+
+@lru_cache(maxsize=4)
+def _kept_projection(indices: tuple[int, ...], n_r: int, n_theta: int, obscuration: float) -> Array:
+    """Projection (modes, nodes) of polar nodes onto Zernike polynomials, cached and read-only."""
+    weights = shared_polar_nodes(1.0, n_r, n_theta, obscuration)[2]
+    return frozen(projection(kept_zernikes(indices, "noll", n_r, n_theta, obscuration), weights))
 
 
 def magnitudes(parts: list[Array], n_orders: int) -> Array:
