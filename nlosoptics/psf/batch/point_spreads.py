@@ -39,6 +39,8 @@ NEGLIGIBLE = 1e-6
 MARGIN = 1.05
 #: Waves whose slopes are computed at a time.
 RAYS = 64
+#: Smallest peak in an error bound; darker windows are refused.
+DARKEST = 1e-100
 #: Remedy of batches that are too large for the memory.
 FEWER = "give fewer waves at a time, or a smaller shape"
 
@@ -66,6 +68,8 @@ class PointSpreads(Noun):
         Whether values are integrals over pixels rather than point samples times pixel area.
     tol : float
         Largest error estimate that was accepted.
+    accuracy : float
+        Accuracy of the field that the sum over nodes was made for, relative to its ideal peak.
 
     See Also
     --------
@@ -81,6 +85,7 @@ class PointSpreads(Noun):
     normalisation: Normalisation
     pixel_integrated: bool
     tol: float
+    accuracy: float
 
     def __post_init__(self) -> None:
         for array in (self.intensity, self.error_estimate, self.aberration):
@@ -164,6 +169,7 @@ class PointSpreads(Noun):
                 "the intensities"
             )
         batch = _Batch(self.wavefront, self.aberration, self.tol)
+        batch.core = self.accuracy
         plan = batch.plan(
             self.pitch,
             (given.shape[1], given.shape[2]),
@@ -288,22 +294,25 @@ def point_spreads(
     pitch = positive("pitch", pitch, unit="m")
     if not pixel_integrated and normalisation != "ideal-peak":
         check_nyquist(batch.residual, pitch, normalisation)
-    # a lower bound of the error, since no peak is above 1
-    batch.check(batch.errors(np.ones(len(given)), pitch, pixel_integrated))
+    batch.check(batch.errors(batch.lost, np.ones(len(given)), pitch, pixel_integrated))
     if shape is None:
         size = square_shape(batch.reach, unit, pitch, 1 if pixel_integrated else 256)
     else:
         size = shape_of(shape)
     sides = len(given), *size
-    plan = batch.plan(pitch, size, normalisation, pixel_integrated)
-    fits_memory(
-        _told(sides),
-        (8.0 * math.prod(sides) if out is None else 0.0) + threads() * plan.workspace_bytes,
-        FEWER,
-    )
+    new = 8.0 * math.prod(sides) if out is None else 0.0
+    fits_memory(_told(sides), new, FEWER)
     intensity = np.empty(sides) if out is None else _checked_out(out, sides)
-    peaks = plan.intensities(batch.series_of(plan.basis), intensity)
-    errors = batch.errors(peaks, pitch, pixel_integrated)
+    for last in (False, True):
+        plan = batch.plan(pitch, size, normalisation, pixel_integrated)
+        fits_memory(_told(sides), new + threads() * plan.workspace_bytes, FEWER)
+        peaks = plan.intensities(batch.series_of(plan.basis), intensity)
+        errors = batch.errors(batch.field_errors, peaks, pitch, pixel_integrated)
+        excess = float(errors.max()) / tol
+        if excess <= 1 or last:
+            break
+        # the window is darker than predicted, so that the relative error is larger
+        batch.core = max(batch.core / (8 * excess), 10.0**-MOST_DIGITS)
     batch.check(errors)
     return PointSpreads(
         intensity=intensity,
@@ -314,6 +323,7 @@ def point_spreads(
         normalisation=normalisation,
         pixel_integrated=pixel_integrated,
         tol=tol,
+        accuracy=batch.core,
     )
 
 
@@ -369,16 +379,30 @@ class _Batch:
         reach = np.abs(wave.image_distance) * self.rays.spread / self.residual.airy_unit
         peak = float(np.min(4 / math.pi / (2 * reach + 2) ** 2))
         self.core = max(AIM * tol * math.sqrt(peak), 10.0**-MOST_DIGITS)
-        self.single = self.core >= SINGLE_ERROR
-        if self.single:
-            self.lost += SINGLE_ERROR
-        small = _degrees(largest, self.core**0.25)
-        self.resolved = max(2 * small[0] + 1, small[1])
+        self._largest = largest
         if not self.residual.is_uniform:
-            even = self.residual.amplitude_series
-            self.lost += even.truncation() / float(wave.amplitude.max())
-            most = even.degrees(self.core**0.25)
-            self.resolved += max(2 * most[0] + 1, most[1])
+            self.lost += self.residual.amplitude_series.truncation() / float(wave.amplitude.max())
+
+    @property
+    def single(self) -> bool:
+        """Whether single precision suffices."""
+        return bool(self.core >= SINGLE_ERROR)
+
+    @property
+    def field_errors(self) -> Array:
+        """Bound of the field's error relative to its ideal peak, (waves,)."""
+        return np.asarray(self.lost + self.core + (SINGLE_ERROR if self.single else 0.0))
+
+    @property
+    def resolved(self) -> int:
+        """Degree of the pupil functions that the nodes must resolve."""
+        small = self.core**0.25
+        degrees = _degrees(self._largest, small)
+        degree = max(2 * degrees[0] + 1, degrees[1])
+        if not self.residual.is_uniform:
+            degrees = self.residual.amplitude_series.degrees(small)
+            degree += max(2 * degrees[0] + 1, degrees[1])
+        return degree
 
     @property
     def reach(self) -> float:
@@ -438,15 +462,19 @@ class _Batch:
         sizes /= sizes.sum()
         return BatchTransform(basis, nodes, sizes, turns, window, rule, scale, self.single)
 
-    def errors(self, peaks: Array, pitch: float, pixel_integrated: bool) -> Array:
-        """Bound max |dI|/max I of each wave from its peak, 1 at the ideal one."""
-        field = self.core + self.lost
+    def errors(self, field: Array, peaks: Array, pitch: float, pixel_integrated: bool) -> Array:
+        """Bound max |dI|/max I of each wave from the field's error and the peak.
+
+        Both are relative to the ideal peak. With a peak of 1 it is a lower bound.
+        """
         pixel = pitch / self.residual.airy_unit if pixel_integrated else 0.0
         level = self.residual.pixel_share(pitch)
         return np.array(
             [
                 error_bounds.intensity_error(peak, one, one**2, pixel=pixel, level=level)
-                for peak, one in zip(peaks.tolist(), field.tolist(), strict=True)
+                for peak, one in zip(
+                    np.maximum(peaks, DARKEST).tolist(), field.tolist(), strict=True
+                )
             ]
         )
 
@@ -457,7 +485,8 @@ class _Batch:
             raise SamplingError(
                 f"aberrations[{worst}] has an error of at least {errors[worst]:.2g} of the peak, "
                 f"limit tol = {self.tol:g}; give more pupil nodes per wave (now "
-                f"{' x '.join(map(str, self.counts))}), or a larger tol"
+                f"{' x '.join(map(str, self.counts))}), a window that shows the spot, or a larger "
+                "tol"
             )
 
     def _rays(self) -> _Reach:

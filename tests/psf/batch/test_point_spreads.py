@@ -299,6 +299,21 @@ def test_a_coarse_tol_takes_single_precision():
     assert off < 1e-5  # thousands of terms of rounding 6e-8 with random signs
 
 
+def test_a_window_beside_the_spot_is_computed_more_accurately():
+    """A tilt of 8 waves puts the spot far outside; errors are relative to the window's peak."""
+    wave = pupil()
+    _, given = waves(wave, 2)
+    given += 8 * WAVELENGTH * wave.u / RADIUS
+    spreads = psf.point_spreads(wave, given, tol=1e-3, shape=20)
+    fine = psf.point_spreads(wave, given, tol=1e-8, shape=20)
+    peaks = fine.intensity.max(axis=(1, 2))
+    assert peaks.max() < 1e-5  # of the energy; about 0.05 at the spot
+    assert spreads.error_estimate.max() <= 1e-3
+    difference = np.abs(spreads.intensity - fine.intensity).max(axis=(1, 2)) / peaks
+    assert (difference < spreads.error_estimate).all()
+    assert 0.0 < spreads.accuracy < 1e-6  # no longer the first accuracy, of about 6e-5
+
+
 # batches as such
 
 
