@@ -34,6 +34,7 @@ FLOORS: tuple[dict[str, tuple[str, ...]], ...] = (
             "pupil",
             "window",
             "transform",
+            "batch",
             "propagation",
             "metrics",
             "rough",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nlosoptics._vectors import BLOCK_PRODUCT, product, row_blocks
+from nlosoptics._vectors import BLOCK_PRODUCT, product, product_into, row_blocks
 
 
 @pytest.mark.parametrize(("rows", "columns", "inner"), [(1, 2, 2), (128, 512, 34), (7, 8000, 901)])
@@ -25,3 +25,15 @@ def test_products_in_blocks_are_products(shape):
     other = draw.normal(size=(batch, inner, columns))
     expected = np.einsum("ri,bic->brc", left[0], other)
     assert np.abs(product(left[0], other) - expected).max() < 1e-12
+
+
+@pytest.mark.parametrize("shape", [(3, 5, 7), (130, 700, 90), (900, 64, 5), (1, 300, 4000)])
+def test_products_into_an_array_are_products(shape):
+    rows, inner, columns = shape
+    rng = np.random.default_rng(2)
+    left, right = rng.normal(size=(2, rows, inner)), rng.normal(size=(inner, columns))
+    out = np.full((2, rows, columns + 3), np.nan)[
+        :, :, 2:-1
+    ]  # neither axis is contiguous as a whole
+    product_into(left, right, out)
+    assert np.abs(out - left @ right).max() < 1e-11  # rounding of 700 terms of order 1

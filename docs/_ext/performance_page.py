@@ -291,6 +291,36 @@ def whole_runs(found: Sequence[Row]) -> str:
     return table(["command", "wall time", "processor time", "memory", "longest stages"], lines)
 
 
+def psf_batches(found: Sequence[Row]) -> str:
+    """Return one row for each batch: milliseconds per wave, and errors."""
+    head = [
+        "rms, waves",
+        "tol",
+        "threads",
+        "waves",
+        "batch (error)",
+        "gradient",
+        "point_spread (error)",
+        "numpy (error)",
+    ]
+    return table(
+        head,
+        (
+            [
+                number(row["rms"], 2),
+                number(row["tol"]),
+                str(row["threads"]),
+                str(row["waves"]),
+                f"{seconds(row['cpu'])} ({number(row['error'], 2)})",
+                seconds(row["gradient_cpu"]),
+                f"{seconds(row['loop_cpu'])} ({number(row['loop_error'], 2)})",
+                f"{seconds(row['numpy_cpu'])} ({number(row['numpy_error'], 2)})",
+            ]
+            for row in found
+        ),
+    )
+
+
 def growth(found: Sequence[Row]) -> str:
     """Return one row for each stage: its range, its times and memory, and their exponents."""
     head = ["stage", "number n", "seconds", "grow as", "memory", "grows as"]
@@ -778,6 +808,16 @@ SECTIONS = (
         tolerances,
         draw_tolerances,
         "Seconds against error of fields of point spreads and of traces at two tolerances",
+    ),
+    Section(
+        "psf_batches.json",
+        "Many waves on one pupil",
+        "`psf.point_spreads` with 256 x 256 samples at lambda N/4: processor time per wave, with "
+        "the set-up of the call, and that of the gradient; a loop of `psf.point_spread`; and a "
+        "loop of matrix products of numpy on a pupil of 256 x 256 samples, 1024 x 1024 for the "
+        "smaller tol. A batch bounds its error for any wave. Two threads share the waves.",
+        f"{RUN}/psf_batches.py --json benchmarks/results/psf_batches.json",
+        psf_batches,
     ),
     Section(
         "growth.json",

@@ -1,6 +1,8 @@
 from .aperture.aperture import Aperture as Aperture
 from .aperture.quadrature_nodes import grid_nodes as grid_nodes
 from .aperture.quadrature_nodes import polar_nodes as polar_nodes
+from .batch.point_spreads import PointSpreads as PointSpreads
+from .batch.point_spreads import point_spreads as point_spreads
 from .exchange.poppy_files import read_poppy as read_poppy
 from .exchange.poppy_files import write_poppy as write_poppy
 from .exchange.prysm_poppy import PrysmPupil as PrysmPupil

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from ..._checks import fits_memory, in_range, one_of, positive, real, whole
 from ...errors import SamplingError, SceneError
 from ...psf.aperture.quadrature_nodes import circle_shares, fitting_pitch
-from ...psf.window.pixels import PixelRule, pixel_rule
+from ...psf.window.pixels import pixel_rule
 from ...psf.window.window import Window, shape_of
 
 Array = NDArray[np.float64]
@@ -333,14 +333,12 @@ class PupilOptics(nn.Module):
 
         keep("_amplitude", self.amplitude * (scale / self._finer))
         if self.method == "mdft":
-            rule = None
+            window = Window.centred(self.pitch, self.shape)
             if self.pixel_integrated:
                 rule = pixel_rule(self.pitch, self.nyquist_pitch, max(self.shape))
-                keep("_mean_y", _means(rule, self.shape[0]))
-                keep("_mean_x", np.ascontiguousarray(_means(rule, self.shape[1]).T))
-            window = Window.centred(self.pitch, self.shape)
-            if rule is not None:
                 window = rule.window(self.pitch, self.shape)
+                keep("_mean_y", rule.matrix(window.shape[0]))
+                keep("_mean_x", np.ascontiguousarray(rule.matrix(window.shape[1]).T))
             keep("_along_y", _kernel(np.outer(window.y, self.v) / self._spread))
             keep("_along_x", _kernel(np.outer(self.u, window.x) / self._spread))
         elif self.pixel_integrated:
@@ -356,14 +354,6 @@ def _kernel(turns: Array) -> Array:
     """
     turns = 2 * np.pi * (turns - np.round(turns))
     return np.stack([np.cos(turns), -np.sin(turns)], axis=-1)
-
-
-def _means(rule: PixelRule, count: int) -> Array:
-    """Return the matrix (``count`` pixels, fine samples) that averages samples over pixels."""
-    matrix = np.zeros((count, count * rule.factor + 2 * rule.margin))
-    for row in range(count):
-        matrix[row, row * rule.factor : row * rule.factor + rule.taps.size] = rule.taps
-    return matrix
 
 
 class _SquaredModulus(torch.autograd.Function):

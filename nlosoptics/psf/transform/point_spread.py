@@ -354,7 +354,7 @@ def detilted_point_spread(
     check_cone(residual)
     pitch, shape = _sampling(residual, method, tol, pitch, shape, pixel_integrated)
     if not pixel_integrated and normalisation != "ideal-peak":
-        _check_nyquist(residual, pitch, normalisation)
+        check_nyquist(residual, pitch, normalisation)
     whole = holds_rays(residual, pitch, shape)
     if image_surface is None and not whole:  # landing points are known in the image plane only
         _check_part(residual, method, pitch, shape)
@@ -456,7 +456,7 @@ def _sampling(
     return pitch, default_shape(residual, pitch)
 
 
-def _check_nyquist(residual: Residual, pitch: float, normalisation: str) -> None:
+def check_nyquist(residual: Residual, pitch: float, normalisation: str) -> None:
     """Refuse point samples too far apart for their sum to be an energy."""
     if pitch > residual.nyquist_pitch * (1 + 1e-9):
         raise SamplingError(

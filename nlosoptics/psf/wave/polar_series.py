@@ -44,7 +44,7 @@ class PolarSpectrum:
         fraction, _ = gauss_legendre(self.n_r)
         waves[:, 1::2] /= self._rho(fraction)[:, None]
         # einsum does not call BLAS, so results are bit-identical for any thread count.
-        self.coefficients = _product(_analysis(self.n_r), waves)
+        self.coefficients = _product(analysis(self.n_r), waves)
 
     def truncation(self) -> float:
         """Estimate the truncation error: the sum of the highest coefficients."""
@@ -84,7 +84,7 @@ class PolarSpectrum:
         # Drop coefficients at rounding level: slopes of high-degree polynomials amplify them.
         n_k, n_m = (n + 1 for n in self.degrees(1e-14 * float(self._sizes.max())))
         ring = ring_of(n_r, n_theta, self.obscuration)
-        tables = _kept_tables(n_k, n_r) if n_r <= KEPT else _tables(n_k, ring.fraction)
+        tables = _kept_tables(n_k, n_r) if n_r <= KEPT else legendre_tables(n_k, ring.fraction)
         coefficients = self.coefficients[:n_k, :n_m]
         value, per_r = (_product(table.T, coefficients) for table in tables)
         per_r *= ring.bend
@@ -165,7 +165,7 @@ class PolarSpectrum:
 
     def _polynomial(self, rho: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the radial parts and their r derivatives at rho = r/radius, (len(rho), n_m)."""
-        tables = _tables(self._counts[0], self._fraction(rho))
+        tables = legendre_tables(self._counts[0], self._fraction(rho))
         value, slope = (self._sum(table) for table in tables)
         slope *= (2 * rho / (1 - self.obscuration**2))[:, None]
         slope[:, 1::2] = rho[:, None] * slope[:, 1::2] + value[:, 1::2]
@@ -215,7 +215,7 @@ def values_at(
 
 
 @lru_cache(maxsize=16)
-def _analysis(n: int) -> Array:
+def analysis(n: int) -> Array:
     """Matrix (n, n) from samples at ``n`` nodes to Legendre coefficients, cached and read-only."""
     fraction, weights = gauss_legendre(n)
     norms = 2 * np.arange(n) + 1
@@ -276,11 +276,11 @@ def ring_of(n_r: int, n_theta: int, obscuration: float) -> Ring:
 @lru_cache(maxsize=32)
 def _kept_tables(n: int, n_r: int) -> tuple[Array, Array]:
     """Legendre tables at ``n_r`` nodes and the rim, cached and read-only."""
-    table, slopes = _tables(n, np.append(gauss_legendre(n_r)[0], 1.0))
+    table, slopes = legendre_tables(n, np.append(gauss_legendre(n_r)[0], 1.0))
     return frozen(table), frozen(slopes)
 
 
-def _tables(n: int, fraction: Array) -> tuple[Array, Array]:
+def legendre_tables(n: int, fraction: Array) -> tuple[Array, Array]:
     """First n Legendre polynomials and their derivatives, (n, len(fraction)) each."""
     table = legendre(n, fraction)
     return table, _legendre_slopes(table)

@@ -1,0 +1,1 @@
+"""Point spreads of many waves on one pupil, and their gradients."""
